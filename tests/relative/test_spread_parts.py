@@ -1,4 +1,4 @@
-"""Light of parts of cells against sparse matrices of scipy."""
+"""Light of cells and of their parts against matrices, sparse ones of scipy and full ones."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from scipy.sparse import csc_matrix
 
-from giantlike.relative.template.spread_parts import spread
+from giantlike.relative.template.spread_parts import banded, spread
 from tests.tolerances import FLOAT64_SUM
 
 PARTS, COLUMNS, ROWS, REACH, WIDTH, LAWS, KINDS = 400, 30, 20, 7, 25, 3, 4
@@ -26,3 +26,16 @@ def test_parts_are_spread_as_by_a_sparse_matrix_and_lost_outside_of_the_image() 
         values = shares[kind][columns]
         matrix = csc_matrix((values[inside], (places[inside], of[inside])), shape=(ROWS * WIDTH, PARTS))
         assert_allclose(found[kind].reshape(-1, LAWS), matrix @ light, rtol=0, atol=FLOAT64_SUM)
+
+
+def test_cells_of_a_band_are_spread_as_by_a_full_matrix_and_those_outside_hold_no_light() -> None:
+    rng = np.random.default_rng(6)
+    light, shares = rng.normal(size=(COLUMNS, LAWS)), rng.normal(size=(KINDS, WIDTH, REACH))
+    first = np.linspace(-4, COLUMNS - 3, WIDTH).astype(np.int64)  # the first and the last reach over the ends
+    full = np.zeros((KINDS, WIDTH, COLUMNS + 2 * REACH))
+    for pixel in range(WIDTH):
+        full[:, pixel, REACH + first[pixel] : 2 * REACH + first[pixel]] = shares[:, pixel]
+
+    found = banded(shares, first, light)
+
+    assert_allclose(found, full[:, :, REACH:-REACH] @ light, rtol=0, atol=FLOAT64_SUM)

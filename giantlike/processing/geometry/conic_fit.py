@@ -159,22 +159,27 @@ def ellipse_of(coefficients: Float) -> Float:
 
 
 def _monomials(points: Float) -> tuple[Float, Float]:
-    """``xi`` (n, 6) and its covariance for unit noise (n, 6, 6)."""
+    """``xi`` (n, 6) and its derivatives by x and by y (2, n, 6), of which its covariance for unit noise is made."""
     x, y = points.T
     one, zero = np.ones_like(x), np.zeros_like(x)
     xi = np.stack([x * x, 2 * x * y, y * y, 2 * x, 2 * y, one], axis=-1)
-    by_x = 2.0 * np.stack([x, y, zero, one, zero, zero], axis=-1)
-    by_y = 2.0 * np.stack([zero, x, y, zero, one, zero], axis=-1)
-    return xi, by_x[:, :, None] * by_x[:, None, :] + by_y[:, :, None] * by_y[:, None, :]
+    by_x = np.stack([x, y, zero, one, zero, zero], axis=-1)
+    by_y = np.stack([zero, x, y, zero, one, zero], axis=-1)
+    return xi, 2.0 * np.stack([by_x, by_y])
 
 
 def _value(points: Float, theta: Float) -> Float:
     return _monomials(points)[0] @ theta
 
 
+def _summed(weights: Float, slopes: Float) -> Float:
+    """Weighted sum (6, 6) over the points (n,) of the covariance that derivatives (2, n, 6) make for unit noise."""
+    return np.sum((slopes * weights[:, None]).mT @ slopes, axis=0)
+
+
 def _hyper(points: Float, sigma: Float) -> Float:
     """Coefficients (6,) of norm one of the conic through points of order one."""
-    xi, spread = _monomials(points)
+    xi, slopes = _monomials(points)
     count = len(xi)
     variance = sigma**2 / np.mean(sigma**2)
     weights = 1.0 / variance
@@ -183,16 +188,16 @@ def _hyper(points: Float, sigma: Float) -> Float:
         values, vectors = np.linalg.eigh(second)
         inverse = (vectors[:, 1:] / values[1:]) @ vectors[:, 1:].T
         pulled = xi @ inverse
-        first = np.tensordot(weights * variance, spread, 1)
+        first = _summed(weights * variance, slopes)
         mixed = np.outer((weights * variance) @ xi, _SECOND_ORDER)
         shares = weights**2 * variance
-        absorbed = np.tensordot(shares * np.sum(pulled * xi, axis=1), spread, 1)
-        turned = ((spread @ pulled[:, :, None])[:, :, 0] * shares[:, None]).T @ xi
+        absorbed = _summed(shares * np.sum(pulled * xi, axis=1), slopes)
+        turned = np.sum((slopes * (shares * np.sum(slopes * pulled, axis=2))[:, :, None]).mT @ xi, axis=0)
         metric = (first + mixed + mixed.T) / count - (absorbed + turned + turned.T) / count**2
         ratios, solutions = np.linalg.eig(np.linalg.solve(second + 1e-15 * np.trace(second) * np.eye(6), metric))
         theta = np.real(solutions[:, np.argmax(np.abs(ratios))])
         theta = theta / np.linalg.norm(theta)
-        weights = 1.0 / (variance * (spread @ theta @ theta))
+        weights = 1.0 / (variance * np.sum((slopes @ theta) ** 2, axis=0))
         weights = weights / weights.mean()
     return theta
 
@@ -201,19 +206,19 @@ def _statistics(
     points: Float, sigma: Float, theta: Float, correlation_length: float | None, scale: float
 ) -> tuple[Float, Float]:
     """Distances (n,) from the conic, positive outside, and covariance (6, 6) of its coefficients."""
-    xi, spread = _monomials(points)
-    slope = np.sqrt(spread @ theta @ theta)
+    xi, slopes = _monomials(points)
+    slope = np.sqrt(np.sum((slopes @ theta) ** 2, axis=0))
     residuals = -(xi @ theta) / slope
     across = np.linalg.svd(theta[None])[2][1:].T  # (6, 5)
     design = (xi @ across) / slope[:, None]  # the ellipse moves outward
     if correlation_length is None:
-        scatter = np.diag(sigma**2)
-    else:
-        order = _along(points, ellipse_center(theta))
-        fit = correlated_solution(
-            residuals[order], design[order], sigma[order], points[order], min_length=correlation_length / scale
-        )
-        scatter = fit.residual_covariance(sigma, points)
+        spread = across @ np.linalg.inv(np.linalg.qr(design / sigma[:, None])[1])
+        return residuals, spread @ spread.T
+    order = _along(points, ellipse_center(theta))
+    fit = correlated_solution(
+        residuals[order], design[order], sigma[order], points[order], min_length=correlation_length / scale
+    )
+    scatter = fit.residual_covariance(sigma, points)
     covariance = generalized_solution(residuals, design, scatter, weights=1.0 / sigma**2)[1]
     return residuals, across @ covariance @ across.T
 

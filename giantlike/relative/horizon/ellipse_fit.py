@@ -430,7 +430,9 @@ def _agreeing(points: Float, sigma: Float, options: EllipseFitOptions) -> Mask |
             return fit
         away = _distances(points, fit)
         scatter = robust_sigma(away[keep], 0.0)
-        keep = np.abs(away) <= options.outlier_mad * np.hypot(sigma, scatter)
+        before, keep = keep, np.abs(away) <= options.outlier_mad * np.hypot(sigma, scatter)
+        if np.array_equal(keep, before):
+            break
     return keep
 
 

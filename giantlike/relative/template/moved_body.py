@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
 from scipy.special import ndtr
 
 from giantlike.core.arrays import Float
@@ -18,7 +17,7 @@ from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.refined import RefinedTrace
 from giantlike.ray_tracing.sampling import Cells
 from giantlike.ray_tracing.tracer import Indices
-from giantlike.relative.template.spread_parts import spread
+from giantlike.relative.template.spread_parts import banded, spread
 from giantlike.relative.template.state import TemplateState
 
 _LEAST_BLUR_PX = 1e-3
@@ -150,12 +149,18 @@ class MovedBody(Value):
 
 @dataclass(frozen=True, slots=True)
 class _Shares:
-    """Shares of the light of cells along one axis, px, and their derivatives: sparse (m, n) matrices alike."""
+    """Shares of the light of cells along one axis, px.
 
-    value: csr_matrix[np.float64]
-    by_center: csr_matrix[np.float64]
-    by_log_range: csr_matrix[np.float64]
-    by_variance: csr_matrix[np.float64]
+    ``values`` (4, m, w) are those on each of m pixels of w cells from the number ``first`` (m,) on, where there are
+    such, and their derivatives by center, log range and variance.
+    """
+
+    values: Float
+    first: Indices
+
+    def lights(self, light: Float) -> Float:
+        """Light (m, k) of that (n, k) of cells."""
+        return np.asarray(banded(self.values[:1], self.first, light)[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,14 +171,12 @@ class _Columns:
 
     def lights(self, light: Float) -> Float:
         """Light (rows, w, k) of that (columns, k, rows) of cells."""
-        spread = _product(self.shares.value, light.reshape(len(light), -1))
+        spread = self.shares.lights(light.reshape(len(light), -1))
         return np.ascontiguousarray(spread.reshape(-1, *light.shape[1:]).transpose(2, 0, 1))
 
-    def with_derivatives(self, light: Float) -> list[Float]:
-        """Light (rows, w) of that (columns, rows) of cells, and its derivatives by center, log range and variance."""
-        shares = self.shares
-        matrices = (shares.value, shares.by_center, shares.by_log_range, shares.by_variance)
-        return [np.ascontiguousarray(_product(matrix, light).T) for matrix in matrices]
+    def with_derivatives(self, light: Float) -> Float:
+        """Light (rows, 4, w) of that (columns, rows) of cells, and its derivatives by center, log range and variance."""
+        return np.ascontiguousarray(banded(self.shares.values, self.shares.first, light).transpose(2, 0, 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,9 +198,9 @@ class _Parts:
         of_value = self._spread(light, self.shares[:1])
         return np.asarray(of_value[0])
 
-    def with_derivatives(self, light: Float) -> list[Float]:
-        """Light (rows, w) of that (n,) of parts, and its derivatives by center, log range and variance."""
-        return list(self._spread(light[:, None], self.shares)[..., 0])
+    def with_derivatives(self, light: Float) -> Float:
+        """Light (rows, 4, w) of that (n,) of parts, and its derivatives by center, log range and variance."""
+        return np.ascontiguousarray(self._spread(light[:, None], self.shares)[..., 0].transpose(1, 0, 2))
 
     def _spread(self, light: Float, shares: Float) -> Float:
         places = self.columns, self.rows, shares, self.first_px, self.row_count, self.width
@@ -219,26 +222,18 @@ class _Grid:
     def lights(self) -> Float:
         """Light (h, w, k) under each law."""
         columns = self.across.lights(self.light)
-        return _product(self.down.value, columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
+        return self.down.lights(columns.reshape(len(columns), -1)).reshape(-1, *columns.shape[1:])
 
     def derivatives(self, weights: Float) -> Float:
         """Derivatives (4, h, w) of the sum with weights (j,) of the first ``j`` laws."""
-        mixed = np.tensordot(self.light[:, : len(weights)], weights, (1, 0))
-        down = self.down
-        columns, by_center, by_log_range, by_variance = self.across.with_derivatives(mixed)
-        return np.stack(
-            [
-                _product(down.value, by_center),
-                _product(down.by_center, columns),
-                _product(down.value, by_log_range) + _product(down.by_log_range, columns),
-                _product(down.value, by_variance) + _product(down.by_variance, columns),
-            ]
-        )
-
-
-def _product(matrix: csr_matrix[np.float64], values: Float) -> Float:
-    """Product (m, k) of a sparse (m, n) and a dense (n, k) array."""
-    return np.asarray(matrix @ values, dtype=np.float64)
+        some = self.light[:, : len(weights)]
+        mixed = weights @ some if some.ndim == 3 else some @ weights
+        columns = self.across.with_derivatives(mixed)
+        width = columns.shape[2]
+        by_x, by_log_range, by_variance = np.split(self.down.lights(columns[:, 1:].reshape(-1, 3 * width)), 3, axis=1)
+        shares = self.down.values[1:]
+        by_y, down_by_log_range, down_by_variance = banded(shares, self.down.first, columns[:, 0].copy())
+        return np.stack([by_x, by_y, by_log_range + down_by_log_range, by_variance + down_by_variance])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -251,17 +246,13 @@ class _Row:
     sigma: float
 
     def on_pixels(self, first_px: int, count_px: int) -> _Shares:
-        """Shares (pixels, cells) on so many pixels from the first."""
+        """Shares on so many pixels from the first."""
         lows = first_px - 0.5 - self.center + np.arange(count_px, dtype=np.float64)
         reach, count = _REACH_SIGMA * self.sigma + self.half, self.away.size
         first = np.ceil((lows - reach - self.away[0]) / (2.0 * self.half)).astype(np.int64)
         within = first[:, None] + np.arange(math.ceil((1.0 + 2.0 * reach) / (2.0 * self.half)) + 1)
-        inside = (within >= 0) & (within < count)
-        numbers = within[inside]
-        ends = np.concatenate([[0], np.cumsum(np.count_nonzero(inside, axis=1))])
-        indices, ends = numbers.astype(np.int32), ends.astype(np.int32)  # as sparse matrices hold them, not made anew
-        shares = self._shares(np.broadcast_to(lows[:, None], within.shape)[inside], self.away[numbers])
-        return _Shares(*(csr_matrix((values, indices, ends), shape=(count_px, count)) for values in shares))
+        away = self.away[np.clip(within, 0, count - 1)]
+        return _Shares(np.stack(self._shares(np.broadcast_to(lows[:, None], within.shape), away)), first)
 
     def of_parts(self, columns: Indices, rows: Indices, row_count: int, first_px: int, count_px: int) -> _Parts:
         """Shares on so many pixels from the first of the n cells at some ``columns`` of this row, in ``rows``."""

@@ -1,4 +1,4 @@
-"""Light of parts of cells on columns of pixels: compiled, one part after the other."""
+"""Light of cells, or of parts of them, on lines of pixels: compiled."""
 
 from __future__ import annotations
 
@@ -42,4 +42,33 @@ def spread(
                 share = shares[kind, column, step]
                 for law in range(light.shape[1]):
                     result[kind, row, first + step, law] += share * light[part, law]
+    return result
+
+
+@compiled
+def banded(shares: Float, first: Indices, light: Float) -> Float:
+    """Sum the light of cells along one axis over pixels.
+
+    Parameters
+    ----------
+    shares : (m, p, w) float64
+        Of the light of w cells side by side that falls on each of p pixels, m kinds of them.
+    first : (p,) int64
+        Number of the first of these cells; those outside of the grid hold none.
+    light : (n, k) float64
+        Of n cells, in k kinds.
+
+    Returns
+    -------
+    (m, p, k) float64
+    """
+    kinds, pixels, reach = shares.shape
+    result = np.zeros((kinds, pixels, light.shape[1]))
+    for kind in range(kinds):
+        for pixel in range(pixels):
+            here = result[kind, pixel]
+            for step in range(max(0, -first[pixel]), min(reach, len(light) - first[pixel])):
+                share, there = shares[kind, pixel, step], light[first[pixel] + step]
+                for k in range(len(here)):
+                    here[k] += share * there[k]
     return result
