@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,7 +109,7 @@ class VisibleBox(Value):
         return x, y
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)  # without slots, which keep no cached property
 class Footprint(Value):
     """Cells over the part of a focal plane that a body can touch, and the pixels that their light reaches.
 
@@ -119,9 +120,6 @@ class Footprint(Value):
         Along x and y.
     tiles : tuple of Tile
         Those parts of the cells that can meet the body.
-    spread : (csr_matrix, csr_matrix)
-        Fractions of the light of each column (row) of cells that fall on each column (row) of pixels: (width, columns)
-        and (height, rows).
     corner_px : (2,) int64, px
         First pixel (x, y).
     size_px : (int, int), px
@@ -131,9 +129,15 @@ class Footprint(Value):
     plane: FocalPlane
     cells: tuple[Cells, Cells]
     tiles: tuple[Tile, ...]
-    spread: tuple[csr_matrix[np.float64], csr_matrix[np.float64]]
     corner_px: NDArray[np.int64]
     size_px: tuple[int, int]
+
+    @cached_property
+    def spread(self) -> tuple[csr_matrix[np.float64], csr_matrix[np.float64]]:
+        """Fractions of the light of columns and rows of cells on those of pixels: (width, columns), (height, rows)."""
+        parts = zip(self.cells, self.corner_px.tolist(), self.size_px, strict=True)
+        across, down = (cells.spread(first, count, self.plane.psf_sigma_px) for cells, first, count in parts)
+        return across, down
 
     def counted(self, tile: Tile, rays: NDArray[np.int64]) -> tuple[int, NDArray[np.int64]]:
         """Number of rays on each pixel (height, width) of a tile, and the row of the footprint where these start.
@@ -179,10 +183,6 @@ def footprint_of(body: Body, plane: FocalPlane, options: RenderOptions) -> Footp
         plane=plane,
         cells=(x, y),
         tiles=_tiles(x, y, box),
-        spread=(
-            x.spread(int(first[0]), width, plane.psf_sigma_px),
-            y.spread(int(first[1]), height, plane.psf_sigma_px),
-        ),
         corner_px=first,
         size_px=(width, height),
     )

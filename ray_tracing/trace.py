@@ -161,7 +161,11 @@ class TracedRays(Value):
             value = law(light.cos_incidence, self.sight.cos_emission.take(light.seen), light.phase_rad)
             if self.albedo is not None:
                 value = value * self.albedo.take(light.seen)
-            brightness[self.sight.rays.take(light.seen)] += value / len(self.light)
+            rays = self.sight.rays.take(light.seen)
+            if len(self.light) == 1:
+                brightness[rays] = value  # in half of the time
+            else:
+                brightness[rays] += value / len(self.light)
         return brightness
 
 

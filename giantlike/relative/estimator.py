@@ -442,10 +442,11 @@ class _Readout(Value):
         detector = detector.of_image(image.pixels, image.mask)
         limit_dn = min(detector.saturation_dn, _type_limit(image.pixels), _plateau_dn(image, detector))
         saturated = image.pixels >= limit_dn
-        masked = _bad_pixels(image, detector)
+        pixels_dn = np.subtract(image.pixels, detector.bias_dn, dtype=np.float64)
+        masked = _bad_pixels(image, pixels_dn, detector)
         return cls(
             detector=detector,
-            pixels_dn=np.subtract(image.pixels, detector.bias_dn, dtype=np.float64),
+            pixels_dn=pixels_dn,
             usable=~(masked | saturated),
             saturated=saturated & ~masked,
             masked=masked,
@@ -466,11 +467,11 @@ def _readout(image: Image, detector: Detector) -> _Readout:
     return readout
 
 
-def _bad_pixels(image: Image, detector: Detector) -> Mask:
-    """The mask of an image, with the dead and the hot rows and columns that it shows."""
+def _bad_pixels(image: Image, pixels_dn: Float, detector: Detector) -> Mask:
+    """The mask of an image, with the dead and the hot rows and columns that it shows, as it is and without bias."""
     noise_dn = math.sqrt(float(detector.variance_dn2(np.zeros(1))[0]))
     dead = dead_lines(image.pixels, bias_dn=detector.bias_dn, noise_dn=noise_dn)
-    hot = hot_lines(image.pixels, noise_dn=noise_dn)
+    hot = hot_lines(pixels_dn, noise_dn=noise_dn)
     mask = image.mask if dead is None else image.mask | dead
     return mask if hot is None else mask | hot
 

@@ -32,8 +32,8 @@ def hot_lines(pixels_dn: Float, *, noise_dn: float) -> Mask | None:
 
     Parameters
     ----------
-    pixels_dn : (rows, columns), DN
-        As the detector gives them.
+    pixels_dn : (rows, columns) float64, DN
+        As the detector gives them, or less a bias.
     noise_dn : float, DN
         Standard deviation of the noise without light.
 
@@ -64,7 +64,7 @@ def _hot_in(image: Float, noise_dn: float) -> np.ndarray:
     if len(image) < 2 * _REACH + 1 or image.shape[1] < _LEAST_LENGTH:
         return none
     least = _LEAST_SIGMAS * noise_dn
-    mean = image.mean(axis=1, dtype=np.float64)
+    mean = image @ np.full(image.shape[1], 1.0 / image.shape[1])  # in a third of the time of a mean
     brighter = (mean - median_filter(mean, 2 * _REACH + 1))[_REACH:-_REACH]
     level = {int(row): _excess_dn(image, int(row)) for row in _REACH + np.flatnonzero(brighter > _SHARE * least)}
     hot = [row for row, excess in level.items() if excess >= least]

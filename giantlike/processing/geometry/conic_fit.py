@@ -174,7 +174,7 @@ def _value(points: Float, theta: Float) -> Float:
 
 def _summed(weights: Float, slopes: Float) -> Float:
     """Weighted sum (6, 6) over the points (n,) of the covariance that derivatives (2, n, 6) make for unit noise."""
-    return np.sum((slopes * weights[:, None]).mT @ slopes, axis=0)
+    return np.asarray(np.sum((slopes * weights[:, None]).mT @ slopes, axis=0))
 
 
 def _hyper(points: Float, sigma: Float) -> Float:
