@@ -175,7 +175,7 @@ class _Columns:
         return np.ascontiguousarray(spread.reshape(-1, *light.shape[1:]).transpose(2, 0, 1))
 
     def with_derivatives(self, light: Float) -> Float:
-        """Light (rows, 4, w) of that (columns, rows) of cells, and its derivatives by center, log range and variance."""
+        """Light (rows, 4, w) of that (columns, rows) of cells, and derivatives by center, log range and variance."""
         return np.ascontiguousarray(banded(self.shares.values, self.shares.first, light).transpose(2, 0, 1))
 
 
