@@ -10,6 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from giantlike.atmosphere import Atmosphere
 from giantlike.core.arrays import require
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.ray_tracing import trace_silhouette
@@ -23,6 +24,8 @@ from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOpti
 from giantlike.relative.place import limb_in_frame
 from giantlike.relative.response import RESPONSE, Response
 from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
+from giantlike.relative.template.haze import HAZE
+from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid
 
 _LOG = logging.getLogger("giantlike.relative")
@@ -179,7 +182,8 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     probability that right estimates differ by as much (``agreement``) and the share of the estimator taken in the
     place (``weight``). ``score``, residuals and counts are those of the estimator taken. A failure is that of the first
     choice; its text names the others that were tried. Where ``cross_correlation`` finds that values are not in
-    proportion to light, the others are run on an image in which they are.
+    proportion to light, the others are run on an image in which they are; where it finds haze, with an altitude of the
+    limb that is as uncertain as it says.
 
     Parameters
     ----------
@@ -197,13 +201,21 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
         outcomes = dict[str, CenterFix | Failure]()
         fix = self._consensus(inputs, choice, outcomes)
         template = outcomes.get(CrossCorrelation.name)
-        if not isinstance(template, CenterFix) or RESPONSE not in template.provenance:
+        if not isinstance(template, CenterFix):
             return fix
-        # Values are not proportional to light, and only the template knows: the others get an image where they are.
-        bent = template.provenance[RESPONSE]
-        straight = replace(inputs, image=inputs.straight_image(Response.from_text(bent)))
-        fix = self._consensus(straight, choice, {CrossCorrelation.name: template})
-        return fix if isinstance(fix, Failure) else replace(fix, provenance={**fix.provenance, RESPONSE: bent})
+        # Only the template knows of values that are not proportional to light, and of haze that nobody told.
+        found = {key: template.provenance[key] for key in (RESPONSE, HAZE) if key in template.provenance}
+        if inputs.geometry.target.atmosphere is not None or inputs.geometry.target.terrain is not None:
+            found.pop(HAZE, None)
+        if not found:
+            return fix
+        known = inputs
+        if RESPONSE in found:
+            known = replace(known, image=inputs.straight_image(Response.from_text(found[RESPONSE])))
+        if HAZE in found:
+            known = replace(known, scene=_in_haze(inputs.scene, inputs.target_name, float(found[HAZE])))
+        fix = self._consensus(known, choice, {CrossCorrelation.name: template})
+        return fix if isinstance(fix, Failure) else replace(fix, provenance={**fix.provenance, **found})
 
     def _consensus(
         self, inputs: EstimatorInputs, choice: Choice, outcomes: dict[str, CenterFix | Failure]
@@ -255,6 +267,14 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     def _estimator(self, name: str) -> Estimator:
         """Return an estimator with its options, which have its name."""
         return _CHOICES[name][0](getattr(self.options, name))
+
+
+def _in_haze(scene: Scene, name: str, sigma_km: float) -> Scene:
+    """Scene with a limb of a target that may stand higher or lower, where nothing is told of that."""
+    haze = Atmosphere.at(0.0, sigma_km=sigma_km)
+    return replace(
+        scene, targets=tuple(replace(one, atmosphere=haze) if one.name == name else one for one in scene.targets)
+    )
 
 
 def _with_turn(fix: CenterFix, second: CenterFix) -> CenterFix:

@@ -105,6 +105,21 @@ def test_a_template_of_a_body_in_thin_haze_is_within_its_sigma_told_of_it_or_not
     assert not found.flags.suspect
 
 
+def test_auto_gives_horizons_the_haze_that_only_its_template_sees() -> None:
+    """A horizon alone is off by 0.7 % of the range, 20 sigma."""
+    phase_rad = 2.1
+    image = hazy(32.0, 0.05, "mcewen", phase_rad)
+    sigmas = {}
+    for name in ("ellipsoid_cra", "auto"):
+        _, _, found = radius_error_km(name, None, image, phase_rad)
+        error_km = found.position_camera_km - POSITION_KM
+        sigmas[name] = math.sqrt(error_km @ np.linalg.solve(found.covariance_camera_km2, error_km))
+        assert not found.flags.suspect
+    assert sigmas["auto"] < 3.5 < 10.0 < sigmas["ellipsoid_cra"]
+    assert found.provenance["chosen"] == "ellipsoid_cra"
+    assert "altitude_sigma_km" in found.provenance
+
+
 def test_a_template_of_a_body_without_haze_has_no_error_of_its_altitude() -> None:
     _, _, found = radius_error_km("cross_correlation", None, hazy(32.0, 1e-6, "mcewen", 2.1), 2.1)
     assert Cause.ALTITUDE not in found.parts

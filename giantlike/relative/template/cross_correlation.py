@@ -22,6 +22,7 @@ from giantlike.relative.response import LEAST_BEND, Response, settled
 from giantlike.relative.template.align import align_template
 from giantlike.relative.template.binning import Blocks, blocks_of
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
+from giantlike.relative.template.haze import HAZE
 from giantlike.relative.template.moved_body import MovedBody
 from giantlike.relative.template.rendering import (
     KNOWN_BLUR_SIGMA_PX2,
@@ -197,6 +198,9 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         if found is None and fit.smear_sigmas > _SMEARED_SIGMAS and fit.smear.length_px * blocks.size > _LEAST_SMEAR_PX:
             found = self._followed(inputs, blocks, match)
         inputs, blocks, match = (inputs, blocks, match) if found is None else found
+        if match.fit.altitude_sigma > 0.0:
+            sigma_km = match.fit.altitude_sigma * inputs.geometry.seen_body().shape.mean_radius_km
+            inputs = replace(inputs, provenance={**inputs.provenance, HAZE: f"{sigma_km:.6g}"})
         return _fix(inputs, blocks, replace(match, fit=blocks.unbinned(match.fit)), self.options)
 
     def _matched(

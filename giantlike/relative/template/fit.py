@@ -152,6 +152,8 @@ class TemplateFit(Value):
         What the residuals ask for: the one of the options as it was estimated, or, without one, a rough one.
     smear_sigmas : float
         Its size over its standard deviation by the weights of the pixels.
+    altitude_sigma : float
+        Standard deviation over the radius of the altitude of the limb, as told or by haze that the residuals show.
     """
 
     state: TemplateState
@@ -170,6 +172,7 @@ class TemplateFit(Value):
     bend_sigmas: float
     smear: Smear
     smear_sigmas: float
+    altitude_sigma: float = 0.0
     corner_px: tuple[int, int] = (0, 0)
 
     def used_at_px(self, block_px: int = 1) -> Float:
@@ -349,7 +352,8 @@ class _Solved:
         values[use] = solution.values
         residuals = values - model
         fit = LinearFit(columns, weights, self.prior)
-        parts = self._parts(fit, residuals, (noise, error), options)
+        altitude_sigma = options.altitude_sigma or self._untold_altitude(fit, residuals, options)
+        parts = self._parts(fit, residuals, (noise, error), replace(options, altitude_sigma=altitude_sigma))
         parts[Cause.NOISE] = parts[Cause.NOISE] + np.outer(last_step, last_step)
         response, bend_sigmas = self._response(fit, residuals, model, options.response)
         smear, smear_sigmas = self._smear(fit, residuals, options.smear)
@@ -370,6 +374,7 @@ class _Solved:
             bend_sigmas=bend_sigmas,
             smear=smear,
             smear_sigmas=smear_sigmas,
+            altitude_sigma=altitude_sigma,
             corner_px=problem.pixels.corner_px,
         )
 
@@ -402,7 +407,8 @@ class _Solved:
 
     def _untold_altitude(self, fit: LinearFit, residuals: Float, options: TemplateFitOptions) -> float:
         """Standard deviation, over the radius, of the altitude of the limb by haze that the residuals show."""
-        veils, moves = self.problem.veils(), slice(None, RANGE + 1)
+        sharp = math.sqrt(self.solution.errors[1]) < _HAZY_EDGE_PX
+        veils, moves = None if sharp else self.problem.veils(), slice(None, RANGE + 1)
         if veils is None:
             return 0.0
         lifted_by = fit.errors_covariance(self._lifts(options))[moves, moves]
@@ -448,11 +454,8 @@ class _Solved:
             relief = options.relief_sigma * self.problem.columns[RANGE]
             parts[Cause.RELIEF] = fit.error_covariance(relief, length_px=options.relief_length_px)
             known = known + parts[Cause.RELIEF]
-        altitude_sigma = options.altitude_sigma
-        if altitude_sigma == 0.0 and math.sqrt(self.solution.errors[1]) > _HAZY_EDGE_PX:
-            altitude_sigma = self._untold_altitude(fit, residuals, options)
-        if altitude_sigma > 0.0:
-            parts[Cause.ALTITUDE] = altitude_sigma**2 * fit.errors_covariance(self._lifts(options))
+        if options.altitude_sigma > 0.0:
+            parts[Cause.ALTITUDE] = options.altitude_sigma**2 * fit.errors_covariance(self._lifts(options))
             known = known + parts[Cause.ALTITUDE]
         parts[Cause.ALBEDO] = excess(known, whole)
         if self.problem.untried is not None:
