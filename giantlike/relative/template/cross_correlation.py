@@ -420,6 +420,7 @@ def _fit_options(
         blur_sigma_px2=(KNOWN_BLUR_SIGMA_PX2 if psf_known else UNKNOWN_BLUR_SIGMA_PX2) / block_px**2,
         relief_sigma=options.relief_sigma,
         relief_length_px=options.relief_length_rad * radius_px,
+        radius_px=radius_px,
     )
 
 

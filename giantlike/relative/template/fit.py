@@ -45,9 +45,9 @@ _FLICKER_PX = 0.6
 _ROUGH_PIXELS = 8_000
 """Pixels, about, that a step from a rough render is solved for: noise moves it by a hundredth of a pixel."""
 _ROUGH_STEP_PX = 0.5  # px: from so near, one linear step ends where the next hardly moves
-_HAZY_EDGE_PX = 0.03
-"""Error of the model at edges, px, from which on haze is looked for: 0.055 to 0.12 with haze of 0.3 px of scale height
-around 120 px, at most 0.017 without and with right models."""
+_HAZY_EDGE_PX = 0.015
+"""Error of the model at edges, px, from which on haze is looked for: 0.02 to 0.3 with haze of 0.2 to 0.6 px of scale
+height around 120 px, at most 0.017 without and with right models."""
 _BLOCK = 0.35
 """Side of the blocks of the jackknife over the rms radius of the light. Half and double: benchmarks/sensitivity.md."""
 _OF_NOISE = (Cause.NOISE, Cause.BACKGROUND, Cause.REFLECTANCE, Cause.PSF)
@@ -78,6 +78,8 @@ class TemplateFitOptions:
         Standard deviation of the altitude of the limb by haze, as a fraction of the radius.
     sun_direction : (float, float, float), unitless
         Unit vector from body to Sun, along columns, rows and the line of sight.
+    radius_px : float, px
+        Radius of the body.
     fine_at_once : bool
         Render finely from the first: for bodies so small that rough renders save nothing, which then take one render
         where the start is within ``tolerance_px``.
@@ -101,6 +103,7 @@ class TemplateFitOptions:
     relief_length_px: float = 10.0
     altitude_sigma: float = 0.0
     sun_direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    radius_px: float = math.inf
     fine_at_once: bool = False
     response: Response | None = None
     smear: Smear | None = None
@@ -412,7 +415,9 @@ class _Solved:
         if veils is None:
             return 0.0
         lifted_by = fit.errors_covariance(self._lifts(options))[moves, moves]
-        return haze_altitude(fit, residuals, veils, self.problem.gain_dn, lifted_by)
+        wider_px2 = float(self.solution.parameters[BLUR] - self.prior.mean[BLUR])
+        blur = math.sqrt(max(wider_px2, 0.0)) / options.radius_px
+        return haze_altitude(fit, residuals, veils, self.problem.gain_dn, lifted_by, blur=blur)
 
     def _lifts(self, options: TemplateFitOptions) -> Float:
         """Images (2, h, w) that an altitude of the limb as large as the radius would make, if it were linear."""
