@@ -343,6 +343,7 @@ class StarNavigation:
             "error_factor": f"{solution.error_factor:.4g}",
             "hidden_floor_px": f"{solution.hidden_floor_px:.4g}",
             "shared_error_px": f"{solution.shared_error_px:.4g}",
+            "unmodeled_errors": "likely" if solution.unmodeled_likely else "not likely",
             "reduced_chi2": f"{solution.reduced_chi2:.4g}",
         }
 
@@ -356,12 +357,12 @@ def _enough(detections: Detections, fix: AttitudeFix, left: UnmeasuredSources) -
     """True if the sources left out would shrink the covariance of an attitude by less than 5 %.
 
     As large a share of them as of the measured ones is expected to be stars of the catalog, with the errors beyond the
-    noise (floor, catalog, neighbors) that the stars used have in the median. Errors found beyond the sigmas of the
-    stars, which few stars tell badly, ask for all.
+    noise (floor, catalog, neighbors) that the stars used have in the median. Errors beyond these, where they are
+    likely, ask for all: few stars tell of them badly.
     """
-    if any(float(fix.provenance[name]) > 0.0 for name in ("hidden_floor_px", "shared_error_px")):
+    if fix.provenance["unmodeled_errors"] == "likely":
         return False
-    variance = fix.sigma_px**2
+    variance = fix.sigma_px**2 + float(fix.provenance["hidden_floor_px"]) ** 2
     own = detections.sigma_px[fix.detection_indices] ** 2
     beyond = max(float(np.median(variance - own)), 0.0)
     share = fix.n_used / max(fix.n_detected, 1)

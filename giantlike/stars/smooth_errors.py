@@ -23,24 +23,33 @@ MOST_WEIGHED = 50
 _CELLS = 5
 """Cells along the sides of the field in which more stars are gathered: as many as 25 stars."""
 _NONE = 0.5
-"""Probability a priori that there are no errors beyond those of the stars themselves; the rest is for errors of each
-star, a scale that is not the camera's, and errors that neighbors share, in equal parts."""
+"""Probability a priori that there are no errors beyond those of the stars themselves; the rest is for noise that is
+larger than told, errors of each star, a scale that is not the camera's, and errors that neighbors share, in equal
+parts."""
 _STEPPED, _SMOOTH = (1.0, 3.0, 9.0), (0.5, 1.0, 2.0, 4.0)
 """Lengths over which neighbors share errors, over the standard deviation of the places of the stars by axis, from 0.15
 to 2.6 times the side of a field: fields with steps, as of rows that slipped, and smooth ones, as of distortion."""
-_KINDS = 3
+_KINDS = 4
 _PRIOR = (1.0 - _NONE) / _KINDS
 _LIKELIER = 2.0
-"""Likelihood of the residuals with shared errors over that without, from which on such errors count. On 60 draws each
-of 92 cases (6 to 40 stars, errors of none, of each star, of 150 to 1,200 px of 1,024): with 3, 2, 1.5 and 1 there are
-37, 35, 32 and 29 cases with squared errors above twice their covariance, and sigmas of stars without errors grow by
-0.7, 0.7, 2.3 and 6.9 % in the mean. With stepped fields alone at 3 there were 41."""
+"""Likelihood of the residuals with errors that neighbors share over that of all else, from which on these alone count;
+and with errors of any kind over that without, from which on all count, each with its probability. For the former, on 60
+draws each of 92 cases (6 to 40 stars, errors of none, of each star, of 150 to 1,200 px of 1,024): with 3, 2, 1.5 and 1
+there are 37, 35, 32 and 29 cases with squared errors above twice their covariance, and sigmas of stars without errors
+grow by 0.7, 0.7, 2.3 and 6.9 % in the mean. With the latter at 2, 25 of 720 draws of 10 and 12 stars of 0.003 to 0.1 px
+with smooth errors of 0.3 px over 600 px are beyond ten times their covariance, without it 54; sigmas of 5 to 30 exact
+stars grow by 0, 0 and 2 % with 3, 2 and 1, and by 25 to 80 % if errors always count."""
+_NEGLIGIBLE = 0.1
+"""Probability of shared errors below which they don't count beside likelier ones. Squared errors of 12, 25
+and 40 stars with errors of 0.3 px of their own are 0.67, 0.85 and 0.92 of their covariance with 0, 0.74, 0.89 and 0.94
+with 0.05, 0.80, 0.92 and 0.94 with 0.1; of 360 draws of 12 stars with shared ones as many are beyond it with all three.
+"""
 _LEAST, _MOST, _BEYOND, _SIZES = 0.03, 3.0, 10.0, 24
 """Sizes of the errors tried, equally likely by their logarithm: least and largest over the median standard deviation of
 the stars, largest over the root mean square of the residuals, and their number."""
 _DECIDES = 0.5
 """Share of what all stars tell of the boresight that one of them tells, above which it decides alone and hides its own
-errors: they count with their probability, however small. Else errors count where they are likely."""
+errors: errors of all kinds count with their probability, however small. Else they count where they are likely."""
 _FEWEST = 8  # stars
 _SIGNIFICANT = 2.0
 """Standard deviations of the correlation of neighbors, from which on stars of a cell share errors: once in 40 attitudes
@@ -56,15 +65,17 @@ class UnmodeledErrors(Value):
 
     Parameters
     ----------
+    likely : bool
+        Whether errors of any kind are more likely than none.
     covariance_rad2 : (3, 3) float64, rad^2
         Of the attitude, for these errors alone.
     own_px, scale_px, shared_px : float, px
-        Root mean square per axis of errors that each star has for itself, of those of a scale, and of those that
-        neighbors share; of smooth fields the part that differs from star to star. Shared errors exclude the others.
-        Errors of a scale count where they are more likely than all others, errors of each star where they are more
-        likely than none, or where one star decides alone.
+        Root mean square per axis, over all that may be, of errors that each star has for itself, of those of a scale,
+        and of those that neighbors share; of smooth fields the part that differs from star to star. All are 0 where no
+        error is likely and no star decides alone.
     """
 
+    likely: bool
     covariance_rad2: Float
     own_px: float
     scale_px: float
@@ -136,12 +147,14 @@ class Residuals(Value):
         )
 
 
-def unmodeled_errors(left: Residuals) -> UnmodeledErrors:
+def unmodeled_errors(left: Residuals, *, own_told: bool = False) -> UnmodeledErrors:
     """Weigh errors of all sizes and lengths by the residuals of a fit, as :class:`UnmodeledErrors` tells.
 
     Parameters
     ----------
     left : Residuals
+    own_told : bool
+        Whether the weights of the fit hold errors of each star already, so that these are no sign of others.
 
     Returns
     -------
@@ -149,9 +162,10 @@ def unmodeled_errors(left: Residuals) -> UnmodeledErrors:
 
     Notes
     -----
-    Errors of the size a add ``a^2 K`` to the covariance of the places, with ``K`` the unit matrix for errors of each
-    star, ``exp(-d / l)`` or ``exp(-d^2 / 2 l^2)`` for those that stars at the distance d share, and the product of the
-    places about the boresight with themselves for a scale. What the parameters of the fit cannot take up of the
+    Errors of the size a add ``a^2 K`` to the covariance of the places, with ``K`` that covariance over its median
+    variance for noise that is larger than told, the unit matrix for errors of each star, ``exp(-d / l)`` or
+    ``exp(-d^2 / 2 l^2)`` for those that stars at the distance d share, and the product of the places about the
+    boresight with themselves for a scale. What the parameters of the fit cannot take up of the
     residuals has the likelihood of such a covariance (the restricted likelihood). With one eigenvalue problem for each
     length all sizes cost next to nothing. Errors that move the whole field alike leave no residuals, and no star tells
     of them.
@@ -168,38 +182,47 @@ def unmodeled_errors(left: Residuals) -> UnmodeledErrors:
     total = 1.0 + sizes**2 * float(seen @ seen)
     scaled = 0.5 * (sizes**2 * float(seen @ rest) ** 2 / total - np.log(total) - float(rest @ rest))
     by_scale = np.einsum("ina,na->i", left.by_pixels, pattern)
+    larger = sizes**2 / sigma**2
+    louder = -0.5 * (rest.size * np.log1p(larger) + float(rest @ rest) / (1.0 + larger))
     alike = _kernels(left.points_px)
     unit = whitened(np.tile(np.eye(2), (n, 1, 1)), left.covariance_px2).reshape(2 * n, 2)
     spread = (unit @ unit.T) * alike.repeat(2, axis=1).repeat(2, axis=2)
     powers, axes = np.linalg.eigh(freedom.T @ spread @ freedom)
     totals = 1.0 + sizes[:, None] ** 2 * np.maximum(powers, 0.0)[:, None]
     along = ((rest @ axes) ** 2)[:, None]
-    logs = np.vstack([scaled, -0.5 * np.sum(np.log(totals) + along / totals, axis=-1)])
+    logs = np.vstack([louder, scaled, -0.5 * np.sum(np.log(totals) + along / totals, axis=-1)])
     moved = np.moveaxis(left.by_pixels, -1, 0)[:, None]
     responses = np.sum(moved @ alike @ np.swapaxes(moved, -1, -2), axis=0)
-    responses = np.concatenate([np.outer(by_scale, by_scale)[None], responses])
-    lengths = len(logs) - 2
-    priors = _PRIOR * np.array([1.0, 1.0, *lengths * [1.0 / lengths]])
+    noise = np.einsum("ina,nab,jnb->ij", left.by_pixels, left.covariance_px2, left.by_pixels, optimize=True)
+    responses = np.concatenate([noise[None] / sigma**2, np.outer(by_scale, by_scale)[None], responses])
+    lengths = len(alike) - 1
+    priors = _PRIOR * np.array([1.0, 1.0, 1.0, *lengths * [1.0 / lengths]])
     none = math.log(_NONE) - 0.5 * float(rest @ rest)
     weights = logs + np.log(priors / _SIZES)[:, None]
     most = max(float(weights.max()), none)
     weights = np.exp(weights - most)
     without = math.exp(none - most)
-    scale, own, shared = float(weights[0].sum()), float(weights[1].sum()), float(weights[2:].sum())
-    if shared * (1.0 - _PRIOR) > _LIKELIER * _PRIOR * (scale + own + without):
-        weights[:2], without = 0.0, 0.0
-    else:
-        known = np.sum(design.reshape(n, 2, -1)[..., :2] ** 2, axis=(1, 2))
-        decides = n >= _FEWEST and float(known.max()) > _DECIDES * float(known.sum())
-        weights[2:] = 0.0
-        weights[0] *= scale > own + without
-        weights[1] *= decides or own > without
-    squares = weights @ sizes**2 / (float(weights.sum()) + without)
+    own, shared, usual, chance = float(weights[2].sum()), float(weights[3:].sum()), without, _NONE
+    if own_told:
+        usual, chance = without + own, _NONE + _PRIOR
+    everything = float(weights.sum()) + without
+    likely = (everything - usual) * chance > _LIKELIER * (1.0 - chance) * usual
+    if shared * (1.0 - _PRIOR) > _LIKELIER * _PRIOR * (everything - shared):
+        weights[:3], without, likely = 0.0, 0.0, True
+    elif likely and shared < _NEGLIGIBLE * everything:
+        weights[3:] = 0.0
+    known = np.sum(design.reshape(n, 2, -1)[..., :2] ** 2, axis=(1, 2))
+    decides = n >= _FEWEST and float(known.max()) > _DECIDES * float(known.sum())
+    if not likely and not decides:
+        weights[[0, 1, *range(3, len(weights))]] = 0.0
+        weights[2] *= own > without
+    squares = weights @ sizes**2 / max(float(weights.sum()) + without, 1e-300)
     return UnmodeledErrors(
+        likely=likely,
         covariance_rad2=np.tensordot(squares, responses, axes=1),
-        own_px=math.sqrt(float(squares[1])),
-        scale_px=math.sqrt(float(squares[0])),
-        shared_px=math.sqrt(float(squares[2:] @ _told(alike[1:]))),
+        own_px=math.sqrt(float(squares[2])),
+        scale_px=math.sqrt(float(squares[1])),
+        shared_px=math.sqrt(float(squares[3:] @ _told(alike[1:]))),
     )
 
 
