@@ -191,7 +191,8 @@ class Quality(enum.Flag):
     Look at the rejected ones: a wrong shape, clouds, relief or a second body.
     """
     FAR_FROM_PREDICTION = enum.auto()
-    """The estimate lies at or beyond the border of the search region, or beyond declared errors of the prediction.
+    """The estimate lies at or beyond the border of the search region, or beyond declared errors of the prediction, also
+    by the size of the body in the image.
 
     Check that it is the right target, and the errors declared of ephemeris and attitude.
     """
@@ -245,8 +246,8 @@ class Quality(enum.Flag):
     what is not the body, tell `rings` of the target and `uncertainty.albedo` of a face with clouds.
     """
     WRONG_FIGURE = enum.auto()
-    """Parts of the body ask for different places: wrong shape, orientation or roll, rows that are shifted, a smear that
-    strains the limb, or a height map that is not that of the limb.
+    """Parts of the body ask for different places, here or by an estimator that checks it: wrong shape, orientation or
+    roll, rows that are shifted, a smear that strains the limb, or a height map that is not that of the limb.
 
     Check pole, rotation and epoch, and look at the image for shifted rows.
     """

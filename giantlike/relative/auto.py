@@ -170,11 +170,12 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
 
     The estimators of the choice are tried in order; the first fix to which none of its own checks objects is taken,
     else the first fix. Second estimators that use something else (the limb instead of the light), or the light in
-    another way, check it (:func:`verdict`). Any second fix that is certain enough has a say against it, suspect or
-    not: where the two differ by more than their covariances explain, the fix is flagged ``DISAGREEMENT``. Only one that
-    is not suspect confirms it. Where there are second fixes, but none confirms it, it is flagged ``UNCONFIRMED``. Both
-    make it suspect. Where no second estimator finds the body at all, a fix of the first choice is flagged
-    ``UNCHECKED``; a fix of a later choice, or of an irregular body whose limb is in view, is ``UNCONFIRMED`` then.
+    another way, check it (:func:`verdict`). Any second fix that is certain enough has a say against it, suspect or not:
+    where the two differ by more than their covariances explain, the fix is flagged ``DISAGREEMENT``, and where the
+    second finds another figure than the one that both were told, ``WRONG_FIGURE``. Only one that is not suspect
+    confirms it. Where there are second fixes, but none confirms it, it is flagged ``UNCONFIRMED``. All make it suspect.
+    Where no second estimator finds the body at all, a fix of the first choice is flagged ``UNCHECKED``; a fix of a
+    later choice, or of an irregular body whose limb is in view, is ``UNCONFIRMED`` then.
 
     The fix is that of the estimator taken, a :class:`~giantlike.core.outcomes.PositionFix` where that estimates the
     range, under the name ``auto``, fused with the one that confirms it (:func:`~giantlike.relative.consensus.fused`);

@@ -31,7 +31,7 @@ class Verdict:
     Parameters
     ----------
     flag : Quality
-        ``NONE`` for a fix that is confirmed, ``DISAGREEMENT``, ``UNCONFIRMED`` or ``UNCHECKED``.
+        ``NONE`` for a fix that is confirmed, ``DISAGREEMENT``, ``WRONG_FIGURE``, ``UNCONFIRMED`` or ``UNCHECKED``.
     checked_by : str
         Name of the estimator that decided; empty where none did.
     agreement : float
@@ -51,6 +51,8 @@ def verdict(
     false_alarm: float = 1e-3,
 ) -> Verdict:
     """Compare a fix with second fixes of the same body, in order, until one that is trusted decides.
+
+    A second one that finds another figure than the one told decides too: both were told the same.
 
     Parameters
     ----------
@@ -76,6 +78,8 @@ def verdict(
         agreement = agreement_of(fix, second)
         if agreement < false_alarm:
             return Verdict(flag=Quality.DISAGREEMENT, checked_by=name, agreement=agreement)
+        if Quality.WRONG_FIGURE in second.flags:
+            return Verdict(flag=Quality.WRONG_FIGURE, checked_by=name, agreement=agreement)
         if not second.flags.suspect:
             return Verdict(flag=Quality.NONE, checked_by=name, agreement=agreement)
     return Verdict(flag=Quality.UNCONFIRMED if found else alone)

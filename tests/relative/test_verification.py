@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 
 import numpy as np
@@ -312,3 +312,35 @@ def test_a_fix_beyond_the_declared_errors_of_its_prediction_is_far_from_it() -> 
         fix = replace(fix, parts={**fix.parts, Cause.EPHEMERIS: part})
         found = verified(fix, replace(inputs, image=image), SEARCH_PX)
         assert (Quality.FAR_FROM_PREDICTION in found.flags) is far, found.provenance["checks"]
+
+
+def without_range(inputs: EstimatorInputs, sigma_km: float) -> CenterFix:
+    """A right fix of the center alone, with the declared errors of its prediction."""
+    fix = fix_at(inputs)
+    ephemeris = place_covariance(CAMERA.model, POSITION_KM, sigma_km**2 * np.eye(3))
+    known = {field.name: getattr(fix, field.name) for field in fields(CenterFix)}
+    parts = {cause: part[:2, :2] for cause, part in {**fix.parts, Cause.EPHEMERIS: ephemeris}.items()}
+    return CenterFix(**{**known, "parts": parts})
+
+
+@pytest.mark.parametrize(
+    ("off_km", "scale", "far"), [(9.0, 0.0, False), (60.0, 0.0, True), (60.0, 0.05, False), (-60.0, 0.0, True)]
+)
+def test_a_body_of_another_size_than_predicted_is_far_from_it_though_its_range_is_not_estimated(
+    off_km: float, scale: float, far: bool
+) -> None:
+    known = TargetUncertainty(ephemeris_km=5.0, scale=scale)
+    inputs = inputs_of(light(60.0), 60.0, uncertainty=known, off_km=(0.5, 0.7, off_km))
+    found = verified(without_range(inputs, 5.0), inputs, SEARCH_PX)
+    assert (Quality.FAR_FROM_PREDICTION in found.flags) is far, found.provenance["checks"]
+
+
+def test_a_fix_that_is_unlikely_by_its_prediction_is_less_certain() -> None:
+    for off_km, grown in ((4.0, 1.0), (6.0, 3.0), (9.0, 1.0)):  # 2, 3 and 4.5 sigma: the last contradicts it
+        inputs = inputs_of(light(60.0), 60.0, uncertainty=TargetUncertainty(ephemeris_km=2.0), off_km=(0, 0, off_km))
+        fix = fix_at(inputs)
+        part = place_covariance(CAMERA.model, POSITION_KM, 4.0 * np.eye(3))
+        fix = replace(fix, parts={**fix.parts, Cause.EPHEMERIS: part})
+        found = verified(fix, inputs, SEARCH_PX)
+        variance = np.trace(found.covariance_px2) / np.trace(fix.covariance_px2)
+        assert variance == pytest.approx(grown**2, rel=0.1), found.provenance["checks"]

@@ -53,7 +53,8 @@ class Blocks(Value):
             center_px=self.size * state.center_px + 0.5 * (self.size - 1),
             psf_variance_px2=self.size**2 * state.psf_variance_px2,
         )
-        return replace(fit, state=native, parts={cause: scale @ part @ scale for cause, part in fit.parts.items()})
+        parts = {cause: scale @ part @ scale for cause, part in fit.parts.items()}
+        return replace(fit, state=native, parts=parts, asked=fit.asked.on_pixels(self.size))
 
     def area(self, blocks: Mask, shape: tuple[int, ...]) -> Mask:
         """Return the pixels, in an image of a shape, of the True ones of all blocks (rows, columns)."""

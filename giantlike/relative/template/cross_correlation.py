@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require, require_number
+from giantlike.core.causes import Cause
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
@@ -201,7 +202,10 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         if match.fit.altitude_sigma > 0.0:
             sigma_km = match.fit.altitude_sigma * inputs.geometry.seen_body().shape.mean_radius_km
             inputs = replace(inputs, provenance={**inputs.provenance, HAZE: f"{sigma_km:.6g}"})
-        return _fix(inputs, blocks, replace(match, fit=blocks.unbinned(match.fit)), self.options)
+        fit = blocks.unbinned(match.fit)
+        parts = dict(fit.parts)
+        parts[Cause.RELIEF] = parts.get(Cause.RELIEF, np.zeros((3, 3))) + fit.asked.error(inputs.turn_rad)
+        return _fix(inputs, blocks, replace(match, fit=replace(fit, parts=parts)), self.options)
 
     def _matched(
         self, inputs: EstimatorInputs, response: Response | None = None, smear: Smear | None = None
@@ -342,7 +346,12 @@ def match_template(
         pixels = image.cut(box)
     of_body = _fit_options(options, radius_px, psf_known=psf_known, block_px=block_px)
     fit_options = replace(
-        of_body, response=response, smear=smear, altitude_sigma=altitude_sigma, sun_direction=renderer.sun_across(state)
+        of_body,
+        response=response,
+        smear=smear,
+        altitude_sigma=altitude_sigma,
+        sun_direction=renderer.sun_across(state),
+        ask=True,
     )
     fit: TemplateFit | Failure = Failure(Reason.NOT_CONVERGED, "")
     for most_laws in (None, 1, 0) if options.free_reflectance else (0,):
@@ -507,6 +516,10 @@ def _flags(
         residuals=min(fit.chi / _LARGE_CHI, unexplained / large),
         weakness=max(_LOW_SCORE / fit.score, _overexposure(blocks, match, lit & within) / _MOST_OVEREXPOSED),
         cut_by_frame=bool((lit & ~within).any()),
+        template_chance=fit.asked.strain_chance(inputs.turn_rad),
+        blur_chance=1.0
+        if inputs.psf_sigma_px is None
+        else fit.asked.smear_chance(KNOWN_BLUR_SIGMA_PX2, inputs.radius_px),
     )
     return inputs.flags_at(blocks.area(area, inputs.usable.shape)) | checks.flags
 

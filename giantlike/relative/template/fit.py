@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
 from giantlike.processing.limb.altitude import lifted
 from giantlike.relative.response import Response
+from giantlike.relative.template.asked import Asked, asked_beside
 from giantlike.relative.template.covariance import LinearFit, Prior, RobustFit, excess
 from giantlike.relative.template.haze import haze_altitude
 from giantlike.relative.template.linear import BLUR, GAIN, LAWS, OFFSET, PIXEL_VARIANCE_PX2, RANGE, Problem, X, Y
@@ -87,6 +88,8 @@ class TemplateFitOptions:
         By which the pixels were made proportional to light; its bend is estimated along with the rest.
     smear : Smear, optional
         By which the template is smeared; what is left of it is estimated along with the rest.
+    ask : bool
+        Ask the residuals for a strain of the body and, without ``smear``, for one.
 
     Raises
     ------
@@ -107,6 +110,7 @@ class TemplateFitOptions:
     fine_at_once: bool = False
     response: Response | None = None
     smear: Smear | None = None
+    ask: bool = False
 
     def __post_init__(self) -> None:
         require(self.max_iterations >= 1, f"max_iterations must be >= 1, got {self.max_iterations}")
@@ -157,6 +161,8 @@ class TemplateFit(Value):
         Its size over its standard deviation by the weights of the pixels.
     altitude_sigma : float
         Standard deviation over the radius of the altitude of the limb, as told or by haze that the residuals show.
+    asked : Asked
+        What residuals ask for besides; nothing unless the options want to know.
     """
 
     state: TemplateState
@@ -176,6 +182,7 @@ class TemplateFit(Value):
     smear: Smear
     smear_sigmas: float
     altitude_sigma: float = 0.0
+    asked: Asked = field(default_factory=Asked)
     corner_px: tuple[int, int] = (0, 0)
 
     def used_at_px(self, block_px: int = 1) -> Float:
@@ -356,7 +363,8 @@ class _Solved:
         residuals = values - model
         fit = LinearFit(columns, weights, self.prior)
         altitude_sigma = options.altitude_sigma or self._untold_altitude(fit, residuals, options)
-        parts = self._parts(fit, residuals, (noise, error), replace(options, altitude_sigma=altitude_sigma))
+        options = replace(options, altitude_sigma=altitude_sigma)
+        parts = self._parts(fit, residuals, (noise, error), options)
         parts[Cause.NOISE] = parts[Cause.NOISE] + np.outer(last_step, last_step)
         response, bend_sigmas = self._response(fit, residuals, model, options.response)
         smear, smear_sigmas = self._smear(fit, residuals, options.smear)
@@ -378,6 +386,7 @@ class _Solved:
             smear=smear,
             smear_sigmas=smear_sigmas,
             altitude_sigma=altitude_sigma,
+            asked=self._asked(fit, residuals, (noise, error), options) if options.ask else Asked(),
             corner_px=problem.pixels.corner_px,
         )
 
@@ -428,6 +437,36 @@ class _Solved:
         lifts = lifted(growth.ravel(), sights, np.array([0.0, 0.0, 1.0]), np.array(options.sun_direction))
         return np.asarray(lifts.T.reshape(2, *growth.shape))
 
+    def _asked(
+        self, fit: LinearFit, residuals: Float, variances: tuple[Float, Float], options: TemplateFitOptions
+    ) -> Asked:
+        """What the residuals ask for beside the parameters of the fit."""
+        noise, error = variances
+        changes, hazy = self.problem.by_strain(self.state), options.altitude_sigma > 0.0
+        if options.smear is None:
+            changes = np.concatenate([changes, np.stack(self.problem.by_smear())])
+        return asked_beside(
+            fit,
+            residuals,
+            changes,
+            options.altitude_sigma * self._lifts(options) if hazy else changes[:0],
+            radius_px=self.problem.reach_px,
+            noise=noise,
+            error=error,
+            blur_px=self._blur_px,
+            block_px=self._block_px,
+        )
+
+    @property
+    def _blur_px(self) -> float:
+        """Standard deviation of the point spread function with the pixel."""
+        return math.sqrt(self.state.psf_variance_px2 + PIXEL_VARIANCE_PX2)
+
+    @property
+    def _block_px(self) -> int:
+        """Side of the blocks of the jackknife."""
+        return int(np.clip(round(_BLOCK * self.problem.reach_px), 3, _MAX_BLOCK_PX))
+
     def _parts(
         self, fit: LinearFit, residuals: Float, variances: tuple[Float, Float], options: TemplateFitOptions
     ) -> dict[Cause, Float]:
@@ -438,8 +477,8 @@ class _Solved:
             residuals,
             error,
             of_noise=of_noise,
-            blur_px=math.sqrt(self.state.psf_variance_px2 + PIXEL_VARIANCE_PX2),
-            block_px=int(np.clip(round(_BLOCK * self.problem.reach_px), 3, _MAX_BLOCK_PX)),
+            blur_px=self._blur_px,
+            block_px=self._block_px,
         )
         groups = {
             Cause.REFLECTANCE: [

@@ -141,6 +141,17 @@ class Problem:
         squares = (step[X] ** 2 + step[Y] ** 2) * total - 2.0 * growth * along + growth**2 * by_square
         return math.sqrt(max(float(squares), 0.0) / max(total, 1e-300))
 
+    def by_strain(self, state: TemplateState) -> Float:
+        """Change of the model (3, h, w) by a strain about its center.
+
+        Of motion along rows and along columns in proportion to the place along the other axis, and of growth along rows
+        with shrinking along columns.
+        """
+        x = self.pixels.corner_px[0] + np.arange(self.model.shape[1]) - state.center_px[0]
+        y = self.pixels.corner_px[1] + np.arange(self.model.shape[0])[:, None] - state.center_px[1]
+        by_x, by_y = self.columns[X], self.columns[Y]
+        return np.stack([by_x * y, by_y * x, by_x * x - by_y * y])
+
     def by_smear(self) -> tuple[Float, Float]:
         """Change of the model (h, w) by the two variances of a short smear, beside what is even in it."""
         along, across = (_filtered(self.signal, *each) for each in (_TWICE_ALONG_X, _TWICE_ALONG_Y))

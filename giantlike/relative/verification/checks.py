@@ -16,8 +16,8 @@ from giantlike.core.causes import IN_IMAGE, Cause, summed
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
-from giantlike.relative.budget import with_error, with_larger_errors
-from giantlike.relative.quality import LEAST_CHANCE, QualityChecks
+from giantlike.relative.budget import camera_response, with_error, with_larger_errors
+from giantlike.relative.quality import LEAST_CHANCE, LEAST_PREDICTION_CHANCE, QualityChecks
 from giantlike.relative.response import RESPONSE, Response
 from giantlike.relative.template.smear import SMEAR, Smear
 from giantlike.relative.verification.cells import Cells, cells_around
@@ -56,6 +56,9 @@ _NOT_BY_CHANCE = 1e-3
 """Probability below which errors of a fix are not those of all axes alike: the rate of false alarms of the prediction.
 
 Of 2,324 ``ok`` fixes of the gauntlet (seed 9500) 27 are so off in place or figure, none of which had to be ``ok``."""
+_UNLIKELY = 0.01
+"""Probability below which a difference to the prediction makes a fix less certain, if it does not contradict it: as of
+the strain of limbs."""
 _OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause is not Cause.SHAPE_SCALE)
 """Causes of errors that a fix and the coarse fit of the same shape do not have in common."""
 
@@ -114,16 +117,18 @@ def verified(
         if straight is not None:
             fix, coarse, inputs = straight
     numbers = _Numbers() if coarse is None else _image_numbers(fix, coarse, inputs, search_px)
-    chance = _prediction_chance(fix, inputs)
-    if chance is not None:
-        numbers["prediction_chance"] = chance
     known, fit = inputs.psf_sigma_px is not None, None if coarse is None else coarse.fit
+    off = _off_prediction(fix, fit, inputs)
+    if off is not None:
+        numbers["prediction_chance"] = chance_of(*off)
     if by_light and fit is not None:
         numbers["growth"] = _growth(fix, fit.figure_px2)
     if not numbers:
         return fix
     checks = QualityChecks(off_px=np.zeros(2), search_px=math.inf, **numbers)
     tension = 1.0 if fit is None else tension_of(fix, fit, psf_known=known)
+    if off is not None and LEAST_PREDICTION_CHANCE <= numbers["prediction_chance"] < _UNLIKELY:
+        tension = max(tension, _ratio(*off))
     text = " ".join(f"{name}={number:.3g}" for name, number in (*numbers.items(), ("tension", tension)))
     fix = replace(fix, flags=fix.flags | checks.flags, provenance={**fix.provenance, _CHECKED: text})
     if tension > 1.0:
@@ -213,20 +218,36 @@ def _squared(difference: Float, covariance: Float) -> float:
     return float(whitened @ (difference / scale))
 
 
-def _prediction_chance(fix: CenterFix, inputs: EstimatorInputs) -> float | None:
-    """Chance that fix and prediction differ by as much; None where the errors of the prediction are not declared.
+def _off_prediction(fix: CenterFix, fit: CoarseFit | None, inputs: EstimatorInputs) -> tuple[Float, Float] | None:
+    """Difference (k,) of fix and prediction, and its covariance; None where no errors of the prediction are declared.
 
+    Center and logarithm of the range; a fix without one has that by which the body looks as large as in the image.
     Without a covariance of the attitude that the center was predicted with, the range alone is compared.
     """
     if Cause.EPHEMERIS not in fix.parts:
         return None
-    difference = fix.center_px - inputs.predicted_px
+    difference, covariance = fix.center_px - inputs.predicted_px, fix.covariance_total
     if isinstance(fix, PositionFix):
         difference = np.append(difference, math.log(fix.range_km / inputs.geometry.range_km))
+    elif fit is not None and not any(inputs.geometry.limb_altitude_km):  # haze looks larger than the body in it
+        difference = np.append(difference, fit.moved[2])
+        size = fit.covariance[2, 2] + _size_variance(fix, inputs)
+        covariance = np.block([[covariance, np.zeros((2, 1))], [np.zeros((1, 2)), np.full((1, 1), size)]])
     compared = slice(0 if inputs.image.attitude_covariance_rad2 is not None else 2, len(difference))
-    if not difference[compared].size:
-        return None
-    return chance_of(difference[compared], fix.covariance_total[compared, compared])
+    return (difference[compared], covariance[compared, compared]) if difference[compared].size else None
+
+
+def _size_variance(fix: CenterFix, inputs: EstimatorInputs) -> float:
+    """Relative variance of the predicted size of a body in the image, as far as its errors are declared."""
+    geometry, camera = inputs.geometry, inputs.camera
+    known = geometry.target.uncertainty
+    declared = (known.ephemeris_km / geometry.range_km) ** 2 + known.scale**2
+    if camera.uncertainty is None or not camera.uncertainty.estimated:
+        return declared
+    position_km = geometry.range_km * camera.model.unproject(fix.center_px)
+    radius_km, sun = geometry.target.shape.mean_radius_km, geometry.sun_direction_camera
+    by_camera = camera_response(camera, position_km, radius_km, sun, size=3)[2]
+    return declared + float(by_camera @ camera.uncertainty.covariance @ by_camera)
 
 
 def _image_numbers(fix: CenterFix, coarse: _Coarse, inputs: EstimatorInputs, search_px: float) -> _Numbers:

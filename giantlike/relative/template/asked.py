@@ -1,0 +1,155 @@
+"""What the residuals of a fitted template ask for: another figure, or a motion during the exposure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.core.values import Value
+from giantlike.relative.template.covariance import LinearFit, Prior
+from giantlike.relative.verification.checks import chance_of
+
+_STRAINS = 3
+_NOTHING = np.zeros(3)  # center and logarithm of the range
+_STRAINED = 0.3
+"""Strain a priori, and smear over the square of the radius of the light: far beyond what is linear."""
+_UNLIKELY = 0.01
+"""Probability below which what residuals ask for is an error of the fix, as of the strain of limbs."""
+_CONDITION_LIMIT = 1e8
+"""Condition number of the scaled normal matrix beyond which residuals ask for nothing: other unknowns explain it."""
+_RELIEF = 0.01
+"""Standard deviation of limb and terminator about those of the model, over the radius, as of the coarse render: where
+relief moves them to and fro along one direction they look smeared. A right Vesta asks for 1.5 px^2 at a radius of some
+250 px."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Asked(Value):
+    """What residuals ask for beside the parameters of a fit; nothing by default.
+
+    Parameters
+    ----------
+    strain : (3,) float64
+        Motion along rows and along columns in proportion to the place along the other axis, and growth along rows with
+        shrinking along columns; relative.
+    strain_covariance : (3, 3) float64
+        From noise, and from errors of the model as a jackknife shows them.
+    smear_px2 : (2,) float64, px^2
+        Half of the variance along x less that along y, and the covariance of x and y, of a motion: as those of
+        :class:`~giantlike.relative.template.smear.Smear`.
+    smear_covariance : (2, 2) float64, px^4
+    moved : (3,) float64
+        By how much center, px, and logarithm of the range would change.
+    """
+
+    strain: Float = field(default_factory=_NOTHING.copy)
+    strain_covariance: Float = field(default_factory=lambda: np.eye(_STRAINS))
+    smear_px2: Float = field(default_factory=lambda: np.zeros(2))
+    smear_covariance: Float = field(default_factory=lambda: np.eye(2))
+    moved: Float = field(default_factory=_NOTHING.copy)
+
+    def on_pixels(self, size: int) -> Asked:
+        """Return the same in pixels, of a fit to blocks of so many pixels along each side."""
+        return Asked(
+            strain=self.strain,
+            strain_covariance=self.strain_covariance,
+            smear_px2=size**2 * self.smear_px2,
+            smear_covariance=size**4 * self.smear_covariance,
+            moved=np.array([size, size, 1.0]) * self.moved,
+        )
+
+    def strain_chance(self, turn_rad: float) -> float:
+        """Probability that a right body whose orientation is known to an angle, rad, looks strained by as much."""
+        return chance_of(self.strain, self.strain_covariance + turn_rad**2 * np.eye(3))
+
+    def smear_chance(self, sigma_px2: float, radius_px: float) -> float:
+        """Probability that the image of a body at rest looks smeared by as much.
+
+        Parameters
+        ----------
+        sigma_px2 : float, px^2
+            Standard deviation of the variance of the point spread function along an axis.
+        radius_px : float, px
+            Of the body.
+
+        Returns
+        -------
+        float
+        """
+        known_px4 = 0.5 * sigma_px2**2 + (_RELIEF * radius_px) ** 4
+        return chance_of(self.smear_px2, self.smear_covariance + known_px4 * np.eye(2))
+
+    def error(self, turn_rad: float) -> Float:
+        """Covariance (3, 3) of center and logarithm of the range by a strain that is no right body's."""
+        unlikely = self.strain_chance(turn_rad) < _UNLIKELY
+        return np.outer(self.moved, self.moved) * float(unlikely)
+
+
+def asked_beside(
+    fit: LinearFit,
+    residuals: Float,
+    changes: Float,
+    errors: Float,
+    *,
+    radius_px: float,
+    noise: Float,
+    error: Float,
+    blur_px: float,
+    block_px: int,
+) -> Asked:
+    """Ask residuals for a strain and, where the fit has none, a smear.
+
+    What noise alone may ask for is not looked at further. Beyond, errors of the model that are alike over parts of the
+    body (markings, other laws) ask for it too, in some of its parts: the scatter between these is in the covariance.
+
+    Parameters
+    ----------
+    fit : LinearFit
+        With the parameters of center and range first.
+    residuals : (h, w) float64
+    changes : (3 or 5, h, w) float64
+        Changes of the model by the parameters of the strain, and those of the smear, px^2.
+    errors : (m, h, w) float64
+        Images of one standard deviation of errors of the model that are known, as of the limb in haze.
+    radius_px : float, px
+        Of the light.
+    noise, error, blur_px, block_px
+        As of :meth:`~giantlike.relative.template.covariance.LinearFit.full_covariance`.
+
+    Returns
+    -------
+    Asked
+    """
+    known, new = len(fit.columns), len(changes)
+    sigma = _STRAINED * np.array([1.0] * _STRAINS + [radius_px**2] * (new - _STRAINS))
+    mean = np.concatenate([fit.prior.mean, np.zeros(new)])
+    prior = Prior(mean, np.concatenate([fit.prior.information, 1.0 / sigma**2]))
+    columns = np.concatenate([fit.columns, changes])
+    size = np.sqrt(np.diag(LinearFit(columns, fit.weights, prior).information))
+    if not (np.isfinite(size).all() and size.all()):
+        return Asked()
+    columns /= size[:, None, None]
+    beside = LinearFit(columns, fit.weights, Prior(mean * size, prior.information / size**2))
+    if np.linalg.cond(beside.information) > _CONDITION_LIMIT:
+        return Asked()
+    scores = np.zeros(known + new)
+    scores[known:] = (columns[known:] * fit.weights).reshape(new, -1) @ residuals.ravel()
+    steps: Float = np.asarray(np.linalg.solve(beside.information, scores), dtype=np.float64)
+    by_noise = np.asarray(np.linalg.inv(beside.information), dtype=np.float64)[known:, known:]
+    if chance_of(steps[known:], by_noise) > _UNLIKELY:
+        return Asked()
+    whole = beside.full_covariance(
+        residuals - np.tensordot(steps, columns, 1),
+        error,
+        of_noise=beside.noise_covariance(noise),
+        blur_px=blur_px,
+        block_px=block_px,
+    )
+    whole = whole + beside.errors_covariance(errors) if len(errors) else whole
+    steps, whole = steps / size, whole / np.outer(size, size)
+    found, spread = steps[known:], whole[known:, known:]
+    strain = {"strain": found[:_STRAINS], "strain_covariance": spread[:_STRAINS, :_STRAINS]}
+    smear = {"smear_px2": found[_STRAINS:], "smear_covariance": spread[_STRAINS:, _STRAINS:]}
+    return Asked(moved=steps[: len(_NOTHING)], **strain, **(smear if new > _STRAINS else {}))
