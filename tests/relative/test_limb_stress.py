@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -24,7 +25,7 @@ from giantlike.relative.limb.fix import EdgeModel
 from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
 from giantlike.relative.limb.profiles import LimbScanOptions
 from giantlike.scene import Scene, Target
-from giantlike.shapes import Ellipsoid
+from giantlike.shapes import Ellipsoid, Shape, TriangleMesh
 
 RADII_KM = np.array([1.0, 0.96, 0.93])
 FOCAL_PX, SIZE, RADIUS_PX, PSF_PX = 3000.0, 200, 75.0, 0.8
@@ -58,6 +59,7 @@ def fixes(
     psf_px: float = PSF_PX,
     edges: EdgeModel = EdgeModel.TEMPLATE,
     bad_columns: tuple[int, ...] = (),
+    shape: Shape | None = None,
 ) -> list[PositionFix]:
     """Fixes of some images of a body, predicted 3 px and 0.4 % of range off."""
     signal, position, sun = truth
@@ -71,7 +73,7 @@ def fixes(
     )
     predicted = 1.004 * (position + np.array([3.0, -2.0, 0.0]) * position[2] / FOCAL_PX)
     geometry = ApparentGeometry(position_inertial_km=predicted, inertial_from_body=TURN, sun_direction_inertial=sun)
-    target = Target(name="BODY", shape=Ellipsoid(radii_km=RADII_KM), ephemeris=geometry, reflectance=law)
+    target = Target(name="BODY", shape=shape or Ellipsoid(radii_km=RADII_KM), ephemeris=geometry, reflectance=law)
     estimator = LimbMatching(LimbMatchingOptions(scan=LimbScanOptions(edges=edges)))
     recorder = Recorder(bias_dn=100.0, saturation_dn=min(saturation_dn, 65535.0))
     found = []
@@ -164,3 +166,21 @@ def test_a_body_larger_than_the_frame_is_found_without_warnings() -> None:
         found = fixes(truth, McEwen())
     assert all(Quality.CUT_BY_FRAME in fix.flags for fix in found)
     assert mean_nees(found, truth[1]) < LIMIT
+
+
+@pytest.mark.parametrize("phase_deg", [15.0, 60.0])
+def test_facets_as_coarse_as_pixels_make_the_range_less_certain(phase_deg: float) -> None:
+    """A polyhedron with sides of 5 px lies 0.04 px inside the body that its vertices are on, which no residual shows."""
+    number = np.arange(3300)
+    z = 1.0 - (2.0 * number + 1.0) / number.size
+    around = np.pi * (1.0 + np.sqrt(5.0)) * number
+    ball = np.stack([np.sqrt(1.0 - z**2) * np.cos(around), np.sqrt(1.0 - z**2) * np.sin(around), z], axis=1)
+    faces = ConvexHull(ball).simplices
+    inward = np.einsum(
+        "ij,ij->i", np.cross(*(ball[faces[:, k]] - ball[faces[:, 0]] for k in (1, 2))), ball[faces[:, 0]]
+    )
+    faces[inward < 0.0] = faces[inward < 0.0][:, ::-1]
+    truth = light("mcewen", phase_deg)
+    found = fixes(truth, McEwen(), shape=TriangleMesh(ball * RADII_KM, faces, "coarse"))
+    assert range_error(found, truth[1]) < -1.5 * EXACT_RANGE
+    assert mean_nees(found, truth[1]) < 2.0

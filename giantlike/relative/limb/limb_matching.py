@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -24,6 +25,7 @@ from giantlike.relative.limb.solution import solve_limb
 from giantlike.relative.limb.strain import fix_of_strained
 from giantlike.relative.limb.terrain import with_terrain
 from giantlike.relative.limb.turn import limb_turn
+from giantlike.shapes import TriangleMesh
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,6 +109,8 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
         if isinstance(lines, Failure):
             return lines
         measured = with_terrain(lines, inputs, self.options.outlier_mad)
+        if isinstance(body.shape, TriangleMesh):
+            measured = _with_facets(measured, body.shape)
         if sigma_km > 0.0:
             sights, sun = view.model.unproject(measured.predicted_px), view.sun_direction_camera
             lift_px = sigma_km * np.linalg.norm(measured.design, axis=1)
@@ -130,6 +134,19 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
             return measure_once(lit, turned.at(position_camera_km), options, scan, psf_px2=measured.psf_px2)
 
         return limb_turn(measured, again, inputs.camera, view.radius_px, search=options, min_length_px=scan.spacing_px)
+
+
+def _with_facets(measured: LimbMeasurement, mesh: TriangleMesh) -> LimbMeasurement:
+    """Limb of a mesh with the error that facets are flat, which all of its points share.
+
+    The outline of a mesh whose vertices lie on the body is a polygon: its sides leave out ``L^2 / (12 R)`` on average,
+    and its corners, which lie before or behind the limb, ``L^2 / (24 R)``, with sides L and radius R.
+    """
+    square_km2 = 4.0 / math.sqrt(3.0) * mesh.area_km2 / len(mesh.faces)  # of a side of equilateral facets
+    gap_px = square_km2 / (8.0 * mesh.mean_radius_km) * np.linalg.norm(measured.design, axis=1)
+    known_px = measured.common_px.get(Cause.RELIEF, np.empty((len(gap_px), 0)))
+    common_px = {**measured.common_px, Cause.RELIEF: np.column_stack([known_px, gap_px])}
+    return replace(measured, common_px=common_px)
 
 
 def _by_attitude(inputs: EstimatorInputs, sight: Float) -> float:
