@@ -39,6 +39,9 @@ there are 37, 35, 32 and 29 cases with squared errors above twice their covarian
 grow by 0.7, 0.7, 2.3 and 6.9 % in the mean. With the latter at 2, 25 of 720 draws of 10 and 12 stars of 0.003 to 0.1 px
 with smooth errors of 0.3 px over 600 px are beyond ten times their covariance, without it 54; sigmas of 5 to 30 exact
 stars grow by 0, 0 and 2 % with 3, 2 and 1, and by 25 to 80 % if errors always count."""
+_SEEN = 0.01
+"""Share of the places' power under a scale that is left beside the parameters of the fit, below which these hold it: it
+is 0 but for rounding where the focal length is one of them."""
 _NEGLIGIBLE = 0.1
 """Probability of shared errors below which they don't count beside likelier ones. Squared errors of 12, 25
 and 40 stars with errors of 0.3 px of their own are 0.67, 0.85 and 0.92 of their covariance with 0, 0.74, 0.89 and 0.94
@@ -178,7 +181,8 @@ def unmodeled_errors(left: Residuals, *, own_told: bool = False) -> UnmodeledErr
     rms = math.sqrt(float(np.mean(left.residuals_px**2)))
     sizes = np.geomspace(_LEAST * sigma, max(_MOST * sigma, _BEYOND * rms), _SIZES)
     pattern = left.scaling_px / max(math.sqrt(float(np.mean(left.scaling_px**2))), 1e-9)
-    seen = freedom.T @ whitened(pattern, left.covariance_px2).ravel()
+    whole = whitened(pattern, left.covariance_px2).ravel()
+    seen = freedom.T @ whole
     total = 1.0 + sizes**2 * float(seen @ seen)
     scaled = 0.5 * (sizes**2 * float(seen @ rest) ** 2 / total - np.log(total) - float(rest @ rest))
     by_scale = np.einsum("ina,na->i", left.by_pixels, pattern)
@@ -199,6 +203,8 @@ def unmodeled_errors(left: Residuals, *, own_told: bool = False) -> UnmodeledErr
     priors = _PRIOR * np.array([1.0, 1.0, 1.0, *lengths * [1.0 / lengths]])
     none = math.log(_NONE) - 0.5 * float(rest @ rest)
     weights = logs + np.log(priors / _SIZES)[:, None]
+    if float(seen @ seen) < _SEEN * float(whole @ whole):
+        weights[1] = -np.inf  # a scale that parameters of the fit, or declared ones, take up is in their covariance
     most = max(float(weights.max()), none)
     weights = np.exp(weights - most)
     without = math.exp(none - most)

@@ -20,14 +20,14 @@ MODEL = PinholeModel(fx_px=FOCAL_PX, fy_px=FOCAL_PX, cx_px=511.5, cy_px=511.5)
 
 
 def _of_places(
-    rng: np.random.Generator, points: Float, sigma_px: Float, offsets: Float
+    rng: np.random.Generator, points: Float, sigma_px: Float, offsets: Float, uncertain: tuple[str, ...] = ()
 ) -> tuple[AttitudeSolution, Float]:
     """Solution of stars at these places, seen with these offsets, and the error of its attitude."""
     attitude = Rotation.random(rng=rng)
     rays = np.column_stack([(points - VIEW.center_px) / VIEW.focal_px, np.ones(len(points))])
     directions = attitude.inv().apply(rays / np.linalg.norm(rays, axis=1, keepdims=True))
     covariance = sigma_px[:, None, None] ** 2 * np.eye(2)
-    solution = fit_attitude(directions, points + offsets, covariance, MODEL)
+    solution = fit_attitude(directions, points + offsets, covariance, MODEL, uncertain=uncertain)
     assert isinstance(solution, AttitudeSolution)
     return solution, (attitude * solution.camera_from_inertial.inv()).as_rotvec()
 
@@ -111,6 +111,19 @@ def test_the_error_of_a_star_that_dominates_is_in_the_covariance() -> None:
         exact.append(_squared(*_of_places(rng, points, sigma, noise)))
     assert np.mean(squares) < NEES[1]  # 36 without, 4 to 8 where that star alone decides
     assert NEES[0] < np.mean(exact) < NEES[1]
+
+
+def test_a_focal_length_whose_error_is_declared_counts_once() -> None:
+    ratios = []
+    for seed in range(10):
+        rng = np.random.default_rng([seed, 8])
+        points, sigma = rng.uniform(0.0, SIZE - 1.0, (40, 2)), np.full(40, 0.1)
+        sigma[0] = 0.01  # which decides, far from the center as it may be
+        noise = sigma[:, None] * rng.normal(size=(40, 2))
+        solutions = [_of_places(rng, points, sigma, noise, each)[0] for each in ((), ("fx_px", "fy_px"))]
+        plain, declared = (np.trace(each.covariance_rad2[:2, :2]) for each in solutions)
+        ratios.append(declared / plain)
+    assert np.mean(ratios) < 3.0  # 10 if the scale counts too, which no residual shows then
 
 
 def test_rows_that_slipped_leave_errors_that_neighbors_share() -> None:
