@@ -60,9 +60,9 @@ class Asked(Value):
             moved=np.array([size, size, 1.0]) * self.moved,
         )
 
-    def strain_chance(self, turn_rad: float) -> float:
-        """Probability that a right body whose orientation is known to an angle, rad, looks strained by as much."""
-        return chance_of(self.strain, self.strain_covariance + turn_rad**2 * np.eye(3))
+    def strain_chance(self, known: Float) -> float:
+        """Probability that a right body looks strained by as much, of which a covariance (3, 3) is known."""
+        return chance_of(self.strain, self.strain_covariance + known)
 
     def smear_chance(self, sigma_px2: float, radius_px: float) -> float:
         """Probability that the image of a body at rest looks smeared by as much.
@@ -81,10 +81,28 @@ class Asked(Value):
         known_px4 = 0.5 * sigma_px2**2 + (_RELIEF * radius_px) ** 4
         return chance_of(self.smear_px2, self.smear_covariance + known_px4 * np.eye(2))
 
-    def error(self, turn_rad: float) -> Float:
+    def error(self, known: Float) -> Float:
         """Covariance (3, 3) of center and logarithm of the range by a strain that is no right body's."""
-        unlikely = self.strain_chance(turn_rad) < _UNLIKELY
+        unlikely = self.strain_chance(known) < _UNLIKELY
         return np.outer(self.moved, self.moved) * float(unlikely)
+
+
+def known_strain(turn_rad: float, *, attitude_known: bool) -> Float:
+    """Covariance of the strain of a right body.
+
+    Parameters
+    ----------
+    turn_rad : float, rad
+        Standard deviation of its orientation in the image, as declared.
+    attitude_known : bool
+        Whether the error of the attitude is declared; else any roll of the camera is right.
+
+    Returns
+    -------
+    (3, 3) float64
+    """
+    roll = np.array([-1.0, 1.0, 0.0]) * (0.0 if attitude_known else _STRAINED)
+    return turn_rad**2 * np.eye(_STRAINS) + np.outer(roll, roll)
 
 
 def asked_beside(

@@ -21,6 +21,7 @@ from giantlike.relative.place import limb_in_frame, position_of_center
 from giantlike.relative.quality import SHORT_ARC_SHARE, QualityChecks
 from giantlike.relative.response import LEAST_BEND, Response, settled
 from giantlike.relative.template.align import align_template
+from giantlike.relative.template.asked import known_strain
 from giantlike.relative.template.binning import Blocks, blocks_of
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
 from giantlike.relative.template.haze import HAZE
@@ -204,7 +205,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             inputs = replace(inputs, provenance={**inputs.provenance, HAZE: f"{sigma_km:.6g}"})
         fit = blocks.unbinned(match.fit)
         parts = dict(fit.parts)
-        parts[Cause.RELIEF] = parts.get(Cause.RELIEF, np.zeros((3, 3))) + fit.asked.error(inputs.turn_rad)
+        parts[Cause.RELIEF] = parts.get(Cause.RELIEF, np.zeros((3, 3))) + fit.asked.error(_known_strain(inputs))
         return _fix(inputs, blocks, replace(match, fit=replace(fit, parts=parts)), self.options)
 
     def _matched(
@@ -516,12 +517,17 @@ def _flags(
         residuals=min(fit.chi / _LARGE_CHI, unexplained / large),
         weakness=max(_LOW_SCORE / fit.score, _overexposure(blocks, match, lit & within) / _MOST_OVEREXPOSED),
         cut_by_frame=bool((lit & ~within).any()),
-        template_chance=fit.asked.strain_chance(inputs.turn_rad),
+        template_chance=fit.asked.strain_chance(_known_strain(inputs)),
         blur_chance=1.0
         if inputs.psf_sigma_px is None
         else fit.asked.smear_chance(KNOWN_BLUR_SIGMA_PX2, inputs.radius_px),
     )
     return inputs.flags_at(blocks.area(area, inputs.usable.shape)) | checks.flags
+
+
+def _known_strain(inputs: EstimatorInputs) -> Float:
+    """Covariance (3, 3) of the strain of a right body by what is declared of its orientation and of the attitude."""
+    return known_strain(inputs.turn_rad, attitude_known=inputs.image.attitude_covariance_rad2 is not None)
 
 
 def _overexposure(blocks: Blocks, match: TemplateMatch, lit: Mask) -> float:
