@@ -41,6 +41,8 @@ class Cause(StrEnum):
     """Direction of the rotation axis of the body."""
     SPIN = "spin"
     """Rotation of the body about its axis."""
+    ORIENTATION = "orientation"
+    """Orientation of body and Sun in the image, by the error of the attitude."""
     CAMERA = "camera"
     """Parameters of the camera model."""
     ATTITUDE = "attitude"
@@ -54,14 +56,16 @@ class Cause(StrEnum):
 
 
 OUTSIDE = (Cause.ATTITUDE, Cause.EPHEMERIS, Cause.ABERRATION, Cause.EPOCH)
-"""Causes that leave the position in camera axes as it is: they matter where it meets inertial axes or a prediction."""
+"""Causes that leave the position in camera axes as it is: they matter where it meets inertial axes or a prediction.
+
+An attitude turns the body that is looked for as well: that error of its place in the image is ``ORIENTATION``."""
 IN_POSITION = tuple(cause for cause in Cause if cause not in OUTSIDE)
 """Causes in ``covariance_camera_km2``: those in the image, and the camera that turns pixels into directions."""
 IN_IMAGE = tuple(cause for cause in IN_POSITION if cause is not Cause.CAMERA)
 """Causes in ``covariance_px2``: noise, and models that move the center measured in the image.
 
-The scale of the shape, its pole and its spin are among them: a shape that is too large or turned is fitted elsewhere,
-whatever the camera is.
+The scale of the shape, its pole, its spin and its orientation are among them: a shape that is too large or turned is
+fitted elsewhere, whatever the camera is.
 """
 SUM_TOLERANCE = 1e-6
 """Largest difference of a covariance from the sum of its parts, over the product of the standard deviations.

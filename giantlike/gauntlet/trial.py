@@ -28,7 +28,7 @@ VAGUE_FACTOR = 3.0
 """Sigma over the nominal one from which on an answer is vague."""
 NAMES = (*ESTIMATORS, STARS)
 """Names of all estimators of the gauntlet, the star chain last."""
-_STATED = (Cause.CAMERA, Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN, Cause.ABERRATION, Cause.EPOCH)
+_STATED = (Cause.CAMERA, Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN, Cause.ORIENTATION, Cause.ABERRATION, Cause.EPOCH)
 """Parts of a covariance that are stated with the image, not measured in it."""
 _SURFACE_PX = 180.0
 """Least diameter, px, of bodies on which surface_features is tried: landmarks need some hundred facets each."""

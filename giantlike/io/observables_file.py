@@ -135,6 +135,9 @@ class ObservableRow:
     part_shape_scale: Sequence[float] | None = _part(Cause.SHAPE_SCALE, "the size of the shape", "shared_body")
     part_pole: Sequence[float] | None = _part(Cause.POLE, "the pole of the body", "shared_body")
     part_spin: Sequence[float] | None = _part(Cause.SPIN, "the rotation of the body about its pole", "shared_body")
+    part_orientation: Sequence[float] | None = _part(
+        Cause.ORIENTATION, "the body being turned in the image with the attitude", "shared_attitude"
+    )
 
     shared_image: str = column("Rows with the same key come from the same pixels: never take two of a target as two.")
     shared_attitude: str | None = column("Rows with the same key have the same attitude and its error.")

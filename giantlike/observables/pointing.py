@@ -26,6 +26,7 @@ Roll about a body 10 px from the middle, known to a thousandth of its lever, has
 """
 _ONE_BY_ONE = (
     Cause.NOISE, Cause.BACKGROUND, Cause.PSF, Cause.EDGE, Cause.REFLECTANCE, Cause.ALBEDO, Cause.RELIEF, Cause.ALTITUDE,
+    Cause.ORIENTATION,
 )  # fmt: skip
 """Causes of which only a covariance of each row is known."""
 _BODY_AXES = {"partial_pole": slice(0, 2), "partial_spin": slice(2, 3)}

@@ -179,6 +179,37 @@ def test_scale_and_orientation_of_a_body_are_in_its_covariance() -> None:
     assert exact > high  # without the parts of the body the test fails
 
 
+def test_a_body_turned_with_an_uncertain_attitude_is_found_elsewhere_and_says_so() -> None:
+    rng, sigma_rad = np.random.default_rng(7), 0.012
+    position, radii = np.array([5.0, -8.0, RANGE_KM]), np.array([60.0, 42.0, 29.0])
+    orientation = Rotation.from_euler("xyz", [0.4, 1.1, -0.3])
+    here = scene(position, radii, orientation, TargetUncertainty())
+    pose = Pose(position, orientation, SUN)
+    light = render_body(EllipsoidBody(radii), VIEW, pose, law="lambert", psf=Psf(0.7))
+    draws, exact, turned = 4, 0.0, 0.0
+    for _ in range(draws):
+        told = Rotation.from_rotvec(sigma_rad * rng.normal(size=3))
+        image = Image(
+            pixels=noisy(light, rng), camera_from_inertial=told, attitude_covariance_rad2=sigma_rad**2 * np.eye(3)
+        )
+        fix = LimbMatching().estimate(image, camera(), here).unwrap()
+        error = place_error(camera(), fix, position)
+        own = summed(fix.parts, [cause for cause in IN_IMAGE if cause is not Cause.ORIENTATION])
+        turned += float(error @ np.linalg.solve(summed(fix.parts), error))
+        exact += float(error @ np.linalg.solve(own, error))
+    low, high = (float(chi2.ppf(tail, 3 * draws)) for tail in (FALSE_ALARM, 1.0 - FALSE_ALARM))
+    assert low < turned < high
+    assert exact > high
+
+
+def test_an_attitude_from_stars_turns_no_body() -> None:
+    position = np.array([5.0, -8.0, RANGE_KM])
+    light = render_body(EllipsoidBody(np.full(3, 40.0)), VIEW, Pose(position, Rotation.identity(), SUN), law="lambert")
+    image = Image(pixels=light, camera_from_inertial=Rotation.identity(), attitude_covariance_rad2=1e-10 * np.eye(3))
+    here = scene(position, np.full(3, 40.0), Rotation.identity(), TargetUncertainty())
+    assert not LimbMatching().estimate(image, camera(), here).unwrap().parts[Cause.ORIENTATION].any()
+
+
 def test_a_fix_moves_with_the_true_body_as_its_partials_say() -> None:
     """The true body, of another renderer, is larger or turned; what the estimator is told of it stays."""
     known = TargetUncertainty(scale=2e-3, pole_rad=0.03, spin_rad=0.04)
