@@ -33,7 +33,7 @@ _OUTLINE_POINTS = 72
 _LEAST_RADIUS_PX = 1.0
 """Radius of the circle that stands for a body whose outline cannot be used, px: the scale of the camera there."""
 _TURNED = 1.0
-"""Least motion of the surface by the error of the attitude, over the sigma of the center, whose effect is looked at.
+"""Least motion of the surface by the error of the attitude whose effect is looked at, over the least sigma of the center.
 
 A fix moves by 0.1 to 0.3 of it (six images of the gauntlet), so that a sigma without it is 5 % too small at most."""
 _WORST_CONDITION = 100.0
@@ -380,7 +380,7 @@ def _orientation_part(
     part = np.zeros((size, size))
     variances, axes = np.linalg.eigh(covariance_rad2)
     radius_px = apparent_radius_px(camera, fix.center_px, geometry.target.shape.mean_radius_km, geometry.range_km)
-    least_rad = _TURNED * math.sqrt(float(np.min(np.diag(fix.covariance_px2)))) / radius_px
+    least_rad = _TURNED * math.sqrt(max(float(np.linalg.eigvalsh(fix.covariance_px2)[0]), 0.0)) / radius_px
     for sigma_rad, axis in zip(np.sqrt(np.clip(variances, 0.0, None)), axes.T, strict=True):
         if sigma_rad < least_rad:
             continue
