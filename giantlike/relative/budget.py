@@ -33,7 +33,7 @@ _OUTLINE_POINTS = 72
 _LEAST_RADIUS_PX = 1.0
 """Radius of the circle that stands for a body whose outline cannot be used, px: the scale of the camera there."""
 _TURNED = 1.0
-"""Least motion of the surface by the error of the attitude whose effect is looked at, over the least sigma of the center.
+"""Least motion of the surface by the error of the attitude, over the least sigma of the center, whose effect counts.
 
 A fix moves by 0.1 to 0.3 of it (six images of the gauntlet), so that a sigma without it is 5 % too small at most."""
 _WORST_CONDITION = 100.0
