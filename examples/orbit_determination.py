@@ -29,7 +29,7 @@ ACCELERATION_KM_S2 = 1e-10  # a priori sigma: twice that of sunlight on a spacec
 DIFFERENCES = [1e-3] * 3 + [1e-8] * 3 + [1e-14] * 3  # km, km/s, km/s^2: a meter over some days, of ranges of km
 STEPS = 8
 SETTLED = 1e-3  # of a sigma
-OWN = ("noise", "background", "psf", "edge", "reflectance", "albedo", "relief", "altitude")
+OWN = ("noise", "background", "psf", "edge", "reflectance", "albedo", "relief", "altitude", "orientation")
 """Parts of the covariance of which no derivative is given: taken as new in each row."""
 
 

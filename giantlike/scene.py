@@ -190,7 +190,7 @@ class TargetGeometry(Value):
         )
 
     def seen_body(self, position_camera_km: Float | None = None) -> Body:
-        """Return the body as its limb shows it: with the altitude of that, by an atmosphere, on its radii.
+        """Return :meth:`body` as its limb shows it: an ellipsoid with the altitude of its atmosphere on the radii.
 
         Parameters
         ----------
@@ -202,7 +202,7 @@ class TargetGeometry(Value):
         Body
         """
         body, altitude_km = self.body(position_camera_km), self.limb_altitude_km[0]
-        if not isinstance(body.shape, Ellipsoid):
+        if altitude_km == 0.0 or not isinstance(body.shape, Ellipsoid):
             return body
         return replace(body, shape=replace(body.shape, radii_km=body.shape.radii_km + altitude_km))
 

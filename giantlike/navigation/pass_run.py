@@ -24,6 +24,7 @@ from giantlike.relative.place import apparent_radius_px
 OBSERVABLES = "observables.parquet"
 _NEW_PARTS = ("part_noise", "part_background")
 _SHARED_PARTS = ("part_psf", "part_edge", "part_camera", "part_reflectance", "part_albedo", "part_relief", "part_pole")
+_ATTITUDE_PARTS = ("part_attitude", "part_orientation")
 _FLOOR_KM = 1e-9
 """Standard deviation below which a part of a covariance is rounding."""
 
@@ -162,16 +163,16 @@ def _image(row: ObservableRow, camera: Camera, choice: RunPass, middle_s: float,
     measured = _place(model, row.observed_pixel_px, row.observed_line_px, row.observed_apparent_range_km)
     by_place = np.linalg.inv(np.vstack([model.project_jacobian(measured), unit(measured)]))
     own, shared = np.zeros((3, 3)), {}
-    for name in (*_NEW_PARTS, *_SHARED_PARTS, "part_attitude"):
+    for name in (*_NEW_PARTS, *_SHARED_PARTS, *_ATTITUDE_PARTS):
         cells = getattr(row, name)
         if cells is None:
             continue
         part = by_place @ np.nan_to_num(np.reshape(np.array(cells, dtype=np.float64), (3, 3))) @ by_place.T
-        if name in _NEW_PARTS or (name == "part_attitude" and not attitude_is_shared):
+        cause = name.removeprefix("part_")
+        if name in _NEW_PARTS or (name in _ATTITUDE_PARTS and not attitude_is_shared):
             own += part
         else:
-            key = f"attitude {row.shared_attitude}" if name == "part_attitude" else name.removeprefix("part_")
-            shared[key] = _root(part)
+            shared[f"{cause} {row.shared_attitude}" if name in _ATTITUDE_PARTS else cause] = _root(part)
     time_s = _epoch(row) - middle_s
     by_state = -turn.as_matrix() @ np.hstack([np.eye(3), time_s * np.eye(3)])
     return PassImage(

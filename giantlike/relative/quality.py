@@ -21,6 +21,10 @@ LEAST_USED_SHARE = 0.5
 
 The median absolute deviation, by which outliers are found, breaks down where half of the observations are wrong.
 """
+UNLIKELY = 0.01
+"""Probability of what residuals, or a difference to the prediction, show of an error that a fix does not have, below
+which its errors grow by that, if it does not contradict them: of 168 nominal limbs one is strained by less than 0.03.
+"""
 BORDER_SHARE = 0.9
 """Share of a bounded search beyond which a fix lies at its border: the body may lie outside."""
 LIGHT_LOG_ODDS = math.log(1000.0)

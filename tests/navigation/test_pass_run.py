@@ -134,6 +134,28 @@ def test_attitudes_that_images_share_are_shared_errors() -> None:
     assert all(set(image.observed.shared_px) == {"attitude one"} for image in given.images)
 
 
+def test_bodies_turned_with_the_attitude_are_errors_of_it() -> None:
+    """0.3 px along x, 6.2 km at the body: new in each image, or shared with its attitude."""
+    sigma_px, sigma_km = 0.3, 0.3 * RANGE_KM / 7312.5
+    cells = tuple(np.diag([sigma_px**2, 0.0, 0.0]).ravel())
+    choice = RunPass(target="ROCK", radius_km=RADIUS_KM)
+    exact = rows(2)
+    turned = [replace(row, part_orientation=cells) for row in exact]
+    before, after = (pass_from_rows(made, CAMERA, choice) for made in (exact, turned))
+    shared = pass_from_rows([replace(row, shared_attitude="one") for row in turned], CAMERA, choice)
+    assert before is not None
+    assert after is not None
+    assert shared is not None
+    for without, image in zip(before.images, after.images, strict=True):
+        assert isinstance(without.observed, MeasuredPosition)
+        assert isinstance(image.observed, MeasuredPosition)
+        added = image.observed.covariance_camera_km2 - without.observed.covariance_camera_km2
+        assert added[0, 0] == pytest.approx(sigma_km**2, rel=1e-2)
+        assert added[1, 1] < 1e-3 * sigma_km**2
+        assert not image.observed.shared_km
+    assert all(set(image.observed.shared_px) == {"attitude one", "orientation one"} for image in shared.images)
+
+
 def test_a_run_without_the_target_says_what_it_has(tmp_path: Path) -> None:
     folder = written(tmp_path)
     with pytest.raises(DataError, match=r"no preferred position of MARS .* it has ROCK"):

@@ -14,13 +14,11 @@ from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.processing.outline_errors import averages, outline_errors
 from giantlike.relative.estimator import EstimatorInputs
 from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, limb_fix
+from giantlike.relative.quality import UNLIKELY
 
 _LEAST_FREEDOM = 3
 """Least degrees of freedom that residuals must have beside place and strain: errors are estimated from them."""
 _STRAINS = 2
-_UNLIKELY = 0.01
-"""Probability of a strain below which the errors of a limb are larger than they show, if they do not contradict it: one
-of 168 nominal fixes has less than 0.03."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,7 +112,7 @@ def strain_of(measured: LimbMeasurement, inputs: EstimatorInputs) -> Strain:
     design = np.concatenate([measured.design[keep], _strained(points, measured.normals_px[keep])], axis=1)
     by_noise = means**2 @ sigma_px**2
     by_noise_alone = _strain(means @ shift_px, means @ design, np.diag(by_noise), turn_rad, freedom)
-    if by_noise_alone.chance > _UNLIKELY:
+    if by_noise_alone.chance > UNLIKELY:
         return by_noise_alone
     radius_px = measured.perimeter_px / (2.0 * np.pi)
     errors = outline_errors(shift_px, design, sigma_px, points, radius=radius_px, least_length=measured.spacing_px)
@@ -150,4 +148,4 @@ def _strain(shift_px: Float, design: Float, covariance: Float, turn_rad: float, 
     of_strain = inverse[-_STRAINS:, -_STRAINS:] + turn_rad**2 * np.eye(_STRAINS)
     ratio = float(strain @ np.linalg.solve(of_strain, strain)) / _STRAINS
     chance = float(fdtrc(_STRAINS, freedom, ratio))
-    return Strain(chance=chance, tension=ratio if chance < _UNLIKELY else 1.0)
+    return Strain(chance=chance, tension=ratio if chance < UNLIKELY else 1.0)

@@ -8,6 +8,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
+from giantlike.relative.quality import UNLIKELY
 from giantlike.relative.template.covariance import LinearFit, Prior
 from giantlike.relative.verification.checks import chance_of
 
@@ -15,8 +16,6 @@ _STRAINS = 3
 _NOTHING = np.zeros(3)  # center and logarithm of the range
 _STRAINED = 0.3
 """Strain a priori, and smear over the square of the radius of the light: far beyond what is linear."""
-_UNLIKELY = 0.01
-"""Probability below which what residuals ask for is an error of the fix, as of the strain of limbs."""
 _CONDITION_LIMIT = 1e8
 """Condition number of the scaled normal matrix beyond which residuals ask for nothing: other unknowns explain it."""
 _RELIEF = 0.01
@@ -83,7 +82,7 @@ class Asked(Value):
 
     def error(self, known: Float) -> Float:
         """Covariance (3, 3) of center and logarithm of the range by a strain that is no right body's."""
-        unlikely = self.strain_chance(known) < _UNLIKELY
+        unlikely = self.strain_chance(known) < UNLIKELY
         return np.outer(self.moved, self.moved) * float(unlikely)
 
 
@@ -156,7 +155,7 @@ def asked_beside(
     scores[known:] = (columns[known:] * fit.weights).reshape(new, -1) @ residuals.ravel()
     steps: Float = np.asarray(np.linalg.solve(beside.information, scores), dtype=np.float64)
     by_noise = np.asarray(np.linalg.inv(beside.information), dtype=np.float64)[known:, known:]
-    if chance_of(steps[known:], by_noise) > _UNLIKELY:
+    if chance_of(steps[known:], by_noise) > UNLIKELY:
         return Asked()
     whole = beside.full_covariance(
         residuals - np.tensordot(steps, columns, 1),

@@ -17,7 +17,7 @@ from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
 from giantlike.relative.budget import camera_response, with_error, with_larger_errors
-from giantlike.relative.quality import LEAST_CHANCE, LEAST_PREDICTION_CHANCE, QualityChecks
+from giantlike.relative.quality import LEAST_CHANCE, LEAST_PREDICTION_CHANCE, UNLIKELY, QualityChecks
 from giantlike.relative.response import RESPONSE, Response
 from giantlike.relative.template.smear import SMEAR, Smear
 from giantlike.relative.verification.cells import Cells, cells_around
@@ -56,9 +56,6 @@ _NOT_BY_CHANCE = 1e-3
 """Probability below which errors of a fix are not those of all axes alike: the rate of false alarms of the prediction.
 
 Of 2,324 ``ok`` fixes of the gauntlet (seed 9500) 27 are so off in place or figure, none of which had to be ``ok``."""
-_UNLIKELY = 0.01
-"""Probability below which a difference to the prediction makes a fix less certain, if it does not contradict it: as of
-the strain of limbs."""
 _OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause is not Cause.SHAPE_SCALE)
 """Causes of errors that a fix and the coarse fit of the same shape do not have in common."""
 
@@ -127,7 +124,7 @@ def verified(
         return fix
     checks = QualityChecks(off_px=np.zeros(2), search_px=math.inf, **numbers)
     tension = 1.0 if fit is None else tension_of(fix, fit, psf_known=known)
-    if off is not None and LEAST_PREDICTION_CHANCE <= numbers["prediction_chance"] < _UNLIKELY:
+    if off is not None and LEAST_PREDICTION_CHANCE <= numbers["prediction_chance"] < UNLIKELY:
         tension = max(tension, _ratio(*off))
     text = " ".join(f"{name}={number:.3g}" for name, number in (*numbers.items(), ("tension", tension)))
     fix = replace(fix, flags=fix.flags | checks.flags, provenance={**fix.provenance, _CHECKED: text})
