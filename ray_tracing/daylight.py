@@ -30,6 +30,8 @@ class Daylight(Value):
         Of the body, now and where it was traced roughly.
     scale : float
         Size of the body now over that in the rough trace.
+    whole : bool
+        False where rays were sent through a part of the cells: none is known to be dark.
     """
 
     cells: tuple[Cells, Cells]
@@ -37,6 +39,7 @@ class Daylight(Value):
     center_px: Float
     traced_center_px: Float
     scale: float
+    whole: bool = True
 
     def of(self, cells: tuple[Cells, Cells]) -> tuple[Mask, Mask]:
         """Where a finer trace can do without rays.
@@ -56,7 +59,7 @@ class Daylight(Value):
         inside = (columns >= 0)[:, None] & (rows >= 0)
         dark, lit = (
             np.asarray(np.take(np.take(each, columns, axis=0), rows, axis=1) & inside)
-            for each in (cv2.dilate(image, around) == 0, cv2.erode(image, around) == 1)
+            for each in ((cv2.dilate(image, around) == 0) & self.whole, cv2.erode(image, around) == 1)
         )
         return dark, lit
 

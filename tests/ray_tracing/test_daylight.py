@@ -91,3 +91,16 @@ def test_beyond_a_rough_trace_nothing_is_told() -> None:
         assert not (dark & bright).any()
         assert not (dark | bright)[:2].any()
         assert not (dark | bright)[6:].any()
+
+
+def test_a_rough_trace_of_a_part_tells_nothing_dark() -> None:
+    lit = np.zeros((8, 8), dtype=bool)
+    lit[:, :5] = True
+    rough = Cells(first=0, count=8, per_px=1), Cells(first=0, count=8, per_px=1)
+    here = np.zeros(2)
+    dark, bright = Daylight(cells=rough, lit=lit, center_px=here, traced_center_px=here, scale=1.0, whole=False).of(
+        rough
+    )
+    assert not dark.any()
+    assert bright[1:-1, 1:4].all()
+    assert not bright[:, 4:].any()

@@ -17,6 +17,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.file.options import options_from_mapping, with_files_found
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Failure, Quality, Reason
@@ -27,7 +28,8 @@ from giantlike.io import write_fits
 from giantlike.io.image_files import read_image_file
 from giantlike.io.spice import load_kernels, orientation
 from giantlike.ray_tracing import FocalPlane, LommelSeeliger
-from giantlike.ray_tracing.tracer import tracer_for
+from giantlike.ray_tracing.embree import Float32
+from giantlike.ray_tracing.tracer import MeshTracer, tracer_for
 from giantlike.relative import ESTIMATORS, Estimator, LandmarkFix, SurfaceFeatures, SurfaceFeaturesOptions
 from giantlike.relative.landmarks.rendering import LandmarkRenderer
 from giantlike.relative.landmarks.selection import LandmarkBuildOptions, build_landmarks, landmarks_of
@@ -39,6 +41,7 @@ from tests.limb_images import CAMERA, BodyImage, body_image
 from tests.tolerances import FLOAT64, RARE
 
 INDEPENDENT = 10  # few landmarks: covariances come from the scatter of about so many residuals
+TOLD_RAYS, TOLD_LIGHT = 0.5, 1e-3  # of the rays to the Sun; of the brightest pixel, rms: shadows of less than a cell
 RAYS = 0.02  # of the brightest pixel, rms: four rays a pixel through other places of facets
 NOISE_PX, NOISE_RANGE = 0.06, 6e-4  # four times what 20 landmarks usually state
 
@@ -232,6 +235,41 @@ def test_landmarks_of_a_pose_nearby_look_as_if_traced_anew() -> None:
             assert np.sqrt(np.mean(difference**2)) < RAYS * np.max(expected[another.mask])
     far = replace(body, position_camera_km=1.02 * body.position_camera_km)
     assert renderer.patches(far, seen, traced)[1] is not traced
+
+
+def test_ground_that_a_rough_render_saw_lit_sends_no_rays_to_the_sun(monkeypatch: pytest.MonkeyPatch) -> None:
+    one = case(3, 85.0)
+    geometry = one.scene.geometry(one.image)
+    assert not isinstance(geometry, Failure)
+    body, sun, cells = geometry.body(), geometry.sun_direction_camera, CAMERA.binned(2, detector=CAMERA.detector)
+    renderer, rough = (
+        LandmarkRenderer(
+            landmarks_of(rock()),
+            FocalPlane(model=camera.model, columns=camera.columns, rows=camera.rows, psf=camera.psf),
+            sun_direction_camera=sun,
+            max_size_px=size_px,
+            rays_per_pixel_side=2,
+            other_law=False,
+        )
+        for camera, size_px in ((CAMERA, 64.0), (cells, 32.0))
+    )
+    viewer = LandmarkViewer(landmarks_of(rock()), rock())
+    seen = viewer.seen(body, renderer.plane, sun_direction_camera=sun, options=VisibilityOptions())
+    _, ground = rough.roughly().patches(body, replace(seen, predicted_px=0.5 * (seen.predicted_px - 0.5)))
+    cast, dark = [0], MeshTracer.dark
+
+    def counted(tracer: MeshTracer, points_km: Float32, normals: Float32, to_sun: Float) -> Mask:
+        cast[-1] += len(points_km)
+        return dark(tracer, points_km, normals, to_sun)
+
+    monkeypatch.setattr(MeshTracer, "dark", counted)
+    alone, _ = renderer.patches(body, seen)
+    cast.append(0)
+    told, _ = renderer.patches(body, seen, None, ground)
+    assert cast[1] < TOLD_RAYS * cast[0]
+    for patch, expected in zip(told, alone, strict=True):
+        difference = (patch.light - expected.light)[expected.mask]
+        assert np.sqrt(np.mean(difference**2)) < TOLD_LIGHT * np.max(expected.light[expected.mask])
 
 
 def test_what_cannot_be_done_is_a_failure_with_its_reason() -> None:

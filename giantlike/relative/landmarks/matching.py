@@ -14,11 +14,10 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
 from giantlike.processing.correlate import find_peak, normalized_correlation
+from giantlike.relative.landmarks.patch_sums import SHARED, modeled, normal_equations, pixels_of
 from giantlike.relative.landmarks.rendering import Patch
 
 _ROUNDS = 3  # linear fits of a fraction of a pixel: each leaves a small part of the last step
-_DERIVATIVE = np.array([[1.0, -8.0, 0.0, 8.0, -1.0]]) / 12.0  # central, of fourth order, 1/px
-_DERIVATIVES = _DERIVATIVE, _DERIVATIVE.T  # along x and y
 _LEAST_OVERLAP = 0.6  # of the ground of a landmark that must be usable: see benchmarks/sensitivity.md
 _LEAST_PIXELS = 20  # usable: three times the parameters of the fit
 _CONDITION_LIMIT = 1e12  # of the scaled normal matrix: four digits of float64 are left
@@ -160,39 +159,21 @@ def fit_patch(pixels: BoxPixels, patch: Patch, shift_px: NDArray[np.int64], scor
     used = patch.mask & box.cut(pixels.usable)
     if used.sum() < max(_LEAST_OVERLAP * patch.mask.sum(), _LEAST_PIXELS):
         return None
-    image = box.cut(pixels.values_dn)[used]
-    lights, slopes = _lights(patch, used)
-    gains = np.zeros(len(lights))
-    gains[0] = image.std() / max(float(lights[0].std()), 1e-12)
-    noise, design = np.ones_like(image), np.concatenate([np.zeros((2, image.size)), lights])
-    offset, covariance = np.zeros(2), np.eye(2)
+    lights = [np.array(each) for each in (patch.light, patch.light if patch.other is None else patch.other)]
+    seen = pixels_of(np.array(box.cut(pixels.values_dn)), used, *lights)
+    gains = np.zeros(SHARED if patch.other is None else SHARED + 1)
+    gains[0] = seen[:, 0].std() / max(float(seen[:, 3].std()), 1e-12)
+    noise, offset, covariance = np.ones(len(seen)), np.zeros(2), np.eye(2)
     for _ in range(_ROUNDS):
-        design[:2] = -gains @ slopes
-        scale = np.maximum(np.sqrt(np.einsum("kn,kn->k", design, design)), 1e-300)
-        weighted = design / scale[:, None] / np.sqrt(noise)
-        widths, axes = np.linalg.eigh(weighted @ weighted.T)
+        matrix, right = normal_equations(seen, gains, noise)
+        scale = np.maximum(np.sqrt(np.diag(matrix)), 1e-300)
+        widths, axes = np.linalg.eigh(matrix / np.outer(scale, scale))
         if not float(widths[-1]) < _CONDITION_LIMIT * float(widths[0]):
             return None
-        inverse = (axes / widths) @ axes.T
-        solution = inverse @ (weighted @ (image / np.sqrt(noise))) / scale
+        inverse = (axes / widths) @ axes.T / np.outer(scale, scale)
+        solution, covariance = inverse @ right, inverse[:2, :2]
         offset, gains = solution[:2], solution[2:]
-        covariance = inverse[:2, :2] / np.outer(scale[:2], scale[:2])
-        noise = pixels.noise_variance_dn2(np.maximum(gains @ lights, 0.0))
+        noise = pixels.noise_variance_dn2(np.maximum(modeled(seen, gains), 0.0))
     if not float(np.abs(offset).max()) <= _MAX_SHIFT_PX:
         return None
     return LandmarkMatch(number=patch.number, offset_px=offset + shift_px, covariance_px2=covariance, score=score)
-
-
-def _lights(patch: Patch, used: Mask) -> tuple[Float, Float]:
-    """Images (k, n) of the model on the pixels used, and their slopes along x and y (2, k, n).
-
-    They are the light, even and with slopes, a constant, and the light under the other law.
-    """
-    rows, columns = (np.arange(size, dtype=np.float64) for size in used.shape)
-    counts = np.count_nonzero(used, axis=0), np.count_nonzero(used, axis=1)
-    across, down = columns - counts[0] @ columns / counts[0].sum(), (rows - counts[1] @ rows / counts[1].sum())[:, None]
-    lights = [patch.light, across * patch.light, down * patch.light, np.ones_like(patch.light)]
-    if patch.other is not None:
-        lights.append(patch.other)
-    slopes = [[cv2.filter2D(light, cv2.CV_64F, kernel)[used] for light in lights] for kernel in _DERIVATIVES]
-    return np.stack([light[used] for light in lights]), np.array(slopes)

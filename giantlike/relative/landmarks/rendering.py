@@ -15,6 +15,7 @@ from giantlike.core.outcomes import Failure
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, FocalPlane, RenderOptions, Template, Trace, trace_body
+from giantlike.ray_tracing.daylight import Daylight
 from giantlike.relative.landmarks.visibility import SeenLandmarks
 from giantlike.relative.template.moved_body import MovedBody, ShadedRays
 from giantlike.relative.template.rendering import contrasting_laws
@@ -120,6 +121,8 @@ class TracedGround(Value):
     moved : MovedBody
     rays : ShadedRays
         Under the law of the body, and another one or none.
+    lit : (columns, rows) bool
+        Cells whose ray ends on a point in sunlight.
     """
 
     body: Body
@@ -127,6 +130,7 @@ class TracedGround(Value):
     box: PixelBox
     moved: MovedBody
     rays: ShadedRays
+    lit: Mask
 
     def serves(self, body: Body) -> bool:
         """Return True if the rays serve for another pose: the same surface is seen, and not from elsewhere."""
@@ -138,6 +142,21 @@ class TracedGround(Value):
         shift_px = np.abs(body.center_px(self.plane.model) - self.body.center_px(self.plane.model))
         moved_px = float(shift_px.max()) + abs(math.log(ranges[1] / ranges[0])) * radius_px
         return turned * radius_px < _TURNED_PX and moved_px < _MOVED_PX
+
+    def daylight(self, body: Body, plane: FocalPlane, box: PixelBox) -> Daylight:
+        """Tell a finer trace, in a box of an image of another scale, where the ground is lit."""
+        scales = [
+            each.model.focal_length_px / float(np.linalg.norm(one.position_camera_km))
+            for each, one in ((plane, body), (self.plane, self.body))
+        ]
+        return Daylight(
+            cells=self.moved.trace.cells,
+            lit=self.lit,
+            center_px=body.center_px(plane.model) - box.corner_px,
+            traced_center_px=self.moved.state.center_px,
+            scale=scales[0] / scales[1],
+            whole=False,
+        )
 
     def images(self, body: Body, box: PixelBox) -> _Images:
         """Renders of a box for a pose that the rays serve for."""
@@ -197,7 +216,11 @@ class LandmarkRenderer(Value):
         return replace(self, rays_per_pixel_side=1, other_law=False, surroundings=True)
 
     def patches(
-        self, body: Body, seen: SeenLandmarks, traced: TracedGround | None = None
+        self,
+        body: Body,
+        seen: SeenLandmarks,
+        traced: TracedGround | None = None,
+        rough: TracedGround | None = None,
     ) -> tuple[tuple[Patch, ...], TracedGround | None]:
         """Render the landmarks seen.
 
@@ -207,6 +230,8 @@ class LandmarkRenderer(Value):
         seen : SeenLandmarks
         traced : TracedGround, optional
             From a pose before, whose rays serve where that is near enough.
+        rough : TracedGround, optional
+            From another renderer of the same landmarks; no rays are sent to the Sun from ground that it saw lit.
 
         Returns
         -------
@@ -223,7 +248,7 @@ class LandmarkRenderer(Value):
         rendered: list[_Images | None]
         if own_shape:
             grounds = [np.ones_like(mask) for mask in masks] if self.surroundings else masks
-            rendered, traced = self._together(body, boxes, grounds, traced)
+            rendered, traced = self._together(body, boxes, grounds, traced, rough)
         else:
             pairs = zip(landmarks, boxes, strict=True)
             rendered = [self._images(replace(body, shape=landmark.mesh), box) for landmark, box in pairs]
@@ -259,7 +284,12 @@ class LandmarkRenderer(Value):
         return PixelBox.spanning(low, high + 1.0, BORDER_PX)
 
     def _together(
-        self, body: Body, boxes: list[PixelBox], grounds: list[Mask], traced: TracedGround | None
+        self,
+        body: Body,
+        boxes: list[PixelBox],
+        grounds: list[Mask],
+        traced: TracedGround | None,
+        rough: TracedGround | None,
     ) -> tuple[list[_Images | None], TracedGround | None]:
         """Images of the shape on some ground in boxes: out of one render of all, where they lie close together."""
         if not boxes:
@@ -270,13 +300,15 @@ class LandmarkRenderer(Value):
         if whole.width * whole.height > _TOGETHER * sizes.prod(axis=1).sum():
             return [self._images(body, box) for box in boxes], None
         if traced is None or not traced.serves(body):
-            traced = self._ground(body, whole, boxes, grounds)
+            traced = self._ground(body, whole, boxes, grounds, rough)
         if traced is None:
             return [None] * len(boxes), None
         images = traced.images(body, whole)
         return [images.part(replace(box, x=box.x - whole.x, y=box.y - whole.y).slices) for box in boxes], traced
 
-    def _ground(self, body: Body, whole: PixelBox, boxes: list[PixelBox], grounds: list[Mask]) -> TracedGround | None:
+    def _ground(
+        self, body: Body, whole: PixelBox, boxes: list[PixelBox], grounds: list[Mask], rough: TracedGround | None
+    ) -> TracedGround | None:
         """The body traced on some ground in boxes, and a little around it; None where nothing of it is lit."""
         reach = _REACH_PX + math.ceil(_REACH_SIGMA * self.plane.psf_sigma_px) + _MOVED_PX
         box = PixelBox(
@@ -286,14 +318,17 @@ class LandmarkRenderer(Value):
         for each, ground in zip(boxes, grounds, strict=True):
             wanted[replace(each, x=each.x - box.x, y=each.y - box.y).slices] |= ground
         around = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-        trace = self._trace(body, box, cv2.dilate(wanted, around) > 0)
+        daylight = None if rough is None else rough.daylight(body, self.plane, box)
+        trace = self._trace(body, box, cv2.dilate(wanted, around) > 0, daylight)
         if isinstance(trace, Failure) or not trace.lit:
             return None
         moved = MovedBody(trace=trace, state=_state(body, body, self.plane, box))
         laws = (body.reflectance, *contrasting_laws(body.reflectance)[: int(self.other_law)])
-        return TracedGround(body, self.plane, box, moved, moved.shaded(laws))
+        return TracedGround(body, self.plane, box, moved, moved.shaded(laws), trace.lit_cells)
 
-    def _trace(self, body: Body, box: PixelBox, wanted: Mask | None = None) -> Trace | Failure:
+    def _trace(
+        self, body: Body, box: PixelBox, wanted: Mask | None = None, daylight: Daylight | None = None
+    ) -> Trace | Failure:
         """The body traced in a box, or in some of its pixels."""
         assert isinstance(self.plane.model, Windowing)
         return trace_body(
@@ -305,6 +340,7 @@ class LandmarkRenderer(Value):
             rows=box.height,
             options=RenderOptions(rays_per_pixel_side=self.rays_per_pixel_side, min_rays_across=1),
             wanted=wanted,
+            daylight=daylight,
         )
 
     def _images(self, body: Body, box: PixelBox) -> _Images | None:

@@ -18,8 +18,9 @@ from giantlike.core.values import Value
 from giantlike.processing.geometry.pnp import PnpFix, PnpOptions, solve_pnp
 from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
+from giantlike.relative.landmarks.cells import in_cells
 from giantlike.relative.landmarks.matching import LandmarkMatch, common_shift, correlation_surface, fit_patch, peak_near
-from giantlike.relative.landmarks.rendering import LandmarkRenderer, Patch, rays_for
+from giantlike.relative.landmarks.rendering import LandmarkRenderer, Patch, TracedGround, rays_for
 from giantlike.relative.landmarks.selection import landmarks_of
 from giantlike.relative.landmarks.visibility import SeenLandmarks, VisibilityOptions, viewer_for
 from giantlike.relative.place import center_of_position
@@ -36,6 +37,9 @@ _LARGE_RESIDUALS_PX = 0.5
 _SETTLED_SIGMA = 0.3  # of the standard deviation of the position: a last step so small adds 5 % to it
 _DAMPED_AFTER = 3  # renders: steps that have not settled by then come from the sampling of the renders, and are halved
 _LOOSE = 3.0  # times the limit of agreement, while templates are rendered for a pose that is off
+_CELLS_ACROSS = 10
+"""Cells to the width of a landmark in which the first search looks for it; it takes pixels where landmarks are narrower
+than two of these."""
 _RADIUS_PX = 1.5  # px, distance from the common shift by noise of the correlation peaks
 
 
@@ -259,16 +263,21 @@ class _Search:
         """Match, solve, render anew, until the pose converges."""
         body, change_px = self.start, math.inf
         seen, traced = self._seen(body), None
-        for iteration in range(self.options.max_iterations):
+        near, rough = (None, None) if isinstance(seen, Failure) else self._in_cells(seen)
+        if near is not None:
+            body, seen = near, self._seen(near)
+        fine: _Found | None = None
+        for iteration in range(int(near is not None), self.options.max_iterations):
             if isinstance(seen, Failure):
                 return seen
             if iteration == 0:
-                patches, _ = self.renderer.roughly().patches(body, seen)
+                patches, rough = self.renderer.roughly().patches(body, seen)
             else:
-                patches, traced = self.renderer.patches(body, seen, traced)
-            found = self._found(body, patches, first=iteration == 0)
+                patches, traced = self.renderer.patches(body, seen, traced, rough)
+            found = self._found(body, patches, first=iteration == 0, before=fine)
             if isinstance(found, Failure):
                 return found
+            fine = found if iteration > 0 else None
             before, moved = body, _moved(body, found.pose, 1.0 if iteration < _DAMPED_AFTER else 0.5)
             change_px = float(np.abs((self._projected(moved) - self._projected(body))[seen.numbers]).max())
             body = moved
@@ -278,6 +287,19 @@ class _Search:
             seen = self._seen(body) if iteration == 0 else again
         detail = f"the pose still moves by {change_px:.3f} px after {self.options.max_iterations} renders"
         return Failure(Reason.NOT_CONVERGED, detail)
+
+    def _in_cells(self, seen: SeenLandmarks) -> tuple[Body | None, TracedGround | None]:
+        """Body where coarse cells of the image have it, and its ground; none where landmarks are small or not found."""
+        size = min(int(np.median(seen.size_px) / _CELLS_ACROSS), *self.inputs.usable.shape)
+        if size < 2:
+            return None, None
+        visibility = replace(self.options.visibility, max_size_px=max(self.options.visibility.max_size_px / size, 10.0))
+        options = replace(self.options, search_px=math.ceil(self.options.search_px / size), visibility=visibility)
+        rough = _Search(in_cells(self.inputs, size), self.catalog, options)
+        predicted_px = rough._projected(self.start)[seen.numbers]
+        patches, ground = rough.renderer.roughly().patches(self.start, replace(seen, predicted_px=predicted_px))
+        found = rough._found(self.start, patches, first=True)
+        return (None, None) if isinstance(found, Failure) else (_moved(self.start, found.pose, 1.0), ground)
 
     def _seen(self, body: Body) -> SeenLandmarks | Failure:
         options = self.options
@@ -300,9 +322,11 @@ class _Search:
         points = body.to_camera(self.viewer.points_body_km) + body.position_camera_km
         return self.inputs.camera.model.project(points)
 
-    def _found(self, body: Body, patches: tuple[Patch, ...], *, first: bool) -> _Found | Failure:
-        """Find the landmarks of some patches, and the pose that they agree on."""
-        matches = self._matches(body, patches, first=first)
+    def _found(
+        self, body: Body, patches: tuple[Patch, ...], *, first: bool, before: _Found | None = None
+    ) -> _Found | Failure:
+        """Find the landmarks of some patches, and the pose that they agree on; near their places before, if known."""
+        matches = self._matches(body, patches, first=first) if before is None else self._again(body, patches, before)
         if isinstance(matches, Failure):
             return matches
         numbers = np.array([match.number for match in matches], dtype=np.int64)
@@ -336,7 +360,7 @@ class _Search:
             if int(np.abs(shift).max()) >= search_px:
                 detail = f"best match at the edge of the search region, {shift.tolist()} px from the prediction"
                 return Failure(Reason.PEAK_AT_EDGE, f"{detail}; increase search_px")
-        matches, scores = [], []
+        matches, scores, pixels = [], [], inputs.pixels
         for patch, surface, radius in zip(patches, surfaces, radii, strict=True):
             peak = peak_near(surface, shift, float(radius))
             if peak is None:
@@ -344,7 +368,7 @@ class _Search:
             scores.append(peak[1])
             if peak[1] < options.min_score:
                 continue
-            match = fit_patch(inputs.pixels, patch, np.rint(peak[0]).astype(np.int64), peak[1])
+            match = fit_patch(pixels, patch, np.rint(peak[0]).astype(np.int64), peak[1])
             if match is not None:
                 matches.append(match)
         if len(matches) >= options.min_landmarks:
@@ -353,6 +377,22 @@ class _Search:
         if scores and float(np.median(scores)) < options.min_score:
             detail += f"; their correlations have a median of {np.median(scores):.2f}, needed {options.min_score:g}"
             return Failure(Reason.LOW_CORRELATION, detail)
+        return Failure(Reason.TOO_FEW_MATCHES, detail)
+
+    def _again(self, body: Body, patches: tuple[Patch, ...], before: _Found) -> tuple[LandmarkMatch, ...] | Failure:
+        """Landmarks of a round before, fitted where they were found then."""
+        pixels, predicted_px = self.inputs.pixels, self._projected(body)
+        known = {match.number: (match, px) for match, px in zip(before.matches, before.observed_px, strict=True)}
+        matches = []
+        for patch in patches:
+            if patch.number in known:
+                match, observed_px = known[patch.number]
+                shift = np.rint(observed_px - predicted_px[patch.number]).astype(np.int64)
+                again = fit_patch(pixels, patch, shift, match.score)
+                matches += [] if again is None else [again]
+        if len(matches) >= self.options.min_landmarks:
+            return tuple(matches)
+        detail = f"{len(matches)} of {len(patches)} landmarks found, needed {self.options.min_landmarks}"
         return Failure(Reason.TOO_FEW_MATCHES, detail)
 
     def _radii(self, body: Body, patches: tuple[Patch, ...]) -> Float:
