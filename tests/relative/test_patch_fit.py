@@ -25,10 +25,8 @@ def scene(light: Float, motion_px: Float) -> Float:
     """Values of a polynomial (x, y), moved by a little along its derivatives."""
     grid = np.arange(SIZE) - 0.5 * (SIZE - 1)
     x, y = np.meshgrid(grid, grid)
-    values = polyval2d(x, y, light)
-    return (
-        values - motion_px[0] * polyval2d(x, y, polyder(light)) - motion_px[1] * polyval2d(x, y, polyder(light, axis=1))
-    )
+    by_x, by_y = (polyval2d(x, y, polyder(light, axis=axis)) for axis in (0, 1))
+    return np.asarray(polyval2d(x, y, light) - motion_px[0] * by_x - motion_px[1] * by_y)
 
 
 def sloped(light: Float) -> Float:
