@@ -132,7 +132,7 @@ def test_drawn_and_traced_light_are_the_same(monkeypatch: pytest.MonkeyPatch) ->
         near = render_near(outline, body, plane, sun_direction_camera=SUN, rays_per_pixel_side=5, edges_px=outline)
         assert not isinstance(near, Failure)
         x, y = near.corner_px.astype(int)
-        return near.images[0][rows - y, columns - x]
+        return np.asarray(near.images[0][rows - y, columns - x])
 
     drawn = light()
     monkeypatch.setattr("giantlike.ray_tracing.near_outline.drawn_sight", lambda *_: None)
