@@ -25,8 +25,7 @@ def drawn(
     sides: Indices,
     starts: Indices,
     patterns_px: Float,
-    small_px: float,
-) -> tuple[Int32, Mask]:
+) -> tuple[Int32, Float]:
     """Find the facet that each ray of some pixels meets first.
 
     Parameters
@@ -47,14 +46,13 @@ def drawn(
         First ray of each pixel, and their number.
     patterns_px : (s, s, s, 2) float64, px
         For each number of rays along a side the places of rays, by row and column, from the middle of the pixel.
-    small_px : float, px
 
     Returns
     -------
     facets : (r,) int32
         Number of the facet of each ray among the k; -1 for none.
-    small : (k,) bool
-        Facets not longer than ``small_px``.
+    lengths_px : (k,) float64, px
+        Longer side of the box around each facet; 0 where it lies outside that part of the image.
 
     Notes
     -----
@@ -62,7 +60,7 @@ def drawn(
     """
     facets, nearest = np.full(starts[-1], -1, np.int32), np.zeros(starts[-1])
     height, width = number.shape
-    plane, small = np.empty((4, 3)), np.zeros(len(corners), np.bool_)
+    plane, lengths = np.empty((4, 3)), np.zeros(len(corners))
     for i in range(len(corners)):
         a, b, c = corners[i]
         left = min(places_px[a, 0], places_px[b, 0], places_px[c, 0]) - corner_px[0] + 0.5
@@ -71,7 +69,7 @@ def drawn(
         bottom = max(places_px[a, 1], places_px[b, 1], places_px[c, 1]) - corner_px[1] + 0.5
         if right < 0.0 or bottom < 0.0 or left >= width or top >= height:
             continue
-        small[i] = right - left <= small_px and bottom - top <= small_px
+        lengths[i] = max(right - left, bottom - top)
         prepared = False
         for row in range(max(int(top), 0), min(int(bottom), height - 1) + 1):
             for column in range(max(int(left), 0), min(int(right), width - 1) + 1):
@@ -98,7 +96,7 @@ def drawn(
                             if near > nearest[ray]:
                                 nearest[ray] = near
                                 facets[ray] = i
-    return facets, small
+    return facets, lengths
 
 
 @compiled
