@@ -13,6 +13,7 @@ from giantlike.core.values import Value
 from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Template, Trace
 from giantlike.relative.response import LEAST_BEND, Response
 from giantlike.relative.template.smear import Smear
+from giantlike.relative.verification.cell_loops import design_of, unevenness_of
 from giantlike.relative.verification.cells import BLOCK, Cells
 
 _EDGE_RADIUS, _EDGE_PX = 0.01, 0.3
@@ -41,10 +42,16 @@ _PLACE, _STRAIN, _BLUR = slice(10, 13), slice(13, 16), slice(16, 19)
 """Columns of the design for the place, the strain and the blur."""
 _GEOMETRY, _OF_GEOMETRY = slice(10, None), (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, None))
 """All of these and what is fitted besides, and each of them among all."""
+_X_AND_Y = slice(10, 12)
+"""Columns of the place in the image alone."""
 _FURTHER = slice(19, None)
 """Columns of what is fitted besides."""
 _BLURRED = 10.0
 """Standard deviation of the blur a priori, squares of a cell: far beyond what is linear."""
+_SIGMA = np.array(
+    [math.inf, *3 * [_LAW_SIGMA], *6 * [math.inf], _MOVED, _MOVED, _GROWN, *3 * [_STRAINED], *3 * [_BLURRED]]
+)
+"""Standard deviations of all of these a priori, over the gain."""
 _PSF_PX2 = 0.3
 """Standard deviation, px^2, of the variance of a point spread function that a camera knows: one of 0.7 px to 30 %."""
 _ITERATIONS, _SETTLED = 3, 0.01
@@ -147,12 +154,16 @@ class CoarseFit(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Design(Value):
-    """Columns (p, n, n) that light may be a sum of, and their a priori standard deviations (p,) over the gain."""
+    """Columns (p, n, n) that light may be a sum of, and their a priori standard deviations (p,) over the gain.
+
+    Also the light itself, its steepness per cell and what optics scatter of it, (n, n) each.
+    """
 
     own: Float
     columns: Float
     sigma: Float
     slope: Float
+    scattered: Float
 
     def with_further(self, columns: Float) -> _Design:
         """Add columns (k, n, n) of unknowns of the order of 1."""
@@ -235,7 +246,7 @@ def fit_cells(
     strain_covariance = strain / gain**2 + turn_rad**2 * np.eye(3)
     by_figure = math.sqrt(_share_of_figure(normalized, lit, edge))
     strained, strayed = np.asarray(solution[_STRAIN] / gain), np.where(edge, by_figure * shown_sigma / gain, 0.0)
-    unevenness, step = _unevenness(design.columns[_PLACE] * np.sqrt(weights), normalized)
+    unevenness, step = unevenness_of(*design.columns[_X_AND_Y], weights, normalized, _TELLING, _LINES, _BESIDE)
     per_radius = np.diag([cells.radius * cells.size, cells.radius * cells.size, -1.0])
     model = (solution @ flat).reshape(values.shape)
     if response is None:
@@ -286,71 +297,19 @@ def _structure(normalized: Float, lit: Mask) -> float:
     return products / float(np.count_nonzero(lit))
 
 
-def _unevenness(slopes: Float, normalized: Float) -> tuple[float, float]:
-    """Mean squared difference of the places of neighboring lines over its variance, and that of the largest step.
-
-    Of rows, or of columns. ``slopes`` (3, n, n) are derivatives by x and by y over the errors of the cells,
-    ``normalized`` their residuals.
-    """
-    uneven = step = 0.0
-    for slope, along in ((slopes[0], 1), (slopes[1], 0)):
-        slope = np.where(normalized != 0.0, slope, 0.0)
-        known = np.sum(slope**2, axis=along)
-        used = known > _TELLING * float(known.max())
-        if np.count_nonzero(used) > _LINES:
-            known, moved = known[used], np.sum(slope * normalized, axis=along)[used]
-            uneven = max(uneven, float(np.mean(_apart(moved, known, 1))))
-            step = max(step, float(np.max(_apart(moved, known, _BESIDE))))
-    return uneven, step
-
-
-def _apart(moved: Float, known: Float, beside: int) -> Float:
-    """Squared differences (n - 1,) of the places of up to some lines before and after each gap, over their variance.
-
-    ``known`` (n,) is what each line tells of its place, over which ``moved`` (n,) is that place.
-    """
-    sums = np.concatenate([np.zeros((2, 1)), np.cumsum([moved, known], axis=1)], axis=1)
-    gaps = np.arange(1, len(known))
-    first, last = np.maximum(gaps - beside, 0), np.minimum(gaps + beside, len(known))
-    before, after = sums[:, gaps] - sums[:, first], sums[:, last] - sums[:, gaps]
-    squared = (after[0] / after[1] - before[0] / before[1]) ** 2
-    return np.asarray(squared / (1.0 / before[1] + 1.0 / after[1]))
-
-
 def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None) -> _Design:
     """The light of the body under its law and others, a plane, and derivatives by place and size."""
     in_cells = None if smear is None else smear.on_blocks(cells.size)
     light = cells.place(own.brightness, own)
     light = light if in_cells is None else in_cells.smeared(light)
-    others = []
-    for law in _OTHER_LAWS:
+    others = np.empty((len(_OTHER_LAWS), *light.shape))
+    for number, law in enumerate(_OTHER_LAWS):
         other = cells.light(trace.with_reflectance(law))
-        other = other if in_cells is None else in_cells.smeared(other)
-        others.append(other * (light.sum() / max(float(other.sum()), _DARK)) - light)
-    rows, columns = np.mgrid[: light.shape[0], : light.shape[1]]
-    x = (columns - (own.center_px[0] - cells.inner.x)) / cells.radius
-    y = (rows - (own.center_px[1] - cells.inner.y)) / cells.radius
-    by_row, by_column = (np.asarray(one, dtype=np.float64) for one in np.gradient(light))
-    by_blur = _second_derivatives(by_row, by_column)
-    by_row, by_column = -by_row * cells.radius, -by_column * cells.radius
-    by_place = (by_column, by_row, by_column * x + by_row * y)
-    by_strain = (by_column * y, by_row * x, by_column * x - by_row * y)
-    level = (np.ones_like(light), x, y)
-    ones = np.ones_like(light)
-    stray = (light.mean(axis=0) * ones, light.mean(axis=1)[:, None] * ones, _scattered(light, cells))
-    return _Design(
-        own=light,
-        columns=np.stack([light, *others, *level, *stray, *by_place, *by_strain, *by_blur]),
-        sigma=np.array(
-            [math.inf, *3 * [_LAW_SIGMA], *6 * [math.inf], _MOVED, _MOVED, _GROWN, *3 * [_STRAINED], *3 * [_BLURRED]]
-        ),
-        slope=np.hypot(by_row, by_column) / cells.radius,
-    )
-
-
-def _second_derivatives(by_row: Float, by_column: Float) -> tuple[Float, Float, Float]:
-    """Change of an image by the xx, xy and yy of a blur, from its first derivatives."""
-    return 0.5 * np.gradient(by_column, axis=1), np.gradient(by_column, axis=0), 0.5 * np.gradient(by_row, axis=0)
+        others[number] = other if in_cells is None else in_cells.smeared(other)
+    x, y = own.center_px[0] - cells.inner.x, own.center_px[1] - cells.inner.y
+    scattered = _blurred(light, _WING_RADIUS * cells.radius)
+    columns, slope = design_of(light, others, scattered, x, y, cells.radius)
+    return _Design(own=light, columns=columns, sigma=_SIGMA, slope=slope, scattered=scattered)
 
 
 def _without_laws(normal: Float, projected: Float) -> Float:
@@ -363,22 +322,21 @@ def _without_laws(normal: Float, projected: Float) -> Float:
 
 def _first_gain(values: Float, light: Float, fresh: Mask) -> float:
     """Gain (DN) that makes the light of the body as strong as that of the image about its median."""
-    above = values[fresh] - float(np.median(values[fresh]))
+    seen = values[fresh]
+    above = seen - float(np.median(seen))
     return max(float(np.linalg.norm(above) / np.linalg.norm(light[fresh])), 1e-300)
 
 
-def _scattered(light: Float, cells: Cells) -> Float:
-    """Light scattered by wide wings of the optics."""
-    return _blurred(light, _WING_RADIUS * cells.radius)
-
-
-def _blurred(image: Float, sigma: float, border: int = cv2.BORDER_REFLECT) -> Float:
-    """Image (n, n) blurred by a Gaussian of a standard deviation in cells, cut at :data:`_KERNEL_SIGMAS` of them."""
+def _blurred(images: Float, sigma: float, border: int = cv2.BORDER_REFLECT) -> Float:
+    """Images (..., n, n) blurred by a Gaussian of a standard deviation in cells, cut at :data:`_KERNEL_SIGMAS` of them."""
     reach = math.ceil(_KERNEL_SIGMAS * sigma)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     kernel /= kernel.sum()
-    blurred = cv2.sepFilter2D(np.ascontiguousarray(image), cv2.CV_64F, kernel, kernel, borderType=border)
-    return np.asarray(blurred, dtype=np.float64)
+    blurred = np.empty_like(images)
+    size = images.shape[-2:]
+    for image, result in zip(images.reshape(-1, *size), blurred.reshape(-1, *size), strict=True):
+        cv2.sepFilter2D(image, cv2.CV_64F, kernel, kernel, dst=result, borderType=border)
+    return blurred
 
 
 def _scale(normalized: Float, lit: Mask, edge: Mask, *, least: float) -> Float:
@@ -397,7 +355,7 @@ def _model_sigma(design: _Design, albedo: float, turn_rad: float, cells: Cells) 
     """Standard deviation (n, n) of the errors of the model over the gain by cell, and where edges are most of it."""
     markings = albedo * _blurred(design.own, _AROUND * cells.radius)
     edges = (math.hypot(_EDGE_RADIUS, turn_rad) * cells.radius + _EDGE_PX / cells.size) * design.slope
-    wings, floor = _WINGS * _scattered(design.own, cells), _FLOOR * float(design.own.max())
+    wings, floor = _WINGS * design.scattered, _FLOOR * float(design.own.max())
     face = markings**2 + wings**2 + floor**2
     return np.asarray(np.sqrt(face + edges**2)), np.asarray(edges**2 > face)
 
@@ -432,8 +390,9 @@ def _covariance(influence: Float, noise: Float, model_sigma: Float, cells: Cells
     """
     length = 0.5 * BLOCK * cells.radius
     area = max(2.0 * math.pi * length**2, 1.0)
-    spread = np.stack([_blurred(one, length, cv2.BORDER_CONSTANT) for one in model_sigma * influence])
-    errors = noise * influence + area * model_sigma * spread
+    errors = _blurred(model_sigma * influence, length, cv2.BORDER_CONSTANT)
+    errors *= area * model_sigma
+    errors += noise * influence
     covariance = np.tensordot(influence, errors, axes=([1, 2], [1, 2]))
     return np.asarray(0.5 * (covariance + covariance.T))
 
@@ -448,6 +407,8 @@ def _by_figure(strain: Float, strain_covariance: Float, strayed: Float, light: F
     """
     excess = max(1.0 - len(strain) / max(float(strain @ np.linalg.solve(strain_covariance, strain)), 1e-300), 0.0)
     strained_px2 = excess * float(np.mean(strain**2)) * (cells.radius * cells.size) ** 2
+    if not strayed.any():
+        return strained_px2 * np.eye(2)
     rows, columns = np.mgrid[: light.shape[0], : light.shape[1]].astype(np.float64)
     total = float(light.sum())
     arms = np.stack([each - float((light * each).sum()) / total for each in (columns, rows)]) * cells.size

@@ -12,6 +12,7 @@ from giantlike.core.arrays import Float, unit
 from giantlike.core.blocks import block_sums
 from giantlike.core.frames import rotate
 from giantlike.ray_tracing import Template, Trace
+from giantlike.relative.verification.cell_loops import least_unexplained
 from giantlike.relative.verification.cells import BLOCK, Cells
 from giantlike.relative.verification.shifts import ShiftedMatches
 
@@ -106,12 +107,12 @@ def _left_of_halved(cells: Cells, trace: Trace, turned: list[Float]) -> tuple[fl
     good = cells.good[within, within]
     counts = block_sums(good, 2)
     values = block_sums(np.where(good, cells.values[within, within], 0.0), 2) / np.maximum(counts, 1.0)
-    matches = ShiftedMatches.about(values, counts > 0.0, room)
     few = trace.one_to_a_pixel()
     plain = _without_shadows(few)
     lit = [few, *(plain.with_sun(sun) for sun in turned)]
     light = np.stack([block_sums(cells.inner.cut(*one.at_middles()), 2) for one in lit])
-    return _least(matches, light[0]), _least(matches, light[1:])
+    left = np.maximum(least_unexplained(values, counts > 0.0, light), _EXACT)
+    return float(left[0]), float(left[1:].min())
 
 
 def independent_parts(cells: Cells, template: Template) -> float:

@@ -1,0 +1,258 @@
+"""Sums over the cells around a body, compiled: for the fit of the body, and for bodies lit from other sides."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.compiled import compiled
+
+_EXACT = 1e-9
+"""Share of the largest variance below which the sums of a window hold nothing but rounding."""
+
+
+@compiled
+def design_of(light: Float, others: Float, scattered: Float, x: float, y: float, radius: float) -> tuple[Float, Float]:
+    """Columns that the light of cells may be a sum of.
+
+    Parameters
+    ----------
+    light : (n, n) float64
+        Of the body under its law.
+    others : (k, n, n) float64
+        Under other laws.
+    scattered : (n, n) float64
+        Light around the body.
+    x, y : float
+        Column and row of its center.
+    radius : float
+        Cells.
+
+    Returns
+    -------
+    columns : (k + 16, n, n) float64
+        The light, its differences to others of the same sum, a plane (3), stray light (3), and derivatives by place
+        (3), strain (3) and blur (3), places in radii.
+    slope : (n, n) float64
+        Steepness of the light, per cell.
+    """
+    size, laws = len(light), len(others)
+    columns, slope = np.empty((laws + 16, size, size)), np.empty((size, size))
+    by_row, by_column = np.empty((size, size)), np.empty((size, size))
+    across, down, total = np.zeros(size), np.zeros(size), 0.0
+    for row in range(size):
+        for column in range(size):
+            by_row[row, column] = _difference(light[:, column], row)
+            by_column[row, column] = _difference(light[row], column)
+            across[column] += light[row, column]
+            down[row] += light[row, column]
+        total += down[row]
+    for law in range(laws):
+        whole = 0.0
+        for row in range(size):
+            for column in range(size):
+                whole += others[law, row, column]
+        share = total / max(whole, 1e-30)
+        for row in range(size):
+            for column in range(size):
+                columns[1 + law, row, column] = others[law, row, column] * share - light[row, column]
+    at = 1 + laws
+    for row in range(size):
+        place_y = (row - y) / radius
+        for column in range(size):
+            place_x = (column - x) / radius
+            right, low = -radius * by_column[row, column], -radius * by_row[row, column]
+            columns[0, row, column] = light[row, column]
+            columns[at, row, column] = 1.0
+            columns[at + 1, row, column] = place_x
+            columns[at + 2, row, column] = place_y
+            columns[at + 3, row, column] = across[column] / size
+            columns[at + 4, row, column] = down[row] / size
+            columns[at + 5, row, column] = scattered[row, column]
+            columns[at + 6, row, column] = right
+            columns[at + 7, row, column] = low
+            columns[at + 8, row, column] = right * place_x + low * place_y
+            columns[at + 9, row, column] = right * place_y
+            columns[at + 10, row, column] = low * place_x
+            columns[at + 11, row, column] = right * place_x - low * place_y
+            columns[at + 12, row, column] = 0.5 * _difference(by_column[row], column)
+            columns[at + 13, row, column] = _difference(by_column[:, column], row)
+            columns[at + 14, row, column] = 0.5 * _difference(by_row[:, column], row)
+            slope[row, column] = np.sqrt(by_row[row, column] ** 2 + by_column[row, column] ** 2)
+    return columns, slope
+
+
+@compiled
+def _difference(line: Float, at: int) -> float:
+    """Slope of a line (n,) at one of its places, by neighbors on both sides or at an end by the one."""
+    first, last = max(at - 1, 0), min(at + 1, len(line) - 1)
+    return (line[last] - line[first]) / (last - first)
+
+
+@compiled
+def unevenness_of(
+    by_x: Float, by_y: Float, weights: Float, normalized: Float, telling: float, lines: int, beside: int
+) -> tuple[float, float]:
+    """Differences of the places of neighboring lines, rows or columns, over their variance.
+
+    Parameters
+    ----------
+    by_x, by_y : (n, n) float64
+        Derivatives of the light of cells by the place.
+    weights : (n, n) float64
+        One over the variances of the cells.
+    normalized : (n, n) float64
+        Residuals over the standard deviations; what is 0 counts nothing.
+    telling : float
+        Information of a line on its place, over that of the one that tells most, from which on it counts.
+    lines : int
+        Pairs of lines that are needed.
+    beside : int
+        Lines on each side of a gap whose places are compared for a step.
+
+    Returns
+    -------
+    uneven, step : float
+        Mean square between neighbors, and the largest square between some lines before a gap and as many behind it; 0
+        where too few tell.
+    """
+    size = len(normalized)
+    sums = np.zeros((2, 2, size))  # of rows and columns: what each tells of its place, and that times the place
+    for row in range(size):
+        for column in range(size):
+            residual = normalized[row, column]
+            if residual != 0.0:
+                root = np.sqrt(weights[row, column])
+                right, low = root * by_x[row, column], root * by_y[row, column]
+                sums[0, 0, row] += right * right
+                sums[0, 1, row] += right * residual
+                sums[1, 0, column] += low * low
+                sums[1, 1, column] += low * residual
+    uneven, step = 0.0, 0.0
+    for axis in range(2):
+        known, moved = sums[axis, 0], sums[axis, 1]
+        least, count = telling * known.max(), 0
+        for line in range(size):
+            if known[line] > least:
+                known[count], moved[count] = known[line], moved[line]
+                count += 1
+        if count > lines:
+            mean = 0.0
+            for gap in range(1, count):
+                mean += _apart(known, moved, gap, 1, count) / (count - 1)
+                step = max(step, _apart(known, moved, gap, beside, count))
+            uneven = max(uneven, mean)
+    return uneven, step
+
+
+@compiled
+def _apart(known: Float, moved: Float, gap: int, beside: int, count: int) -> float:
+    """Squared difference of the places of up to some lines before and behind a gap, over its variance."""
+    before = after = moved_before = moved_after = 0.0
+    for line in range(max(gap - beside, 0), gap):
+        before += known[line]
+        moved_before += moved[line]
+    for line in range(gap, min(gap + beside, count)):
+        after += known[line]
+        moved_after += moved[line]
+    return (moved_after / after - moved_before / before) ** 2 / (1.0 / before + 1.0 / after)
+
+
+@compiled
+def least_unexplained(values: Float, good: Mask, lights: Float) -> Float:
+    """Share of the variance of an image that bodies leave at their best shift, with a gain and a level fitted.
+
+    Parameters
+    ----------
+    values : (n, n) float64, DN
+    good : (n, n) bool
+        Those that count.
+    lights : (k, m, m) float64
+        Bodies in the middle of the image; shifted by (n - m) / 2 cells at most.
+
+    Returns
+    -------
+    (k,) float64
+        1 where only a negative gain would explain anything.
+
+    Notes
+    -----
+    As :class:`~giantlike.relative.verification.shifts.ShiftedMatches`, which transforms where there are many shifts; here
+    only cells that hold light are multiplied.
+    """
+    size, kinds = lights.shape[1], len(lights)
+    shifts = len(values) - size + 1
+    whole, mean, count = True, 0.0, 0.0
+    for row in range(len(values)):
+        for column in range(len(values)):
+            if good[row, column]:
+                mean += values[row, column]
+                count += 1.0
+            else:
+                whole = False
+    mean /= max(count, 1.0)
+    number, total, squares = np.zeros((shifts, shifts)), np.zeros((shifts, shifts)), np.zeros((shifts, shifts))
+    above, counted = np.zeros(values.shape), np.zeros(values.shape)
+    for row in range(len(values)):
+        for column in range(len(values)):
+            if good[row, column]:
+                above[row, column] = values[row, column] - mean
+                counted[row, column] = 1.0
+    _window_sums(counted, size, number)
+    _window_sums(above, size, total)
+    _window_sums(above * above, size, squares)
+    variance = squares - total**2 / np.maximum(number, 1.0)
+    least_variance = _EXACT * variance.max()
+    left = np.ones(kinds)
+    light, light_squares = np.zeros((shifts, shifts)), np.zeros((shifts, shifts))
+    product, spread = np.zeros((shifts, shifts)), np.zeros((shifts, shifts))
+    for kind in range(kinds):
+        for down in range(shifts):
+            for across in range(shifts):
+                light[down, across] = light_squares[down, across] = product[down, across] = 0.0
+        sum_of, sum_of_squares = 0.0, 0.0
+        for row in range(size):
+            for column in range(size):
+                one = lights[kind, row, column]
+                if one == 0.0:
+                    continue
+                sum_of += one
+                sum_of_squares += one * one
+                for down in range(shifts):
+                    for across in range(shifts):
+                        product[down, across] += one * above[row + down, column + across]
+                    if not whole:
+                        for across in range(shifts):
+                            seen = one * counted[row + down, column + across]
+                            light[down, across] += seen
+                            light_squares[down, across] += one * seen
+        most = 0.0
+        for down in range(shifts):
+            for across in range(shifts):
+                if whole:
+                    light[down, across], light_squares[down, across] = sum_of, sum_of_squares
+                n = max(number[down, across], 1.0)
+                spread[down, across] = light_squares[down, across] - light[down, across] ** 2 / n
+                most = max(most, spread[down, across])
+        for down in range(shifts):
+            for across in range(shifts):
+                n = max(number[down, across], 1.0)
+                common = product[down, across] - total[down, across] * light[down, across] / n
+                if common > 0.0 and variance[down, across] > least_variance and spread[down, across] > _EXACT * most:
+                    share = common * common / (spread[down, across] * variance[down, across])
+                    left[kind] = min(left[kind], 1.0 - min(share, 1.0))
+    return left
+
+
+@compiled
+def _window_sums(values: Float, size: int, sums: Float) -> None:
+    """Sum up squares of cells of an array (n, n) into ``sums`` (k, k), by the first cell of each."""
+    shifts, lines = len(sums), np.zeros((len(values), len(sums)))
+    for row in range(len(values)):
+        for step in range(size):
+            for across in range(shifts):
+                lines[row, across] += values[row, across + step]
+    for down in range(shifts):
+        for step in range(size):
+            for across in range(shifts):
+                sums[down, across] += lines[down + step, across]
