@@ -444,11 +444,12 @@ class _Readout(Value):
         saturated = image.pixels >= limit_dn
         pixels_dn = np.subtract(image.pixels, detector.bias_dn, dtype=np.float64)
         masked = _bad_pixels(image, pixels_dn, detector)
+        usable = masked | saturated
         return cls(
             detector=detector,
             pixels_dn=pixels_dn,
-            usable=~(masked | saturated),
-            saturated=saturated & ~masked,
+            usable=np.logical_not(usable, out=usable),
+            saturated=saturated & ~masked if masked.any() else saturated,
             masked=masked,
         )
 

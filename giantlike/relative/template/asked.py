@@ -141,22 +141,26 @@ def asked_beside(
     """
     known, new = len(fit.columns), len(changes)
     sigma = _STRAINED * np.array([1.0] * _STRAINS + [radius_px**2] * (new - _STRAINS))
-    mean = np.concatenate([fit.prior.mean, np.zeros(new)])
-    prior = Prior(mean, np.concatenate([fit.prior.information, 1.0 / sigma**2]))
-    columns = np.concatenate([fit.columns, changes])
-    size = np.sqrt(np.diag(LinearFit(columns, fit.weights, prior).information))
+    rows, weighted = fit.columns.reshape(known, -1), (changes * fit.weights).reshape(new, -1)
+    by_both = weighted @ rows.T  # the products among the parameters of the fit are known
+    among = weighted @ changes.reshape(new, -1).T + np.diag(1.0 / sigma**2)
+    information = np.block([[fit.information, by_both.T], [by_both, among]])
+    size = np.sqrt(np.diag(information))
     if not (np.isfinite(size).all() and size.all()):
         return Asked()
-    columns /= size[:, None, None]
-    beside = LinearFit(columns, fit.weights, Prior(mean * size, prior.information / size**2))
-    if np.linalg.cond(beside.information) > _CONDITION_LIMIT:
+    information /= np.outer(size, size)
+    if np.linalg.cond(information) > _CONDITION_LIMIT:
         return Asked()
     scores = np.zeros(known + new)
-    scores[known:] = (columns[known:] * fit.weights).reshape(new, -1) @ residuals.ravel()
-    steps: Float = np.asarray(np.linalg.solve(beside.information, scores), dtype=np.float64)
-    by_noise = np.asarray(np.linalg.inv(beside.information), dtype=np.float64)[known:, known:]
+    scores[known:] = weighted @ residuals.ravel() / size[known:]
+    steps: Float = np.asarray(np.linalg.solve(information, scores), dtype=np.float64)
+    by_noise = np.asarray(np.linalg.inv(information), dtype=np.float64)[known:, known:]
     if chance_of(steps[known:], by_noise) > UNLIKELY:
         return Asked()
+    mean = np.concatenate([fit.prior.mean, np.zeros(new)])
+    prior = Prior(mean * size, np.concatenate([fit.prior.information, 1.0 / sigma**2]) / size**2)
+    columns = np.concatenate([fit.columns, changes]) / size[:, None, None]
+    beside = LinearFit(columns, fit.weights, prior)
     whole = beside.full_covariance(
         residuals - np.tensordot(steps, columns, 1),
         error,

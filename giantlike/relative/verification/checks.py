@@ -176,8 +176,8 @@ def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
 
 def _ratio(difference: Float, covariance: Float) -> float:
     """Squared length of a difference (k,) over its covariance (k, k): per axis, but whole where it is not by chance."""
-    whole = chance_of(difference, covariance) < _NOT_BY_CHANCE
-    return _squared(difference, covariance) / (1 if whole else len(difference))
+    squared, size = _squared(difference, covariance), len(difference)
+    return squared / (1 if _chance(squared, size) < _NOT_BY_CHANCE else size)
 
 
 def _growth(fix: CenterFix, figure_px2: Float) -> float:
@@ -203,9 +203,14 @@ def chance_of(difference: Float, covariance: Float) -> float:
     -------
     float
     """
+    return _chance(_squared(difference, covariance), len(difference))
+
+
+def _chance(squared: float, freedom: int) -> float:
+    """Probability that a squared length over its covariance is as large, of some degrees of freedom."""
     from scipy.special import chdtrc
 
-    return float(chdtrc(len(difference), max(_squared(difference, covariance), 0.0)))
+    return float(chdtrc(freedom, max(squared, 0.0)))
 
 
 def _squared(difference: Float, covariance: Float) -> float:
