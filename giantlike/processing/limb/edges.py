@@ -30,6 +30,8 @@ More than half a pixel, so that windows do not move to and fro.
 """
 _MOVES = 3
 """Most moves of a window: seeds lie within two pixels of their edge."""
+_MOST_ROWS = 1 << 31
+"""Of an image: column and row of a pixel are one number of 64 bits."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,8 +130,13 @@ def scan_edges(
     steepest = columns[np.arange(found.size), np.argmax(after - before, axis=1)]
     places = lines.places(found, steepest)
     inside = np.all((places >= 0) & (places < [pixels_dn.shape[1], pixels_dn.shape[0]]), axis=1)
-    unique: Pixels = np.unique(places[inside], axis=0)
-    return unique
+    return _each_once(places[inside])
+
+
+def _each_once(pixels_px: Pixels) -> Pixels:
+    """Pixels (n, 2), each once, by column and row; in a quarter of the time of ``np.unique`` along an axis."""
+    columns, rows = np.divmod(np.unique(pixels_px[:, 0] * _MOST_ROWS + pixels_px[:, 1]), _MOST_ROWS)
+    return np.stack([columns, rows], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -215,7 +222,7 @@ def measured_edges(
     middles = np.asarray(seeds_px, dtype=np.int64).reshape(-1, 2)
     for move in range(_MOVES + 1):
         inside = np.all((middles >= half_px) & (middles < np.array(pixels_dn.shape[::-1]) - half_px), axis=1)
-        middles = np.unique(middles[inside], axis=0)
+        middles = _each_once(middles[inside])
         middles = middles[clean[middles[:, 1], middles[:, 0]]]
         found = measure(_windows(pixels_dn, middles, half_px))
         off = np.abs(found.offsets_px).max(axis=1, initial=0.0)

@@ -20,6 +20,7 @@ from giantlike.processing.correlated_fit import solution_gain
 from giantlike.processing.limb.altitude import lifted
 from giantlike.processing.limb.measurement import LimbMeasurement, smooth_parts
 from giantlike.processing.outline_errors import outline_errors
+from giantlike.relative.horizon.ray_loops import distances
 from giantlike.relative.limb.fix import LimbSolution
 
 MIN_POINTS = 4
@@ -173,11 +174,6 @@ class PixelRays(Value):
     def through(cls, points_px: Float, model: CameraModel) -> PixelRays:
         """Rays of the points (n, 2), px."""
         return cls(model.unproject(points_px), model.unproject_jacobian(points_px))
-
-    def moved(self, offsets_px: Float) -> Float:
-        """Directions (n, 3), not unit, of the pixels moved by offsets (n, 2), px."""
-        result: Float = self.directions + (self.by_pixel @ offsets_px[..., None])[..., 0]
-        return result
 
 
 def christian_robinson(
@@ -466,19 +462,7 @@ def ray_residuals(
 ) -> tuple[Float, Float, Float]:
     """Return the same as :func:`horizon_residuals`, from rays instead of pixels, with ``steps`` Newton steps."""
     pull, conic = figure.cone(position_camera_km)
-    foot = np.zeros((len(rays.directions), 2))
-    for _ in range(steps):
-        directions = rays.moved(foot)
-        half = directions @ conic
-        gradient = 2.0 * (half[:, None, :] @ rays.by_pixel)[:, 0]
-        value = np.einsum("ni,ni->n", half, directions)
-        foot = foot - (value / np.sum(gradient**2, axis=1))[:, None] * gradient
-    slope = np.linalg.norm(gradient, axis=1)
-    normals = -gradient / slope[:, None]  # the form is positive inside
-    shaped = directions @ figure.shape_matrix
-    along, across = directions @ pull, np.einsum("ij,ij->i", shaped, directions)
-    by_position = 2.0 * (along[:, None] * shaped - across[:, None] * pull)
-    return np.einsum("ij,ij->i", -foot, normals), by_position / slope[:, None], normals
+    return distances(rays.directions, rays.by_pixel, pull, conic, figure.shape_matrix, steps)
 
 
 def _refined(points_px: Float, model: CameraModel, figure: Figure, start_km: Float, sigma_px: Float) -> Float | Failure:

@@ -23,6 +23,7 @@ from giantlike.processing.limb.scan import PIXEL_VARIANCE_PX2
 from giantlike.ray_tracing import Reflectance
 from giantlike.relative.horizon.blur import DepthBlur
 from giantlike.relative.horizon.geometry import Figure, PixelRays, ray_residuals
+from giantlike.relative.horizon.ray_loops import curvatures
 from giantlike.relative.horizon.surface import Surface, traced
 from giantlike.shapes import Ellipsoid
 from giantlike.shapes.limbs import limb_ellipse
@@ -163,11 +164,6 @@ def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -
     rays = PixelRays.through(pixels[imaged], model)
     _, design, normals = ray_residuals(rays, figure, position_camera_km, steps=1)  # they are on the horizon
     _, conic = figure.cone(position_camera_km)
-    across, along_it = (
-        (rays.by_pixel @ way[..., None])[..., 0]
-        for way in (normals, np.stack([-normals[:, 1], normals[:, 0]], axis=-1))
-    )
-    slope = np.einsum("ki,ij,kj->k", rays.directions, conic, across)
     return HorizonArc(
         points_px=pixels[imaged],
         points_camera_km=points[imaged],
@@ -179,7 +175,7 @@ def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -
         complete=bool(np.isfinite(corners).all()),
         directions=rays.directions,
         by_pixel=rays.by_pixel,
-        curvature=np.einsum("ki,ij,kj->k", along_it, conic, along_it) / slope,
+        curvature=curvatures(rays.directions, rays.by_pixel, normals, conic),
         body=PlacedFigure(figure=figure, position_camera_km=position_camera_km),
     )
 

@@ -86,7 +86,8 @@ def design_of(light: Float, others: Float, scattered: Float, x: float, y: float,
 def _difference(line: Float, at: int) -> float:
     """Slope of a line (n,) at one of its places, by neighbors on both sides or at an end by the one."""
     first, last = max(at - 1, 0), min(at + 1, len(line) - 1)
-    return (line[last] - line[first]) / (last - first)
+    slope: float = (line[last] - line[first]) / (last - first)
+    return slope
 
 
 @compiled
@@ -177,7 +178,7 @@ def least_unexplained(values: Float, good: Mask, lights: Float) -> Float:
 
     Notes
     -----
-    As :class:`~giantlike.relative.verification.shifts.ShiftedMatches`, which transforms where there are many shifts; here
+    As :class:`~giantlike.relative.verification.shifts.ShiftedMatches`, which transforms images for many shifts; here
     only cells that hold light are multiplied.
     """
     size, kinds = lights.shape[1], len(lights)

@@ -246,7 +246,8 @@ def fit_cells(
     strain_covariance = strain / gain**2 + turn_rad**2 * np.eye(3)
     by_figure = math.sqrt(_share_of_figure(normalized, lit, edge))
     strained, strayed = np.asarray(solution[_STRAIN] / gain), np.where(edge, by_figure * shown_sigma / gain, 0.0)
-    unevenness, step = unevenness_of(*design.columns[_X_AND_Y], weights, normalized, _TELLING, _LINES, _BESIDE)
+    by_x, by_y = design.columns[_X_AND_Y]
+    unevenness, step = unevenness_of(by_x, by_y, weights, normalized, _TELLING, _LINES, _BESIDE)
     per_radius = np.diag([cells.radius * cells.size, cells.radius * cells.size, -1.0])
     model = (solution @ flat).reshape(values.shape)
     if response is None:
@@ -328,7 +329,7 @@ def _first_gain(values: Float, light: Float, fresh: Mask) -> float:
 
 
 def _blurred(images: Float, sigma: float, border: int = cv2.BORDER_REFLECT) -> Float:
-    """Images (..., n, n) blurred by a Gaussian of a standard deviation in cells, cut at :data:`_KERNEL_SIGMAS` of them."""
+    """Images (..., n, n) blurred by a Gaussian of a standard deviation in cells, cut at some of them."""
     reach = math.ceil(_KERNEL_SIGMAS * sigma)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     kernel /= kernel.sum()
