@@ -7,7 +7,7 @@ import numpy as np
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.compiled import compiled
 
-_EXACT = 1e-9
+EXACT = 1e-9
 """Share of the largest variance below which the sums of a window hold nothing but rounding."""
 
 
@@ -203,7 +203,7 @@ def least_unexplained(values: Float, good: Mask, lights: Float) -> Float:
     _window_sums(above, size, total)
     _window_sums(above * above, size, squares)
     variance = squares - total**2 / np.maximum(number, 1.0)
-    least_variance = _EXACT * variance.max()
+    least_variance = EXACT * variance.max()
     left = np.ones(kinds)
     light, light_squares = np.zeros((shifts, shifts)), np.zeros((shifts, shifts))
     product, spread = np.zeros((shifts, shifts)), np.zeros((shifts, shifts))
@@ -239,7 +239,7 @@ def least_unexplained(values: Float, good: Mask, lights: Float) -> Float:
             for across in range(shifts):
                 n = max(number[down, across], 1.0)
                 common = product[down, across] - total[down, across] * light[down, across] / n
-                if common > 0.0 and variance[down, across] > least_variance and spread[down, across] > _EXACT * most:
+                if common > 0.0 and variance[down, across] > least_variance and spread[down, across] > EXACT * most:
                     share = common * common / (spread[down, across] * variance[down, across])
                     left[kind] = min(left[kind], 1.0 - min(share, 1.0))
     return left

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, Mask
+from giantlike.core.arrays import Float
 from giantlike.core.values import Value
+from giantlike.relative.verification.cell_loops import EXACT
 from giantlike.relative.verification.cells import Cells
-
-_EXACT = 1e-9
-"""Share of the largest variance below which the sums of a window hold nothing but rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,28 +53,11 @@ class ShiftedMatches(Value):
         -------
         ShiftedMatches
         """
-        first = cells.room - room
-        within = slice(first, cells.box.width - first)
-        return cls.about(cells.values[within, within], cells.good[within, within], room)
-
-    @classmethod
-    def about(cls, pixels: Float, good: Mask, room: int) -> ShiftedMatches:
-        """Transform an image of any pixels.
-
-        Parameters
-        ----------
-        pixels : (n, n) float64, DN
-        good : (n, n) bool
-            Those that count.
-        room : int
-            Pixels by which templates of n - 2 room pixels are shifted at most.
-
-        Returns
-        -------
-        ShiftedMatches
-        """
         from scipy.fft import next_fast_len, rfft2
 
+        first = cells.room - room
+        within = slice(first, cells.box.width - first)
+        pixels, good = cells.values[within, within], cells.good[within, within]
         counted = good.astype(np.float64)
         values = np.where(good, pixels, 0.0)
         values = values - values.sum() / max(counted.sum(), 1.0) * counted
@@ -135,7 +116,7 @@ class ShiftedMatches(Value):
         light_variance = light_squares - light**2 / self.number
         covariance = np.maximum(product - self.total * light / self.number, 0.0)
         most = light_variance.max(axis=(-2, -1), keepdims=True)
-        seen = (self.variance > _EXACT * self.variance.max()) & (light_variance > _EXACT * most)
+        seen = (self.variance > EXACT * self.variance.max()) & (light_variance > EXACT * most)
         with np.errstate(divide="ignore", invalid="ignore"):
             gain = np.where(seen, covariance / light_variance, 0.0)
             share = np.where(seen, np.minimum(gain * covariance / self.variance, 1.0), 0.0)
