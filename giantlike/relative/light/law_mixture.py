@@ -15,7 +15,8 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Template
-from giantlike.relative.light.separation import BodyLight, center_of, kept_light, seen_from
+from giantlike.relative.light.light_sums import mixed
+from giantlike.relative.light.separation import BodyLight, kept_center_of, seen_from
 
 _SHARE_SIGMA = 1.0 / math.sqrt(6.0)
 """A priori standard deviation of each share: that of the difference of two laws, the true one and the one assumed.
@@ -111,9 +112,8 @@ class LawMixture(Value):
         -------
         Template
         """
-        changed = np.tensordot(shares * float(self.own.brightness.sum()), self.changes, axes=1)
-        changed += self.own.brightness
-        return replace(self.own, brightness=np.maximum(changed, 0.0, out=changed))
+        own, changes = np.ascontiguousarray(self.own.brightness), np.ascontiguousarray(self.changes)
+        return replace(self.own, brightness=mixed(own, changes, shares * float(own.sum())))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -155,8 +155,12 @@ class LawFit(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Blocks(Value):
-    """Pixels (n,) of the body, the block that each belongs to, and the places (blocks, 2) of the blocks."""
+    """Pixels (n,) of the body, the block that each belongs to, and the places (blocks, 2) of the blocks.
 
+    ``places`` counts the pixels row after row.
+    """
+
+    places: NDArray[np.int64]
     rows: NDArray[np.int64]
     columns: NDArray[np.int64]
     number: NDArray[np.int64]
@@ -180,7 +184,7 @@ class _Blocks(Value):
 
     def sums(self, values: Float) -> Float:
         """Sums (blocks,) of the values (rows, columns) of an image."""
-        return np.bincount(self.number, values[self.rows, self.columns]).astype(np.float64)
+        return np.bincount(self.number, values.ravel().take(self.places)).astype(np.float64)
 
     def photon(self, light: BodyLight) -> Float:
         """Variance (blocks,), DN^2, of the light of the blocks by the noise of the pixels."""
@@ -320,25 +324,27 @@ def _blocks_of(light: BodyLight, template: Template, center_px: Float, radius_px
 
 def _in_blocks(pixels: Mask, center_px: Float, side_px: float) -> _Blocks:
     """Blocks of some pixels (rows, columns) of an image."""
-    rows, columns = np.nonzero(pixels)
-    places = np.stack([columns, rows], axis=1)
-    places = np.floor((places - center_px) / side_px).astype(np.int64)
-    low = places.min(axis=0)
-    along, down = (places - low).T
+    places = np.flatnonzero(pixels)
+    rows, columns = np.divmod(places, pixels.shape[1])
+    along, down = (
+        np.floor((each - middle) / side_px).astype(np.int64)
+        for each, middle in zip((columns, rows), center_px.tolist(), strict=True)
+    )
+    low = np.array([along.min(), down.min()])
+    along, down = along - low[0], down - low[1]
     height = int(down.max()) + 1
     key = along * height + down
     count = np.bincount(key)
     present = np.flatnonzero(count)
     ranks = np.cumsum(count > 0) - 1
     cells, number = low + np.stack(np.divmod(present, height), axis=1), ranks[key]
-    return _Blocks(rows=rows, columns=columns, number=number, cells=cells)
+    return _Blocks(places=places, rows=rows, columns=columns, number=number, cells=cells)
 
 
 def _placed(light: BodyLight, template: Template, center_px: Float) -> tuple[Float, Float]:
     """Signal (rows, columns), DN, of a template laid on the center of light of the image, and its own center (2,)."""
     expected = light.expected_dn(template.brightness)
-    kept = kept_light(expected, light.threshold_dn)
-    place_px = center_of(kept if kept.any() else expected)
+    place_px = kept_center_of(expected, light.threshold_dn)
     shift = center_px - place_px
     whole = np.floor(shift)
     along, down = (_taps(float(each)) for each in shift - whole)

@@ -16,6 +16,7 @@ from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
 from giantlike.processing.limb.segmentation import Blobs, ExpectedBlob, connected_blobs, identify_blobs, otsu_threshold
 from giantlike.ray_tracing import Template
+from giantlike.relative.light.light_sums import kept_center
 from giantlike.relative.light.sky import SKY_SAMPLE, SkyPlane
 
 LIGHT_SIGMAS = 5.0
@@ -40,6 +41,7 @@ on all sides of single bad pixels, more in the middle of a missing block."""
 _CUT = 1.0
 """Width of the threshold over it. Errors across the direction of the Sun, of exact ellipsoids of 120 px at 90 and 125
 degrees of phase, are 0.060 and 0.140 px with a sharp one, 0.021 and 0.052 with 1, and 0.021 and 0.042 with 1.6."""
+_ROUNDING = 1e-3  # px, of distances
 _GAIN_ROUNDS = 30
 """Halvings in which the gain of a clipped body is found: to a billionth."""
 
@@ -244,10 +246,7 @@ class BodyLight(Value):
             x, y = (template.corner_px + self.shift_px).tolist()
             box = PixelBox(x=x, y=y, width=expected.shape[1], height=expected.shape[0])
             expected = _filled(expected, box.cut(self.bad))
-        kept = kept_light(expected, threshold_dn)
-        if not kept.any():
-            kept = expected
-        return np.asarray(template.center_px - center_of(kept) - template.corner_px)
+        return np.asarray(template.center_px - kept_center_of(expected, threshold_dn) - template.corner_px)
 
 
 def kept_light(signal_dn: Float, threshold_dn: float) -> Float:
@@ -279,6 +278,12 @@ def center_of(light: Float) -> Float:
     by_column, by_row = light.sum(axis=0), light.sum(axis=1)
     along = np.array([by_column @ np.arange(by_column.size), by_row @ np.arange(by_row.size)])
     return np.asarray(along / float(by_column.sum()))
+
+
+def kept_center_of(light: Float, threshold_dn: float) -> Float:
+    """Return the center (2,), px, of the light of an image (h, w) that counts by a threshold; of all if none does."""
+    x, y, total = kept_center(np.ascontiguousarray(light), threshold_dn, _CUT)
+    return np.array([x, y]) if total > 0.0 else center_of(light)
 
 
 def light_of(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Prediction) -> BodyLight | Failure:
@@ -509,14 +514,22 @@ def _regions(template: Template, shift_px: NDArray[np.int64], blob: Mask, radius
     trace = template.brightness > TRACE * float(template.brightness.max())
     expected = PixelBox(x=0, y=0, width=columns, height=rows).cut(trace, (x, y))
     margin = _REGION_MARGIN_PX + math.ceil(_REGION_MARGIN * radius_px)
-    down, right = np.ogrid[-margin : margin + 1, -margin : margin + 1]
-    disk = (np.hypot(down, right) <= margin).astype(np.uint8)
-    region, expected = (
-        np.asarray(cv2.dilate(part.astype(np.uint8), disk), dtype=bool) for part in (expected | blob, expected)
-    )
+    region, expected = _grown(expected | blob, margin), _grown(expected, margin)
     around = np.zeros(region.shape, dtype=bool)
     if region.any():
         more = math.ceil(_OTSU_MARGIN * radius_px)
         y, x = (np.flatnonzero(region.any(axis=axis)) for axis in (1, 0))
         around[max(y[0] - more, 0) : y[-1] + more + 1, max(x[0] - more, 0) : x[-1] + more + 1] = True
     return region, expected, around
+
+
+def _grown(pixels: Mask, margin_px: int) -> Mask:
+    """Pixels not farther than a margin from some."""
+    result = np.zeros(pixels.shape, dtype=bool)
+    rows, columns = (np.flatnonzero(pixels.any(axis=axis)) for axis in (1, 0))
+    if not rows.size:
+        return result
+    part = tuple(slice(max(int(each[0]) - margin_px, 0), int(each[-1]) + margin_px + 1) for each in (rows, columns))
+    away = cv2.distanceTransform((~pixels[part]).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    result[part] = away <= margin_px + _ROUNDING
+    return result
