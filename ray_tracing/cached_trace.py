@@ -201,6 +201,45 @@ class Trace(Value):
         pairs = zip(self.footprint.tiles, self.tiles, strict=True)
         return replace(self, view=view, tiles=tuple(in_order(relit, pairs, view.options.threads)))
 
+    def with_shadows(self, daylight: Daylight | None = None) -> Trace:
+        """Return the same hits with the shadows that the body casts on itself; only shadow rays are traced.
+
+        Parameters
+        ----------
+        daylight : Daylight, optional
+            Where no ray need be sent to the Sun.
+
+        Returns
+        -------
+        Trace
+        """
+        view = replace(self.view, options=replace(self.view.options, shadows=True))
+        lit = None if daylight is None else daylight.of(self.footprint.cells)[1]
+
+        def relit(pair: tuple[Tile, TracedRays]) -> TracedRays:
+            tile, traced = pair
+            known = None if lit is None else lit[tile.left : tile.right, tile.start : tile.stop].ravel()
+            light = sunlight(view, traced.sight, traced.directions, stratum=tile.start, lit=known)
+            return replace(traced, light=light)
+
+        pairs = zip(self.footprint.tiles, self.tiles, strict=True)
+        return replace(self, view=view, tiles=tuple(in_order(relit, pairs, view.options.threads)))
+
+    def daylight(self) -> Daylight:
+        """Return where the body is lit, by the rays in the middles of pixels.
+
+        Another trace may need it of the body turned a little: that moves a face by a few rays, and the eight pixels
+        around reach farther.
+
+        Returns
+        -------
+        Daylight
+        """
+        light, (column, row) = self.at_middles()
+        cells = Cells(column, light.shape[1], 1), Cells(row, light.shape[0], 1)
+        center_px = self.body.center_px(self.footprint.plane.model)
+        return Daylight(cells=cells, lit=light.T > 0.0, center_px=center_px, traced_center_px=center_px, scale=1.0)
+
 
 def trace_body(
     body: Body,

@@ -40,6 +40,8 @@ ROCK_RANGE = 10.0
 """Range of the rock over that of the ellipsoid: it is as much larger."""
 TURN_SIGMAS = 0.5
 """Standard deviations by which the turn of a rough rock of 80 px may differ: a chance of 1e-5 becomes 1e-6 to 1e-4."""
+LOST = 0.002
+"""Share of the light of a rock by which lone shadows less than a cell wide may change that of its cells."""
 BLOCK_PX = 4
 """Pixels along a block of 2 x 2 cells."""
 LEFT = 0.05
@@ -165,7 +167,7 @@ def test_where_a_body_was_lit_tells_renders_of_it_turned_what_they_need(
     found = []
     for light_known in (True, False):
         if not light_known:
-            monkeypatch.setattr(turn_check, "_daylight", lambda trace: None)
+            monkeypatch.setattr(Trace, "daylight", lambda trace: None)
         fit = turn_check.fit_turned(*given, sun, albedo=0.1, turn_rad=0.05)
         assert fit is not None
         found.append((fit, sum(sent)))
@@ -175,6 +177,31 @@ def test_where_a_body_was_lit_tells_renders_of_it_turned_what_they_need(
     assert rays < all_rays
     assert np.all(np.abs(fit.further - of_all.further) < TURN_SIGMAS * sigma)
     assert fit.misfit == pytest.approx(of_all.misfit, rel=0.01)
+
+
+@pytest.mark.parametrize(("phase_deg", "share"), [(20.0, 0.5), (60.0, 0.7), (120.0, 1.2)])
+def test_few_rays_to_the_sun_light_a_rock_as_all_do(
+    phase_deg: float, share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (_, mesh), sun, place = rock(1), sun_at(phase_deg), ROCK_RANGE * POSITION_KM
+    body = Body(shape=mesh, camera_from_body=Rotation.identity(), position_camera_km=place)
+    sent, occluded = [], EmbreeSurface.occluded
+
+    def counted(self: EmbreeSurface, origins: Float32, directions: Float32) -> Mask:
+        sent.append(len(origins))
+        return occluded(self, origins, directions)
+
+    monkeypatch.setattr(EmbreeSurface, "occluded", counted)
+    found = []
+    for few in (True, False):
+        if not few:
+            monkeypatch.setattr(Trace, "daylight", lambda trace: None)
+        sent.clear()
+        cells, trace, _ = looked_at(np.zeros((SIZE, SIZE)), sun, body=body)
+        found.append((cells.light(trace), sent[-1] if few else max(sent), sum(sent[:-1])))
+    (light_by_few, rays, rough), (light_by_all, all_rays, _) = found
+    assert rays + rough < share * all_rays
+    assert float(np.abs(light_by_few - light_by_all).sum()) < LOST * float(light_by_all.sum())
 
 
 def fitted(pixels_dn: Float, off_px: tuple[float, float] = (0.0, 0.0)) -> CoarseFit:

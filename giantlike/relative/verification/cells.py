@@ -17,6 +17,7 @@ from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, RenderOptions, Template, Trace, trace_body
 from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.sampling import spread_over
+from giantlike.shapes import Ellipsoid
 
 CELLS_PER_RADIUS = 20
 """Cells to a radius of the body, as far as pixels are not larger: two exposures 5 px apart on a body of 140 px show as
@@ -110,12 +111,15 @@ class Cells(Value):
     def trace(self, body: Body, sun_direction_camera: Float, daylight: Daylight | None = None) -> Trace | None:
         """Trace a body for renders into the cells.
 
+        Rays to the Sun start where one ray in the middle of each cell around meets a shadow; where none does, lone
+        shadows less than a cell wide are lost.
+
         Parameters
         ----------
         body : Body
         sun_direction_camera : (3,) float64, unitless, camera axes
         daylight : Daylight, optional
-            Where no ray need be sent, or none to the Sun.
+            Where no ray need be sent, or none to the Sun; by default that is found out, for all rays to the body.
 
         Returns
         -------
@@ -123,6 +127,7 @@ class Cells(Value):
             None where nothing of it is seen.
         """
         camera = self.camera
+        shadows_later = daylight is None and self.has_face and not isinstance(body.shape, Ellipsoid)
         across = math.ceil(_ACROSS * _RAYS_PER_CELL * CELLS_PER_RADIUS) if self.has_face else _RAYS_ACROSS_POINT
         traced = trace_body(
             body,
@@ -135,10 +140,15 @@ class Cells(Value):
                 rays_per_pixel_side=_RAYS_PER_CELL,
                 min_rays_across=across,
                 margin_px=self.box.width,
+                shadows=not shadows_later,
             ),
             daylight=daylight,
         )
-        return None if isinstance(traced, Failure) else traced
+        if isinstance(traced, Failure):
+            return None
+        if not shadows_later:
+            return traced
+        return traced.with_shadows(traced.one_to_a_pixel().with_shadows().daylight())
 
     def render(self, trace: Trace) -> Template | None:
         """Shade a trace; None where nothing that is seen is lit."""

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from giantlike.core.arrays import Float
 from giantlike.ray_tracing import Template, Trace
 from giantlike.ray_tracing.daylight import Daylight
-from giantlike.ray_tracing.sampling import Cells as RayCells
 from giantlike.relative.verification.cells import Cells
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
 
@@ -44,7 +43,7 @@ def fit_turned(
         Its ``further`` is the turn (2,), rad; None where too few cells hold the body.
     """
     sight, _ = Rotation.align_vectors(trace.body.position_camera_km[None], np.array([[0.0, 0.0, 1.0]]))
-    changes, told = [], _daylight(trace)
+    changes, told = [], trace.daylight()
     for axis in sight.as_matrix()[:, :2].T:
         sides = [
             _turned_light(cells, trace, step * axis, sun_direction_camera, told) for step in (_STEP_RAD, -_STEP_RAD)
@@ -53,17 +52,6 @@ def fit_turned(
             return None
         changes.append((sides[0] - sides[1]) / (2.0 * _STEP_RAD))
     return fit_cells(cells, trace, own, albedo=albedo, turn_rad=turn_rad, further=np.stack(changes))
-
-
-def _daylight(trace: Trace) -> Daylight:
-    """Where a body that is turned a little is lit, by the rays in the middles of cells of a trace of it as it is.
-
-    A turn moves its face by a few rays: the eight cells around reach farther than that.
-    """
-    center_px = trace.body.center_px(trace.footprint.plane.model)
-    light, (column, row) = trace.at_middles()
-    cells = RayCells(column, light.shape[1], 1), RayCells(row, light.shape[0], 1)
-    return Daylight(cells=cells, lit=light.T > 0.0, center_px=center_px, traced_center_px=center_px, scale=1.0)
 
 
 def _turned_light(
