@@ -14,8 +14,9 @@ from giantlike.ray_tracing.embree import Float32, Int32
 
 Indices = NDArray[np.int64]
 
-_FACETS = 128
-"""Facets of a patch: ten or so to a side, fewer than stand along the depth of a band that is drawn."""
+_FACETS = 64
+"""Facets of a patch, six or so to a side. With 128 a sixth more facets along a band are looked at, with 32 a seventh
+less, but finding the patches then takes as long."""
 _CURVE_BITS = 10
 """Steps along each axis, as powers of two, of the curve that puts facets in order."""
 
