@@ -39,7 +39,8 @@ _DAMPED_AFTER = 3  # renders: steps that have not settled by then come from the 
 _LOOSE = 3.0  # times the limit of agreement, while templates are rendered for a pose that is off
 _CELLS_ACROSS = 10
 """Cells to the width of a landmark in which the first search looks for it; it takes pixels where landmarks are narrower
-than two of these."""
+than two of these. Half of it, 0.7 of it and no cells at all: errors of 24 rocks of 300 px of 0.027, 0.028 and 0.028 px,
+0.027 with it."""
 _RADIUS_PX = 1.5  # px, distance from the common shift by noise of the correlation peaks
 
 
