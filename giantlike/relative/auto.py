@@ -183,8 +183,8 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     probability that right estimates differ by as much (``agreement``) and the share of the estimator taken in the
     place (``weight``). ``score``, residuals and counts are those of the estimator taken. A failure is that of the first
     choice; its text names the others that were tried. Where ``cross_correlation`` finds that values are not in
-    proportion to light, the others are run on an image in which they are; where it finds haze, with an altitude of the
-    limb that is as uncertain as it says.
+    proportion to light, the others are run on an image in which they are; where it or a limb finds haze, the others are
+    run with an altitude of the limb that is as uncertain as it says.
 
     Parameters
     ----------
@@ -204,8 +204,13 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
         template = outcomes.get(CrossCorrelation.name)
         if not isinstance(template, CenterFix):
             return fix
-        # Only the template knows of values that are not proportional to light, and of haze that nobody told.
+        # Only the template knows of values that are not proportional to light; limbs too of haze that nobody told.
         found = {key: template.provenance[key] for key in (RESPONSE, HAZE) if key in template.provenance}
+        limbs = [
+            one.provenance[HAZE] for one in outcomes.values() if isinstance(one, CenterFix) and HAZE in one.provenance
+        ]
+        if limbs:
+            found.setdefault(HAZE, limbs[0])
         if inputs.geometry.target.atmosphere is not None or inputs.geometry.target.terrain is not None:
             found.pop(HAZE, None)
         if not found:
@@ -215,7 +220,8 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
             known = replace(known, image=inputs.straight_image(Response.from_text(found[RESPONSE])))
         if HAZE in found:
             known = replace(known, scene=_in_haze(inputs.scene, inputs.target_name, float(found[HAZE])))
-        fix = self._consensus(known, choice, {CrossCorrelation.name: template})
+        knows = HAZE not in found or HAZE in template.provenance
+        fix = self._consensus(known, choice, {CrossCorrelation.name: template} if knows else {})
         return fix if isinstance(fix, Failure) else replace(fix, provenance={**fix.provenance, **found})
 
     def _consensus(

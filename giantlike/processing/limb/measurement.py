@@ -139,6 +139,8 @@ class LimbMeasurement(Value):
         Predicted places of the points that ``rejected`` counts.
     rotation_design : (n, 3) float64, px/rad, optional
         Outward motion of the points with a small rotation of the body about the camera axes; None where not known.
+    wider_px2 : float, px^2, optional
+        Variance of the blur of the limb beyond that of the camera; None where it was not measured or that is not known.
     """
 
     predicted_px: Float
@@ -160,6 +162,7 @@ class LimbMeasurement(Value):
     terrain: TerrainShift | None = None
     unmeasured_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
     rotation_design: Float | None = None
+    wider_px2: float | None = None
 
     @property
     def observed_px(self) -> Float:

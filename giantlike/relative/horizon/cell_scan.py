@@ -407,8 +407,10 @@ class CellScan(Value):
         if self.options.edges is EdgeModel.STEP:
             lawless = _STEP_LAW_SIGMA * float(np.median(np.abs(kept.fits.shared[kept.keep, 1])))
         brightness_px = math.hypot(lawless, (_SMALL_DISK_PX / radius_px) ** 2)
+        known = self.view.psf_sigma_px is not None
         return replace(
             kept,
+            wider_px2=float(estimate[0] - kept.expected[0]) if known else None,
             shift_px=kept.shift_px - kept.fits.shared @ estimate,
             common_px={Cause.PSF: shared_px[:, :1], Cause.REFLECTANCE: shared_px[:, 1:]},
             smooth_errors=(SmoothError(cause=Cause.REFLECTANCE, sigma_px=brightness_px, length_px=radius_px),),

@@ -22,6 +22,7 @@ from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.estimator import EstimatorInputs
 from giantlike.relative.place import center_of_position, place_covariance
 from giantlike.relative.quality import LEAST_USED_SHARE, QualityChecks
+from giantlike.relative.verification.haze import LIMB_BLUR
 
 _LOG = logging.getLogger("giantlike.relative")
 
@@ -398,7 +399,8 @@ def limb_fix(
         )
     replaced = Quality.SHAPE_APPROXIMATED if measured.relief_px > 0.0 else Quality.NONE
     identity = inputs.identity
-    identity["provenance"] = {**inputs.provenance, **_terrain_provenance(measured), **solution.provenance}
+    blur = {} if measured.wider_px2 is None else {LIMB_BLUR: f"{measured.wider_px2:.4g}"}
+    identity["provenance"] = {**inputs.provenance, **blur, **_terrain_provenance(measured), **solution.provenance}
     model, position_km = inputs.camera.model, solution.position_camera_km
     return PositionFix(
         **identity,

@@ -441,6 +441,7 @@ class LineScan(Value):
     ) -> LineMeasurement | Failure:
         """Match lines with their profiles, which were made with a point spread function of some ``width``, px."""
         view, options, offsets = self.view, self.options, scans.offsets_px
+        known = view.psf_sigma_px if profiles.causes else None
         loose = self.relief_px > 0.0 or options.edges is EdgeModel.STEP
         search_px = offsets[-1] - options.window_px
         found = match_lines(view, scans, profiles, window_px=options.window_px, search_px=search_px, loose=loose)
@@ -475,6 +476,7 @@ class LineScan(Value):
             area=area,
             relief=self.relief,
             psf_px2=width**2 + found.psf_px2,
+            wider_px2=None if known is None else width**2 + found.psf_px2 - known**2,
             unmeasured_px=limb.points_px[~good],
             rotation_design=np.cross(limb.points_camera_km[good] - position_camera_km, design),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -86,7 +87,8 @@ def strain_of(measured: LimbMeasurement, inputs: EstimatorInputs) -> Strain:
     measured : LimbMeasurement
         Settled.
     inputs : EstimatorInputs
-        No turn of the body, by its orientation as declared, strains it by more than the turn.
+        No turn of the body, by its orientation as declared, strains it by more than the turn; haze may stand higher
+        over some of the limb than over the rest by as much as its altitude is uncertain.
 
     Returns
     -------
@@ -103,7 +105,8 @@ def strain_of(measured: LimbMeasurement, inputs: EstimatorInputs) -> Strain:
     """
     if inputs.place_alone or measured.relief is not None or measured.terrain is not None:
         return Strain()
-    keep, turn_rad = measured.keep, inputs.turn_rad
+    keep, (_, altitude_km) = measured.keep, inputs.geometry.limb_altitude_km
+    known = math.hypot(inputs.turn_rad, altitude_km / inputs.geometry.target.shape.mean_radius_km)
     means = averages(measured.predicted_px[keep], measured.sigma_px[keep])
     freedom = len(means) - measured.design.shape[1] - _STRAINS
     if freedom < _LEAST_FREEDOM:
@@ -111,7 +114,7 @@ def strain_of(measured: LimbMeasurement, inputs: EstimatorInputs) -> Strain:
     shift_px, sigma_px, points = measured.shift_px[keep], measured.sigma_px[keep], measured.predicted_px[keep]
     design = np.concatenate([measured.design[keep], _strained(points, measured.normals_px[keep])], axis=1)
     by_noise = means**2 @ sigma_px**2
-    by_noise_alone = _strain(means @ shift_px, means @ design, np.diag(by_noise), turn_rad, freedom)
+    by_noise_alone = _strain(means @ shift_px, means @ design, np.diag(by_noise), known, freedom)
     if by_noise_alone.chance > UNLIKELY:
         return by_noise_alone
     radius_px = measured.perimeter_px / (2.0 * np.pi)
@@ -123,7 +126,7 @@ def strain_of(measured: LimbMeasurement, inputs: EstimatorInputs) -> Strain:
         covariance = covariance + shared_px @ shared_px.T
     for error in measured.smooth_errors:
         covariance = covariance + error.covariance_px2(means @ points)
-    return _strain(means @ shift_px, means @ design, covariance, turn_rad, freedom)
+    return _strain(means @ shift_px, means @ design, covariance, known, freedom)
 
 
 def _strained(points_px: Float, normals_px: Float) -> Float:
@@ -136,8 +139,11 @@ def _strained(points_px: Float, normals_px: Float) -> Float:
     return np.stack([x * by_x - y * by_y, x * by_y + y * by_x], axis=-1)
 
 
-def _strain(shift_px: Float, design: Float, covariance: Float, turn_rad: float, freedom: int) -> Strain:
-    """The last two parameters of a fit of shifts (b,), compared with their errors by a covariance (b, b) and a turn."""
+def _strain(shift_px: Float, design: Float, covariance: Float, known: float, freedom: int) -> Strain:
+    """The last two parameters of a fit of shifts (b,), compared with their errors by a covariance (b, b).
+
+    ``known`` is the standard deviation of a strain that a right body may have.
+    """
     from scipy.special import fdtrc
 
     scale = np.linalg.norm(design, axis=0)
@@ -145,7 +151,7 @@ def _strain(shift_px: Float, design: Float, covariance: Float, turn_rad: float, 
     weighted = np.linalg.solve(covariance, x)
     inverse = np.linalg.inv(x.T @ weighted) / np.outer(scale, scale)
     strain = (inverse @ (scale * (weighted.T @ shift_px)))[-_STRAINS:]
-    of_strain = inverse[-_STRAINS:, -_STRAINS:] + turn_rad**2 * np.eye(_STRAINS)
+    of_strain = inverse[-_STRAINS:, -_STRAINS:] + known**2 * np.eye(_STRAINS)
     ratio = float(strain @ np.linalg.solve(of_strain, strain)) / _STRAINS
     chance = float(fdtrc(_STRAINS, freedom, ratio))
     return Strain(chance=chance, tension=ratio if chance < UNLIKELY else 1.0)

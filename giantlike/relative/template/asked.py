@@ -92,7 +92,7 @@ def known_strain(turn_rad: float, *, attitude_known: bool) -> Float:
     Parameters
     ----------
     turn_rad : float, rad
-        Standard deviation of its orientation in the image, as declared.
+        Standard deviation of its orientation in the image, as declared; a strain by something else counts alike.
     attitude_known : bool
         Whether the error of the attitude is declared; else any roll of the camera is right.
 

@@ -526,8 +526,13 @@ def _flags(
 
 
 def _known_strain(inputs: EstimatorInputs) -> Float:
-    """Covariance (3, 3) of the strain of a right body by what is declared of its orientation and of the attitude."""
-    return known_strain(inputs.turn_rad, attitude_known=inputs.image.attitude_covariance_rad2 is not None)
+    """Covariance (3, 3) of the strain of a right body by its orientation and the attitude as declared, and by haze.
+
+    Haze may stand higher over some of the limb than over the rest by as much as its altitude is uncertain.
+    """
+    altitude_km = float(inputs.provenance.get(HAZE, inputs.geometry.limb_altitude_km[1]))
+    strain = math.hypot(inputs.turn_rad, altitude_km / inputs.geometry.target.shape.mean_radius_km)
+    return known_strain(strain, attitude_known=inputs.image.attitude_covariance_rad2 is not None)
 
 
 def _overexposure(blocks: Blocks, match: TemplateMatch, lit: Mask) -> float:

@@ -18,7 +18,7 @@ from giantlike.relative.template.covariance import LinearFit
 
 HAZE = "altitude_sigma_km"
 """Key of the provenance of fixes whose covariance has an altitude of the limb: its standard deviation, km."""
-_DEPTH = 0.05
+VEIL_DEPTH = 0.05
 """Vertical optical depth of the haze that is looked for; others are shares of it."""
 _LEAST_COSINE = 0.03
 """Cosine whose inverse is the most air that a ray meets, in vertical depths: 33; 38 at a thousandth of the radius."""
@@ -50,7 +50,7 @@ class _Veil(SurfaceLaw):
         """Return the light (n,) that is taken or sent; arguments as for all laws."""
         down, up = np.hypot(mu0, _LEAST_COSINE), np.hypot(mu, _LEAST_COSINE)
         own = down / (down + up) if self.ground is None else self.ground(mu0, mu, phase_rad)
-        return np.asarray(-own * np.expm1(-_DEPTH * (1.0 / down + 1.0 / up)))
+        return np.asarray(-own * np.expm1(-VEIL_DEPTH * (1.0 / down + 1.0 / up)))
 
 
 def haze_laws(ground: Reflectance) -> tuple[Reflectance, ...]:

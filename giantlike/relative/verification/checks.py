@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, TypedDict, TypeVar, runtime_checkable
 
@@ -22,6 +22,7 @@ from giantlike.relative.response import RESPONSE, Response
 from giantlike.relative.template.smear import SMEAR, Smear
 from giantlike.relative.verification.cells import Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
+from giantlike.relative.verification.haze import in_haze, veils
 from giantlike.relative.verification.light_side import light_side
 from giantlike.relative.verification.proportion import in_proportion, looks_bent
 from giantlike.relative.verification.rival import rival_log_odds
@@ -99,8 +100,8 @@ def verified(
         The fix is that of all light, which moves with whatever is wrong with the figure; estimators on limbs and
         templates know errors of relief themselves.
     again : callable, optional
-        Runs the estimator on inputs with other values: a fix that takes values for light is made again where the coarse
-        render shows that they are not in proportion to it.
+        Runs the estimator on other inputs: a fix that takes values for light is made again where the coarse render
+        shows that they are not in proportion to it, and one of a limb where it shows haze that nobody told.
 
     Returns
     -------
@@ -113,6 +114,10 @@ def verified(
         straight = in_proportion(fix, coarse, inputs, again, lambda one, its: _coarse(one, its, search_px))
         if straight is not None:
             fix, coarse, inputs = straight
+    if again is not None and coarse is not None:
+        hazy = in_haze(fix, coarse, inputs, again, lambda one, its: _coarse(one, its, search_px))
+        if hazy is not None:
+            fix, coarse, inputs = hazy
     numbers = _Numbers() if coarse is None else _image_numbers(fix, coarse, inputs, search_px)
     known, fit = inputs.psf_sigma_px is not None, None if coarse is None else coarse.fit
     off = _off_prediction(fix, fit, inputs)
@@ -327,7 +332,7 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
         range_km /= 1.0 + float(fix.provenance[_ALTITUDE]) / geometry.target.shape.mean_radius_km
     known = geometry.body(range_km * model.unproject(fix.center_px))
     body = replace(known, camera_from_body=fix.camera_from_body) if isinstance(fix, _Oriented) else known
-    coarse = _at(body, inputs, search_px, fix.provenance)
+    coarse = _at(body, inputs, search_px, fix)
     if coarse is None or coarse.fit is None:
         return coarse
     moved, cells = coarse.fit.moved, coarse.cells
@@ -337,16 +342,16 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
     if step < linear or step > _BELIEVED:
         return coarse
     position_km = range_km * math.exp(moved[2]) * model.unproject(fix.center_px + moved[:2])
-    again = _at(replace(body, position_camera_km=position_km), inputs, search_px, fix.provenance)
+    again = _at(replace(body, position_camera_km=position_km), inputs, search_px, fix)
     if again is None or again.fit is None or not again.fit.misfit < coarse.fit.misfit:
         return coarse
     return replace(again, fit=replace(again.fit, moved=moved + again.fit.moved))
 
 
-def _at(body: Body, inputs: EstimatorInputs, search_px: float, known: Mapping[str, str]) -> _Coarse | None:
+def _at(body: Body, inputs: EstimatorInputs, search_px: float, fix: CenterFix) -> _Coarse | None:
     """Render a body coarsely and fit it; None where it is too small or not seen.
 
-    ``known`` is the provenance of a fix: the response and the smear that it has found are none of its errors.
+    The response and the smear that the fix has found are none of its errors.
     """
     off_px = body.center_px(inputs.camera.model) - inputs.predicted_px
     room_px = search_px + float(np.max(np.abs(off_px)))
@@ -359,7 +364,7 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float, known: Mapping[st
     if cells is None or trace is None or own is None:
         return None
     albedo = inputs.geometry.target.uncertainty.albedo
-    bent, moved = known.get(RESPONSE), known.get(SMEAR)
+    bent, moved = fix.provenance.get(RESPONSE), fix.provenance.get(SMEAR)
     fit = None
     if cells.has_face:
         fit = fit_cells(
@@ -370,6 +375,7 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float, known: Mapping[st
             turn_rad=inputs.turn_rad,
             response=None if bent is None else Response.from_text(bent),
             smear=None if moved is None else Smear.from_text(moved),
+            asked=veils(cells, trace, fix, inputs),
         )
     return _Coarse(cells=cells, trace=trace, own=own, fit=fit)
 

@@ -131,6 +131,10 @@ class CoarseFit(Value):
     further : (k,) float64
         What was fitted besides.
     further_covariance : (k, k) float64
+    asked : (a,) float64
+        What the residuals ask for, beside all else, of each of the images that they were asked about, alone.
+    asked_sigma : (a,) float64
+        Standard deviations.
     """
 
     gain_dn: float
@@ -150,6 +154,8 @@ class CoarseFit(Value):
     structure: float
     further: Float
     further_covariance: Float
+    asked: Float
+    asked_sigma: Float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -181,6 +187,7 @@ def fit_cells(
     further: Float | None = None,
     response: Response | None = None,
     smear: Smear | None = None,
+    asked: Float | None = None,
 ) -> CoarseFit | None:
     """Fit gain, law, a plane and small changes of the place to the cells around a body.
 
@@ -201,6 +208,8 @@ def fit_cells(
         By which the values were made proportional to light.
     smear : Smear, optional
         Motion of the body during the exposure, in pixels of the image.
+    asked : (a, n, n) float64, optional
+        Changes of the light in :attr:`Cells.inner` that the residuals are asked about: what is fitted stays without.
 
     Returns
     -------
@@ -256,6 +265,11 @@ def fit_cells(
     bend_sigma = math.inf
     if bend > LEAST_BEND:
         bend_sigma = math.sqrt(float(_covariance(by_bend[None], noise, shown_sigma, cells)[0, 0]))
+    shares, share_variances = np.zeros(0), np.zeros(0)
+    if asked is not None:
+        by_asked = _influences(gain * asked.reshape(len(asked), -1), flat, weighted, normal)
+        shares = by_asked @ (values - model).ravel()
+        share_variances = np.diag(_covariance(by_asked.reshape(-1, *values.shape), noise, shown_sigma, cells))
     return CoarseFit(
         gain_dn=gain,
         misfit=misfit,
@@ -274,6 +288,8 @@ def fit_cells(
         structure=_structure(normalized, lit),
         further=np.asarray(solution[_FURTHER] / gain),
         further_covariance=besides / gain**2,
+        asked=shares,
+        asked_sigma=np.sqrt(share_variances),
     )
 
 
@@ -285,10 +301,18 @@ def _bend_asked(
     ``flat`` and ``weighted`` (p, n * n) are the design and the same over variances, ``normal`` (p, p) their products.
     """
     bent = -response.changes_dn(model)[0].ravel()
-    weights = weighted[_LEVEL]  # of a column of ones
-    influence = weights * (bent - np.linalg.solve(normal, weighted @ bent) @ flat)
-    influence /= max(float(influence @ bent), 1e-300)
+    influence = _influences(bent[None], flat, weighted, normal)[0]
     return influence.reshape(values.shape), response.bend + float(influence @ (values - model).ravel())
+
+
+def _influences(images: Float, flat: Float, weighted: Float, normal: Float) -> Float:
+    """How shares of images (a, n * n) that residuals ask for beside a model, each alone, change with the cells.
+
+    ``flat`` and ``weighted`` (p, n * n) are the design and the same over variances, ``normal`` (p, p) their products.
+    """
+    weights = weighted[_LEVEL]  # of a column of ones
+    influence = weights * (images - np.linalg.solve(normal, weighted @ images.T).T @ flat)
+    return np.asarray(influence / np.maximum(np.sum(influence * images, axis=1, keepdims=True), 1e-300))
 
 
 def _structure(normalized: Float, lit: Mask) -> float:
@@ -381,6 +405,8 @@ def _nothing_alike() -> CoarseFit:
         structure=math.inf,
         further=np.zeros(0),
         further_covariance=np.zeros((0, 0)),
+        asked=np.zeros(0),
+        asked_sigma=np.zeros(0),
     )
 
 
