@@ -14,6 +14,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import CenterFix, Failure
 from giantlike.ray_tracing import Trace
+from giantlike.relative.quality import MISFIT, UNEXPLAINED
 from giantlike.relative.template.haze import HAZE, VEIL_DEPTH, haze_laws
 from giantlike.relative.verification.cells import Cells
 from giantlike.relative.verification.coarse_fit import CoarseFit
@@ -109,7 +110,7 @@ def in_haze(
 
 
 def haze_depth(fit: CoarseFit) -> float:
-    """Vertical optical depth of the haze that a coarse fit shows; 0 where it shows none.
+    """Vertical optical depth of the haze that a coarse fit shows; 0 where it shows none, or light of something else.
 
     Parameters
     ----------
@@ -119,7 +120,7 @@ def haze_depth(fit: CoarseFit) -> float:
     -------
     float
     """
-    if not len(fit.asked):
+    if not len(fit.asked) or fit.misfit > MISFIT or fit.unexplained > UNEXPLAINED:
         return 0.0
     sigmas = fit.asked / np.maximum(fit.asked_sigma, 1e-300)
     clearest = int(np.argmax(sigmas))
