@@ -16,13 +16,11 @@ from giantlike.core.compiled import compiled
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body
-from giantlike.ray_tracing.drawn import PixelRays, drawn_sight
-from giantlike.ray_tracing.embree import Int32
 from giantlike.ray_tracing.footprint import FocalPlane, visible_box
 from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.sampling import Cells
-from giantlike.ray_tracing.trace import View, lit_rays, trace_rays, view_of
+from giantlike.ray_tracing.trace import View, trace_rays, view_of
 
 _SPLINE_PX = 2  # reach of the cubic B-spline that samples the image, from the nearest pixel
 _UNEVEN = 0.1  # difference between neighboring rays over the brightest, from which a pixel gets all of its rays
@@ -77,10 +75,10 @@ def render_near(
     sun_direction_camera : (3,) float64, unitless, camera axes
         Unit vector from body to Sun.
     rays_per_pixel_side : int
-        At the edge; elsewhere a third of that is enough, and one ray where a pixel counts only by the wings of its
-        light. Of rays that are traced one is enough where light is even, too.
+        Where light is uneven, as along the outline; elsewhere a third of that is enough, and one ray where light is
+        even or a pixel counts only by the wings of its light.
     edges_px : (k, 2) float64, px, optional
-        Points on the edge that the render is for, a pixel or two apart: far from it no pixel gets all rays. None for
+        Points on the edge that the render is for, a pixel or two apart: far from it no pixel gets more rays. None for
         all pixels.
     other_laws : sequence of Reflectance
         The same rays are shaded under each of these too.
@@ -111,88 +109,26 @@ def render_near(
     pixels, inner = _pixels_near(points_px.reshape(-1, 2), size, reach)
     if len(pixels) == 0:
         return Failure(Reason.OUT_OF_FRAME, "none of the points to render lies in the frame")
-    sampled = _Sampled(
-        pixels=pixels,
-        inner=inner,
-        near=np.ones(len(pixels), np.bool_) if edges_px is None else _about(edges_px, pixels),
-        rays=rays_per_pixel_side,
-    )
+    axes = _ray_axes(plane.model, pixels) @ view.body.camera_from_body.as_matrix()
     laws = (body.reflectance, *other_laws)
-    light = _drawn_light(view, plane.model, sampled, laws) or _traced_light(view, plane.model, sampled, laws)
-    if not light.values[0].any():
+    one = _light(view, axes, 1, laws)
+    if not one[0].any():
         return Failure(Reason.NOT_LIT, "the body is dark at all points that were rendered")
+    change = _change(pixels, one[0])
+    uneven = change > _UNEVEN
+    if edges_px is not None:
+        uneven &= _about(edges_px, pixels)
+    per_side = np.where((change > _EVEN) & inner, math.ceil(rays_per_pixel_side / _COARSER), 1)
+    per_side[uneven] = rays_per_pixel_side
     first = pixels.min(axis=0) - reach
     columns, rows = (pixels.max(axis=0) + reach + 1 - first).tolist()
     images = np.zeros((len(laws), rows, columns))
-    most = int(light.sides.max())
-    shares = np.zeros((most, most, 2 * reach + 1))
-    for side in np.unique(light.sides).tolist():
-        shares[side - 1, :side] = Cells(0, side, side).spread(-reach, 2 * reach + 1, sigma_px).toarray().T
-    _spread(images, light.pixels - first - reach, light.sides, light.group, light.values, shares)
+    for side in np.unique(per_side).tolist():
+        which = per_side == side
+        light = np.ascontiguousarray(one[:, which]) if side == 1 else _light(view, axes[which], side, laws)
+        share = Cells(0, side, side).spread(-reach, 2 * reach + 1, sigma_px).toarray()
+        _spread(images, pixels[which] - first - reach, light, share)
     return NearRender(images=images, corner_px=first.astype(np.float64))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Sampled(Value):
-    """Pixels (p, 2) that rays are sent through.
-
-    ``rays`` along a side ``near`` (p,) an edge, fewer at ``inner`` (p,) others, and one at those that count only by the
-    wings of their light.
-    """
-
-    pixels: NDArray[np.int64]
-    inner: Mask
-    near: Mask
-    rays: int
-
-    @property
-    def fewer(self) -> int:
-        """Rays along a side of inner pixels."""
-        return math.ceil(self.rays / _COARSER)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _RayLight(Value):
-    """Light of the rays of pixels (p, 2) with sides (p,): that of the group (r,) of each, of ``values`` (laws, groups).
-
-    Rays of group -1 are dark.
-    """
-
-    pixels: NDArray[np.int64]
-    sides: NDArray[np.int64]
-    group: Int32
-    values: Float
-
-
-def _drawn_light(view: View, model: CameraModel, sampled: _Sampled, laws: Sequence[Reflectance]) -> _RayLight | None:
-    """Light of rays for which facets are drawn; None where they are better traced."""
-    sides = np.where(sampled.near, sampled.rays, np.where(sampled.inner, sampled.fewer, 1))
-    patterns = np.zeros((sampled.rays, sampled.rays, sampled.rays, 2))
-    for side in range(1, sampled.rays + 1):
-        patterns[side - 1, :side, :side] = _pattern(side)
-    seen = drawn_sight(view.body, model, PixelRays(pixels=sampled.pixels, sides=sides, patterns_px=patterns))
-    if seen is None:
-        return None
-    traced = lit_rays(view, seen.sight, seen.directions)
-    values = np.stack([traced.brightness(law) for law in laws])
-    return _RayLight(pixels=sampled.pixels, sides=sides, group=seen.group, values=values)
-
-
-def _traced_light(view: View, model: CameraModel, sampled: _Sampled, laws: Sequence[Reflectance]) -> _RayLight:
-    """Light of rays that are traced, one to a pixel and more where these show that light is uneven."""
-    axes = _ray_axes(model, sampled.pixels) @ view.body.camera_from_body.as_matrix()
-    one = _light(view, axes, 1, laws)
-    change = _change(sampled.pixels, one[0]) if one[0].any() else np.zeros(len(axes))
-    sides = np.where((change > _EVEN) & sampled.inner, sampled.fewer, 1)
-    sides[sampled.near & (change > _UNEVEN)] = sampled.rays
-    order = np.argsort(sides, kind="stable")
-    light = [
-        one[:, sides == side] if side == 1 else _light(view, axes[sides == side], side, laws)
-        for side in np.unique(sides).tolist()
-    ]
-    values = np.concatenate([rays.reshape(len(laws), -1) for rays in light], axis=1)
-    group = np.arange(values.shape[1], dtype=np.int32)
-    return _RayLight(pixels=sampled.pixels[order], sides=sides[order], group=group, values=values)
 
 
 def outline_brightness(
@@ -294,20 +230,15 @@ def _ray_axes(model: CameraModel, pixels: NDArray[np.int64]) -> Float:
     return np.stack([model.unproject(centers), *np.moveaxis(model.unproject_jacobian(centers), -1, 0)], axis=1)
 
 
-def _pattern(per_side: int) -> Float:
-    """Places (rows, columns, 2) of the rays of a pixel, px from its middle."""
-    place = (np.arange(per_side) + 0.5) / per_side - 0.5
-    turn = (np.argsort(np.argsort(np.arange(per_side) * _GOLDEN % 1.0)) + 0.5) / per_side**2 - 0.5 / per_side
-    return np.stack([place[None, :] + turn[:, None], place[:, None] + turn[None, :]], axis=-1)
-
-
 def _light(view: View, axes: Float, per_side: int, laws: Sequence[Reflectance]) -> Float:
     """Brightness of ``per_side`` squared rays to each pixel, under each of the laws, (laws, n, rays).
 
     ``axes`` (n, 3, 3) are those of :func:`_ray_axes` in body axes. Rays count the cells of a pixel row by row.
     """
-    x, y = _pattern(per_side).reshape(-1, 2).T
-    steps = np.stack([np.ones(per_side**2), x, y], axis=-1)
+    place = (np.arange(per_side) + 0.5) / per_side - 0.5
+    turn = (np.argsort(np.argsort(np.arange(per_side) * _GOLDEN % 1.0)) + 0.5) / per_side**2 - 0.5 / per_side
+    x, y = place[None, :] + turn[:, None], place[:, None] + turn[None, :]
+    steps = np.stack([np.ones(per_side**2), x.ravel(), y.ravel()], axis=-1)
     directions = np.zeros((len(axes), per_side**2, 4))
     length = np.zeros(directions.shape[:2])
     for axis in range(3):
@@ -322,58 +253,38 @@ def _light(view: View, axes: Float, per_side: int, laws: Sequence[Reflectance]) 
 
 
 @compiled
-def _spread(
-    images: Float,
-    corners: NDArray[np.int64],
-    sides: NDArray[np.int64],
-    group: NDArray[np.int32],
-    values: Float,
-    shares: Float,
-) -> None:
+def _spread(images: Float, corners: NDArray[np.int64], light: Float, share: Float) -> None:
     """Add the light of rays to images.
 
     Parameters
     ----------
     images : (laws, rows, columns) float64
-    corners : (p, 2) int64, px
-        Column and row of the first pixel that light of each of p pixels falls on.
-    sides : (p,) int64
-        Rays along the sides of each of these.
-    group : (r,) int32
-        Of each ray, pixel by pixel and row by row; -1 for dark ones.
-    values : (laws, g) float64
-        Light of the groups.
-    shares : (s, s, width) float64
-        For each number of rays along a side, the shares of the light of each that fall on each pixel from the first on:
-        down and across alike.
+    corners : (n, 2) int64, px
+        Column and row of the first pixel that light of each of n pixels falls on.
+    light : (laws, n, s s) float64
+        Of the rays of these pixels, row by row.
+    share : (width, s) float64
+        Share of the light of rays that falls on each pixel from the first on: down and across alike.
     """
-    width = shares.shape[2]
-    down, start = np.empty((shares.shape[1], width)), 0
-    for p in range(len(corners)):
-        x, y = corners[p]
-        side = sides[p]
-        share = shares[side - 1]
-        for law in range(len(images)):
+    width, per_side = share.shape
+    shares, down = share.T.copy(), np.empty((per_side, width))
+    for law in range(len(images)):
+        for n in range(len(corners)):
+            x, y = corners[n]
+            down[:] = 0.0
             dark = True
-            for row in range(side):
-                for column in range(side):
-                    number = group[start + row * side + column]
-                    if number < 0:
-                        continue
-                    ray = values[law, number]
-                    if ray == 0.0:
-                        continue
-                    if dark:
-                        down[:side] = 0.0
+            for row in range(per_side):
+                for column in range(per_side):
+                    ray = light[law, n, row * per_side + column]
+                    if ray != 0.0:
                         dark = False
-                    for j in range(width):
-                        down[column, j] += ray * share[row, j]
+                        for j in range(width):
+                            down[column, j] += ray * shares[row, j]
             if dark:
                 continue
             for j in range(width):
                 pixels = images[law, y + j, x : x + width]
-                for column in range(side):
+                for column in range(per_side):
                     here = down[column, j]
                     for i in range(width):
-                        pixels[i] += here * share[column, i]
-        start += side * side
+                        pixels[i] += here * shares[column, i]

@@ -193,28 +193,6 @@ def trace_rays(view: View, directions: Float, *, stratum: int = 0, lit: Mask | N
         if neighbor.hides:
             before = neighbor.hidden(camera_km, directions.take(sight.rays, axis=0), sight.points_km)
             sight = sight.only(~before)
-    return lit_rays(view, sight, directions, stratum=stratum, lit=lit)
-
-
-def lit_rays(view: View, sight: Sight, directions: Float, *, stratum: int = 0, lit: Mask | None = None) -> TracedRays:
-    """Send rays on to the Sun from where they meet the body.
-
-    Parameters
-    ----------
-    view : View
-    sight : Sight
-        What the rays meet.
-    directions : (n, 4) float64, unitless, body axes
-        Unit vectors and zeros.
-    stratum : int
-    lit : (n,) bool, optional
-        As of :func:`trace_rays`.
-
-    Returns
-    -------
-    TracedRays
-    """
-    body = view.body
     albedo = None
     if body.shape.albedo is not None:
         albedo = surface_albedo(body.shape, sight.points_km[:, :3].astype(np.float64), sight.facets.astype(np.int64))

@@ -19,7 +19,6 @@ from giantlike.core.arrays import Float, Mask, as_floats, require, unit
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 from giantlike.ray_tracing.embree import EmbreeSurface, Float32, dot, moved, padded, rows_of
-from giantlike.ray_tracing.facet_patches import Patches, corners_of
 from giantlike.ray_tracing.float64_refinement import facet_distances, facets_around
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, geodesic_directions
 
@@ -122,21 +121,6 @@ class MeshTracer:
         self._padded_normals = padded(self._normals)
         self._surface = EmbreeSurface(self._vertices_km, self._faces)
         self._shadow_offset_km = _SHADOW_OFFSET * self.radius_km
-
-    @cached_property
-    def patches(self) -> Patches:
-        """The facets in groups of neighbors."""
-        return Patches.of(self._vertices_km, self._faces, self._normals, self._offsets_km)
-
-    def corners_of(self, facets: NDArray[np.int32]) -> tuple[Float, NDArray[np.int32]]:
-        """Vertices (n, 3), km, of facets (k,), each once, and the numbers (k, 3) of their corners among these."""
-        vertices, corners = corners_of(self._faces, facets, len(self._vertices_km))
-        return self._vertices_km[vertices], corners
-
-    def seen(self, facets: NDArray[np.int32], points_km: Float32, directions: Float32) -> Sight:
-        """Return the sight of points (k, 4), km, on facets (k,), one along each of rays (k, 4)."""
-        normals = rows_of(self._padded_normals, facets)
-        return Sight(np.arange(len(facets)), facets, points_km, normals, -dot(normals, directions))
 
     @cached_property
     def hull_points_km(self) -> Float:
