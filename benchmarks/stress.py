@@ -5,8 +5,8 @@ are ``ok`` (no suspect flag): errors, stated sigmas, and NEES per degree of free
 covariance, which is 1 where the covariance is honest (3 degrees of freedom of a position, 2 of a center). Its interval
 is the 95 % range of the mean when views are drawn again with replacement: draws of one view share the error of a model.
 
-Usage: python benchmarks/stress.py [--cases plane,exact] [--estimators moment] [--views 25] [--draws 8] [--output F]
-[--results R.json [--missing]]
+Usage: python benchmarks/stress.py [--cases plane,exact] [--estimators moment] [--views 25] [--first 0] [--draws 8]
+[--output F] [--results R.json [--missing]]
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from giantlike.stars import StarNavigation
 BEYOND_SIGMAS, BEYOND_PX, BEYOND_RANGE = 5.0, 0.5, 0.005
 """A silent wrong answer: ok, beyond so many sigma in center or range, and beyond so much."""
 RESAMPLED = 2000
+_SECTION = "\n## "
 COLUMNS = (
     "case",
     "estimator",
@@ -172,17 +173,17 @@ def attitude_of(case: StarCase, seen: StarSeen, seed: int) -> Answer:
     )
 
 
-def run_case(case: Case | StarCase, names: Sequence[str], views: int, draws: int) -> dict[str, list[Answer]]:
+def run_case(case: Case | StarCase, names: Sequence[str], views: range, draws: int) -> dict[str, list[Answer]]:
     """All answers of a case by estimator; every view is rendered once."""
     if isinstance(case, StarCase):
-        skies = [star_view(case, number) for number in range(views)]
+        skies = [star_view(case, number) for number in views]
         return {"stars": [attitude_of(case, seen, seed) for seen in skies for seed in range(draws)]}
     if case.name == CORNER_CASE.name:
-        corners = [draw for number in range(views) for draw in corner_draws(number, draws)]
+        corners = [draw for number in views for draw in corner_draws(number, draws)]
         return {name: [answer_of(draw, estimator_of(name, case)) for draw in corners] for name in names}
     answers: dict[str, list[Answer]] = {name: [] for name in names}
     estimators = {name: estimator_of(name, case) for name in names}
-    for number in range(views):
+    for number in views:
         seen: Seen = view_of(case, number)
         for seed in range(draws):
             draw = draw_of(seen, seed)
@@ -277,7 +278,13 @@ def table_of(report: dict[str, dict[str, dict[str, object]]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _job(arguments: tuple[Case | StarCase, tuple[str, ...], int, int]) -> tuple[str, dict[str, dict[str, object]]]:
+def _sections(page: Path) -> str:
+    """What is written by hand below the table of a page."""
+    text = page.read_text(encoding="utf-8") if page.exists() else ""
+    return text[text.find(_SECTION) :] if _SECTION in text else ""
+
+
+def _job(arguments: tuple[Case | StarCase, tuple[str, ...], range, int]) -> tuple[str, dict[str, dict[str, object]]]:
     warnings.simplefilter("ignore")
     case, names, views, draws = arguments
     return case.name, {name: summary(answers) for name, answers in run_case(case, names, views, draws).items()}
@@ -288,6 +295,7 @@ def main() -> None:
     parser.add_argument("--cases", default="", help="parts of names of cases, separated by commas; all if left out")
     parser.add_argument("--estimators", default="", help="names, separated by commas; those of each case if left out")
     parser.add_argument("--views", type=int, default=25)
+    parser.add_argument("--first", type=int, default=0, help="number of the first view: others than looked at before")
     parser.add_argument("--draws", type=int, default=8, help="noise draws by view")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--results", type=Path, help="JSON of earlier runs that this one is added to")
@@ -303,7 +311,7 @@ def main() -> None:
         report = json.loads(wanted.results.read_text(encoding="utf-8"))
     done = {(case, name) for case, cells in report.items() for name in cells} if wanted.missing else set()
     jobs = [
-        (case, names, wanted.views, wanted.draws)
+        (case, names, range(wanted.first, wanted.first + wanted.views), wanted.draws)
         for case in chosen
         if (names := tuple(n for n in case.estimators if (not only or n in only) and (case.name, n) not in done))
     ]
@@ -315,7 +323,7 @@ def main() -> None:
             if wanted.results:
                 wanted.results.write_text(json.dumps(report, indent=1), encoding="utf-8")
             if wanted.output:
-                wanted.output.write_text(INTRODUCTION + table_of(report), encoding="utf-8")
+                wanted.output.write_text(INTRODUCTION + table_of(report) + _sections(wanted.output), encoding="utf-8")
     if not wanted.results:
         print(json.dumps(report, indent=1))
 
