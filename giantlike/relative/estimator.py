@@ -160,12 +160,13 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         result = self._estimate(inputs)
         if isinstance(result, Failure):
             return result
+        again = replace(inputs, place_alone=True, provenance=result.provenance)
         return with_budget(
             result,
             inputs.image,
             inputs.camera,
             inputs.geometry,
-            lambda moved: self._estimate(replace(inputs, geometry=moved, place_alone=True)),
+            lambda moved: self._estimate(replace(again, geometry=moved)),
         )
 
     @abstractmethod
@@ -220,7 +221,8 @@ class EstimatorInputs(Value):
         What is known before the measurement: the source of the attitude, and what the sky of its stars lacked.
     provenance : mapping of str to str
     place_alone : bool
-        True where only the place of the body is asked for, to see how it follows an error of what was told.
+        True where only the place of the body is asked for, to see how it follows an error of what was told; the
+        provenance is then that of the fix, so that what it found out of the image need not be looked for again.
     """
 
     estimator: str

@@ -19,7 +19,7 @@ from giantlike.ray_tracing.silhouette import outline_points_px
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
 from giantlike.relative.place import limb_in_frame, position_of_center
 from giantlike.relative.quality import SHORT_ARC_SHARE, QualityChecks
-from giantlike.relative.response import LEAST_BEND, Response, settled
+from giantlike.relative.response import LEAST_BEND, RESPONSE, Response, settled
 from giantlike.relative.template.align import align_template
 from giantlike.relative.template.asked import known_strain
 from giantlike.relative.template.binning import Blocks, blocks_of
@@ -191,13 +191,17 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         if altitude_km:
             told = {"limb_altitude_km": f"{altitude_km:.6g}"}
             inputs = replace(inputs, provenance={**inputs.provenance, **told})
-        blocks, match = self._matched(inputs)
+        response, smear = _found_before(inputs)
+        inputs = inputs if response is None else inputs.linearized(response)
+        blocks, match = self._matched(inputs, response, smear)
         if isinstance(match, Failure):
             return match
         fit, found = match.fit, None
-        if fit.bend_sigmas > _BENT_SIGMAS and fit.response.bend > LEAST_BEND:
+        bent = fit.bend_sigmas > _BENT_SIGMAS and fit.response.bend > LEAST_BEND
+        smeared = fit.smear_sigmas > _SMEARED_SIGMAS and fit.smear.length_px * blocks.size > _LEAST_SMEAR_PX
+        if bent and not inputs.place_alone:
             found = self._straightened(inputs, blocks, match)
-        if found is None and fit.smear_sigmas > _SMEARED_SIGMAS and fit.smear.length_px * blocks.size > _LEAST_SMEAR_PX:
+        if found is None and smeared and not inputs.place_alone:
             found = self._followed(inputs, blocks, match)
         inputs, blocks, match = (inputs, blocks, match) if found is None else found
         if match.fit.altitude_sigma > 0.0:
@@ -227,7 +231,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             options=replace(self.options, search_px=math.ceil(self.options.search_px / blocks.size)),
             block_px=blocks.size,
             response=response,
-            smear=smear,
+            smear=None if smear is None else smear.on_blocks(blocks.size),
             altitude_sigma=inputs.geometry.limb_altitude_km[1] / body.shape.mean_radius_km,
         )
         return blocks, match
@@ -256,7 +260,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         """Match again with a template smeared as the residuals ask; None where that explains little more."""
         smear, structure = match.fit.smear, match.fit.structure
         for _ in range(_SMEARINGS):
-            again = self._matched(inputs, smear=smear)[1]
+            again = self._matched(inputs, smear=smear.on_blocks(1.0 / blocks.size))[1]
             if isinstance(again, Failure) or again.fit.structure > max(_PROMISING * structure, _EXACT):
                 return None
             found = again.fit.smear
@@ -523,6 +527,14 @@ def _flags(
         else fit.asked.smear_chance(KNOWN_BLUR_SIGMA_PX2, inputs.radius_px),
     )
     return inputs.flags_at(blocks.area(area, inputs.usable.shape)) | checks.flags
+
+
+def _found_before(inputs: EstimatorInputs) -> tuple[Response | None, Smear | None]:
+    """Response and smear, on pixels, of the fix of which the body alone was moved since; None of those it has not."""
+    if not inputs.place_alone:
+        return None, None
+    bent, moved = (inputs.provenance.get(key) for key in (RESPONSE, SMEAR))
+    return None if bent is None else Response.from_text(bent), None if moved is None else Smear.from_text(moved)
 
 
 def _known_strain(inputs: EstimatorInputs) -> Float:
