@@ -7,6 +7,7 @@ import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,13 @@ _MOST_ALONE = 1 / 3
 gauntlet (seed 7) the smaller of the two is at most 0.04 where nothing is wrong, 0.28 with lines or blocks missing, and
 0.4-0.76 where half of the rows have slipped or the focal length is wrong."""
 _LARGE_FLOOR_PX = 1.0  # error floor, px, above which they are; real calibrated cameras leave 0.1 to 0.2 px
+
+
+class _Solved(NamedTuple):
+    """An attitude and the solution that it was made of."""
+
+    fix: AttitudeFix
+    solution: AttitudeSolution
 
 
 class StarNavigation:
@@ -133,12 +141,12 @@ class StarNavigation:
         for detections in self._detections(image, self.detection, shares):
             if isinstance(detections, Failure):
                 return detections, detections
-            outcome, left = self.solve_detections(image, detections), detections.left_out
-            if left is None or (isinstance(outcome, AttitudeFix) and _enough(detections, outcome, left)):
+            outcome, left = self._solve(image, detections), detections.left_out
+            if left is None or (isinstance(outcome, _Solved) and _enough(detections, outcome, left)):
                 break
             if _is_mirrored(outcome):
                 break
-        return detections, outcome
+        return detections, outcome.fix if isinstance(outcome, _Solved) else outcome
 
     def detect(self, image: Image, options: DetectionOptions | None = None) -> Detections | Failure:
         """Detect the point sources of an image.
@@ -191,15 +199,22 @@ class StarNavigation:
         -------
         AttitudeFix or Failure
         """
+        outcome = self._solve(image, detections)
+        return outcome.fix if isinstance(outcome, _Solved) else outcome
+
+    def _solve(self, image: Image, detections: Detections) -> _Solved | Failure:
+        """Attitude from detections, with the solution it was made of."""
         measured = np.isfinite(detections.covariance_px2).all(axis=(1, 2))
         clean = measured & detections.clean
         outcome = self._solve_usable(image, detections, np.flatnonzero(clean))
         rest = measured & ((detections.flags & np.uint16(DetectionFlag.EXTENDED)) == 0)
-        if outcome or _is_mirrored(outcome) or int(rest.sum()) == int(clean.sum()):
+        solved = isinstance(outcome, _Solved)
+        if solved or _is_mirrored(outcome) or int(rest.sum()) == int(clean.sum()):
             return outcome
-        return self._solve_usable(image, detections, np.flatnonzero(rest)) or outcome
+        again = self._solve_usable(image, detections, np.flatnonzero(rest))
+        return again if isinstance(again, _Solved) else outcome
 
-    def _solve_usable(self, image: Image, detections: Detections, usable: NDArray[np.intp]) -> AttitudeFix | Failure:
+    def _solve_usable(self, image: Image, detections: Detections, usable: NDArray[np.intp]) -> _Solved | Failure:
         """Attitude from the detections of indices ``usable`` (k,)."""
         usable = usable[bright_enough(detections.snr[usable], self.options.min_snr)]
         needed = self.options.min_matches
@@ -227,7 +242,7 @@ class StarNavigation:
             return outcome
         fix = self._fix(image, detections, usable, outcome, method)
         _LOG.info("%s: attitude from %d of %d sources (%s)", image.name, fix.n_used, len(detections), method)
-        return fix
+        return _Solved(fix, outcome.solution)
 
     def _from_apriori(
         self, camera_from_inertial: Rotation, points_px: Float, covariance_px2: Float, sky: Sky
@@ -348,21 +363,22 @@ class StarNavigation:
         }
 
 
-def _is_mirrored(outcome: AttitudeFix | Failure) -> bool:
+def _is_mirrored(outcome: _Solved | Failure) -> bool:
     """True where stars were matched after a reflection: with more detections the search would end no other way."""
     return isinstance(outcome, Failure) and outcome.reason is Reason.MIRRORED_IMAGE
 
 
-def _enough(detections: Detections, fix: AttitudeFix, left: UnmeasuredSources) -> bool:
+def _enough(detections: Detections, solved: _Solved, left: UnmeasuredSources) -> bool:
     """True if the sources left out would shrink the covariance of an attitude by less than 5 %.
 
     As large a share of them as of the measured ones is expected to be stars of the catalog, with the errors beyond the
     noise (floor, catalog, neighbors) that the stars used have in the median. Errors beyond these, where they are
     likely, ask for all: few stars tell of them badly.
     """
-    if fix.provenance["unmodeled_errors"] == "likely":
+    fix, solution = solved
+    if solution.unmodeled_likely:
         return False
-    variance = fix.sigma_px**2 + float(fix.provenance["hidden_floor_px"]) ** 2
+    variance = fix.sigma_px**2 + solution.hidden_floor_px**2
     own = detections.sigma_px[fix.detection_indices] ** 2
     beyond = max(float(np.median(variance - own)), 0.0)
     share = fix.n_used / max(fix.n_detected, 1)
