@@ -91,6 +91,16 @@ def test_a_limb_that_is_higher_toward_the_terminator_leaves_the_center_within_it
     assert math.sqrt(off_px @ np.linalg.solve(found.covariance_px2, off_px)) < 1.8
 
 
+@pytest.mark.parametrize(("name", "phase_deg"), [("limb_matching", 15.0), ("ellipse_fit", 60.0), ("ellipse_fit", 90.0)])
+def test_what_haze_does_to_the_light_at_a_limb_leaves_the_center_within_its_sigma(name: str, phase_deg: float) -> None:
+    """Lines of laws alone took its darker limb for the law, 2.3 sigma off; an even altitude left edges 2.4 to 2.7."""
+    air, phase_rad = Atmosphere(scale_height_km=32.0, optical_depth=0.05, sigma_km=16.0), math.radians(phase_deg)
+    _, _, found = radius_error_km(name, air, hazy(32.0, 0.05, "mcewen", phase_rad), phase_rad)
+    off_px = found.center_px - (0.5 * (SIZE_PX - 1) + FOCAL_PX * POSITION_KM[:2] / RANGE_KM)
+    assert math.sqrt(off_px @ np.linalg.solve(found.covariance_px2, off_px)) < 2.0
+    assert not found.flags.suspect
+
+
 @pytest.mark.parametrize("told", [False, True])
 def test_a_template_of_a_body_in_thin_haze_is_within_its_sigma_told_of_it_or_not(told: bool) -> None:
     """A template without haze is off by 0.3 px toward the Sun and 0.7 % of the range, 15 sigma."""

@@ -145,7 +145,7 @@ class EllipseFit(BodyEstimator[EllipseFitOptions, PositionFix]):
         stand_in = EllipsoidStandIn.of(inputs, self.options.max_relief)
         if isinstance(stand_in, Failure):
             return stand_in
-        altitude = Altitude(*inputs.geometry.limb_altitude_km)
+        altitude = Altitude.of(inputs.geometry)
         stand_in = replace(stand_in, figure=altitude.above(stand_in.figure))
         view = limb_view(inputs)
         measured = limb_edges(view, stand_in, sunlight_px(inputs.geometry, inputs.camera.model), self.options)

@@ -22,6 +22,7 @@ from giantlike.processing.limb.measurement import LimbMeasurement, smooth_parts
 from giantlike.processing.outline_errors import outline_errors
 from giantlike.relative.horizon.ray_loops import distances
 from giantlike.relative.limb.fix import LimbSolution
+from giantlike.scene import TargetGeometry
 
 MIN_POINTS = 4
 """Points of a horizon that a position needs: one more than its parameters."""
@@ -119,6 +120,11 @@ class Altitude:
     def __post_init__(self) -> None:
         require_number(self.altitude_km, "limb_altitude_km")
         require_number(self.sigma_km, "altitude_sigma_km", least=0.0)
+
+    @classmethod
+    def of(cls, geometry: TargetGeometry) -> Altitude:
+        """Altitude of the limb of a target by its atmosphere, if it has one."""
+        return cls(*geometry.limb_altitude_km, uneven=geometry.target.atmosphere is not None)
 
     def above(self, figure: Figure) -> Figure:
         """Return the ellipsoid that is seen in place of a body."""

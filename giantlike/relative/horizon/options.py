@@ -112,6 +112,4 @@ class HorizonSearch(IteratedSearch):
         Altitude
         """
         own = Altitude(self.limb_altitude_km, self.altitude_sigma_km)
-        if own != Altitude() or geometry.target.atmosphere is None:
-            return own
-        return Altitude(*geometry.limb_altitude_km, uneven=True)
+        return Altitude.of(geometry) if own == Altitude() else own

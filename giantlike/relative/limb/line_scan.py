@@ -32,7 +32,7 @@ from giantlike.processing.limb.scan import (
 )
 from giantlike.processing.limb.search import find_limb
 from giantlike.processing.limb.view import LimbView, PredictedLimb
-from giantlike.ray_tracing import Body, Silhouette, outline_brightness, trace_silhouette
+from giantlike.ray_tracing import Body, Reflectance, Silhouette, outline_brightness, trace_silhouette
 from giantlike.relative.limb.fix import (
     LEAST_PSF_PX2,
     PATIENCE,
@@ -45,6 +45,7 @@ from giantlike.relative.limb.fix import (
     settle_limb,
 )
 from giantlike.relative.limb.profiles import (
+    OTHER_LAWS,
     ExpectedProfiles,
     LimbScanOptions,
     expected_profiles,
@@ -209,7 +210,13 @@ def lay_lines(
 
 
 def measure_by_lines(
-    view: LimbView, body: Body, search: IteratedSearch, options: LimbScanOptions, *, relief: SmoothError | None = None
+    view: LimbView,
+    body: Body,
+    search: IteratedSearch,
+    options: LimbScanOptions,
+    *,
+    relief: SmoothError | None = None,
+    other_laws: tuple[Reflectance, ...] = OTHER_LAWS,
 ) -> LineMeasurement | Failure:
     """Find the limb of a body and measure it line by line until it stands still.
 
@@ -222,6 +229,8 @@ def measure_by_lines(
     options : LimbScanOptions
     relief : SmoothError, optional
         Departure of the true outline from that of the body.
+    other_laws : tuple of Reflectance
+        Laws of what the light may have instead or besides.
 
     Returns
     -------
@@ -251,7 +260,16 @@ def measure_by_lines(
     )
     if lines is None:
         return _not_seen(view, moved.silhouette, body, options.margin_px)
-    scan = LineScan(view=view, body=body, lines=lines, search=search, options=options, relief=relief, outline=moved)
+    scan = LineScan(
+        view=view,
+        body=body,
+        lines=lines,
+        search=search,
+        options=options,
+        relief=relief,
+        outline=moved,
+        other_laws=other_laws,
+    )
     closest_km = body.shape.circumscribing_radius_km
     start = LimbState(position_camera_km=position, psf_px2=(view.psf_sigma_px or UNKNOWN_PSF_SIGMA_PX) ** 2)
     return settle_limb(scan, start, search, min_points=options.min_lines, closest_km=closest_km)
@@ -316,6 +334,8 @@ class LineScan(Value):
         Departure of the true outline from that of the body; with it profiles need to be less alike.
     outline : Outline or None
         Where it was found as a whole: lines of the first measurement start there. None to trace it for that too.
+    other_laws : tuple of Reflectance
+        Laws of what the light may have instead or besides.
     """
 
     view: LimbView
@@ -325,6 +345,7 @@ class LineScan(Value):
     options: LimbScanOptions
     relief: SmoothError | None = None
     outline: Outline | None = None
+    other_laws: tuple[Reflectance, ...] = OTHER_LAWS
 
     @property
     def relief_px(self) -> float:
@@ -384,7 +405,8 @@ class LineScan(Value):
         width = _psf_sigma(view, scans, options) if psf_px2 is None else math.sqrt(psf_px2)
         if isinstance(width, Failure):
             return width
-        profiles = expected_profiles(view, body, scans, width**2, options, first=psf_px2 is None)
+        first = psf_px2 is None
+        profiles = expected_profiles(view, body, scans, width**2, options, self.other_laws, first=first)
         if isinstance(profiles, Failure):
             return profiles
         found = self._matched(position_camera_km, limb, scans, profiles, width)

@@ -184,7 +184,14 @@ class MatchedLines(Value):
 
 
 def expected_profiles(
-    view: LimbView, body: Body, scans: Scans, psf_px2: float, options: LimbScanOptions, *, first: bool
+    view: LimbView,
+    body: Body,
+    scans: Scans,
+    psf_px2: float,
+    options: LimbScanOptions,
+    other_laws: Sequence[Reflectance] = OTHER_LAWS,
+    *,
+    first: bool,
 ) -> ExpectedProfiles | Failure:
     """Profiles that lines should show.
 
@@ -197,6 +204,8 @@ def expected_profiles(
     psf_px2 : float, px^2
         Variance of the point spread function.
     options : LimbScanOptions
+    other_laws : sequence of Reflectance
+        Laws of what the light may have instead or besides.
     first : bool
         For a first, rough measurement: with fewer rays and without shared parameters.
 
@@ -207,7 +216,7 @@ def expected_profiles(
     """
     if options.edges is EdgeModel.STEP:
         return _alone(np.tile(_step_profile(scans, psf_px2), (len(scans.points_px), 1)))
-    others = () if first else tuple(law for law in OTHER_LAWS if law != body.reflectance)
+    others = () if first else tuple(law for law in other_laws if law != body.reflectance)
     rays = _FIRST_RAYS if first else options.rays_per_pixel_side
     rendered = _rendered(view, body, scans, psf_px2, options, others, rays=rays)
     if isinstance(rendered, Failure):
