@@ -265,17 +265,21 @@ class LinearFit(Value):
     ----------
     information : (k, k) float64
         Normal matrix, the prior included.
+    scaled : (k, h, w) float64
+        Columns in units of the standard deviations of the pixels.
     """
 
     columns: Float
     weights: Float
     prior: Prior
     information: Float = field(init=False)
+    scaled: Float = field(init=False)
 
     def __post_init__(self) -> None:
-        rows = self.columns.reshape(len(self.columns), -1) * np.sqrt(self.weights.ravel())
-        information = rows @ rows.T + np.diag(self.prior.information)
-        object.__setattr__(self, "information", information)
+        scaled = self.columns * np.sqrt(self.weights)
+        rows = scaled.reshape(len(scaled), -1)
+        object.__setattr__(self, "scaled", scaled)
+        object.__setattr__(self, "information", rows @ rows.T + np.diag(self.prior.information))
         Value.__post_init__(self)
 
     def _sandwich(self, scatter: Float) -> Float:
@@ -461,15 +465,14 @@ class LinearFit(Value):
 
     def _block_scores(self, residuals: Float, block: int, offset: int) -> tuple[Float, Float]:
         """Scores (b, k) and information (b, k, k) of square blocks of pixels, the first starting ``offset`` early."""
-        scores, own = [], []
+        scores, own, scaled = [], [], residuals * np.sqrt(self.weights)
         height, width = self.weights.shape
         for top in range(-offset, height, block):
             for left in range(-offset, width, block):
                 part = (slice(max(top, 0), top + block), slice(max(left, 0), left + block))
-                design = self.columns[:, part[0], part[1]].reshape(len(self.columns), -1)
-                weighted = design * self.weights[part].ravel()
-                scores.append(weighted @ residuals[part].ravel())
-                own.append(weighted @ design.T)
+                rows = self.scaled[:, part[0], part[1]].reshape(len(self.scaled), -1)
+                scores.append(rows @ scaled[part].ravel())
+                own.append(rows @ rows.T)  # of an array with itself: half of the products
         return np.array(scores), np.array(own)
 
 
