@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float
@@ -20,7 +18,8 @@ from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.refined import RefinedTrace, refined
 from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.render import Template, unless_dark
-from giantlike.ray_tracing.sampling import Cells, spread_over
+from giantlike.ray_tracing.sampling import Cells
+from giantlike.ray_tracing.spread import Spread
 from giantlike.ray_tracing.tracer import Indices
 
 _UNEVEN = 0.3
@@ -30,8 +29,6 @@ _CELL_VARIANCE = 1.0 / 12.0
 """Of light that is even over a cell, in squares of its side: a ray says only in which cell the light is, so that the
 point spread function is taken to be as much narrower. Without that edges are too soft by 9 % of its variance, and fits
 of the law to nine rocks of 300 px by ``moment`` move their centers by half a sigma, and not by 0.28."""
-
-_Sparse: TypeAlias = csr_matrix[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -200,6 +197,6 @@ def _pixels_of(cells: Cells, halo_px: int, margin_px: int, count: int) -> tuple[
     return first, max(last - first + 1, 1)
 
 
-def _spread(values: Float, across: _Sparse, down: _Sparse) -> Float:
+def _spread(values: Float, across: Spread, down: Spread) -> Float:
     """Values (h, w) on pixels of values (columns, rows) on cells."""
-    return spread_over(down, np.ascontiguousarray(spread_over(across, values).T))
+    return down.of(across.of(values).T)

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
@@ -18,6 +17,7 @@ from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.sampling import PSF_REACH_SIGMA, Cells, Tile, finite_rows, span
+from giantlike.ray_tracing.spread import Spread
 
 _BOUND_MARGIN = 0.02
 """Extra room around the convex hull of the body, over its extent: hull points lie up to 1 % inside the surface, and a
@@ -133,8 +133,8 @@ class Footprint(Value):
     size_px: tuple[int, int]
 
     @cached_property
-    def spread(self) -> tuple[csr_matrix[np.float64], csr_matrix[np.float64]]:
-        """Fractions of the light of columns and rows of cells on those of pixels: (width, columns), (height, rows)."""
+    def spread(self) -> tuple[Spread, Spread]:
+        """Shares of the light of columns and of rows of cells on those of pixels."""
         parts = zip(self.cells, self.corner_px.tolist(), self.size_px, strict=True)
         across, down = (cells.spread(first, count, self.plane.psf_sigma_px) for cells, first, count in parts)
         return across, down

@@ -126,7 +126,7 @@ def render_near(
     for side in np.unique(per_side).tolist():
         which = per_side == side
         light = np.ascontiguousarray(one[:, which]) if side == 1 else _light(view, axes[which], side, laws)
-        share = Cells(0, side, side).spread(-reach, 2 * reach + 1, sigma_px).toarray()
+        share = Cells(0, side, side).spread(-reach, 2 * reach + 1, sigma_px).matrix()
         _spread(images, pixels[which] - first - reach, light, share)
     return NearRender(images=images, corner_px=first.astype(np.float64))
 

@@ -23,7 +23,7 @@ from giantlike.ray_tracing.footprint import FocalPlane, Footprint, footprint_of
 from giantlike.ray_tracing.neighbors import Neighbor, neighbors_of
 from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
 from giantlike.ray_tracing.reflectance import Reflectance
-from giantlike.ray_tracing.sampling import RayGrid, Tile, spread_over
+from giantlike.ray_tracing.sampling import RayGrid, Tile
 from giantlike.ray_tracing.trace import TracedRays, View, in_order, trace_rays, view_of
 
 
@@ -358,7 +358,7 @@ def shade_tile(footprint: Footprint, tile: Tile, traced: TracedRays, law: Reflec
     first_row, cover = footprint.counted(tile, traced.sight.rays)
     return ShadedTile(
         tile=tile,
-        light=spread_over(footprint.spread[0], brightness),
+        light=footprint.spread[0].of(brightness),
         by_column=inside.sum(axis=1),
         by_row=inside.sum(axis=0),
         cover=cover,
@@ -402,7 +402,7 @@ def gathered(view: View, footprint: Footprint, tiles: Iterable[ShadedTile]) -> T
     with np.errstate(invalid="ignore"):
         photocenter_px = np.array([by_column @ x, by_row @ y]) / by_row.sum()
     return Template(
-        brightness=spread_over(footprint.spread[1], light),
+        brightness=footprint.spread[1].of(light),
         coverage=counts / footprint.cells[0].per_px ** 2,
         corner_px=footprint.corner_px,
         center_px=view.body.center_px(footprint.plane.model),

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csc_matrix, csr_matrix
 from scipy.special import ndtr
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, unit
+from giantlike.ray_tracing.spread import Spread
 
 PSF_REACH_SIGMA = 5.0  # of the point spread function: less than 4e-6 of its light lies beyond
 _NODES = (9, 25)  # of the interpolation, tried in turn: enough for narrow fields and for strong distortion
@@ -55,7 +55,7 @@ class Cells:
         number = (self.per_px // 2 - self.first) % self.per_px
         return number, (self.first + number) // self.per_px
 
-    def spread(self, first_px: int, count_px: int, sigma_px: float) -> csr_matrix[np.float64]:
+    def spread(self, first_px: int, count_px: int, sigma_px: float) -> Spread:
         """Share of the light of each cell that falls on each pixel.
 
         The light of a cell is even over the cell, blurred by a Gaussian, and summed over the pixel; all three
@@ -70,8 +70,8 @@ class Cells:
 
         Returns
         -------
-        (count_px, count) csr_matrix
-            Columns sum to the width of a cell, px.
+        Spread
+            Shares of a cell sum to its width, px.
         """
         half = 0.5 / self.per_px
         reach = PSF_REACH_SIGMA * sigma_px
@@ -85,11 +85,7 @@ class Cells:
         weights = _ramp(left + 1 + half, sigma_px) - _ramp(left + 1 - half, sigma_px)
         weights -= _ramp(left + half, sigma_px) - _ramp(left - half, sigma_px)
         np.maximum(weights, 0.0, out=weights)  # rounding of differences far out
-        rows = (lowest[place] + numbers // self.per_px - first_px)[:, None] + np.arange(width)
-        inside = (rows >= 0) & (rows < count_px)
-        ends = np.concatenate([[0], np.cumsum(inside.sum(axis=1))])
-        by_cell = (weights[place][inside], rows[inside], ends)
-        return csc_matrix(by_cell, shape=(count_px, self.count)).tocsr()
+        return Spread(shares=weights, first=lowest[place] + numbers // self.per_px - first_px, count_px=count_px)
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,8 +235,3 @@ def span(points_px: Float) -> tuple[Float, Float] | None:
 def finite_rows(points: Float) -> Mask:
     """Return True for rows (n,) of an array (n, k) that are finite throughout."""
     return np.asarray(np.isfinite(points).all(axis=1))
-
-
-def spread_over(matrix: csr_matrix[np.float64], values: Float) -> Float:
-    """Product (m, k) of a sparse (m, n) and a dense (n, k) array."""
-    return np.asarray(matrix @ values, dtype=np.float64)

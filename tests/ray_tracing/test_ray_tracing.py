@@ -419,7 +419,7 @@ def test_misuse_is_refused_with_what_was_needed() -> None:
 @pytest.mark.parametrize("sigma_px", [0.0, 0.3, 1.2])
 def test_light_of_a_cell_spreads_over_pixels_as_cell_psf_and_pixel_say(sigma_px: float) -> None:
     cells = Cells.covering(9.6, 11.4, 3)
-    weights = cells.spread(0, 21, sigma_px).toarray() * 3.0  # a cell is a third of a pixel wide
+    weights = cells.spread(0, 21, sigma_px).matrix() * 3.0  # a cell is a third of a pixel wide
     assert_allclose(weights.sum(axis=0), 1.0, rtol=0, atol=2e-6)  # five sigma of the PSF
     center, pixel = cells.centers_px[0], 10
     fine = np.linspace(-12.0, 12.0, 24_001)

@@ -16,7 +16,6 @@ from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, RenderOptions, Template, Trace, trace_body
 from giantlike.ray_tracing.daylight import Daylight
-from giantlike.ray_tracing.sampling import spread_over
 from giantlike.shapes import Ellipsoid
 
 CELLS_PER_RADIUS = 20
@@ -163,9 +162,9 @@ class Cells(Value):
     def light(self, trace: Trace) -> Float:
         """Brightness in :attr:`inner` of a trace, as that of its template and without what else is in one."""
         across, down = trace.footprint.spread
-        columns = spread_over(across, trace.cell_brightness(trace.body.reflectance))
+        columns = across.of(trace.cell_brightness(trace.body.reflectance))
         x, y = trace.footprint.corner_px.tolist()
-        return self.inner.cut(spread_over(down, columns.T), (x, y))
+        return self.inner.cut(down.of(columns.T), (x, y))
 
 
 def cells_around(
