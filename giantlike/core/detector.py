@@ -26,6 +26,8 @@ Chosen by trial on ellipsoids 160 px wide, blurred by 0.4, 0.7 and 1.2 px. Half 
 _NOISE = ("gain_e_per_dn", "read_noise_e")
 _OF_IMAGES = ("estimated", "frame_noise_dn", "relative_noise")
 """Fields that are no keys of a camera file: they follow from images and their calibration frames."""
+_SPARSE = 101
+"""Pixels from one that is looked at first to the next."""
 _SILENT = 1e-3
 """Noise of floating point numbers whose dark has none, over their range: that of a well exposed image."""
 
@@ -157,11 +159,14 @@ class Detector:
             return self
         step = value_step(pixels, mask) if self.step_dn is None else self.step_dn
         good = pixels if mask is None or not mask.any() else pixels[~mask]
-        reach = float(good.max()) - float(good.min()) if good.size else 0.0
-        foreign = pixels.dtype.kind == "f" and 0.0 < reach < self.read_noise_e / self.gain_e_per_dn
+        reach, foreign = math.inf, False
+        if self.estimated or pixels.dtype.kind == "f":
+            stated_dn = self.read_noise_e / self.gain_e_per_dn
+            reach = _reach(good, enough=math.inf if self.estimated else stated_dn)
+            foreign = 0.0 < reach < stated_dn
         if not (self.estimated or foreign):
             return replace(self, step_dn=step)
-        bias_dn = 0.0 if foreign and not self.estimated else self.bias_dn
+        bias_dn = self.bias_dn if self.estimated else 0.0
         read_noise_e, sigma_dn = type(self)().read_noise_e, sky_noise(pixels, mask)
         if sigma_dn > 0.0:
             read_dn = math.sqrt(max(sigma_dn**2 - step**2 / 12.0, step**2 / 12.0))
@@ -193,3 +198,13 @@ class Detector:
         dark = (self.read_noise_e / self.gain_e_per_dn) ** 2 + step_dn**2 / 12.0 + self.frame_noise_dn**2
         variance = light / self.gain_e_per_dn + dark
         return variance + (self.relative_noise * light) ** 2 if self.relative_noise else variance
+
+
+def _reach(pixels: NDArray[Any], *, enough: float) -> float:
+    """Largest less smallest pixel, 0 of none; of some pixels only where these differ enough."""
+    reach = 0.0
+    for values in (pixels.reshape(-1)[::_SPARSE], pixels):
+        reach = float(values.max()) - float(values.min()) if values.size else 0.0
+        if reach >= enough:
+            break
+    return reach

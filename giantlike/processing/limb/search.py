@@ -83,17 +83,19 @@ def search_limb(
     step = float(np.clip(_COARSE_STEP * radius_px, _FINE_STEP_PX, _MAX_COARSE_STEP_PX))
     coarsest = step
     corner, crop, good = _around_outline(view, center_px + (1.0 + search_range) * (points_px - center_px), search_px)
-    dark_sky = np.where(good, crop - _sky_dn(crop, good), 0.0).astype(np.float32)
+    dark_sky, bad = (crop - _sky_dn(crop, good)).astype(np.float32), ~good
+    dark_sky[bad] = 0.0
     scales = _around(1.0, search_range, int(np.ceil(search_range * radius_px / step)))
     best = CoarseLimb(shift_px=np.zeros(2), scale=1.0, contrast=0.0)
     shifts = _around(0.0, search_px, int(np.ceil(search_px / step)))
     scale_step = search_range / max(scales.size // 2, 1)
     while True:
-        blurred = cv2.GaussianBlur(dark_sky, (0, 0), max(0.5 * step, _COARSE_BLUR_PX)).astype(np.float32)
+        blurred = cv2.GaussianBlur(dark_sky, (0, 0), max(0.5 * step, _COARSE_BLUR_PX)).astype(np.float32, copy=False)
+        np.copyto(blurred, np.float32(np.nan), where=bad)
         offset_px = min(max(step, _COARSE_OFFSET_PX), 0.25 * radius_px)
         thin = slice(None, None, max(len(points_px) // _COARSE_POINTS, 1) if step == coarsest else 1)
         values = contrasts(
-            np.where(good, blurred, np.float32(np.nan)),
+            blurred,
             center_px - corner + best.shift_px,
             points_px[thin] - center_px,
             offset_px * limb.normals_px[thin],
