@@ -77,3 +77,11 @@ def test_a_camera_file_without_a_gain_and_a_read_noise_leaves_them_to_the_images
     assert partly.detector == Detector(saturation_dn=255.0, estimated=True)
     assert Camera.from_mapping(partly.to_mapping()) == partly
     assert not Camera.from_mapping(table | {"detector": {"gain_e_per_dn": 2.0}}).detector.estimated
+
+
+def test_one_pixel_beyond_the_read_noise_tells_the_unit_of_floating_point_numbers() -> None:
+    stated = Detector(read_noise_e=10.0, gain_e_per_dn=1.0, bias_dn=100.0)
+    reflectance = np.random.default_rng(3).uniform(0.0, 0.5, (60, 70))
+    assert stated.of_image(reflectance).bias_dn == 0.0
+    reflectance[31, 17] = 40.0  # between those that are looked at first
+    assert stated.of_image(reflectance).bias_dn == 100.0

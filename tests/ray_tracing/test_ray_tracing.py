@@ -429,6 +429,13 @@ def test_light_of_a_cell_spreads_over_pixels_as_cell_psf_and_pixel_say(sigma_px:
     assert weights[pixel, 0] == pytest.approx(blurred[np.abs(fine) <= 0.5].sum() * step, abs=SAMPLED)
 
 
+def test_light_beyond_the_pixels_is_lost_and_the_rest_falls_where_it_did() -> None:
+    cells, light = Cells.covering(-3.0, 8.0, 2), np.random.default_rng(4).uniform(size=(24, 3))
+    whole = cells.spread(-20, 60, 0.8).of(light[: cells.count])
+    assert_allclose(whole.sum(axis=0), 0.5 * light[: cells.count].sum(axis=0), rtol=0, atol=2e-5)  # half a pixel each
+    assert np.array_equal(cells.spread(1, 5, 0.8).of(light[: cells.count]), whole[21:26])
+
+
 @pytest.mark.parametrize("k1", [-0.05, -0.4], ids=["everywhere", "up to a fold"])
 def test_ray_directions_are_those_of_the_camera_model_also_where_it_ends(k1: float) -> None:
     model = BrownModel(fx_px=500.0, fy_px=500.0, cx_px=640.0, cy_px=500.0, k1=k1, p1=1e-3)
