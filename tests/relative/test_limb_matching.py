@@ -159,16 +159,16 @@ def test_the_body_is_found_almost_forty_pixels_and_three_percent_from_its_predic
 
 def test_a_small_body_is_found_with_a_larger_covariance() -> None:
     case = body_image(body(), 31, phase_deg=50.0, radius_px=14.0).believed(off_px=(5.0, 5.0), range_error=-0.01)
-    fix = fixed(case, LimbMatchingOptions(min_diameter_px=20.0))
+    fix = fixed(case)
     assert_sound(case, fix, sigma_px=0.12, sigma_range=6e-3)
     assert fix.sigma_range_km / fix.range_km > TYPICAL_RANGE
 
 
 def test_a_body_of_a_few_pixels_is_left_to_other_estimators_unless_asked_for() -> None:
-    case = body_image(body(), 31, phase_deg=50.0, radius_px=14.0)
+    case = body_image(body(), 31, phase_deg=50.0, radius_px=11.0)
     failure = refused(case)
     assert failure.reason is Reason.NO_LIMB
-    assert re.search(r"the body is 2[78]\.\d px across, min_diameter_px is 40: use cross_correlation", failure.detail)
+    assert re.search(r"the body is 2[12]\.\d px across, min_diameter_px is 25: use cross_correlation", failure.detail)
 
 
 def test_a_wrong_reflectance_law_is_found_out_and_within_the_covariance() -> None:
