@@ -57,8 +57,9 @@ Of 102 images of the gauntlet that can be solved none comes to more than 0.2, of
 their light (2.5 px off) none to more than 0.8; rows that slip by a pixel or two come to 1 to 26.
 """
 STEP = 16.0
-"""Squared difference of the places of rows before and after one, or columns, over its variance, beyond which they were
-sent apart: four standard deviations of noise and errors of the model together, beyond which a cell is not explained.
+"""Squared difference of the places of rows before and after one, or columns, over its variance, or over the scatter of
+such differences elsewhere, beyond which they were sent apart: four standard deviations of noise and errors of the model
+together, beyond which a cell is not explained.
 
 Of 256 fixes of the gauntlet from which an answer is demanded (seed 9501, 21 kinds) those of markings of 15 % come to 12
 at most (one of seed 9500 to 14), all others to 1.8, right fixes of real images to 4.4; rows that are shifted from one
@@ -154,7 +155,7 @@ class QualityChecks(Value):
     unevenness : float
         Squared difference of the places of neighboring rows or columns of the image, over its variance.
     step : float
-        The same of all rows from one on, or columns, and those before.
+        The same of all rows from one on, or columns, and those before, or over the scatter of this elsewhere.
     place_chance, figure_chance, blur_chance, turn_chance, prediction_chance, strain_chance, template_chance : float
         Probabilities that a right fix differs as much from the place that a coarse render asks for, that the parts of
         a right body ask for places as different, that its image is blurred as much beyond the point spread function,

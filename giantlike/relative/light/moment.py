@@ -40,9 +40,10 @@ _MAX_STRAY = 0.05  # of the bright pixels outside the expected area: above, it i
 _FILL_UNKNOWN = 0.25
 """Part of the effect of filled pixels on the center that is one sigma: the template that tells it lies within half a
 pixel and some percent of the range."""
-_MOST_UNEXPLAINED = 0.25
+_MOST_UNEXPLAINED = 0.4
 """Part of the light, as a norm, that differs from the template: exact models leave 0.01-0.08, another law 0.11, albedo
-of 15 % and relief of 1 % 0.05-0.28, unmasked columns of a body of 30 px 0.23-0.32; the covariance holds up to here."""
+of 15 % and relief of 1 % 0.05-0.65, unmasked columns of a body of 30 px 0.23-0.32. The covariance holds up to here: of
+17 fixes of these with 0.25-0.5 squared errors per degree of freedom came to 0.05-1.7."""
 _LEAST_LIT = 0.05  # of the disk, as of ``unresolved``
 _RAYS_ACROSS, _RAYS_SIZE_PX = (96, 300), 40.0
 """Rays across a full disk, and its size up to which the least number will do: what they leave of its light grows with

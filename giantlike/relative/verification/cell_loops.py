@@ -114,8 +114,9 @@ def unevenness_of(
     Returns
     -------
     uneven, step : float
-        Mean square between neighbors, and the largest square between some lines before a gap and as many behind it; 0
-        where too few tell.
+        Mean square between neighbors, and the largest square between some lines before a gap and as many behind it, over
+        the mean of those at gaps between other lines if that is more than 1: a figure that is wrong by more than its
+        errors, by relief, steps at many of them, rows that are shifted from one on at this one. 0 where too few tell.
     """
     size = len(normalized)
     sums = np.zeros((2, 2, size))  # of rows and columns: what each tells of its place, and that times the place
@@ -138,10 +139,12 @@ def unevenness_of(
                 known[count], moved[count] = known[line], moved[line]
                 count += 1
         if count > lines:
-            mean = 0.0
+            mean, steps = 0.0, np.zeros(count)
             for gap in range(1, count):
                 mean += _apart(known, moved, gap, 1, count) / (count - 1)
-                step = max(step, _apart(known, moved, gap, beside, count))
+                steps[gap] = _apart(known, moved, gap, beside, count)
+            for gap in range(1, count):
+                step = max(step, steps[gap] / max(_elsewhere(steps, gap, beside), 1.0))
             uneven = max(uneven, mean)
     return uneven, step
 
@@ -157,6 +160,17 @@ def _apart(known: Float, moved: Float, gap: int, beside: int, count: int) -> flo
         after += known[line]
         moved_after += moved[line]
     return (moved_after / after - moved_before / before) ** 2 / (1.0 / before + 1.0 / after)
+
+
+@compiled
+def _elsewhere(steps: Float, gap: int, beside: int) -> float:
+    """Mean of steps (n,) at gaps, from 1 on, that are too far from one of them to show its step; 0 without any."""
+    total, count = 0.0, 0
+    for other in range(1, len(steps)):
+        if abs(other - gap) >= beside:
+            total += steps[other]
+            count += 1
+    return total / max(count, 1)
 
 
 @compiled

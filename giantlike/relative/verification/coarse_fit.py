@@ -117,7 +117,8 @@ class CoarseFit(Value):
         light tells where it is. Errors of figures, laws and markings reach over many, so that 1 is far too much.
     step : float
         The largest squared difference of the places of :data:`_BESIDE` rows and as many below them, or columns, over
-        its variance: where all lines from one on are shifted. A single line that is off counts little.
+        its variance, or over what is usual beside other rows: where all lines from one on are shifted. A single line
+        that is off counts little.
     figure_px2 : (2, 2) float64, px^2
         Covariance of the center of all light by a figure that is not that of the body, as far as edges and strain show
         it; zero where they are those of a right one.
