@@ -114,9 +114,9 @@ def unevenness_of(
     Returns
     -------
     uneven, step : float
-        Mean square between neighbors, and the largest square between some lines before a gap and as many behind it, over
-        the mean of those at gaps between other lines if that is more than 1: a figure that is wrong by more than its
-        errors, by relief, steps at many of them, rows that are shifted from one on at this one. 0 where too few tell.
+        Mean square between neighbors, and the largest square between some lines before a gap and as many behind it,
+        over the mean of those at other gaps if that is more than 1: relief steps at many of them, rows that are shifted
+        from one on at this one. 0 where too few tell.
     """
     size = len(normalized)
     sums = np.zeros((2, 2, size))  # of rows and columns: what each tells of its place, and that times the place
