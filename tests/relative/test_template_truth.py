@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,15 +15,15 @@ from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
-from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Reason
+from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
-from giantlike.independent import EllipsoidBody, Pose, Psf
+from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, ReliefBody
 from giantlike.relative.place import place_covariance
 from giantlike.relative.template.cross_correlation import CrossCorrelation
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
-from tests.relative.test_light_truth import KNOWN, light, shot
+from tests.relative.test_light_truth import FOCAL_PX, KNOWN, RADII_KM, SIZE, light, shot
 from tests.tolerances import RARE
 
 SEEDS = (1, 2, 3)
@@ -34,6 +35,7 @@ PHASED_PX = 0.005  # a sigma and a half; 0.0095 where no law of the mixture chan
 
 LIMB_PX, FRAME_PX = 1000.0, 320
 WINGED_PX = 0.02  # twice the sigma; 0.15 px were stated where wings were residuals, 0.03 where they counted as a blur
+UNEXPLAINED = 0.05  # of the brightest pixel, over the box: half of it holds no light
 CRESCENT_PX = 0.025  # 0.02 to 0.05 with two rays along a pixel, whose errors all of a thin crescent shares
 
 
@@ -89,6 +91,25 @@ def test_wings_of_the_point_spread_function_are_estimated() -> None:
         error = fix.center_px - one.center_px
         assert np.sqrt(np.diag(fix.covariance_px2)).max() < WINGED_PX
         assert float(error @ np.linalg.solve(fix.covariance_px2, error)) < chi2.ppf(1.0 - RARE, 2)
+
+
+def test_strong_markings_are_no_large_residuals_and_a_limb_that_is_elsewhere_is() -> None:
+    """Both leave an eighth of the light and more unexplained; the covariance of the one holds that."""
+    one, (_, pose) = shot(3, diameter_px=DIAMETER_PX), light(3, "mcewen", 60.0, DIAMETER_PX, False, 0.0)
+    middle = 0.5 * (SIZE - 1)
+    view = PinholeView(focal_px=FOCAL_PX, center_px=(middle, middle), columns=SIZE, rows=SIZE)
+
+    def fix_of(body: EllipsoidBody | ReliefBody) -> CenterFix:
+        signal_dn = independent.render_body(body, view, pose, law="mcewen", psf=Psf(0.8), peak_dn=3000.0)
+        shown = independent.record(signal_dn, np.random.default_rng(1)).pixels.astype(np.int32)
+        return replace(one, image=replace(one.image, pixels=shown)).fix(CrossCorrelation())
+
+    marked = fix_of(EllipsoidBody(RADII_KM, independent.bumps(3, rms=0.25, widths_deg=(4.0, 25.0))))
+    assert np.sqrt(np.mean(marked.residuals**2)) > UNEXPLAINED
+    assert not marked.flags.suspect, marked.provenance["checks"]
+    assert one.nees(marked).sum() < chi2.ppf(1.0 - RARE, 2)
+    rugged = fix_of(ReliefBody(RADII_KM, independent.bumps(3, rms=0.016, widths_deg=(3.0, 15.0), count=150)))
+    assert Quality.LARGE_RESIDUALS in rugged.flags
 
 
 def test_the_sampling_of_renders_does_not_limit_crescents() -> None:
