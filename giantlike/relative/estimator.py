@@ -18,6 +18,7 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, Detector, GaussianPsf
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.pixel_box import BoxPixels
+from giantlike.core.processes import one_thread
 from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 from giantlike.image import AttitudeSource, Image
@@ -113,6 +114,7 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         """Options of the estimator."""
         return self._options
 
+    @one_thread()
     def estimate(self, image: Image, camera: Camera, scene: Scene, target: str | None = None) -> Fix | Failure:
         """Find a target of a scene in an image.
 

@@ -20,6 +20,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause, summed
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import AttitudeFix, Failure, Quality, Reason
+from giantlike.core.processes import one_thread
 from giantlike.core.time import utc_text
 from giantlike.core.version import VERSION
 from giantlike.image import Image
@@ -113,6 +114,7 @@ class StarNavigation:
         """
         return self.detect_and_solve(image)[1]
 
+    @one_thread()
     def detect_and_solve(self, image: Image) -> tuple[Detections | Failure, AttitudeFix | Failure]:
         """Detect the stars of an image and estimate its attitude.
 
@@ -148,6 +150,7 @@ class StarNavigation:
                 break
         return detections, outcome.fix if isinstance(outcome, _Solved) else outcome
 
+    @one_thread()
     def detect(self, image: Image, options: DetectionOptions | None = None) -> Detections | Failure:
         """Detect the point sources of an image.
 
@@ -183,6 +186,7 @@ class StarNavigation:
             options=options,
         )
 
+    @one_thread()
     def solve_detections(self, image: Image, detections: Detections) -> AttitudeFix | Failure:
         """Estimate the attitude of an image from its detections.
 

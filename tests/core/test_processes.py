@@ -10,8 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from giantlike.core.processes import importing, one_thread_each, process_count
+from giantlike.core.processes import importing, one_thread, one_thread_each, process_count
 
 _EARLY = """
 import os, sys
@@ -59,6 +60,20 @@ def test_variables_of_threads_that_are_set_are_left(monkeypatch: pytest.MonkeyPa
         assert (os.environ["OMP_NUM_THREADS"], os.environ["MKL_NUM_THREADS"]) == ("3", "1")
     assert os.environ["OMP_NUM_THREADS"] == "3"
     assert "MKL_NUM_THREADS" not in os.environ
+
+
+def _threads() -> set[int]:
+    """Numbers of threads of the libraries of linear algebra."""
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+
+def test_one_thread_within_and_as_many_as_before_after_it() -> None:
+    with threadpool_limits(2):
+        with one_thread():
+            with one_thread():
+                assert _threads() == {1}
+            assert _threads() == {1}
+        assert _threads() == {2}
 
 
 @pytest.mark.parametrize(("workers", "jobs", "expected"), [(4, 2, 2), (2, 9, 2), (3, 0, 1)])

@@ -6,15 +6,18 @@ import gc
 import weakref
 
 import numpy as np
+import pytest
 from numpy.testing import assert_array_equal
 from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
 from giantlike.core.detector import Detector
-from giantlike.core.outcomes import Failure
+from giantlike.core.outcomes import Failure, Reason
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
+from giantlike.relative import ESTIMATORS, estimator
 from giantlike.relative.estimator import EstimatorInputs, gather
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
@@ -85,3 +88,17 @@ def test_an_image_that_is_no_longer_used_is_not_kept() -> None:
     del used
     gc.collect()
     assert known() is None
+
+
+@pytest.mark.parametrize("name", sorted(ESTIMATORS))
+def test_linear_algebra_of_an_estimate_takes_one_thread(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+
+    def look(*_: object, **__: object) -> Failure:
+        seen.extend(library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas")
+        return Failure(Reason.NO_SIGNAL, "not looked for")
+
+    monkeypatch.setattr(estimator, "gather", look)
+    with threadpool_limits(2):
+        assert isinstance(ESTIMATORS[name]().estimate(image(1), camera(100.0), SCENE), Failure)
+    assert set(seen) == {1}

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import cv2
-from threadpoolctl import threadpool_limits
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.pool import Jobs
 from giantlike.core.errors import InputError
 from giantlike.core.extras import require_extra
+from giantlike.core.processes import one_thread
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -172,5 +172,5 @@ def _call(token: str, function: Callable[[Workbench, Any], Answer], job: Any) ->
         if token not in _benches:
             cv2.setNumThreads(1)
             _benches[token] = Workbench.load(_campaigns[token])
-        with threadpool_limits(1):  # the last bits of sums depend on the number of threads
+        with one_thread():
             return function(_benches[token], job)

@@ -15,14 +15,13 @@ from multiprocessing.connection import wait as wait_for_end
 from typing import Any, Protocol, Self, TypeVar
 
 import cv2
-from threadpoolctl import threadpool_limits
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run import WORKER_MODULES
 from giantlike.campaign.run.bench import Workbench
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
-from giantlike.core.processes import keep_memory, one_thread_each, worker_context
+from giantlike.core.processes import keep_memory, one_thread, one_thread_each, worker_context
 
 Job = TypeVar("Job")
 Job_co = TypeVar("Job_co", covariant=True)
@@ -94,26 +93,21 @@ class WorkerPool:
         self._bench = bench
         self._workers = workers
         self._executors: dict[int, ProcessPoolExecutor] = {}
-        self._variables = contextlib.ExitStack()
-        self._limits: threadpool_limits | None = None
-        self._cv2_threads = 0
+        self._settings = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
         if self._workers == 1:
-            self._limits = threadpool_limits(1)  # the last bits of sums depend on the number of threads
-            self._cv2_threads = cv2.getNumThreads()
+            self._settings.enter_context(one_thread())
+            self._settings.callback(cv2.setNumThreads, cv2.getNumThreads())
             cv2.setNumThreads(1)
         else:
-            self._variables.enter_context(one_thread_each())
+            self._settings.enter_context(one_thread_each())
         return self
 
     def __exit__(self, *_: object) -> None:
         for size in list(self._executors):
             self._executors.pop(size).shutdown(wait=True, cancel_futures=True)
-        self._variables.close()
-        if self._limits is not None:
-            self._limits.restore_original_limits()
-            cv2.setNumThreads(self._cv2_threads)
+        self._settings.close()
 
     def run(self, function: Callable[[Workbench, Job], Answer], jobs: Jobs[Job]) -> Iterator[tuple[int, Answer | None]]:
         """Yield the position of each job and its answer; other processes begin at once.
