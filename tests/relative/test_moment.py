@@ -217,6 +217,19 @@ def test_what_cannot_be_measured_is_refused_with_its_reason() -> None:
         MomentOptions(search_px=0.0)
 
 
+def test_a_body_of_which_more_is_lost_than_it_has_light_has_no_signal() -> None:
+    case = body_image(ROCK, 7, phase_deg=90.0, radius_px=15.0, peak_dn=400.0)
+    x, y = np.rint(case.center_px).astype(int)
+    pixels = case.image.pixels.astype(np.float64) + 3000.0
+    bright = case.image.pixels > 0.5 * case.image.pixels.max()
+    lost = np.zeros_like(bright)
+    lost[y - 16 : y + 16, x - 16 : x + 16] = True
+    pixels[lost & ~bright] = 0.0  # as blocks that never arrived
+    failure = Moment().estimate(replace(case.image, pixels=pixels), case.camera, case.scene)
+    assert isinstance(failure, Failure)
+    assert failure.reason is Reason.NO_SIGNAL
+
+
 def test_a_body_whose_lit_side_is_beyond_the_frame_is_out_of_it() -> None:
     stage = stage_of(3000, 804)
     assert stage.scene is not None

@@ -389,6 +389,12 @@ def _light_in(window: _Window, sky: SkyPlane, prediction: Prediction) -> BodyLig
         bright = light.bright
         if not bright.any():
             return Failure(Reason.NO_SIGNAL, f"no pixel is above {light.threshold_dn:.4g} DN over background")
+        if light.total_dn <= 0.0:
+            return Failure(
+                Reason.NO_SIGNAL,
+                f"the {np.count_nonzero(region)} pixels of the body are {light.total_dn:.4g} DN over background in "
+                "total: more of it is dark than lit, as where blocks of the image are missing; mask these",
+            )
         center = light.center_px(light.threshold_dn) + light.offset_px(template, light.threshold_dn)
         before, shift = shift, np.rint(center - template.center_px).astype(np.int64)
         if np.abs(shift - before).max() <= _SETTLED_PX:
