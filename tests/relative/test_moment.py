@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from giantlike.gauntlet import stage_of
 from giantlike.image import Image
 from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
 from giantlike.relative.light.moment import Moment, MomentOptions
+from giantlike.relative.verification import checks
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape, irregular_body, sphere
 from tests.limb_images import BodyImage, body_image
@@ -215,6 +217,19 @@ def test_what_cannot_be_measured_is_refused_with_its_reason() -> None:
         MomentOptions(correction="magic")
     with pytest.raises(InputError, match="search_px"):
         MomentOptions(search_px=0.0)
+
+
+def test_checks_render_a_body_once_in_the_size_that_its_light_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    render_at, renders = checks._at, []
+
+    def counted(*given: Any) -> Any:
+        renders.append(given)
+        return render_at(*given)
+
+    monkeypatch.setattr(checks, "_at", counted)
+    fix = found(body_image(ROCK, 7, phase_deg=20.0).believed(range_error=0.015))
+    assert float(fix.provenance["seen_size"]) == pytest.approx(1.015, abs=0.003)
+    assert len(renders) == 1
 
 
 def test_a_body_of_which_more_is_lost_than_it_has_light_has_no_signal() -> None:

@@ -29,7 +29,7 @@ from giantlike.relative.light.lit_size import first_scale, measured_size
 from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
 from giantlike.relative.light.separation import MIN_AREA_PX, TRACE, BodyLight, Prediction, light_of
 from giantlike.relative.light.wings import WING_UNKNOWN, wing_share, with_wings
-from giantlike.relative.place import apparent_radius_px
+from giantlike.relative.place import SEEN_SIZE, apparent_radius_px
 from giantlike.relative.quality import QualityChecks
 from giantlike.scene import TargetGeometry
 
@@ -105,8 +105,8 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
     how far it is from the law of the target toward that of Lommel and Seeliger or that of Lambert, and how it changes
     with the phase angle from limb to limb, follows from the brightness of blocks of a quarter of the radius.
 
-    ``score`` is the lit area over that expected, ``residuals`` are image minus template over the brightest pixel of the
-    template.
+    ``score`` is the lit area over that expected, ``seen_size`` of the provenance the size over that predicted,
+    ``residuals`` are image minus template over the brightest pixel of the template.
 
     The covariance is the sum of ``parts``: ``noise``; ``background``, the plane and, as one sigma, the bend of the sky;
     ``reflectance``, what the blocks leave open of the law, and of saturated bodies the error of their brightness;
@@ -199,8 +199,10 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: M
         bounded=True,
         residuals=max(size.excess, stray / n_used / _MAX_STRAY, law.unexplained / _MOST_UNEXPLAINED),
     )
+    identity = inputs.identity
+    identity["provenance"] = {**inputs.provenance, SEEN_SIZE: f"{size.scale:.6g}"}
     return CenterFix(
-        **inputs.identity,
+        **identity,
         center_px=light.corner_px + center_px + offset,
         covariance_px2=summed(parts),
         parts=parts,

@@ -17,6 +17,7 @@ from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
 from giantlike.relative.budget import camera_response, with_error, with_larger_errors
+from giantlike.relative.place import SEEN_SIZE
 from giantlike.relative.quality import LEAST_CHANCE, LEAST_PREDICTION_CHANCE, UNLIKELY, QualityChecks
 from giantlike.relative.response import RESPONSE, Response
 from giantlike.relative.template.smear import SMEAR, Smear
@@ -324,28 +325,32 @@ class _Coarse(Value):
 def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coarse | None:
     """Render and fit a body where it was found, and again where the image would have it if that is not near by.
 
-    A body that is seen larger than its shape, by haze around it, is rendered nearer: the two look the same.
+    A body that is seen larger than its shape, by haze around it, or as a fix without a range measured its size, is
+    rendered nearer: the two look the same.
     """
     geometry, model = inputs.geometry, inputs.camera.model
     range_km = fix.range_km if isinstance(fix, PositionFix) else geometry.range_km
     if _ALTITUDE in fix.provenance:
         range_km /= 1.0 + float(fix.provenance[_ALTITUDE]) / geometry.target.shape.mean_radius_km
-    known = geometry.body(range_km * model.unproject(fix.center_px))
+    nearer = np.array([0.0, 0.0, -math.log(float(fix.provenance.get(SEEN_SIZE, 1.0)))])
+    known = geometry.body(range_km * math.exp(nearer[2]) * model.unproject(fix.center_px))
     body = replace(known, camera_from_body=fix.camera_from_body) if isinstance(fix, _Oriented) else known
-    coarse = _at(body, inputs, search_px, fix)
-    if coarse is None or coarse.fit is None:
-        return coarse
-    moved, cells = coarse.fit.moved, coarse.cells
-    radius_px = cells.size * cells.radius
+    first = _at(body, inputs, search_px, fix)
+    if first is None or first.fit is None:
+        return first
+    moved = first.fit.moved
+    found = nearer + moved
+    coarse = replace(first, fit=replace(first.fit, moved=found))
+    radius_px = first.cells.size * first.cells.radius
     step = max(float(np.hypot(*moved[:2])) / radius_px, abs(float(moved[2])))
     linear = _LINEAR if isinstance(fix, PositionFix) else min(_LINEAR, _SHARP_PX / radius_px)
     if step < linear or step > _BELIEVED:
         return coarse
-    position_km = range_km * math.exp(moved[2]) * model.unproject(fix.center_px + moved[:2])
+    position_km = range_km * math.exp(found[2]) * model.unproject(fix.center_px + found[:2])
     again = _at(replace(body, position_camera_km=position_km), inputs, search_px, fix)
-    if again is None or again.fit is None or not again.fit.misfit < coarse.fit.misfit:
+    if again is None or again.fit is None or not again.fit.misfit < first.fit.misfit:
         return coarse
-    return replace(again, fit=replace(again.fit, moved=moved + again.fit.moved))
+    return replace(again, fit=replace(again.fit, moved=found + again.fit.moved))
 
 
 def _at(body: Body, inputs: EstimatorInputs, search_px: float, fix: CenterFix) -> _Coarse | None:
