@@ -79,6 +79,8 @@ def one_thread() -> Iterator[None]:
 
     Products of the size that an image needs are not faster with several, which wait for each other: on two busy cores
     they took up to eleven times the CPU of an estimate. The last bits of sums would depend on the number of threads.
+    It holds the libraries that are loaded when a process first enters it: numpy, scipy and OpenCV, which every caller
+    imports.
 
     Yields
     ------

@@ -59,7 +59,8 @@ of the checks by a coarse render."""
 _LARGE_AT_EDGES, _LARGE_OF_MARKINGS = 0.08 / 0.15, 0.25 / 0.15
 """Residuals, over the light and its declared albedo, up to which they are markings: at edges, which these leave where
 they are, and in all. With albedo of 15 % (41 fixes) edges leave 0.01-0.06 of the light, and all of it up to 0.17; with
-relief of 1 % (12 fixes with large residuals) 0.11-0.23, a double exposure 0.12. In all, as of ``moment``."""
+relief of 1 % (12 fixes with large residuals) 0.11-0.23, a double exposure 0.12. The limit in all is half as much again
+as markings of 15 % leave, without a study of its own."""
 _SEARCHED_WIDER = (Reason.LOW_CORRELATION, Reason.PEAK_AT_EDGE)  # failures that a body outside the search explains
 _WIDER, _WIDEST_PX = 2.5, 400  # times the declared search, and px: memory and time grow with the square
 _WIDER_LOG_RANGES = (0.0, -0.08, 0.08)
