@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dposv
 
 from giantlike.core.arrays import Float, Mask, require
-from giantlike.core.statistics import robust_sigma
+from giantlike.core.compiled import compiled
+from giantlike.core.elimination import solve_normal, solve_symmetric
+from giantlike.core.statistics import MAD_TO_SIGMA
 from giantlike.core.values import Value
 
 _ITERATIONS = 20
@@ -24,9 +26,8 @@ _LENGTH_STEP = 3.0
 """Ratio of neighboring correlation lengths of the grid: solutions are averaged over it, which needs no finer one."""
 _LEAST_SCALE = 1e-12
 """Least variance over that predicted: residuals that are exactly zero have a likelihood too."""
-_SINGULAR = 1e-6
-"""Least diagonal of the factor of a normal matrix of trace 1 from which that matrix tells all parameters: its square is
-far beyond rounding."""
+_SINGULAR = 1e-12
+"""Least pivot of a normal matrix of trace 1 from which that matrix tells all parameters, far beyond rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,27 +103,72 @@ def robust_solution(residuals: Float, design: Float, sigma: Float, *, outlier_ma
     residuals near the limit do not make the solution jump.
     """
     require(residuals.size > design.shape[1], f"needed more than {design.shape[1]} residuals, got {residuals.size}")
-    floor = 1e-6 + 0.1 * float(np.median(sigma))
-    weights = np.ones_like(residuals)
-    left, scale = residuals, np.linalg.norm(design, axis=0)
-    x = design / scale
-    for _ in range(_ITERATIONS):
-        solution, before = _weighted(residuals, x, weights) / scale, left
-        left = residuals - design @ solution
-        if _same(left, before, _START_REST * floor):
-            break
-        weights = 1.0 / np.maximum(np.abs(left), floor + robust_sigma(left))
-    for _ in range(_ITERATIONS):
-        total = np.sqrt(sigma**2 + robust_sigma(left) ** 2)
-        biweight = np.maximum(1.0 - (left / (_TUKEY_LIMIT * outlier_mad * total)) ** 2, 0.0) ** 2
-        if np.count_nonzero(biweight) <= design.shape[1]:
-            break
-        solution, before = _weighted(residuals, x, biweight / total**2) / scale, left
-        left = residuals - design @ solution
-        if _same(left, before, _REST * floor):
-            break
-    keep: Mask = np.abs(left) <= outlier_mad * np.sqrt(sigma**2 + robust_sigma(left) ** 2)
+    solution, keep = _robust(*(np.array(one, dtype=np.float64) for one in (residuals, design, sigma)), float(outlier_mad))
     return solution, keep
+
+
+@compiled
+def _robust(residuals: Float, design: Float, sigma: Float, outlier_mad: float) -> tuple[Float, Mask]:
+    """Iterations of :func:`robust_solution`."""
+    n, size = design.shape
+    floor = 1e-6 + 0.1 * np.median(sigma)
+    x, scale = np.empty((n, size)), np.empty(size)
+    for i in range(size):
+        scale[i] = math.sqrt(np.sum(design[:, i] ** 2))
+        x[:, i] = design[:, i] / scale[i]
+    weights, solution, left = np.ones(n), np.zeros(size), residuals.copy()
+    for _ in range(_ITERATIONS):
+        solution = _weighted(residuals, x, weights)
+        if _remains(residuals, x, solution, left) < _START_REST * floor:
+            break
+        weights = 1.0 / np.maximum(np.abs(left), floor + _scatter(left))
+    for _ in range(_ITERATIONS):
+        variance = sigma**2 + _scatter(left) ** 2
+        biweight = np.maximum(1.0 - left**2 / ((_TUKEY_LIMIT * outlier_mad) ** 2 * variance), 0.0) ** 2
+        if np.count_nonzero(biweight) <= size:
+            break
+        solution = _weighted(residuals, x, biweight / variance)
+        if _remains(residuals, x, solution, left) < _REST * floor:
+            break
+    return solution / scale, np.abs(left) <= outlier_mad * np.sqrt(sigma**2 + _scatter(left) ** 2)
+
+
+@compiled
+def _weighted(residuals: Float, design: Float, weights: Float) -> Float:
+    """Weighted least squares (k,); by a ridge where the design (n, k), of unit columns, leaves some open."""
+    n, size = design.shape
+    normal, right = np.zeros((size, size)), np.zeros((size, 1))
+    for point in range(n):
+        for i in range(size):
+            weighted = weights[point] * design[point, i]
+            right[i, 0] += weighted * residuals[point]
+            for j in range(size):
+                normal[i, j] += weighted * design[point, j]
+    trace = np.trace(normal)
+    factor, solution = normal / trace, right / trace
+    solve_symmetric(factor, solution)
+    if np.diag(factor).min() > _SINGULAR:
+        return solution[:, 0]
+    solve_normal(normal, right)
+    return right[:, 0]
+
+
+@compiled
+def _remains(residuals: Float, design: Float, solution: Float, left: Float) -> float:
+    """Fill in what a solution leaves (n,) in place of what the one before left; return the largest difference."""
+    most = 0.0
+    for point in range(len(residuals)):
+        before, left[point] = left[point], residuals[point]
+        for i in range(len(solution)):
+            left[point] -= design[point, i] * solution[i]
+        most = max(most, abs(left[point] - before))
+    return most
+
+
+@compiled
+def _scatter(values: Float) -> float:
+    """:func:`~giantlike.core.statistics.robust_sigma` of values (n,)."""
+    return MAD_TO_SIGMA * np.median(np.abs(values - np.median(values)))
 
 
 def generalized_solution(
@@ -279,19 +325,3 @@ def _restricted_likelihoods(white: Float, log_determinant: Float) -> tuple[Float
     covariance: Float = np.linalg.inv(normal) * noise[:, None, None]
     parameters: Float = solution[..., 0].astype(np.float64)
     return likelihood, parameters, covariance, noise
-
-
-def _weighted(residuals: Float, design: Float, weights: Float) -> Float:
-    """Weighted least squares (k,); the least solution where the design (n, k), of unit columns, leaves some open."""
-    weighted = (design * weights[:, None]).T
-    normal, right = weighted @ design, weighted @ residuals
-    scale = float(np.trace(normal))
-    factor, solution, info = dposv(normal / scale, right / scale)
-    if info == 0 and float(factor.diagonal().min()) > _SINGULAR:
-        return np.asarray(solution)
-    return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0], dtype=np.float64)
-
-
-def _same(left: Float, before: Float, rest: float) -> bool:
-    """True if the residuals have come to rest."""
-    return float(np.max(np.abs(left - before))) < rest
