@@ -89,9 +89,12 @@ def search_limb(
     best = CoarseLimb(shift_px=np.zeros(2), scale=1.0, contrast=0.0)
     shifts = _around(0.0, search_px, int(np.ceil(search_px / step)))
     scale_step = search_range / max(scales.size // 2, 1)
+    sigma_px = 0.0
     while True:
-        blurred = cv2.GaussianBlur(dark_sky, (0, 0), max(0.5 * step, _COARSE_BLUR_PX)).astype(np.float32, copy=False)
-        np.copyto(blurred, np.float32(np.nan), where=bad)
+        if sigma_px != max(0.5 * step, _COARSE_BLUR_PX):
+            sigma_px = max(0.5 * step, _COARSE_BLUR_PX)
+            blurred = cv2.GaussianBlur(dark_sky, (0, 0), sigma_px).astype(np.float32, copy=False)
+            np.copyto(blurred, np.float32(np.nan), where=bad)
         offset_px = min(max(step, _COARSE_OFFSET_PX), 0.25 * radius_px)
         thin = slice(None, None, max(len(points_px) // _COARSE_POINTS, 1) if step == coarsest else 1)
         values = contrasts(
