@@ -103,7 +103,9 @@ def robust_solution(residuals: Float, design: Float, sigma: Float, *, outlier_ma
     residuals near the limit do not make the solution jump.
     """
     require(residuals.size > design.shape[1], f"needed more than {design.shape[1]} residuals, got {residuals.size}")
-    solution, keep = _robust(*(np.array(one, dtype=np.float64) for one in (residuals, design, sigma)), float(outlier_mad))
+    solution, keep = _robust(
+        *(np.array(one, dtype=np.float64) for one in (residuals, design, sigma)), float(outlier_mad)
+    )
     return solution, keep
 
 

@@ -23,6 +23,7 @@ from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 from giantlike.image import AttitudeSource, Image
 from giantlike.processing.detection.dead_lines import dead_lines
+from giantlike.processing.detection.frame_lines import FrameLines
 from giantlike.processing.detection.hot_lines import hot_lines
 from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.budget import with_budget
@@ -444,14 +445,14 @@ class _Readout(Value):
     def of(cls, image: Image, detector: Detector) -> _Readout:
         """Readout of an image with the detector that its camera states."""
         detector = detector.of_image(image.pixels, image.mask)
-        limit_dn = min(detector.saturation_dn, _type_limit(image.pixels), _plateau_dn(image, detector))
+        frame = FrameLines.of(image.pixels, detector.bias_dn)
+        limit_dn = min(detector.saturation_dn, _type_limit(image.pixels), _plateau_dn(image, frame, detector))
         saturated = image.pixels >= limit_dn
-        pixels_dn = np.subtract(image.pixels, detector.bias_dn, dtype=np.float64)
-        masked = _bad_pixels(image, pixels_dn, detector)
+        masked = _bad_pixels(image, frame, detector)
         usable = masked | saturated
         return cls(
             detector=detector,
-            pixels_dn=pixels_dn,
+            pixels_dn=frame.light_dn,
             usable=np.logical_not(usable, out=usable),
             saturated=saturated & ~masked if masked.any() else saturated,
             masked=masked,
@@ -472,11 +473,10 @@ def _readout(image: Image, detector: Detector) -> _Readout:
     return readout
 
 
-def _bad_pixels(image: Image, pixels_dn: Float, detector: Detector) -> Mask:
-    """The mask of an image, with the dead and the hot rows and columns that it shows, as it is and without bias."""
+def _bad_pixels(image: Image, frame: FrameLines, detector: Detector) -> Mask:
+    """The mask of an image, with the dead and the hot rows and columns that it shows."""
     noise_dn = math.sqrt(float(detector.variance_dn2(np.zeros(1))[0]))
-    dead = dead_lines(image.pixels, bias_dn=detector.bias_dn, noise_dn=noise_dn)
-    hot = hot_lines(pixels_dn, noise_dn=noise_dn)
+    dead, hot = dead_lines(frame, noise_dn=noise_dn), hot_lines(frame, noise_dn=noise_dn)
     mask = image.mask if dead is None else image.mask | dead
     return mask if hot is None else mask | hot
 
@@ -512,17 +512,20 @@ def _type_limit(pixels: NDArray[Any]) -> float:
     return float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "iu" else math.inf
 
 
-def _plateau_dn(image: Image, detector: Detector) -> float:
+def _plateau_dn(image: Image, frame: FrameLines, detector: Detector) -> float:
     """Value, DN, at which an image was clipped without its camera saying so; infinite where none shows.
 
     A clipped image piles up at its largest value what lay above. Noise keeps an image that is not clipped from holding
     more pixels of exactly that value than within the band of noise below it.
     """
-    values = image.pixels[~image.mask] if image.mask.any() else image.pixels
+    if image.mask.any():
+        values = among = image.pixels[~image.mask]
+    else:
+        values, among = image.pixels, image.pixels[frame.largest_dn == frame.largest_dn.max()]
     if values.size == 0:
         return math.inf
-    largest = values.max()
-    at_top = int(np.count_nonzero(values == largest))
+    largest = among.max()
+    at_top = int(np.count_nonzero(among == largest))
     if at_top < _PLATEAU_PIXELS or at_top == values.size:
         return math.inf
     top = float(largest)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask
+from giantlike.processing.detection.frame_lines import FrameLines
 
 _DARK = 0.5
 """Signal over that of the darker neighbor below which a pixel may be dead: a point spread function of 0.7 px fills even
@@ -15,15 +16,12 @@ _LEAST_LENGTH, _LEAST_SHARE = 8, 0.9
 """Pixels between bright neighbors that a dead line has at least, and the share of them that are dark."""
 
 
-def dead_lines(pixels_dn: Float, *, bias_dn: float, noise_dn: float) -> Mask | None:
+def dead_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:
     """Find rows and columns without signal by their neighbors on both sides, in front of something bright.
 
     Parameters
     ----------
-    pixels_dn : (rows, columns), DN
-        As the detector gives them.
-    bias_dn : float, DN
-        Value without signal.
+    frame : FrameLines
     noise_dn : float, DN
         Standard deviation of the noise without light.
 
@@ -37,8 +35,8 @@ def dead_lines(pixels_dn: Float, *, bias_dn: float, noise_dn: float) -> Mask | N
     Of each line the largest value is compared first. Two dead lines side by side are not found, nor are lines that
     no bright body crosses: these do no harm.
     """
-    rows, columns = (_dead_rows(image, bias_dn, noise_dn) for image in (pixels_dn, pixels_dn.T))
-    return whole_lines(pixels_dn.shape, rows, columns)
+    rows, columns = (_dead_rows(image.light_dn, image.largest_dn, noise_dn) for image in (frame, frame.turned))
+    return whole_lines(frame.light_dn.shape, rows, columns)
 
 
 def whole_lines(shape: tuple[int, ...], rows: np.ndarray, columns: np.ndarray) -> Mask | None:
@@ -64,16 +62,15 @@ def whole_lines(shape: tuple[int, ...], rows: np.ndarray, columns: np.ndarray) -
     return result
 
 
-def _dead_rows(image: Float, bias_dn: float, noise_dn: float) -> np.ndarray:
-    """Numbers of rows without signal."""
+def _dead_rows(image: Float, largest: Float, noise_dn: float) -> np.ndarray:
+    """Numbers of rows without signal, by the pixels and the largest of each row."""
     if len(image) < 3:
         return np.zeros(0, dtype=np.int64)
-    largest = image.max(axis=1).astype(np.float64) - bias_dn
     beside = np.minimum(largest[:-2], largest[2:])
     suspects = 1 + np.flatnonzero((beside > _LEAST_SIGMAS * noise_dn) & (largest[1:-1] < _DARK * beside))
     dead = []
     for row in suspects:
-        before, here, after = image[row - 1 : row + 2].astype(np.float64) - bias_dn
+        before, here, after = image[row - 1 : row + 2]
         darker = np.minimum(before, after)
         lit = darker > _LEAST_SIGMAS * noise_dn
         if lit.sum() >= _LEAST_LENGTH and np.mean(here[lit] < _DARK * darker[lit]) >= _LEAST_SHARE:
