@@ -103,10 +103,8 @@ def robust_solution(residuals: Float, design: Float, sigma: Float, *, outlier_ma
     residuals near the limit do not make the solution jump.
     """
     require(residuals.size > design.shape[1], f"needed more than {design.shape[1]} residuals, got {residuals.size}")
-    solution, keep = _robust(
-        *(np.array(one, dtype=np.float64) for one in (residuals, design, sigma)), float(outlier_mad)
-    )
-    return solution, keep
+    values, columns, noise = (np.array(one, dtype=np.float64) for one in (residuals, design, sigma))
+    return _robust(values, columns, noise, outlier_mad)
 
 
 @compiled
@@ -149,10 +147,11 @@ def _weighted(residuals: Float, design: Float, weights: Float) -> Float:
     trace = np.trace(normal)
     factor, solution = normal / trace, right / trace
     solve_symmetric(factor, solution)
-    if np.diag(factor).min() > _SINGULAR:
-        return solution[:, 0]
-    solve_normal(normal, right)
-    return right[:, 0]
+    if not np.diag(factor).min() > _SINGULAR:
+        solution[:] = right
+        solve_normal(normal, solution)
+    result: Float = solution[:, 0]
+    return result
 
 
 @compiled
@@ -170,7 +169,8 @@ def _remains(residuals: Float, design: Float, solution: Float, left: Float) -> f
 @compiled
 def _scatter(values: Float) -> float:
     """:func:`~giantlike.core.statistics.robust_sigma` of values (n,)."""
-    return MAD_TO_SIGMA * np.median(np.abs(values - np.median(values)))
+    result: float = MAD_TO_SIGMA * np.median(np.abs(values - np.median(values)))
+    return result
 
 
 def generalized_solution(
