@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from giantlike.core.outcomes import PositionFix as PositionFix
     from giantlike.core.outcomes import Quality as Quality
     from giantlike.core.outcomes import Reason as Reason
+    from giantlike.core.threads import threads as threads
     from giantlike.ephemeris import ApparentGeometry as ApparentGeometry
     from giantlike.ephemeris import DistantLight as DistantLight
     from giantlike.ephemeris import FixedEphemeris as FixedEphemeris
@@ -83,6 +84,7 @@ _HOMES = {
     "giantlike.core.detector": ("Detector", "GaussianPsf"),
     "giantlike.core.errors": ("DataError", "EstimationError", "FrameMismatchError", "InputError", "OpNavError"),
     "giantlike.core.outcomes": ("AttitudeFix", "CenterFix", "Failure", "PositionFix", "Quality", "Reason"),
+    "giantlike.core.threads": ("threads",),
     "giantlike.ephemeris": ("ApparentGeometry", "DistantLight", "FixedEphemeris", "SpiceEphemeris", "TableEphemeris"),
     "giantlike.image": ("Image",),
     "giantlike.relative": tuple(name + part for name in _ESTIMATORS for part in ("", "Options")),

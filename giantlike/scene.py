@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -30,6 +31,8 @@ _MASK_DIRECTIONS = 720  # points of an outline, every half degree: 3 px apart on
 _SUBPIXEL_BITS = 4  # fractional bits of the corners that OpenCV fills between: 1/16 px
 _SUBPIXELS = 1 << _SUBPIXEL_BITS  # to a pixel
 _FAR_SUBPIXELS = 1 << 24  # limit of the corners, a million pixels: OpenCV's int32 arithmetic overflows beyond
+_ONE_AT_A_TIME = threading.RLock()
+"""Held while ephemerides are asked: CSPICE bears one thread at a time, and estimators may run in several."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -334,7 +337,8 @@ class Scene(Pictured, Value):
                 Reason.NO_ATTITUDE,
                 f"{image.name}: no attitude, a priori or from stars; give one in the geometry table or solve the stars",
             )
-        apparent = self.apparent(image, found)
+        with _ONE_AT_A_TIME:
+            apparent = self.apparent(image, found)
         if isinstance(apparent, Failure):
             return apparent
         sun = apparent.sun_direction_inertial

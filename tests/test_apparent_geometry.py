@@ -6,6 +6,10 @@ right to first order in the velocity of the body and to all orders in that of th
 
 from __future__ import annotations
 
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -91,3 +95,30 @@ def test_a_moon_that_moves_along_appears_as_far_as_it_is() -> None:
     assert abs(seen.range_km - range_km) < contraction + 1e-6  # 4 m; the length of the light path alone is 25 km off
     path_km = range_km - float(velocity @ position) / SPEED_OF_LIGHT_KM_S
     assert abs(path_km - range_km) > 25.0
+
+
+class OneAtATime(Straight):
+    """A body whose ephemeris bears one thread at a time, as those of SPICE do."""
+
+    busy = threading.Lock()
+
+    def state(self, et: float) -> tuple[Float, Float]:
+        assert self.busy.acquire(blocking=False)
+        time.sleep(1e-3)
+        self.busy.release()
+        return super().state(et)
+
+
+def test_ephemerides_are_asked_by_one_thread_at_a_time() -> None:
+    body = OneAtATime(np.array([2.0e5, -1.5e5, 2.9e5]), np.zeros(3))
+    shape = Ellipsoid(radii_km=np.full(3, RADIUS_KM))
+    scene = Scene(targets=(Target(name="BALL", shape=shape, ephemeris=body),), light=FixedEphemeris(position_km=SUN_KM))
+    image = Image(
+        pixels=np.zeros((4, 4)),
+        epoch=time_from_et(0.0),
+        camera_from_inertial=Rotation.identity(),
+        observer=ObserverState(position_km=np.zeros(3), velocity_km_s=np.zeros(3)),
+    )
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: scene.geometry(image), range(8)))
+    assert all(isinstance(one, TargetGeometry) for one in found)

@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from giantlike.atmosphere import Atmosphere
 from giantlike.core.arrays import require
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
+from giantlike.core.threads import at_once
 from giantlike.ray_tracing import trace_silhouette
 from giantlike.relative.consensus import fused, verdict
 from giantlike.relative.estimator import BodyEstimator, Estimator, EstimatorInputs
@@ -112,6 +114,27 @@ class Choice:
     because: str
     needs_check: bool = False
 
+    def checks_of(self, taken: str) -> list[str]:
+        """Names of the estimators that check one that was taken, in order.
+
+        Those that use another part of the image come first; another use of the same light is better than none.
+
+        Parameters
+        ----------
+        taken : str
+
+        Returns
+        -------
+        list of str
+        """
+        order = sorted(self.checks, key=lambda name: _CHOICES[name][1] == _CHOICES[taken][1])
+        return [name for name in order if name != taken]
+
+    @property
+    def sure(self) -> list[str]:
+        """Names of the first estimator and of its first check: both are run, unless nothing finds the body."""
+        return [name for first in self.estimators[:1] for name in (first, *self.checks_of(first)[:1])]
+
 
 def choose(
     *, diameter_px: float, is_ellipsoid: bool, in_frame: float, limb_px: float, options: AutoOptions = AutoOptions()
@@ -186,6 +209,8 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     proportion to light, the others are run on an image in which they are; where it or a limb finds haze, the others are
     run with an altitude of the limb that is as uncertain as it says.
 
+    Within :func:`giantlike.threads` the first choice and its first check run at once.
+
     Parameters
     ----------
     options : AutoOptions
@@ -229,23 +254,26 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     ) -> CenterFix | Failure:
         """Take the fix to which nothing objects, and check it; ``outcomes`` holds what is known, and gets the rest."""
 
-        def outcome(name: str) -> CenterFix | Failure:
-            if name not in outcomes:
-                estimator = self._estimator(name)
-                outcomes[name] = estimator.estimate(inputs.image, inputs.camera, inputs.scene, inputs.target_name)
-            return outcomes[name]
+        def estimate(name: str) -> CenterFix | Failure:
+            return self._estimator(name).estimate(inputs.image, inputs.camera, inputs.scene, inputs.target_name)
 
-        taken = _taken(choice, outcome)
-        if taken is None:
-            return _nothing(choice, outcomes)
-        fix = outcome(taken)
-        assert isinstance(fix, CenterFix)
-        # Estimators that use another part of the image come first; another use of the same light is better than none.
-        order = sorted(choice.checks, key=lambda name: _CHOICES[name][1] == _CHOICES[taken][1])
-        seconds = ((name, outcome(name)) for name in order if name != taken)
-        later = taken != choice.estimators[0]
-        alone = Quality.UNCONFIRMED if later or choice.needs_check else Quality.UNCHECKED
-        found = verdict(fix, seconds, alone=alone, false_alarm=self.options.false_alarm)
+        sure = [name for name in choice.sure if name not in outcomes]
+        with at_once({name: partial(estimate, name) for name in sure}) as begun:
+
+            def outcome(name: str) -> CenterFix | Failure:
+                if name not in outcomes:
+                    outcomes[name] = begun(name) if name in sure else estimate(name)
+                return outcomes[name]
+
+            taken = _taken(choice, outcome)
+            if taken is None:
+                return _nothing(choice, outcomes)
+            fix = outcome(taken)
+            assert isinstance(fix, CenterFix)
+            seconds = ((name, outcome(name)) for name in choice.checks_of(taken))
+            later = taken != choice.estimators[0]
+            alone = Quality.UNCONFIRMED if later or choice.needs_check else Quality.UNCHECKED
+            found = verdict(fix, seconds, alone=alone, false_alarm=self.options.false_alarm)
         provenance = {**fix.provenance, "chosen": taken, "because": choice.because}
         if found.checked_by:
             provenance |= {"checked_by": found.checked_by, "agreement": f"{found.agreement:.3g}"}

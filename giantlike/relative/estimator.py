@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -461,16 +462,18 @@ class _Readout(Value):
 
 _LATEST: list[tuple[weakref.ref[Image], Detector, _Readout]] = []
 """The last image, as long as it is there: one estimator after the other takes the same."""
+_LATEST_LOCK = threading.Lock()
 
 
 def _readout(image: Image, detector: Detector) -> _Readout:
     """Readout of an image, made once where several estimators run on it."""
-    for known, stated, readout in _LATEST:
-        if known() is image and stated == detector:
-            return readout
-    readout = _Readout.of(image, detector)
-    _LATEST[:] = [(weakref.ref(image, lambda _: _LATEST.clear()), detector, readout)]
-    return readout
+    with _LATEST_LOCK:
+        for known, stated, readout in _LATEST:
+            if known() is image and stated == detector:
+                return readout
+        readout = _Readout.of(image, detector)
+        _LATEST[:] = [(weakref.ref(image, lambda _: _LATEST.clear()), detector, readout)]
+        return readout
 
 
 def _bad_pixels(image: Image, frame: FrameLines, detector: Detector) -> Mask:

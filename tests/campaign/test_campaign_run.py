@@ -14,6 +14,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import threading
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,7 @@ from giantlike.camera import Camera
 from giantlike.campaign.export import ExportFormat, ExportOptions, PointingSource, export_run
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.report.run_page import write_report
+from giantlike.campaign.run import bodies
 from giantlike.campaign.run.attitude_transfer import attitude_to_use
 from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.image_loading import open_image, scene_of
@@ -44,6 +46,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import camera_from_inertial_of_pointing, rotate, rotation_between
+from giantlike.core.threads import ALLOWED
 from giantlike.core.time import time_from_utc
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.ephemeris import SpiceEphemeris
@@ -517,6 +520,45 @@ def test_two_processes_give_the_tables_of_one(finished: Run, copied: Path, monke
     files = [parquet.ParquetFile(folder / "observables.parquet") for folder in folders]
     assert files[0].num_row_groups > files[1].num_row_groups
     assert str(files[0].read().to_pylist()) == str(files[1].read().to_pylist())
+
+
+def threads_of(bench: Workbench, job: object) -> int:
+    return ALLOWED.get()
+
+
+def test_no_more_threads_work_than_workers_were_asked_for(finished: Run) -> None:
+    bench = Workbench.load(Campaign.load(finished.path))
+    for workers, cores, jobs, each in ((1, 2, 1, 2), (1, 1, 3, 1), (2, 2, 2, 1), (2, 5, 1, 5), (2, 5, 3, 2)):
+        with WorkerPool(bench, workers, cores=cores) as pool:
+            answers = dict(pool.run(threads_of, range(jobs)))
+        assert answers == dict.fromkeys(range(jobs), each)
+    assert ALLOWED.get() == 1
+
+
+def test_the_estimators_of_a_single_image_run_at_once_and_give_what_they_give_one_after_the_other(
+    copied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changed = campaign_table()
+    changed["images"]["files"] = ["images/visit0_*.fits"]
+    changed["targets"][0]["estimators"] = ["cross_correlation", "limb_matching", "moment", "auto"]
+    copied.write_text(tomli_w.dumps(changed))
+    monkeypatch.setattr("giantlike.campaign.run.runner.process_count", lambda workers, jobs: 1)
+    tables, in_threads = [], set[str]()
+    real = bodies._observed
+
+    def seen(*given: Any) -> Any:
+        in_threads.add(threading.current_thread().name)
+        return real(*given)
+
+    monkeypatch.setattr(bodies, "_observed", seen)
+    for workers in (1, 2, 4):
+        changed["campaign"]["output"] = f"run{workers}"
+        copied.write_text(tomli_w.dumps(changed))
+        in_threads.clear()
+        tables.append(without_times(run_campaign(Campaign.load(copied), workers=workers).folder))
+        assert (in_threads == {"MainThread"}) == (workers == 1)
+    assert tables[0]["observations"].count("\n") == 5
+    assert tables[0] == tables[1] == tables[2]
 
 
 def die_of_the_third_image(bench: Workbench, entry: ImageEntry) -> str:

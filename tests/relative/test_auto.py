@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import fields, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,10 +20,12 @@ from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
+from giantlike.core.threads import threads
 from giantlike.image import Image
-from giantlike.relative import ESTIMATORS, Auto, AutoOptions, Estimator
+from giantlike.relative import ESTIMATORS, Auto, AutoOptions, CrossCorrelation, Estimator, LimbMatching
 from giantlike.relative.auto import choose
 from giantlike.relative.consensus import agreement_of, fused
+from giantlike.relative.estimator import EstimatorInputs
 from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid, TriangleMesh
 from giantlike.shapes.generate import irregular_body
@@ -97,6 +101,49 @@ def test_an_ellipsoid_is_found_by_its_horizon_and_checked_by_its_light() -> None
     assert isinstance(fix, PositionFix)
     assert (fix.provenance["chosen"], fix.provenance["checked_by"]) == ("ellipsoid_cra", "cross_correlation")
     assert case.nees(fix) < NEES_LIMIT
+
+
+@pytest.mark.parametrize("shape", ["rock", "moon"])
+def test_a_fix_is_the_same_to_the_last_bit_by_any_number_of_threads(rock: TriangleMesh, shape: str) -> None:
+    case = body_image(rock if shape == "rock" else MOON, 3, phase_deg=50.0).believed(off_px=(6.0, -4.0))
+    fixes = list[CenterFix]()
+    for count in (1, 2, 4):
+        with threads(count):
+            fix = Auto().estimate(case.image, case.camera, case.scene)
+        assert isinstance(fix, PositionFix)
+        fixes.append(fix)
+    one, *others = fixes
+    for other in others:
+        for field in fields(one):
+            mine, its = getattr(one, field.name), getattr(other, field.name)
+            assert _plain(mine) == _plain(its), field.name
+
+
+def _plain(value: Any) -> Any:
+    """Bytes of arrays, and text of all else."""
+    if isinstance(value, Mapping):
+        return [(str(key), _plain(one)) for key, one in value.items()]
+    return value.tobytes() if isinstance(value, np.ndarray) else repr(value)
+
+
+def test_two_threads_run_the_choice_and_its_check_at_once(rock: TriangleMesh, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = body_image(rock, 3, phase_deg=50.0).believed(off_px=(6.0, -4.0), range_error=0.01)
+    both = threading.Barrier(2)  # broken, which is an error, unless two threads wait at it
+
+    def waiting(estimator: type[Any], real: Callable[..., Any]) -> None:
+        def estimate(self: Any, inputs: EstimatorInputs) -> Any:
+            if not inputs.place_alone:
+                both.wait(60.0)
+            return real(self, inputs)
+
+        monkeypatch.setattr(estimator, "_estimate", estimate)
+
+    for estimator in (CrossCorrelation, LimbMatching):
+        waiting(estimator, estimator._estimate)
+    with threads(2):
+        fix = Auto().estimate(case.image, case.camera, case.scene)
+    assert isinstance(fix, CenterFix)
+    assert fix.provenance["checked_by"] == "limb_matching"
 
 
 def test_an_image_of_nothing_is_a_failure_that_names_what_was_tried() -> None:

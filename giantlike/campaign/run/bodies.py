@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -16,6 +17,7 @@ from giantlike.campaign.run.image_loading import scene_of, targets_in
 from giantlike.campaign.run.observables import sighting_of, with_fix, with_prediction
 from giantlike.campaign.store.records import Attitude, ObservationRecord, Problem, TargetRecord, TargetView
 from giantlike.core.outcomes import CenterFix, Failure
+from giantlike.core.threads import at_once
 from giantlike.core.time import utc_text
 from giantlike.image import AttitudeSource, Image
 from giantlike.ray_tracing.silhouette import lit_outline
@@ -89,13 +91,16 @@ def estimate_bodies(
             continue
         scene = attempt(scene_of, campaign, image, target, bench.shapes[target.name])
         geometry = attempt(scene.geometry, image) if isinstance(scene, Scene) else scene
+        jobs = dict[str, Callable[[], ObservationRecord]]()
         for estimator in todo:
             record = unobserved(entry, epoch_utc, target.name, estimator.name).replace(attitude=attitude)
             if isinstance(scene, Scene) and isinstance(geometry, TargetGeometry):
-                records.append(_observed(record, estimator, image, campaign.camera, scene, geometry))
+                jobs[estimator.name] = partial(_observed, record, estimator, image, campaign.camera, scene, geometry)
             else:
                 problem = Problem.of(geometry) if isinstance(geometry, Failure) else geometry
-                records.append(record.replace(problem=problem))
+                jobs[estimator.name] = partial(record.replace, problem=problem)
+        with at_once(jobs) as made:
+            records.extend(map(made, jobs))
         if (target.name, "") in wanted:
             known = TargetRecord(index=entry.index, file=entry.key, target=target.name)
             if isinstance(scene, Scene) and isinstance(geometry, TargetGeometry):

@@ -22,6 +22,7 @@ from giantlike.campaign.run.bench import Workbench
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
 from giantlike.core.processes import keep_memory, one_thread, one_thread_each, worker_context
+from giantlike.core.threads import threads
 
 Job = TypeVar("Job")
 Job_co = TypeVar("Job_co", covariant=True)
@@ -77,6 +78,9 @@ class WorkerPool:
         Of this process; other processes load their own.
     workers : int
         Number of processes; with 1 everything runs in this one.
+    cores : int, optional
+        Processes, or threads within them, that may work at once; as many as ``workers`` by default. Where there are
+        fewer images than these, estimators of one image run at once (:func:`giantlike.threads`).
 
     Notes
     -----
@@ -88,8 +92,9 @@ class WorkerPool:
     worker processes end when the process that started them is gone.
     """
 
-    def __init__(self, bench: Workbench, workers: int) -> None:
+    def __init__(self, bench: Workbench, workers: int, *, cores: int | None = None) -> None:
         require(workers >= 1, f"workers must be >= 1, got {workers}")
+        self._cores = max(workers, cores or workers)
         self._bench = bench
         self._workers = workers
         self._executors: dict[int, ProcessPoolExecutor] = {}
@@ -129,14 +134,15 @@ class WorkerPool:
         InputError
             Processes cannot be started at all.
         """
+        each = self._cores // max(1, min(self._workers, len(jobs)))
         if self._workers == 1:
-            return ((position, function(self._bench, jobs[position])) for position in range(len(jobs)))
+            return ((place, _in_threads(each, function, self._bench, jobs[place])) for place in range(len(jobs)))
         waiting = deque(range(len(jobs)))
         running: dict[Future[Answer], int] = {}
 
         def hand_out() -> None:
             while waiting and len(running) < _QUEUED_PER_WORKER * self._workers:
-                future = self._executor(self._workers).submit(_call, function, jobs[waiting[0]])
+                future = self._executor(self._workers).submit(_call, each, function, jobs[waiting[0]])
                 running[future] = waiting.popleft()
 
         def answers() -> Iterator[tuple[int, Answer | None]]:
@@ -160,7 +166,7 @@ class WorkerPool:
 
     def _alone(self, function: Callable[[Workbench, Job], Answer], job: Job) -> Answer | None:
         try:
-            return self._executor(1).submit(_call, function, job).result()
+            return self._executor(1).submit(_call, 1, function, job).result()
         except BrokenProcessPool:
             self._drop(1)
             self._check_start()
@@ -209,5 +215,10 @@ def _ready() -> bool:
     return bool(_bench_of_this_process)
 
 
-def _call(function: Callable[[Workbench, Any], Answer], job: Any) -> Answer:
-    return function(_bench_of_this_process[0], job)
+def _call(count: int, function: Callable[[Workbench, Any], Answer], job: Any) -> Answer:
+    return _in_threads(count, function, _bench_of_this_process[0], job)
+
+
+def _in_threads(count: int, function: Callable[[Workbench, Job], Answer], bench: Workbench, job: Job) -> Answer:
+    with threads(count):
+        return function(bench, job)

@@ -31,7 +31,7 @@ from giantlike.campaign.store.run_folder import REPORT_PAGE, RunFolder
 from giantlike.campaign.store.tables import TABLE_FILES, write_tables
 from giantlike.core.atomic import make_folder
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.processes import process_count
+from giantlike.core.processes import available_cpus, process_count
 
 PoolMaker: TypeAlias = Callable[[Workbench, int], Pool]
 """Called with the workbench and the number of images; makes what work is handed to."""
@@ -58,7 +58,8 @@ def run_campaign(
     ----------
     campaign : Campaign
     workers : int, optional
-        Number of processes; default one per CPU, never more than images.
+        Number of processes; default one per CPU, never more than images. Where there are fewer images to work on,
+        estimators of one image run at once, in no more threads altogether than these.
     resume : bool
         Accepted and without effect: a run always goes on with what its folder holds.
     bodies : bool
@@ -86,7 +87,7 @@ def run_campaign(
     bench = Workbench.load(campaign)
 
     def processes(bench: Workbench, jobs: int) -> Pool:
-        return WorkerPool(bench, process_count(workers, jobs))
+        return WorkerPool(bench, process_count(workers, jobs), cores=workers or available_cpus())
 
     try:
         make_folder(campaign.output)

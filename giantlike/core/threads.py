@@ -1,0 +1,76 @@
+"""Threads in which independent parts of the work on one image are done at once."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import ContextVar
+from typing import TypeVar
+
+from giantlike.core.arrays import require
+from giantlike.core.processes import one_thread
+
+Result = TypeVar("Result")
+
+ALLOWED: ContextVar[int] = ContextVar("threads", default=1)
+"""Threads that work in this context may take. A new thread begins with 1, so that what runs in one starts no others."""
+
+
+@contextlib.contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Context manager in which independent estimators of one image run at once, each in a thread.
+
+    ``auto`` then runs the estimator of its choice and the one that checks it at once. All results are those of one
+    thread, bit for bit. It holds for what the thread that enters it does.
+
+    Parameters
+    ----------
+    count : int
+        Threads at most; 1 is the default everywhere.
+
+    Yields
+    ------
+    None
+
+    Raises
+    ------
+    InputError
+        The number is below 1.
+
+    Examples
+    --------
+    >>> import giantlike as gl
+    >>> with gl.threads(2):  # doctest: +SKIP
+    ...     fix = gl.Auto().estimate(image, camera, scene)
+    """
+    require(count >= 1, f"threads must be >= 1, got {count}")
+    token = ALLOWED.set(count)
+    try:
+        yield
+    finally:
+        ALLOWED.reset(token)
+
+
+@contextlib.contextmanager
+def at_once(jobs: Mapping[str, Callable[[], Result]]) -> Iterator[Callable[[str], Result]]:
+    """Context manager of jobs that do not need each other: with several threads, all are begun.
+
+    With one, a job runs when its result is asked for, which may be done once.
+
+    Parameters
+    ----------
+    jobs : mapping of str to callable
+
+    Yields
+    ------
+    callable
+        Gives the result of the job of a name, or raises what it raised.
+    """
+    count = min(ALLOWED.get(), len(jobs))
+    if count < 2:
+        yield lambda name: jobs[name]()
+        return
+    with one_thread(), ThreadPoolExecutor(count) as pool:  # held here, as jobs that end would give it back too early
+        begun = {name: pool.submit(job) for name, job in jobs.items()}
+        yield lambda name: begun[name].result()
