@@ -256,6 +256,11 @@ class Quality(enum.Flag):
 
     Check the psf of the camera, and the motion during the exposure.
     """
+    DEFOCUSED = enum.auto()
+    """The stars are much wider than the camera's optics make them, in all directions alike: no focus, or a wrong psf.
+
+    Their places and the covariance hold. Give the camera the width that its stars have before bodies are measured.
+    """
     SUSPECT = (
         LOW_SCORE
         | MANY_REJECTED

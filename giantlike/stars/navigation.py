@@ -51,6 +51,10 @@ _LARGE_BLUR = 1.3
 """Width of stars over that of the camera's optics. On 260 star images of the gauntlet (seed 6) it is 0.97-1.01 where
 nothing blurs them, 1.10-1.17 for motion of a pixel, and 1.42-1.78 out of focus; optics vary over the field by 0.1-0.2.
 """
+_ROUND = 0.25
+"""Growth of the shortest axis of stars over that of the longest from which a blur is the same in all directions. Out of
+focus it is 0.37-0.86 in six of seven star images of the gauntlet (seeds 9500-9504; 0.05 in one of 15 faint stars) and
+0.47-0.79 for fields of 12 stars; for motion of 2 px and less, which is no streak yet, it is below 0."""
 _MOST_ALONE = 1 / 3
 """Shares of sources and of catalog stars, each of the brighter half, that have no partner. On 200 star images of the
 gauntlet (seed 7) the smaller of the two is at most 0.04 where nothing is wrong, 0.28 with lines or blocks missing, and
@@ -327,7 +331,12 @@ class StarNavigation:
             return Quality.NONE
         weights = 1.0 / detections.sigma_px[indices] ** 2
         ratio = float(weights @ detections.width_px[indices] / weights.sum()) / detections.psf_sigma_px
-        return Quality.NONE if 1.0 / _LARGE_BLUR < ratio < _LARGE_BLUR else Quality.BLURRED
+        if 1.0 / _LARGE_BLUR < ratio < _LARGE_BLUR:
+            return Quality.NONE
+        if detections.moments is None or ratio < 1.0:
+            return Quality.BLURRED
+        longest, shortest = weights @ (detections.moments[indices] - 0.5)
+        return Quality.DEFOCUSED if shortest > _ROUND * longest else Quality.BLURRED
 
     def _other_sky(self, detections: Detections, usable: NDArray[np.intp], outcome: RefinedAttitude) -> Quality:
         """Flag of an image that shows two skies: bright sources without a star, and bright stars without a source.

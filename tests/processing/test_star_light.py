@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.special import erf
 
 from giantlike.core.arrays import Float, Mask
-from giantlike.processing.detection.gauss_newton import elongations, star_light
+from giantlike.processing.detection.gauss_newton import star_light, windowed_moments
 from tests.tolerances import FLOAT64_SUM
 
 N, SIZE, GAIN, MODEL_ERROR, RADIUS, SIGMA = 40, 9, 2.0, 0.08, 3.0, 0.8
@@ -59,14 +59,16 @@ def test_the_light_of_a_star_is_that_of_weighted_least_squares_in_its_core() -> 
     assert_allclose(left, chi2, rtol=1e-12, atol=0)
 
 
-def test_a_star_has_an_elongation_of_a_half_and_a_line_of_more() -> None:
+def test_the_moments_of_a_star_are_a_half_and_those_of_a_line_one_along_it() -> None:
     _, valid, _, corner, points = scene()
     dx, dy = offsets(corner, points)
     window = math.sqrt(SIGMA**2 + 1 / 12)
     star = 500.0 * shares(corner, points)
     line = 500.0 * np.exp(-0.5 * ((dx - dy) / (math.sqrt(2) * window)) ** 2)
     level = np.zeros(N)
-    of_star = elongations(star, valid, corner, points, level, window, SIGMA)
+    of_star = windowed_moments(star, valid, corner, points, level, window, SIGMA)
     assert_allclose(of_star, 0.5, rtol=0, atol=FLOAT64_SUM)
     whole = np.ones_like(valid)
-    assert elongations(line, whole, corner, points, level, window, SIGMA).min() > 0.8
+    longest, shortest = windowed_moments(line, whole, corner, points, level, window, SIGMA).T
+    assert_allclose(longest, 1.0, rtol=0, atol=0.02)
+    assert_allclose(shortest, 0.5, rtol=0, atol=0.02)

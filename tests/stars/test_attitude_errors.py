@@ -314,9 +314,16 @@ def test_an_unknown_speed_is_no_negative_number() -> None:
 
 @pytest.mark.parametrize(
     ("fault", "flag"),
-    [("none", Quality.NONE), ("slipped", Quality.AMBIGUOUS), ("blurred", Quality.BLURRED)],
+    [
+        ("none", Quality.NONE),
+        ("slipped", Quality.AMBIGUOUS),
+        ("narrow", Quality.BLURRED),
+        ("defocused", Quality.DEFOCUSED),
+    ],
 )
-def test_rows_that_slipped_far_and_blur_make_an_attitude_suspect(fault: str, flag: Quality) -> None:
+def test_rows_that_slipped_far_and_narrow_stars_make_an_attitude_suspect_and_wide_round_ones_do_not(
+    fault: str, flag: Quality
+) -> None:
     camera = replace(
         _camera(SMALL_VIEW),
         columns=SMALL,
@@ -327,7 +334,7 @@ def test_rows_that_slipped_far_and_blur_make_an_attitude_suspect(fault: str, fla
     rng = np.random.default_rng(8)
     attitude = Rotation.random(rng=rng)
     field = random_stars(rng, 100, axis=attitude.inv().apply([0.0, 0.0, 1.0]), radius_rad=0.13)
-    light, _ = star_image(field, SMALL_VIEW, attitude, psf=Psf(1.3 if fault == "blurred" else 0.8))
+    light, _ = star_image(field, SMALL_VIEW, attitude, psf=Psf({"narrow": 0.5, "defocused": 1.3}.get(fault, 0.8)))
     if fault == "slipped":
         light[SMALL // 2 :] = np.roll(light[SMALL // 2 :], 40, axis=1)
     exposed = record(light + 500.0, rng, Recorder(gain_e_per_dn=2.0, read_noise_e=5.0))

@@ -29,7 +29,7 @@ from scipy.spatial import cKDTree
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
-from giantlike.processing.detection.gauss_newton import elongations, fitted, last_steps, subtract
+from giantlike.processing.detection.gauss_newton import fitted, last_steps, subtract, windowed_moments
 from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, PIXEL_VARIANCE_PX2, Patches, chi2_inflation
 
 _MAX_STEPS = 16  # a star that has not converged after so many gets FIT_FAILED
@@ -135,11 +135,11 @@ def fit_stars(
     return _finished(patches, solution)
 
 
-def elongation(patches: Patches, points_px: Float, background_dn: Float, psf_sigma_px: float) -> Float:
-    """Largest second moment (n,) in a Gaussian window as wide as a star, in units of the window's.
+def windowed_shape(patches: Patches, points_px: Float, background_dn: Float, psf_sigma_px: float) -> Float:
+    """Second moments along the longest and the shortest axis in a Gaussian window as wide as a star, in units of it.
 
-    Shifted by the moment of a star at the same place in its pixel, so that stars give 0.5. A line or an edge
-    gives 1, a hot pixel 0.
+    Shifted by the moment of a star at the same place in its pixel, so that stars give 0.5 twice. Along a line or an
+    edge it is 1, of a hot pixel 0.
 
     Parameters
     ----------
@@ -150,9 +150,9 @@ def elongation(patches: Patches, points_px: Float, background_dn: Float, psf_sig
 
     Returns
     -------
-    (n,) float64
+    (n, 2) float64
     """
-    return elongations(
+    return windowed_moments(
         patches.values_dn,
         patches.valid,
         patches.corner_px,

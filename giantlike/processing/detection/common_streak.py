@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float
-from giantlike.processing.detection.centroid import elongation
+from giantlike.processing.detection.centroid import windowed_shape
 from giantlike.processing.detection.frame import Frame
 from giantlike.processing.detection.matched_filter import recorded_width_px
 from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, Patches
@@ -150,7 +150,7 @@ def unexplained_power(patches: Patches, fits: LineFits, shares: Float) -> Float:
 def _mostly_long(frame: Frame, peaks_px: NDArray[np.int64]) -> bool:
     """True if sources are longer than points: a quick check, before lines are fitted."""
     patches = frame.patches(peaks_px, _QUICK_HALF_PX)
-    long = elongation(patches, peaks_px.astype(np.float64), patches.border_level_dn(), _USUAL_WIDTH)
+    long = windowed_shape(patches, peaks_px.astype(np.float64), patches.border_level_dn(), _USUAL_WIDTH)[:, 0]
     return float(np.median(long)) > _QUICK_LONG
 
 

@@ -25,7 +25,7 @@ from giantlike.core.arrays import Float, Mask, require_number
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.detection.candidates import Candidates, find_candidates
-from giantlike.processing.detection.centroid import StarFits, elongation, fit_stars, neighbor_pairs
+from giantlike.processing.detection.centroid import StarFits, fit_stars, neighbor_pairs, windowed_shape
 from giantlike.processing.detection.common_streak import (
     CommonStreak,
     find_common_streak,
@@ -341,6 +341,7 @@ def _measure(
     patches = patches.leveled(fits.planes, fits.points_px)
     flux = np.where(failed, found.flux_dn, fits.flux_dn)
     core = core_of(patches, fits.points_px, psf_sigma_px)
+    moments = windowed_shape(patches, fits.points_px, fits.background_dn, psf_sigma_px)
     peak = np.where(core & patches.valid, patches.values_dn, -np.inf).max(axis=(1, 2)) - fits.background_dn
     return Detections(
         points_px=fits.points_px,
@@ -351,9 +352,10 @@ def _measure(
         area_px=found.area_px,
         background_dn=fits.background_dn,
         width_px=fits.width_px,
-        flags=_flags(frame, found, _Fitted(patches, fits, core), psf_sigma_px, usual_px),
+        flags=_flags(frame, found, _Fitted(patches, fits, core, moments), psf_sigma_px, usual_px),
         psf_sigma_px=psf_sigma_px,
         noise_dn=noise_dn,
+        moments=moments,
     )
 
 
@@ -408,11 +410,12 @@ def _measure_lines(frame: Frame, found: Candidates, streak: CommonStreak, noise_
 
 @dataclass(frozen=True, slots=True)
 class _Fitted:
-    """Patches without the slopes of their backgrounds, the stars fitted to them, and the cores (n, w, w) of these."""
+    """Patches without the slopes of their backgrounds, stars fitted to them, cores (n, w, w) and moments (n, 2)."""
 
     patches: Patches
     fits: StarFits
     core: Mask
+    moments: Float
 
 
 def _flags(
@@ -433,7 +436,7 @@ def _flags(
         masked |= (core & bad).any(axis=(1, 2))
     relative_width = np.hypot(fits.width_px, math.sqrt(PIXEL_VARIANCE_PX2)) / width
     wide = relative_width > np.where(saturated, _EXTENDED_WIDTH_SATURATED, _EXTENDED_WIDTH)
-    long = elongation(patches, points_px, fits.background_dn, psf_sigma_px) > _ELONGATED
+    long = fitted.moments[:, 0] > _ELONGATED
     long &= ~saturated  # a plateau has no shape
     usual = _usual_width_px(fits, ~saturated & ~wide & ~long, psf_sigma_px) if usual_px is None else usual_px
     few = find_few_pixels(patches, points_px, np.full(len(points_px), usual), fits.background_dn, psf_sigma_px)

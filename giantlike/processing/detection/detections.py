@@ -113,6 +113,9 @@ class Detections(Value):
         fitted. The ends are ``points_px`` plus and minus this.
     half_sigma_px : (n,) float64, px, optional
         Standard deviation of half the length.
+    moments : (n, 2) float64, optional
+        Second moments along the longest and the shortest axis in a Gaussian window as wide as a star, in units of the
+        window's, 0.5 of a star; None where streaks were fitted.
     left_out : UnmeasuredSources, optional
         Sources found that ``DetectionOptions.information`` left unmeasured; None where all were measured.
     """
@@ -130,6 +133,7 @@ class Detections(Value):
     noise_dn: float
     halves_px: Float | None = None
     half_sigma_px: Float | None = None
+    moments: Float | None = None
     left_out: UnmeasuredSources | None = None
 
     def __len__(self) -> int:

@@ -230,7 +230,7 @@ def star_light(
 
 
 @compiled
-def elongations(
+def windowed_moments(
     values_dn: Float,
     valid: Mask,
     corner_px: NDArray[np.int64],
@@ -239,7 +239,7 @@ def elongations(
     window_px: float,
     width_px: float,
 ) -> Float:
-    """Largest second moments in Gaussian windows, see :func:`giantlike.processing.detection.centroid.elongation`.
+    """Second moments in Gaussian windows, see :func:`giantlike.processing.detection.centroid.windowed_shape`.
 
     Parameters
     ----------
@@ -252,11 +252,11 @@ def elongations(
 
     Returns
     -------
-    (n,) float64
-        In units of the window's; 0.5 of a star.
+    (n, 2) float64
+        Largest and smallest, in units of the window's; 0.5 of a star.
     """
     n, size = values_dn.shape[0], values_dn.shape[1]
-    result, of_light, of_star = np.empty(n), np.empty(4), np.empty(4)
+    result, of_light, of_star = np.empty((n, 2)), np.empty(4), np.empty(4)
     columns, rows = np.empty((size, 3)), np.empty((size, 3))
     window_x, window_y = np.empty(size), np.empty(size)
     for star in range(n):
@@ -280,7 +280,8 @@ def elongations(
             of_light[2] / seen - of_star[2] / expected,
             of_light[3] / seen - of_star[3] / expected,
         )
-        result[star] = ((xx + yy) / 2.0 + math.hypot((xx - yy) / 2.0, xy)) / window_px**2 + 0.5
+        mean, apart = (xx + yy) / 2.0, math.hypot((xx - yy) / 2.0, xy)
+        result[star, 0], result[star, 1] = (mean + apart) / window_px**2 + 0.5, (mean - apart) / window_px**2 + 0.5
     return result
 
 
