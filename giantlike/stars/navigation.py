@@ -54,8 +54,8 @@ nothing blurs them, 1.10-1.17 for motion of a pixel, and 1.42-1.78 out of focus;
 _ROUND = 0.25
 """Growth of the shortest axis of stars over that of the longest from which a blur is the same in all directions. Out of
 focus it is 0.37-0.86 in six of seven star images of the gauntlet (seeds 9500-9504; 0.05 in one of 15 faint stars) and
-0.47-0.79 for fields of 12 stars; for motion of 2 px and less, which is no streak yet, it is below 0. Seed 9563, not used
-to choose it: 0.79, 0.33, 0.07 out of focus, of 51, 7 and 7 stars."""
+0.47-0.79 for fields of 12 stars; for motion of 2 px and less, which is no streak yet, it is below 0. Seed 9563,
+not used to choose it: 0.79, 0.33, 0.07 out of focus, of 51, 7 and 7 stars."""
 _MOST_ALONE = 1 / 3
 """Shares of sources and of catalog stars, each of the brighter half, that have no partner. On 200 star images of the
 gauntlet (seed 7) the smaller of the two is at most 0.04 where nothing is wrong, 0.28 with lines or blocks missing, and
