@@ -137,11 +137,11 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
         if isinstance(template, Failure):
             return template
         image = inputs.pixels
-        found = _brightest(inputs, template, options)
+        width_px = _width_px(template)
+        found = _brightest(inputs, template, width_px, options)
         if isinstance(found, Failure):
             return found
         start_px, rivals = found
-        width_px = _width_px(template)
         measured = _centroid(image, inputs.saturated, start_px, width_px)
         if isinstance(measured, Failure):
             return measured
@@ -207,7 +207,9 @@ def rays_across(diameter_px: float, phase_rad: float) -> int:
     return min(round(max(across, through)), _MOST_RAYS)
 
 
-def _brightest(inputs: EstimatorInputs, template: Template, options: UnresolvedOptions) -> tuple[Float, bool] | Failure:
+def _brightest(
+    inputs: EstimatorInputs, template: Template, width_px: float, options: UnresolvedOptions
+) -> tuple[Float, bool] | Failure:
     """Position of the brightest source in the search region, and True if another is bright enough to be it instead."""
     image, bad, detector = inputs.pixels, inputs.masked, inputs.camera.detector
     optics_px = UNKNOWN_PSF_SIGMA_PX if inputs.psf_sigma_px is None else inputs.psf_sigma_px
@@ -217,7 +219,6 @@ def _brightest(inputs: EstimatorInputs, template: Template, options: UnresolvedO
         return Failure(
             Reason.OUT_OF_FRAME, f"the predicted center of light {_text(expected_px)} px is outside the image"
         )
-    width_px = _width_px(template)
     sources = detect_sources(box.cut(image.values_dn), detector=detector, psf_sigma_px=width_px, mask=box.cut(bad))
     if isinstance(sources, Failure):
         return sources
@@ -312,9 +313,11 @@ def _offset(template: Template, window_px: float) -> Float | Failure:
 
 def _width_px(template: Template) -> float:
     """Standard deviation, px, of the recorded light along one axis, mean of both axes."""
-    light = template.brightness
-    spread = np.cov(np.indices(light.shape).reshape(2, -1), aweights=light.ravel(), ddof=0)
-    return math.sqrt(float(np.trace(spread)) / 2)
+    variance_px2 = 0.0
+    for light in (template.brightness.sum(axis=0), template.brightness.sum(axis=1)):
+        places, share = np.arange(light.size), light / light.sum()
+        variance_px2 += float(share @ (places - share @ places) ** 2)
+    return math.sqrt(variance_px2 / 2)
 
 
 def _box_around(center_px: Float, half_px: float, image: BoxPixels) -> PixelBox:

@@ -15,6 +15,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.causes import Cause
+from giantlike.core.compiled import compiled
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value
 
@@ -216,16 +217,20 @@ def model_errors(residuals: Float, variances: VarianceModel, start: Float, *, cl
         Not negative; from a sample where the values are many.
     """
     thin = slice(None, None, max(residuals.size // _VARIANCE_SAMPLES, 1))
-    sampled = VarianceModel(variances.noise[thin], variances.shapes[:, thin])
-    noise, shapes, squares = sampled.noise, np.ascontiguousarray(sampled.shapes), residuals[thin] ** 2
-    result, inverse, scores = start, np.empty_like(squares), np.empty_like(squares)
+    shapes = np.ascontiguousarray(variances.shapes[:, thin])
+    return _likeliest(residuals[thin] ** 2, variances.noise[thin].copy(), shapes, np.array(start), clip_sigma**2)
+
+
+@compiled
+def _likeliest(squares: Float, noise: Float, shapes: Float, start: Float, most: float) -> Float:
+    """Iterations of :func:`model_errors` by squared residuals (n,)."""
+    result, inverse, scores = start, np.empty_like(noise), np.empty_like(noise)
     for _ in range(_VARIANCE_STEPS):
-        np.matmul(result, shapes, out=inverse)
-        inverse += noise
-        np.divide(1.0, inverse, out=inverse)
-        np.multiply(squares, inverse, out=scores)
-        np.minimum(scores, clip_sigma**2, out=scores)
-        scores *= inverse
+        total = result @ shapes
+        for k in range(len(noise)):
+            inverse[k] = 1.0 / (noise[k] + total[k])
+            ratio = squares[k] * inverse[k]
+            scores[k] = (ratio if ratio < most else most) * inverse[k]
         result = result * (shapes @ scores) / np.maximum(shapes @ inverse, 1e-300)
     return result
 
