@@ -168,7 +168,14 @@ class Cells(Value):
 
 
 def cells_around(
-    pixels_dn: Float, good: Mask, saturated: Mask, camera: Camera, body: Body, *, room_px: float = 0.0
+    pixels_dn: Float,
+    good: Mask,
+    saturated: Mask,
+    camera: Camera,
+    body: Body,
+    *,
+    room_px: float | None = 0.0,
+    per_radius: int = CELLS_PER_RADIUS,
 ) -> Cells | None:
     """Average blocks of pixels around a body.
 
@@ -181,8 +188,10 @@ def cells_around(
     camera : Camera
     body : Body
         Where it is taken to be.
-    room_px : float, px
-        Room for shifts of the body; one radius at least.
+    room_px : float or None, px
+        Room for shifts of the body, one radius at least; None for none.
+    per_radius : int
+        Cells to a radius of the body, as far as pixels are not larger.
 
     Returns
     -------
@@ -197,8 +206,8 @@ def cells_around(
     radius_px = body.shape.mean_radius_km * px_per_km
     blur_px = 0.0 if camera.psf is None else camera.psf.sigma_px
     reach_px = MARGIN * body.shape.circumscribing_radius_km * px_per_km + _PSF_REACH * blur_px
-    room_px = max(room_px, radius_px)
-    size = max(1, round(radius_px / CELLS_PER_RADIUS), math.ceil(2.0 * (reach_px + room_px) / _MOST_CELLS))
+    room_px = 0.0 if room_px is None else max(room_px, radius_px)
+    size = max(1, round(radius_px / per_radius), math.ceil(2.0 * (reach_px + room_px) / _MOST_CELLS))
     if min(good.shape) < 2 * size:
         return None
     room = math.ceil(room_px / size)

@@ -21,9 +21,9 @@ from giantlike.relative.place import SEEN_SIZE
 from giantlike.relative.quality import LEAST_CHANCE, LEAST_PREDICTION_CHANCE, UNLIKELY, QualityChecks
 from giantlike.relative.response import RESPONSE, Response
 from giantlike.relative.template.smear import SMEAR, Smear
-from giantlike.relative.verification.cells import Cells, cells_around
+from giantlike.relative.verification.cells import CELLS_PER_RADIUS, Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
-from giantlike.relative.verification.haze import in_haze, veils
+from giantlike.relative.verification.haze import HAZE_CELLS_PER_RADIUS, hint_of_haze, in_haze, may_be_hazy, veils
 from giantlike.relative.verification.light_side import light_side
 from giantlike.relative.verification.proportion import in_proportion, looks_bent
 from giantlike.relative.verification.rival import rival_log_odds
@@ -115,8 +115,9 @@ def verified(
         straight = in_proportion(fix, coarse, inputs, again, lambda one, its: _coarse(one, its, search_px))
         if straight is not None:
             fix, coarse, inputs = straight
-    if again is not None and coarse is not None:
-        hazy = in_haze(fix, coarse, inputs, again, lambda one, its: _coarse(one, its, search_px))
+    if again is not None and coarse is not None and hint_of_haze(coarse.fit):
+        fine = _at(coarse.trace.body, inputs, None, fix)
+        hazy = in_haze(fix, fine, inputs, again, lambda one, its: _coarse(one, its, search_px))
         if hazy is not None:
             fix, coarse, inputs = hazy
     numbers = _Numbers() if coarse is None else _image_numbers(fix, coarse, inputs, search_px)
@@ -353,15 +354,25 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
     return replace(again, fit=replace(again.fit, moved=found + again.fit.moved))
 
 
-def _at(body: Body, inputs: EstimatorInputs, search_px: float, fix: CenterFix) -> _Coarse | None:
+def _at(body: Body, inputs: EstimatorInputs, search_px: float | None, fix: CenterFix) -> _Coarse | None:
     """Render a body coarsely and fit it; None where it is too small or not seen.
+
+    Without a search, in cells as fine as haze takes, which the residuals are then asked about.
 
     The response and the smear that the fix has found are none of its errors.
     """
-    off_px = body.center_px(inputs.camera.model) - inputs.predicted_px
-    room_px = search_px + float(np.max(np.abs(off_px)))
-    good = ~inputs.masked
-    cells = cells_around(inputs.pixels_dn, good, inputs.saturated, inputs.camera, body, room_px=room_px)
+    room_px = None
+    if search_px is not None:
+        room_px = search_px + float(np.max(np.abs(body.center_px(inputs.camera.model) - inputs.predicted_px)))
+    cells = cells_around(
+        inputs.pixels_dn,
+        ~inputs.masked,
+        inputs.saturated,
+        inputs.camera,
+        body,
+        room_px=room_px,
+        per_radius=CELLS_PER_RADIUS if search_px is not None else HAZE_CELLS_PER_RADIUS,
+    )
     if cells is not None and inputs.geometry.target.rings is not None:
         cells = _without_rings(cells, inputs.geometry.target.rings, body, inputs.geometry.sun_direction_camera)
     trace = None if cells is None else cells.trace(body, inputs.geometry.sun_direction_camera)
@@ -380,7 +391,7 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float, fix: CenterFix) -
             turn_rad=inputs.turn_rad,
             response=None if bent is None else Response.from_text(bent),
             smear=None if moved is None else Smear.from_text(moved),
-            asked=veils(cells, trace, fix, inputs),
+            asked=veils(cells, trace) if may_be_hazy(fix, inputs) else None,
         )
     return _Coarse(cells=cells, trace=trace, own=own, fit=fit)
 

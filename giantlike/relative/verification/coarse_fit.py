@@ -136,6 +136,8 @@ class CoarseFit(Value):
         What the residuals ask for, beside all else, of each of the images that they were asked about, alone.
     asked_sigma : (a,) float64
         Standard deviations.
+    asked_explains : (a,) float64
+        Squared residuals that each of them explains, over those that noise leaves.
     """
 
     gain_dn: float
@@ -157,6 +159,7 @@ class CoarseFit(Value):
     further_covariance: Float
     asked: Float
     asked_sigma: Float
+    asked_explains: Float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -248,7 +251,8 @@ def fit_cells(
     normalized = np.where(fresh, normalized, 0.0)
     misfit = float(np.sqrt(np.mean(normalized[lit] ** 2)))
     parts = float(cells.place(own.coverage, own)[fresh].sum()) / (BLOCK * cells.radius) ** 2
-    shown_sigma = _scale(normalized, lit, edge, least=_LEAST_SCALE if parts > len(flat) else 1.0) * model_sigma
+    least = _LEAST_SCALE if parts > len(flat) else 1.0
+    shown_sigma = _scale(normalized, lit, edge, least=least) * model_sigma
     influence = (np.linalg.inv(normal)[_GEOMETRY] @ weighted).reshape(-1, *values.shape)
     by_law = _OTHER_LAW * (solution - _without_laws(normal, projected))[_GEOMETRY]
     covariance = _covariance(influence, noise, shown_sigma, cells) + np.outer(by_law, by_law)
@@ -266,11 +270,15 @@ def fit_cells(
     bend_sigma = math.inf
     if bend > LEAST_BEND:
         bend_sigma = math.sqrt(float(_covariance(by_bend[None], noise, shown_sigma, cells)[0, 0]))
-    shares, share_variances = np.zeros(0), np.zeros(0)
+    shares, share_variances, explained = np.zeros(0), np.zeros(0), np.zeros(0)
     if asked is not None:
-        by_asked = _influences(gain * asked.reshape(len(asked), -1), flat, weighted, normal)
+        by_asked, information = _influences(gain * asked.reshape(len(asked), -1), flat, weighted, normal)
         shares = by_asked @ (values - model).ravel()
-        share_variances = np.diag(_covariance(by_asked.reshape(-1, *values.shape), noise, shown_sigma, cells))
+        of_noise = np.where(fresh, noise * weights, 0.0)
+        scale = _scale(normalized, lit, edge, least=least, noise=of_noise)
+        share_variances = np.diag(_covariance(by_asked.reshape(-1, *values.shape), noise, scale * model_sigma, cells))
+        by_chance = math.sqrt(2.0 * float(np.sum(of_noise**2)))
+        explained = shares**2 * information / max(float(np.sum(normalized**2 - of_noise)), by_chance)
     return CoarseFit(
         gain_dn=gain,
         misfit=misfit,
@@ -291,6 +299,7 @@ def fit_cells(
         further_covariance=besides / gain**2,
         asked=shares,
         asked_sigma=np.sqrt(share_variances),
+        asked_explains=explained,
     )
 
 
@@ -302,18 +311,20 @@ def _bend_asked(
     ``flat`` and ``weighted`` (p, n * n) are the design and the same over variances, ``normal`` (p, p) their products.
     """
     bent = -response.changes_dn(model)[0].ravel()
-    influence = _influences(bent[None], flat, weighted, normal)[0]
+    influence = _influences(bent[None], flat, weighted, normal)[0][0]
     return influence.reshape(values.shape), response.bend + float(influence @ (values - model).ravel())
 
 
-def _influences(images: Float, flat: Float, weighted: Float, normal: Float) -> Float:
+def _influences(images: Float, flat: Float, weighted: Float, normal: Float) -> tuple[Float, Float]:
     """How shares of images (a, n * n) that residuals ask for beside a model, each alone, change with the cells.
 
+    And what the cells tell of each, (a,).
     ``flat`` and ``weighted`` (p, n * n) are the design and the same over variances, ``normal`` (p, p) their products.
     """
     weights = weighted[_LEVEL]  # of a column of ones
     influence = weights * (images - np.linalg.solve(normal, weighted @ images.T).T @ flat)
-    return np.asarray(influence / np.maximum(np.sum(influence * images, axis=1, keepdims=True), 1e-300))
+    information = np.maximum(np.sum(influence * images, axis=1), 1e-300)
+    return influence / information[:, None], information
 
 
 def _structure(normalized: Float, lit: Mask) -> float:
@@ -365,13 +376,15 @@ def _blurred(images: Float, sigma: float, border: int = cv2.BORDER_REFLECT) -> F
     return blurred
 
 
-def _scale(normalized: Float, lit: Mask, edge: Mask, *, least: float) -> Float:
+def _scale(normalized: Float, lit: Mask, edge: Mask, *, least: float, noise: Float | None = None) -> Float:
     """Scatter (n, n) that the residuals show over that of the errors of the model: of the face, and of its edges.
 
     Relief moves the edges and leaves the face, which has many more cells; and it is alike over longer parts of them.
+    ``noise`` (n, n) are the squares that come from noise: of coarse cells next to none, which may be left out.
     """
+    squares = normalized**2 if noise is None else normalized**2 - noise
     face, rim = (
-        max(float(np.sqrt(np.mean(normalized[part] ** 2))) if part.any() else 0.0, least)
+        max(math.sqrt(max(float(np.mean(squares[part])), 0.0)) if part.any() else 0.0, least)
         for part in (lit & ~edge, lit & edge)
     )
     return np.where(edge, _LONG_WAVES * rim, face)
@@ -408,6 +421,7 @@ def _nothing_alike() -> CoarseFit:
         further_covariance=np.zeros((0, 0)),
         asked=np.zeros(0),
         asked_sigma=np.zeros(0),
+        asked_explains=np.zeros(0),
     )
 
 

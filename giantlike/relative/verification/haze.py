@@ -26,12 +26,25 @@ if TYPE_CHECKING:
 
 LIMB_BLUR = "limb_blur_px2"
 """Key of the provenance of fixes from limbs: the variance of their blur beyond that of the camera, px^2."""
+HAZE_CELLS_PER_RADIUS = 60
+"""Cells to a radius of the body in which haze is looked for, as far as pixels are not larger. Of crescents of 120 px
+(125 degrees) with a depth of 0.05 shares come to 2 to 8 sigmas in cells of 3 px and to 7 to 9 in cells of 1 px, of
+right bodies whose point spread function is told 30 % narrow to 6 and to 1.5."""
 _BRIGHTNESS = (0.0, 0.5, 2.0)
 """Light that haze sends, over that of ground lit and seen along its normal: of dark to bright haze."""
-_HAZY_SIGMAS = 3.5
-"""Share of haze in the light over its standard deviation from which on there is haze: 4.2 to 11 with a depth of 0.05
-and more around bodies of 120 and 300 px, and of 104 fixes without haze (``benchmarks/stress.md``) 4 have more and a
-limb that is blurred."""
+_DEPTHS = (VEIL_DEPTH, 0.3)
+"""Vertical optical depths of the haze that is looked for; others are shares of it."""
+_HINT_SIGMAS, _HAZY_SIGMAS = 1.0, 3.0
+"""Share of haze in the light over its standard deviation from which on finer cells are looked at, and from which on
+there is haze in these: 4.0 to 14 with a depth of 0.05 and more around bodies of 120 px, 1.8 to 4.4 with a depth of
+0.02."""
+_LEAST_EXPLAINED = 0.25
+"""Of the squared residuals that noise does not explain, those that haze does: 0.2 to all of them in haze (120 px). With
+relief and markings 3 of 15 fixes beyond 3 sigmas have 0.2 or more, 0.34 at most."""
+_OF_ALTITUDE = 0.5
+"""Standard deviation of the altitude over the one at which a sharp edge would be seen in such haze. Squared errors of
+``limb_matching`` and ``ellipsoid_cra`` in haze of a depth of 0.05 to 0.3 (views 400 to 419) come to 0.5 to 2.5 of the
+covariance with it, to 0.2 to 0.6 with all of the altitude: laws and free brightness of the limb take part of it."""
 _OPTICS = 0.05
 """How well the width of the optics is known, relative: a blur within it may be haze too. As of the limb's lines."""
 
@@ -39,7 +52,26 @@ AnyFix = TypeVar("AnyFix", bound=CenterFix)
 Coarse = TypeVar("Coarse", bound=Looked)
 
 
-def veils(cells: Cells, trace: Trace, fix: CenterFix, inputs: EstimatorInputs) -> Float | None:
+def may_be_hazy(fix: CenterFix, inputs: EstimatorInputs) -> bool:
+    """Return True for fixes behind which haze is looked for.
+
+    Parameters
+    ----------
+    fix : CenterFix or PositionFix
+    inputs : EstimatorInputs
+
+    Returns
+    -------
+    bool
+        False where the altitude of the limb is told, no limb was measured, or it is sharper than the camera by more
+        than is not known of that, which no limb in haze is.
+    """
+    target, blur = inputs.geometry.target, _limb_blur(fix)
+    told = target.atmosphere is not None or target.terrain is not None
+    return not told and blur is not None and blur > -_optics_px2(inputs) and isinstance(target.shape, Ellipsoid)
+
+
+def veils(cells: Cells, trace: Trace) -> Float:
     """Images of what haze changes in the light of a body, to ask residuals about.
 
     Parameters
@@ -47,26 +79,24 @@ def veils(cells: Cells, trace: Trace, fix: CenterFix, inputs: EstimatorInputs) -
     cells : Cells
     trace : Trace
         Of the body where it was found.
-    fix : CenterFix or PositionFix
-    inputs : EstimatorInputs
 
     Returns
     -------
-    (3, n, n) float64 or None
-        Of haze that is dark to bright. None where there is nothing to ask: the altitude of the limb is told, no limb
-        was measured, or it is as sharp as the camera, which no limb in haze is.
+    (6, n, n) float64
+        Of thin haze that is dark to bright, and of thick.
     """
-    target, blur = inputs.geometry.target, _limb_blur(fix)
-    told = target.atmosphere is not None or target.terrain is not None
-    if told or blur is None or not blur > 0.0 or not isinstance(target.shape, Ellipsoid):
-        return None
-    taken, sent = (cells.light(trace.with_reflectance(law)) for law in haze_laws(target.reflectance)[:2])
-    return np.stack([brightness * sent - taken for brightness in _BRIGHTNESS])
+    images = []
+    for depth in _DEPTHS:
+        taken, sent = (
+            cells.light(trace.with_reflectance(law)) for law in haze_laws(trace.body.reflectance, depth=depth)[:2]
+        )
+        images += [brightness * sent - taken for brightness in _BRIGHTNESS]
+    return np.stack(images)
 
 
 def in_haze(
     fix: AnyFix,
-    coarse: Coarse,
+    fine: Looked | None,
     inputs: EstimatorInputs,
     again: Callable[[EstimatorInputs], AnyFix | Failure],
     look: Callable[[AnyFix, EstimatorInputs], Coarse | None],
@@ -76,8 +106,8 @@ def in_haze(
     Parameters
     ----------
     fix : CenterFix or PositionFix
-    coarse : Looked
-        What the coarse render shows of it.
+    fine : Looked or None
+        What a render in fine cells shows of it.
     inputs : EstimatorInputs
         Of the estimator.
     again : callable
@@ -91,12 +121,12 @@ def in_haze(
         The fix, its coarse render and its inputs; None where no haze is seen.
     """
     blur = _limb_blur(fix)
-    depth = 0.0 if coarse.fit is None else haze_depth(coarse.fit)
+    depth = 0.0 if fine is None or fine.fit is None else haze_depth(fine.fit)
     if blur is None or depth == 0.0:
         return None
     geometry = inputs.geometry
-    blur_px2 = blur + 2.0 * _OPTICS * (inputs.psf_sigma_px or UNKNOWN_PSF_SIGMA_PX) ** 2
-    sigma_px = haze_altitude_px(depth, blur_px2, inputs.radius_px)
+    blur_px2 = math.hypot(max(blur, 0.0), _optics_px2(inputs))
+    sigma_px = _OF_ALTITUDE * haze_altitude_px(depth, blur_px2, inputs.radius_px)
     sigma_km = sigma_px / inputs.radius_px * geometry.target.shape.mean_radius_km
     haze = Atmosphere.at(0.0, sigma_km=sigma_km)
     hazy = replace(
@@ -109,8 +139,18 @@ def in_haze(
     return None if isinstance(found, Failure) or seen is None else (found, seen, hazy)
 
 
+def hint_of_haze(fit: CoarseFit | None) -> bool:
+    """Return True where cells of a face ask for some haze, so that finer ones are worth their cost.
+
+    Parameters
+    ----------
+    fit : CoarseFit or None
+    """
+    return fit is not None and bool(np.any(_sigmas(fit) > _HINT_SIGMAS))
+
+
 def haze_depth(fit: CoarseFit) -> float:
-    """Vertical optical depth of the haze that a coarse fit shows; 0 where it shows none, or light of something else.
+    """Vertical optical depth of the haze that a fit in fine cells shows; 0 where it shows none, or something else.
 
     Parameters
     ----------
@@ -120,11 +160,18 @@ def haze_depth(fit: CoarseFit) -> float:
     -------
     float
     """
-    if not len(fit.asked) or fit.misfit > MISFIT or fit.unexplained > UNEXPLAINED:
+    sigmas = np.where(fit.asked_explains > _LEAST_EXPLAINED, _sigmas(fit), 0.0)
+    if not np.any(sigmas > _HAZY_SIGMAS):
         return 0.0
-    sigmas = fit.asked / np.maximum(fit.asked_sigma, 1e-300)
     clearest = int(np.argmax(sigmas))
-    return VEIL_DEPTH * float(fit.asked[clearest]) if sigmas[clearest] > _HAZY_SIGMAS else 0.0
+    return _DEPTHS[clearest // len(_BRIGHTNESS)] * float(fit.asked[clearest])
+
+
+def _sigmas(fit: CoarseFit) -> Float:
+    """Shares of haze over their standard deviations; zero where there is light of something else."""
+    if fit.misfit > MISFIT or fit.unexplained > UNEXPLAINED:
+        return np.zeros_like(fit.asked)
+    return np.asarray(fit.asked / np.maximum(fit.asked_sigma, 1e-300))
 
 
 def haze_altitude_px(depth: float, blur_px2: float, radius_px: float) -> float:
@@ -144,6 +191,11 @@ def haze_altitude_px(depth: float, blur_px2: float, radius_px: float) -> float:
     unit = Atmosphere(scale_height_km=1.0, optical_depth=depth, sigma_km=0.0)
     height_px = math.sqrt(blur_px2) / unit.limb_width_km
     return replace(unit, scale_height_km=height_px).limb_altitude_km(radius_px)
+
+
+def _optics_px2(inputs: EstimatorInputs) -> float:
+    """Standard deviation of the variance of the point spread function, px^2."""
+    return 2.0 * _OPTICS * (inputs.psf_sigma_px or UNKNOWN_PSF_SIGMA_PX) ** 2
 
 
 def _limb_blur(fix: CenterFix) -> float | None:
