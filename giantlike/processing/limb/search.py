@@ -83,8 +83,8 @@ def search_limb(
     step = float(np.clip(_COARSE_STEP * radius_px, _FINE_STEP_PX, _MAX_COARSE_STEP_PX))
     coarsest = step
     corner, crop, good = _around_outline(view, center_px + (1.0 + search_range) * (points_px - center_px), search_px)
-    dark_sky, bad = (crop - _sky_dn(crop, good)).astype(np.float32), ~good
-    dark_sky[bad] = 0.0
+    dark_sky, bad = (crop - _sky_dn(crop, good)).astype(np.float32), np.flatnonzero(~good)
+    dark_sky.ravel()[bad] = 0.0
     scales = _around(1.0, search_range, int(np.ceil(search_range * radius_px / step)))
     best = CoarseLimb(shift_px=np.zeros(2), scale=1.0, contrast=0.0)
     shifts = _around(0.0, search_px, int(np.ceil(search_px / step)))
@@ -94,7 +94,7 @@ def search_limb(
         if sigma_px != max(0.5 * step, _COARSE_BLUR_PX):
             sigma_px = max(0.5 * step, _COARSE_BLUR_PX)
             blurred = cv2.GaussianBlur(dark_sky, (0, 0), sigma_px).astype(np.float32, copy=False)
-            np.copyto(blurred, np.float32(np.nan), where=bad)
+            blurred.ravel()[bad] = np.nan
         offset_px = min(max(step, _COARSE_OFFSET_PX), 0.25 * radius_px)
         thin = slice(None, None, max(len(points_px) // _COARSE_POINTS, 1) if step == coarsest else 1)
         values = contrasts(
@@ -213,9 +213,11 @@ def _sky_dn(crop: Float, good: Mask) -> float:
     """Level of the sky, DN: that of the darkest percent of blocks of pixels, whose noise hides it less than theirs."""
     if min(crop.shape) >= _SKY_BLOCK:
         size = (crop.shape[1] // _SKY_BLOCK, crop.shape[0] // _SKY_BLOCK)
-        means, whole = (cv2.resize(one.astype(np.float32), size, interpolation=cv2.INTER_AREA) for one in (crop, good))
-        if (whole == 1.0).any():
-            return float(np.percentile(means[whole == 1.0], 1.0))
+        means = cv2.resize(crop.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        if not good.all():
+            means = means[cv2.resize(good.astype(np.float32), size, interpolation=cv2.INTER_AREA) == 1.0]
+        if means.size:
+            return float(np.percentile(means, 1.0))
     return float(np.percentile(crop[good], 1.0)) if good.any() else 0.0
 
 
