@@ -21,6 +21,7 @@ _COARSE_STEP, _MAX_COARSE_STEP_PX = 0.05, 4.0
 _FINE_STEP_PX, _LEAST_STEP_PX, _FINER = 2.0, 0.5, 4
 """Least first step and last step, px; and how many of the next step go into one."""
 _SKY_BLOCK = 5  # pixels along a block whose mean the level of the sky is found from: its noise is a fifth of theirs
+_WHOLE = 1.0 - 1e-5  # share of good pixels from which all of a block are good, but for rounding
 _COARSE_OFFSET_PX = 1.5  # least distance of the compared pixels from the outline: beyond the blur of a sharp limb
 _COARSE_POINTS = 80  # that the first step needs
 _COARSE_NOISE_SIGMAS = 4.0  # brightness, in noise of the dark, that is added below contrasts: noise alone has none
@@ -215,7 +216,7 @@ def _sky_dn(crop: Float, good: Mask) -> float:
         size = (crop.shape[1] // _SKY_BLOCK, crop.shape[0] // _SKY_BLOCK)
         means = cv2.resize(crop.astype(np.float32), size, interpolation=cv2.INTER_AREA)
         if not good.all():
-            means = means[cv2.resize(good.astype(np.float32), size, interpolation=cv2.INTER_AREA) == 1.0]
+            means = means[cv2.resize(good.astype(np.float32), size, interpolation=cv2.INTER_AREA) > _WHOLE]
         if means.size:
             return float(np.percentile(means, 1.0))
     return float(np.percentile(crop[good], 1.0)) if good.any() else 0.0
