@@ -12,9 +12,6 @@ from giantlike.core.arrays import Float
 from giantlike.core.compiled import compiled
 from giantlike.core.values import Value
 
-_BLOCK = 2**15
-"""Pixels that are converted and summed at a time: 256 kB, which stay in the cache between the two."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameLines(Value):
@@ -53,22 +50,11 @@ class FrameLines(Value):
         FrameLines
         """
         rows, columns = pixels.shape
-        light = np.empty(pixels.shape)
+        light, native = np.empty(pixels.shape), pixels.dtype.newbyteorder("=")
         largest, across_largest = np.full(rows, -np.inf), np.full(columns, -np.inf)
         sums, across_sums = np.zeros((2, rows)), np.zeros((2, columns))
-        step = max(_BLOCK // max(columns, 1), 1)
-        for first in range(0, rows, step):
-            part = slice(first, first + step)
-            light[part] = pixels[part]
-            _add(
-                light[part],
-                float(bias_dn),
-                rows // 2 - first,
-                largest[part],
-                sums[:, part],
-                across_largest,
-                across_sums,
-            )
+        lines = largest, sums, across_largest, across_sums
+        _add(np.ascontiguousarray(pixels, dtype=native), float(bias_dn), light, *lines)
         halves, across_halves = ([size // 2, size - size // 2] for size in (columns, rows))
         return cls(
             light_dn=light,
@@ -93,23 +79,20 @@ class FrameLines(Value):
 
 @compiled
 def _add(
-    light: Float,
+    pixels: NDArray[Any],
     bias_dn: float,
-    middle: int,
+    light: Float,
     largest: Float,
     sums: Float,
     across_largest: Float,
     across_sums: Float,
 ) -> None:
-    """Take the bias off rows (r, c), fill in their largest values (r,) and sums (2, r), add to those of columns.
-
-    From the row ``middle`` on they count to the second half of the columns.
-    """
-    rows, columns = light.shape
+    """Fill in light, and largest values and sums of rows and columns, in place of zeros and minus infinities."""
+    rows, columns = pixels.shape
     for row in range(rows):
-        line, column_sums = light[row], across_sums[0 if row < middle else 1]
+        line, column_sums = light[row], across_sums[0 if row < rows // 2 else 1]
         for column in range(columns):
-            value = line[column] - bias_dn
+            value = np.float64(pixels[row, column]) - bias_dn
             line[column] = value
             column_sums[column] += value
             across_largest[column] = value if value > across_largest[column] else across_largest[column]
