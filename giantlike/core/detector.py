@@ -199,6 +199,28 @@ class Detector:
         variance = light / self.gain_e_per_dn + dark
         return variance + (self.relative_noise * light) ** 2 if self.relative_noise else variance
 
+    def averaged(self, factor: int) -> Detector:
+        """Return the detector of means over blocks of pixels, each with its own noise.
+
+        Parameters
+        ----------
+        factor : int
+            Pixels along one side of a block.
+
+        Returns
+        -------
+        Detector
+            Of the same unit and limits.
+        """
+        return replace(
+            self,
+            gain_e_per_dn=factor**2 * self.gain_e_per_dn,
+            read_noise_e=factor * self.read_noise_e,
+            step_dn=(1.0 if self.step_dn is None else self.step_dn) / factor,
+            frame_noise_dn=self.frame_noise_dn / factor,
+            relative_noise=self.relative_noise / factor,
+        )
+
 
 def _reach(pixels: NDArray[Any], *, enough: float) -> float:
     """Largest less smallest pixel, 0 of none; of some pixels only where these differ enough."""

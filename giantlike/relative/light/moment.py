@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
@@ -24,6 +24,7 @@ from giantlike.ray_tracing import (
 )
 from giantlike.ray_tracing.block_templates import BlockedPlane, block_templates
 from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
+from giantlike.relative.light.averaged import averaged, on_pixels
 from giantlike.relative.light.law_mixture import LawMixture, fit_law
 from giantlike.relative.light.lit_size import first_scale, measured_size
 from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
@@ -56,6 +57,16 @@ _LEAST_SINE = 1e-3
 """Of the phase angle, below which all directions from the center lead to larger ones."""
 _BLOCKS_ACROSS = 150
 """Blocks of pixels across a disk, of which each gets one ray where light is even; those of small ones are of 2 px."""
+_CELL_SIGMAS, _LEAST_PSF_PX = math.sqrt(2.0 / 12.0), 0.14
+"""Width of the point spread function by which rays are so fine that what light spreads over their cells is half of its
+variance at most; px, below which the pixel, 0.29 px, is the width that counts. With rays that are as far apart as
+pixels, means of 3 x 3 pixels of ellipsoids of 1,000 px give centers to 1.7 px, not 0.28; with cells as wide as the
+point spread function means of 2 x 2 at 600 px to 0.22 px, not 0.11."""
+_AVERAGED_PX, _LEAST_BLOCK_PX = 62.5, 3
+"""Diameter over the square of the side of a block of which means are taken, px, so that the cost grows with the limb:
+that of ``cross_correlation``; and the least side, from 563 px on. Ellipsoids of 600 and 1,000 px have errors of 0.15
+and 0.13 px in blocks of 3 and 4 px, 0.12 and 0.32 px in pixels, where edges of templates are coarser. Blocks of 2 px at
+300 px are as accurate, with smaller sigmas: see "Means over blocks" of ``benchmarks/README.md``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,21 +145,32 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
     options_type = MomentOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | Failure:
-        """Find the body of gathered inputs."""
-        search_px = self.options.search_px
-        laws = _laws(inputs, math.ceil(search_px))
-        if isinstance(laws, Failure):
-            return laws
-        prediction = Prediction(
-            center_px=inputs.predicted_px,
-            radius_px=inputs.radius_px,
-            reach_px=inputs.reach_px,
-            search_px=search_px,
-            template=laws.own,
-            others=_other_targets(inputs),
-        )
-        light = light_of(inputs.pixels, inputs.masked, inputs.saturated, prediction)
-        return light if isinstance(light, Failure) else _fix(inputs, laws, light, self.options)
+        """Find the body of gathered inputs: a wide one on means over blocks of pixels, unless that fails."""
+        size = int(math.sqrt(2.0 * inputs.radius_px / _AVERAGED_PX))
+        if size >= _LEAST_BLOCK_PX:
+            options = replace(self.options, search_px=max(self.options.search_px / size, 1.0))
+            fix = _found(averaged(inputs, size), options)
+            if not isinstance(fix, Failure):
+                return on_pixels(fix, inputs, size)
+        return _found(inputs, self.options)
+
+
+def _found(inputs: EstimatorInputs, options: MomentOptions) -> CenterFix | Failure:
+    """Find the body of inputs in their own pixels."""
+    search_px = options.search_px
+    laws = _laws(inputs, math.ceil(search_px))
+    if isinstance(laws, Failure):
+        return laws
+    prediction = Prediction(
+        center_px=inputs.predicted_px,
+        radius_px=inputs.radius_px,
+        reach_px=inputs.reach_px,
+        search_px=search_px,
+        template=laws.own,
+        others=_other_targets(inputs),
+    )
+    light = light_of(inputs.pixels, inputs.masked, inputs.saturated, prediction)
+    return light if isinstance(light, Failure) else _fix(inputs, laws, light, options)
 
 
 def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: MomentOptions) -> CenterFix:
@@ -229,18 +251,16 @@ def _laws(inputs: EstimatorInputs, margin_px: int) -> LawMixture | Failure:
     geometry, camera, diameter_px = inputs.geometry, inputs.camera, 2.0 * inputs.radius_px
     lit = max(0.5 * (1.0 + math.cos(geometry.phase_angle_rad)), _LEAST_LIT)
     rays_across = _RAYS_ACROSS[0] * max(diameter_px / _RAYS_SIZE_PX, 1.0) ** (2.0 / 3.0) / math.sqrt(lit)
-    size = max(round(diameter_px / _BLOCKS_ACROSS), 2)
+    plane = inputs.focal_plane()
+    across = min(max(round(min(rays_across, _RAYS_ACROSS[1]) / diameter_px), 1), _MOST_RAYS)
+    finer = -(-max(across, math.ceil(_CELL_SIGMAS / max(plane.psf_sigma_px, _LEAST_PSF_PX))) // across)
+    rays, size = finer * across, finer * max(round(diameter_px / _BLOCKS_ACROSS), 2)
     templates = block_templates(
         geometry.body(),
-        BlockedPlane(
-            plane=inputs.focal_plane(), model=camera.binned(size, detector=camera.detector).model, size_px=size
-        ),
+        BlockedPlane(plane=plane, model=camera.binned(size, detector=camera.detector).model, size_px=size),
         (geometry.target.reflectance, LommelSeeliger(), Lambert()),
         sun_direction_camera=geometry.sun_direction_camera,
-        options=RenderOptions(
-            rays_per_pixel_side=min(max(round(min(rays_across, _RAYS_ACROSS[1]) / diameter_px), 1), _MOST_RAYS),
-            margin_px=margin_px,
-        ),
+        options=RenderOptions(rays_per_pixel_side=rays, margin_px=margin_px),
     )
     if isinstance(templates, Failure):
         return templates
