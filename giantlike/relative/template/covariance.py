@@ -445,19 +445,33 @@ class LinearFit(Value):
         absorbed = _absorbed(self.weights * error, length_px, len(self.columns))
         correlated = _correlated(self.columns * (self.weights * np.sqrt(error)), length_px) / (1.0 - absorbed)
         sandwich = of_noise + self._sandwich(correlated)
+        found = self.jackknife(residuals, block_px)
+        if found is None:
+            return sandwich
+        of_prior = self._sandwich(np.diag(self.prior.information))
+        return sandwich + excess(sandwich, found + of_prior)
+
+    def jackknife(self, residuals: Float, block_px: int) -> Float | None:
+        """Covariance of the parameters from what changes when one block of pixels at a time is left out.
+
+        Parameters
+        ----------
+        residuals : (h, w) float64
+        block_px : int, px
+            Side of the blocks.
+
+        Returns
+        -------
+        (k, k) float64 or None
+            None where so few blocks hold the information that their scatter says little.
+        """
         offsets = (0, block_px // 2) if self.weights.size < _MANY_BLOCKS * block_px**2 else (0,)
         found = [self._jackknife(residuals, block_px, offset) for offset in offsets]
         known = [covariance for covariance in found if covariance is not None]
-        if not known:
-            return sandwich
-        of_prior = self._sandwich(np.diag(self.prior.information))
-        return sandwich + excess(sandwich, np.mean(known, axis=0) + of_prior)
+        return np.asarray(np.mean(known, axis=0)) if known else None
 
     def _jackknife(self, residuals: Float, block: int, offset: int) -> Float | None:
-        """Covariance (k, k) from the changes of the parameters when one block of pixels at a time is left out.
-
-        None where so few blocks hold the information that their scatter says little.
-        """
+        """The same (k, k) with one grid of blocks."""
         information, count = self.information, len(self.columns)
         scores, own = self._block_scores(residuals, block, offset)
         leverage = np.einsum("bij,ji->b", own, np.linalg.inv(information))

@@ -27,6 +27,7 @@ from giantlike.relative.template.asked import Asked, asked_beside
 from giantlike.relative.template.covariance import LinearFit, Prior, RobustFit, excess
 from giantlike.relative.template.haze import haze_altitude
 from giantlike.relative.template.linear import BLUR, GAIN, LAWS, OFFSET, PIXEL_VARIANCE_PX2, RANGE, Problem, X, Y
+from giantlike.relative.template.relief import relief_covariance
 from giantlike.relative.template.smear import Smear
 from giantlike.relative.template.state import Synthesis, TemplateState
 
@@ -46,9 +47,9 @@ _FLICKER_PX = 0.6
 _ROUGH_PIXELS = 8_000
 """Pixels, about, that a step from a rough render is solved for: noise moves it by a hundredth of a pixel."""
 _ROUGH_STEP_PX = 0.5  # px: from so near, one linear step ends where the next hardly moves
-_HAZY_EDGE_PX = 0.015
-"""Error of the model at edges, px, from which on haze is looked for: 0.02 to 0.3 with haze of 0.2 to 0.6 px of scale
-height around 120 px, at most 0.017 without and with right models."""
+_WRONG_EDGE_PX = 0.015
+"""Error of the model at edges, px, from which on haze and relief are looked for: 0.02 to 0.3 with haze of 0.2 to 0.6 px
+of scale height around 120 px, at most 0.017 without and with right models."""
 _BLOCK = 0.35
 """Side of the blocks of the jackknife over the rms radius of the light. Half and double: benchmarks/sensitivity.md."""
 _OF_NOISE = (Cause.NOISE, Cause.BACKGROUND, Cause.REFLECTANCE, Cause.PSF)
@@ -253,8 +254,10 @@ def fit_template(
 
     Relief ``h`` (over the radius) that the shape lacks moves each point of the image by ``h`` times its distance from
     the center, along that direction: it changes the image by ``-h dM/dlog(range)``. The covariance is nowhere below
-    that of a field of such relief with the given standard deviation and correlation length. The effect of relief on the
-    shading is left to the residuals.
+    that of a field of such relief with the given standard deviation and correlation length nor, where blocks are too
+    few for a jackknife, below that of relief with the spectrum that the residuals show, see
+    :func:`~giantlike.relative.template.relief.relief_covariance`. Other effects of relief on the shading are left to
+    the residuals.
     """
     if options.smear is not None:
         synthesize = options.smear.of_renders(synthesize)
@@ -419,8 +422,7 @@ class _Solved:
 
     def _untold_altitude(self, fit: LinearFit, residuals: Float, options: TemplateFitOptions) -> float:
         """Standard deviation, over the radius, of the altitude of the limb by haze that the residuals show."""
-        sharp = math.sqrt(self.solution.errors[1]) < _HAZY_EDGE_PX
-        veils, moves = None if sharp else self.problem.veils(), slice(None, RANGE + 1)
+        veils, moves = self.problem.veils() if self._wrong_edges else None, slice(None, RANGE + 1)
         if veils is None:
             return 0.0
         lifted_by = fit.errors_covariance(self._lifts(options))[moves, moves]
@@ -458,6 +460,11 @@ class _Solved:
         )
 
     @property
+    def _wrong_edges(self) -> bool:
+        """True if edges of the image are elsewhere than those of right models."""
+        return math.sqrt(self.solution.errors[1]) >= _WRONG_EDGE_PX
+
+    @property
     def _blur_px(self) -> float:
         """Standard deviation of the point spread function with the pixel."""
         return math.sqrt(self.state.psf_variance_px2 + PIXEL_VARIANCE_PX2)
@@ -467,16 +474,23 @@ class _Solved:
         """Side of the blocks of the jackknife."""
         return int(np.clip(round(_BLOCK * self.problem.reach_px), 3, _MAX_BLOCK_PX))
 
+    def _relief(self, fit: LinearFit, residuals: Float, options: TemplateFitOptions) -> Float:
+        """Covariance (k, k) of the parameters by relief, where edges are wrong and blocks too few for a jackknife."""
+        if not self._wrong_edges or fit.jackknife(residuals, self._block_px) is not None:
+            return np.zeros_like(fit.information)
+        center_px, sun = self.state.center_px - self.problem.pixels.corner_px, np.array(options.sun_direction)
+        return relief_covariance(fit, residuals, center_px, sun[:2], radius_px=self.problem.reach_px)
+
     def _parts(
         self, fit: LinearFit, residuals: Float, variances: tuple[Float, Float], options: TemplateFitOptions
     ) -> dict[Cause, Float]:
         """Covariance (3, 3) of center and range by cause: of noise, and what residuals show beyond it, as markings."""
         noise, error = variances
-        of_noise = fit.noise_covariance(noise)
+        of_noise, of_relief = fit.noise_covariance(noise), self._relief(fit, residuals, options)
         whole = fit.full_covariance(
             residuals,
             error,
-            of_noise=of_noise,
+            of_noise=of_noise + of_relief,
             blur_px=self._blur_px,
             block_px=self._block_px,
         )
@@ -494,10 +508,12 @@ class _Solved:
         }
         parts = fit.noise_parts(of_noise, groups)
         known = sum(parts.values(), np.zeros_like(whole))
+        parts[Cause.RELIEF], with_relief = of_relief, known + of_relief
         if options.relief_sigma > 0.0:
             relief = options.relief_sigma * self.problem.columns[RANGE]
-            parts[Cause.RELIEF] = fit.error_covariance(relief, length_px=options.relief_length_px)
-            known = known + parts[Cause.RELIEF]
+            declared = fit.error_covariance(relief, length_px=options.relief_length_px)
+            parts[Cause.RELIEF] = declared + excess(known + declared, with_relief)
+        known = known + parts[Cause.RELIEF]
         if options.altitude_sigma > 0.0:
             parts[Cause.ALTITUDE] = options.altitude_sigma**2 * fit.errors_covariance(self._lifts(options))
             known = known + parts[Cause.ALTITUDE]
