@@ -34,10 +34,11 @@ _BRIGHTNESS = (0.0, 0.5, 2.0)
 """Light that haze sends, over that of ground lit and seen along its normal: of dark to bright haze."""
 _DEPTHS = (VEIL_DEPTH, 0.3)
 """Vertical optical depths of the haze that is looked for; others are shares of it."""
-_HINT_SIGMAS, _HAZY_SIGMAS = 1.0, 3.0
+_HINT_SIGMAS, _HAZY_SIGMAS = 1.0, 2.5
 """Share of haze in the light over its standard deviation from which on finer cells are looked at, and from which on
-there is haze in these: 4.0 to 14 with a depth of 0.05 and more around bodies of 120 px, 1.8 to 4.4 with a depth of
-0.02."""
+there is haze in these: 4.0 to 14 with a depth of 0.05 and more around bodies of 120 px (2.2 to 9 around 60 px), 1.8 to
+4.4 with a depth of 0.02; wrong laws and widths come to 1.8. With 3 squared errors at 60 px are 5 times the covariance
+of horizons, not 0.9 (views 220 to 227)."""
 _LEAST_EXPLAINED = 0.25
 """Of the squared residuals that noise does not explain, those that haze does: 0.2 to all of them in haze (120 px). With
 relief and markings 3 of 15 fixes beyond 3 sigmas have 0.2 or more, 0.34 at most."""
