@@ -115,7 +115,7 @@ def verified(
         straight = in_proportion(fix, coarse, inputs, again, lambda one, its: _coarse(one, its, search_px))
         if straight is not None:
             fix, coarse, inputs = straight
-    if again is not None and coarse is not None and hint_of_haze(coarse.fit):
+    if again is not None and coarse is not None and hint_of_haze(fix, coarse.fit, inputs):
         fine = _at(coarse.trace.body, inputs, None, fix)
         hazy = in_haze(fix, fine, inputs, again, lambda one, its: _coarse(one, its, search_px))
         if hazy is not None:

@@ -39,6 +39,12 @@ _HINT_SIGMAS, _HAZY_SIGMAS = 1.0, 2.5
 there is haze in these: 4.0 to 14 with a depth of 0.05 and more around bodies of 120 px (2.2 to 9 around 60 px), 1.8 to
 4.4 with a depth of 0.02; wrong laws and widths come to 1.8. With 3 squared errors at 60 px are 5 times the covariance
 of horizons, not 0.9 (views 220 to 227)."""
+_HINT_BLUR, _HINT_DEPTH = 0.4, 0.04
+"""Blur of a limb over what is not known of the optics, and depth of haze as coarse cells ask for it: finer cells are
+looked at where either is exceeded. In haze of 0.3 px of scale height and a depth of 0.05 the blur is 0.9 to 2.3 (views
+500 to 519), of exact bodies 0.35 at most, and their depth 0.033 (120 and 300 px, 32 fixes). Haze that hardly blurs is
+seen where it is thick.
+"""
 _LEAST_EXPLAINED = 0.25
 """Of the squared residuals that noise does not explain, those that haze does: 0.2 to all of them in haze (120 px). With
 relief and markings 3 of 15 fixes beyond 3 sigmas have 0.2 or more, 0.34 at most."""
@@ -140,14 +146,23 @@ def in_haze(
     return None if isinstance(found, Failure) or seen is None else (found, seen, hazy)
 
 
-def hint_of_haze(fit: CoarseFit | None) -> bool:
+def hint_of_haze(fix: CenterFix, fit: CoarseFit | None, inputs: EstimatorInputs) -> bool:
     """Return True where cells of a face ask for some haze, so that finer ones are worth their cost.
 
     Parameters
     ----------
+    fix : CenterFix or PositionFix
     fit : CoarseFit or None
+    inputs : EstimatorInputs
+
+    Returns
+    -------
+    bool
     """
-    return fit is not None and bool(np.any(_sigmas(fit) > _HINT_SIGMAS))
+    blur = _limb_blur(fix)
+    if fit is None or blur is None or not np.any(_sigmas(fit) > _HINT_SIGMAS):
+        return False
+    return blur > _HINT_BLUR * _optics_px2(inputs) or _clearest_depth(fit, _sigmas(fit)) > _HINT_DEPTH
 
 
 def haze_depth(fit: CoarseFit) -> float:
@@ -164,6 +179,11 @@ def haze_depth(fit: CoarseFit) -> float:
     sigmas = np.where(fit.asked_explains > _LEAST_EXPLAINED, _sigmas(fit), 0.0)
     if not np.any(sigmas > _HAZY_SIGMAS):
         return 0.0
+    return _clearest_depth(fit, sigmas)
+
+
+def _clearest_depth(fit: CoarseFit, sigmas: Float) -> float:
+    """Depth of the haze whose share has the most ``sigmas`` (6,)."""
     clearest = int(np.argmax(sigmas))
     return _DEPTHS[clearest // len(_BRIGHTNESS)] * float(fit.asked[clearest])
 
