@@ -39,11 +39,12 @@ _HINT_SIGMAS, _HAZY_SIGMAS = 1.0, 2.5
 there is haze in these: 4.0 to 14 with a depth of 0.05 and more around bodies of 120 px (2.2 to 9 around 60 px), 1.8 to
 4.4 with a depth of 0.02; wrong laws and widths come to 1.8. With 3 squared errors at 60 px are 5 times the covariance
 of horizons, not 0.9 (views 220 to 227)."""
-_HINT_BLUR, _HINT_DEPTH = 0.4, 0.04
+_HINT_BLUR, _HINT_DEPTH = 0.2, 0.035
 """Blur of a limb over what is not known of the optics, and depth of haze as coarse cells ask for it: finer cells are
-looked at where either is exceeded. In haze of 0.3 px of scale height and a depth of 0.05 the blur is 0.9 to 2.3 (views
-500 to 519), of exact bodies 0.35 at most, and their depth 0.033 (120 and 300 px, 32 fixes). Haze that hardly blurs is
-seen where it is thick.
+looked at where either is exceeded. In haze of 0.3 px of scale height and a depth of 0.05 the blur is 0.9 to 2.3 around
+120 px, 0.5 to 1.5 around 60, of exact bodies 0.16 at most, and their depth 0.033 (32 fixes). Of 96 fixes of 30 to 300 px
+without haze 3 are looked at finely, with the hint of one sigma alone two thirds. Haze that hardly blurs shows where it is
+thick; with 0.4 and 0.04 limbs in haze of a depth of 0.02 go from 1.5 to 6.2 times their covariance (views 220 to 227).
 """
 _LEAST_EXPLAINED = 0.25
 """Of the squared residuals that noise does not explain, those that haze does: 0.2 to all of them in haze (120 px). With
