@@ -42,9 +42,10 @@ of horizons, not 0.9 (views 220 to 227)."""
 _HINT_BLUR, _HINT_DEPTH = 0.2, 0.035
 """Blur of a limb over what is not known of the optics, and depth of haze as coarse cells ask for it: finer cells are
 looked at where either is exceeded. In haze of 0.3 px of scale height and a depth of 0.05 the blur is 0.9 to 2.3 around
-120 px, 0.5 to 1.5 around 60, of exact bodies 0.16 at most, and their depth 0.033 (32 fixes). Of 96 fixes of 30 to 300 px
-without haze 3 are looked at finely, with the hint of one sigma alone two thirds. Haze that hardly blurs shows where it is
-thick; with 0.4 and 0.04 limbs in haze of a depth of 0.02 go from 1.5 to 6.2 times their covariance (views 220 to 227).
+120 px, 0.5 to 1.5 around 60, of exact bodies 0.16 at most, and their depth 0.033 (32 fixes). Of 96 fixes of bodies of
+30 to 300 px without haze 3 are looked at finely, with the hint of one sigma alone two thirds. Haze that hardly blurs
+shows where it is thick; with 0.4 and 0.04 limbs in haze of a depth of 0.02 go from 1.5 to 6.2 times their covariance
+(views 220 to 227).
 """
 _LEAST_EXPLAINED = 0.25
 """Of the squared residuals that noise does not explain, those that haze does: 0.2 to all of them in haze (120 px). With
