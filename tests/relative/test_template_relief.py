@@ -73,12 +73,8 @@ def squared_error(fit: TemplateFit, covariance: Float) -> float:
 
 def mean_nees(found: list[TemplateFit], *, relief: bool) -> float:
     """Mean squared error over the covariance, per degree of freedom, with the part by relief or without."""
-    total = 0.0
-    for fit in found:
-        error = np.array([*(fit.state.center_px - TRUE.center_px), fit.state.log_range - TRUE.log_range])
-        covariance = fit.covariance if relief else fit.covariance - fit.parts[Cause.RELIEF]
-        total += float(error @ np.linalg.solve(covariance, error)) / 3.0
-    return total / len(found)
+    covariances = [fit.covariance if relief else fit.covariance - fit.parts[Cause.RELIEF] for fit in found]
+    return float(np.mean([squared_error(*pair) for pair in zip(found, covariances, strict=True)]))
 
 
 def test_what_a_crescent_took_up_of_relief_is_in_its_covariance() -> None:

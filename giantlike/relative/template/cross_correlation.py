@@ -52,7 +52,7 @@ _LARGE_CHI, _LARGE_RESIDUAL = 2.0, 0.125 / 0.15
 exceeded: bright bodies
 exceed their noise wherever the model is not exact, and faint ones differ by much from noise alone. Exact models leave
 0.02-0.03 of the light, albedo of 15 % 0.06-0.13, unlisted relief of 1 % 0.07-0.08 up to 90 deg of phase, and the
-covariance holds; relief at 125 deg leaves 0.13-0.18, and the range is then wrong by 3 of its sigmas."""
+covariance holds; relief at 125 deg leaves 0.13-0.18."""
 _EDGE_RADIUS = 0.01
 """Error of a limb or a terminator, radii, from which on it changes light by more than markings do: there is an edge. As
 of the checks by a coarse render."""
