@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from giantlike.core.causes import Cause
 from giantlike.core.outcomes import CenterFix, Quality
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.gauntlet.stage import stage_of
+from giantlike.image_model.columns import Block, Columns, Prior
 from giantlike.relative import CrossCorrelation
 from giantlike.relative.template.asked import asked_beside
-from giantlike.relative.template.covariance import LinearFit, Prior
+from giantlike.relative.template.covariance import LinearFit
 from giantlike.scene import Scene, TargetUncertainty
 from tests.relative.test_light_truth import Shot, shot
 
@@ -85,13 +87,16 @@ def test_a_strain_is_found_beside_the_parameters_of_a_fit_with_what_it_moves() -
     without = np.linalg.lstsq(flat, image.ravel(), rcond=None)[0]
     both = np.concatenate([flat, changes.reshape(3, -1).T], axis=1)
     found = np.linalg.lstsq(both, image.ravel(), rcond=None)[0]
-    fit = LinearFit(columns, 1.0 / noise, Prior(np.zeros(5), np.zeros(5)))
-    residuals = image - np.tensordot(without, columns, 1)
+    blocks = [
+        Block(effect=effect, cause=Cause.NOISE, matrix=part, prior=Prior.of_sigmas([math.inf] * len(part)))
+        for effect, part in (("center", columns[:2]), ("range", columns[2:3]), ("light", columns[3:]))
+    ]
+    fit = LinearFit(Columns.of(blocks, image, 1.0 / noise), without)
     asked = asked_beside(
         fit,
-        residuals,
-        changes,
-        changes[:0],
+        strain=changes,
+        smear=None,
+        considered=None,
         radius_px=11.0,
         noise=noise,
         error=np.zeros_like(x),

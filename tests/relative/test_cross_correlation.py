@@ -222,7 +222,7 @@ def test_the_motion_of_an_image_is_that_of_its_pixels_by_their_slopes() -> None:
     images, step = blobs()(TRUE, True), np.array([0.3, -0.2, 0.01])
     problem = Problem(boxed(1000.0 * images.light), images, TRUE, None)
     rows, columns = np.indices(SHAPE)
-    slopes = problem.columns[0] ** 2 + problem.columns[1] ** 2
+    slopes = np.sum(problem["center"] ** 2, axis=0)
     x, y = columns + CORNER[0] - TRUE.center_px[0], rows + CORNER[1] - TRUE.center_px[1]
     squares = (step[0] - step[2] * x) ** 2 + (step[1] - step[2] * y) ** 2
     assert_allclose(problem.motion_px(step), math.sqrt(np.average(squares, weights=slopes)), rtol=1e-9)

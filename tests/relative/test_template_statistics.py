@@ -6,7 +6,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
 
-from giantlike.relative.template.covariance import LinearFit, Prior, excess
+from giantlike.core.causes import Cause
+from giantlike.image_model.columns import Block, Columns, Prior
+from giantlike.relative.template.covariance import LinearFit, excess
 from tests.tolerances import FLOAT64
 
 SHAPE = (40, 44)
@@ -23,7 +25,9 @@ def test_the_covariance_of_a_stated_error_is_that_of_drawn_fields() -> None:
     weights = 1.0 + 0.5 * columns
     error = np.exp(-(rows**2) / 0.3) * np.sign(columns)
     prior = Prior(np.zeros(4), np.array([0.0, 0.0, 0.0, 50.0]))
-    stated = LinearFit(design, weights, prior).error_covariance(error, length_px=length_px)
+    block = Block(effect="plane", cause=Cause.BACKGROUND, matrix=design, prior=prior)
+    fit = LinearFit(Columns.of([block], np.zeros(SHAPE), weights), np.zeros(4))
+    stated = fit.error_covariance(error, length_px=length_px)
 
     flat = design.reshape(4, -1)
     inverse = np.linalg.inv((flat * weights.ravel()) @ flat.T + np.diag(prior.information))

@@ -10,7 +10,7 @@ import numpy as np
 from giantlike.core.arrays import Float
 from giantlike.core.blocks import block_sums
 from giantlike.core.pixel_box import BoxPixels
-from giantlike.relative.template.linear import RANGE, Problem, X, Y
+from giantlike.relative.template.linear import Problem
 from giantlike.relative.template.state import TemplateImages, TemplateState, warped
 
 _RADII_PX = (12.0, 40.0)
@@ -73,9 +73,9 @@ def align_template(
             step = problem.plain_step(_STEP_PX)
             if problem.motion_px(step) < _STILL_PX:
                 break
-            state = replace(
-                state, center_px=state.center_px + factor * step[[X, Y]], log_range=state.log_range + step[RANGE]
-            )
+            x, y, growth = step.tolist()
+            center_px = state.center_px + factor * np.array([x, y])
+            state = replace(state, center_px=center_px, log_range=state.log_range + growth)
         if not tried:
             return start
         state = min(tried, key=lambda entry: entry[0])[1]

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from giantlike.core.arrays import Float
+from giantlike.core.causes import Cause
 from giantlike.core.values import Value
+from giantlike.image_model.columns import Block, Prior
 from giantlike.relative.quality import UNLIKELY
-from giantlike.relative.template.covariance import LinearFit, Prior
+from giantlike.relative.template.covariance import LinearFit
 from giantlike.relative.verification.checks import chance_of
 
 _STRAINS = 3
@@ -106,10 +108,10 @@ def known_strain(turn_rad: float, *, attitude_known: bool) -> Float:
 
 def asked_beside(
     fit: LinearFit,
-    residuals: Float,
-    changes: Float,
-    errors: Float,
     *,
+    strain: Float,
+    smear: Float | None,
+    considered: Block | None,
     radius_px: float,
     noise: Float,
     error: Float,
@@ -124,12 +126,12 @@ def asked_beside(
     Parameters
     ----------
     fit : LinearFit
-        With the parameters of center and range first.
-    residuals : (h, w) float64
-    changes : (3 or 5, h, w) float64
-        Changes of the model by the parameters of the strain, and those of the smear, px^2.
-    errors : (m, h, w) float64
-        Images of one standard deviation of errors of the model that are known, as of the limb in haze.
+    strain : (3, h, w) float64
+        Changes of the model by the parameters of the strain.
+    smear : (2, h, w) float64, optional
+        Changes of the model by the variances of a smear, px^2.
+    considered : Block, optional
+        Errors of the model that are known, as of the limb in haze.
     radius_px : float, px
         Of the light.
     noise, error, blur_px, block_px
@@ -139,38 +141,22 @@ def asked_beside(
     -------
     Asked
     """
-    known, new = len(fit.columns), len(changes)
-    sigma = _STRAINED * np.array([1.0] * _STRAINS + [radius_px**2] * (new - _STRAINS))
-    rows, weighted = fit.columns.reshape(known, -1), (changes * fit.weights).reshape(new, -1)
-    by_both = weighted @ rows.T  # the products among the parameters of the fit are known
-    among = weighted @ changes.reshape(new, -1).T + np.diag(1.0 / sigma**2)
-    information = np.block([[fit.information, by_both.T], [by_both, among]])
-    size = np.sqrt(np.diag(information))
-    if not (np.isfinite(size).all() and size.all()):
+    blocks = [_block("strain", strain, _STRAINED)]
+    blocks += [] if smear is None else [_block("smear", smear, _STRAINED * radius_px**2)]
+    score = fit.score_omitted(*blocks)
+    if score.condition > _CONDITION_LIMIT or chance_of(score.values, score.covariance) > UNLIKELY:
         return Asked()
-    information /= np.outer(size, size)
-    if np.linalg.cond(information) > _CONDITION_LIMIT:
-        return Asked()
-    scores = np.zeros(known + new)
-    scores[known:] = weighted @ residuals.ravel() / size[known:]
-    steps: Float = np.asarray(np.linalg.solve(information, scores), dtype=np.float64)
-    by_noise = np.asarray(np.linalg.inv(information), dtype=np.float64)[known:, known:]
-    if chance_of(steps[known:], by_noise) > UNLIKELY:
-        return Asked()
-    mean = np.concatenate([fit.prior.mean, np.zeros(new)])
-    prior = Prior(mean * size, np.concatenate([fit.prior.information, 1.0 / sigma**2]) / size**2)
-    columns = np.concatenate([fit.columns, changes]) / size[:, None, None]
-    beside = LinearFit(columns, fit.weights, prior)
-    whole = beside.full_covariance(
-        residuals - np.tensordot(steps, columns, 1),
-        error,
-        of_noise=beside.noise_covariance(noise),
-        blur_px=blur_px,
-        block_px=block_px,
-    )
-    whole = whole + beside.errors_covariance(errors) if len(errors) else whole
-    steps, whole = steps / size, whole / np.outer(size, size)
-    found, spread = steps[known:], whole[known:, known:]
-    strain = {"strain": found[:_STRAINS], "strain_covariance": spread[:_STRAINS, :_STRAINS]}
-    smear = {"smear_px2": found[_STRAINS:], "smear_covariance": spread[_STRAINS:, _STRAINS:]}
-    return Asked(moved=steps[: len(_NOTHING)], **strain, **(smear if new > _STRAINS else {}))
+    columns = fit.columns.extended(blocks)
+    beside = LinearFit(columns, np.concatenate([fit.values + score.step, score.values]))
+    whole = beside.full_covariance(error, of_noise=beside.noise_covariance(noise), blur_px=blur_px, block_px=block_px)
+    whole = whole if considered is None else whole + columns.consider(considered)
+    moved = score.step[columns.layout.span("center", "range")]
+    spans = [columns.layout.span(block.effect) for block in blocks]
+    (strain, strain_covariance), *rest = [(beside.values[span], whole[span, span]) for span in spans]
+    asked = Asked(moved=moved, strain=strain, strain_covariance=strain_covariance)
+    return replace(asked, smear_px2=rest[0][0], smear_covariance=rest[0][1]) if rest else asked
+
+
+def _block(effect: str, matrix: Float, sigma: float) -> Block:
+    """Unknowns of a figure or of an exposure that the fit leaves out."""
+    return Block(effect=effect, cause=Cause.RELIEF, matrix=matrix, prior=Prior.of_sigmas([sigma] * len(matrix)))

@@ -7,17 +7,16 @@ vary with edges and with light, and are correlated over the width of the point s
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.causes import Cause
 from giantlike.core.compiled import compiled
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value
+from giantlike.image_model.columns import Columns, Layout, Prior, Solution
 
 _REWEIGHTINGS = 3
 """Rounds of a first fit in which errors, weights and clipped values are updated; later fits start from their result."""
@@ -39,24 +38,8 @@ _FINE_LENGTH_PX = 4.0
 _BLOCKS_PER_PARAMETER = 3.0
 """Effective blocks to a parameter that the jackknife needs; with fewer its own scatter exceeds the covariance."""
 _MANY_BLOCKS = 150  # so many average the choice of their first corner; with fewer two grids are averaged
-_CONDITION_LIMIT = 1e12  # of the scaled normal matrix: four digits of float64 are left
 _LEVERAGE_LIMIT = 0.95
 """Share of its information that leaving out a block takes away: one that alone fixes a parameter leaves a little."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prior(Value):
-    """A priori knowledge of the parameters, independent of each other.
-
-    Parameters
-    ----------
-    mean : (k,) float64
-    information : (k,) float64
-        Inverse variances; 0 where nothing is known.
-    """
-
-    mean: Float
-    information: Float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,13 +145,15 @@ def _hazard(z: Float) -> Float:
 
 
 def robust_fit(
-    design: Float, measured: Measured, prior: Prior, *, clip_sigma: float, start: Float | None = None
+    layout: Layout, matrix: Float, measured: Measured, prior: Prior, *, clip_sigma: float, start: Float | None = None
 ) -> RobustFit | None:
     """Weighted least squares, with weights that allow for errors of the model.
 
     Parameters
     ----------
-    design : (n, k) float64
+    layout : Layout
+    matrix : (k, n) float64
+        Derivatives of the values by the parameters.
     measured : Measured
     prior : Prior
     clip_sigma : float
@@ -181,22 +166,23 @@ def robust_fit(
     RobustFit or None
         None when the values do not determine the parameters.
     """
-    variances, known = measured.variances, ~measured.censored
+    variances, known, design = measured.variances, ~measured.censored, matrix.T
     noise, shapes = variances.noise, variances.shapes
     first = np.zeros(len(shapes)) if start is None else start
-    parameters = _weighted(design, measured.values, known / variances.total(first), prior)
-    if parameters is None:
+    solution = Columns(layout, matrix, prior, measured.values, known / variances.total(first)).solve()
+    if solution is None:
         return None
     certain = measured.certain()
-    errors = _first_errors((measured.values - design @ parameters)[known], certain) if start is None else start
+    errors = _first_errors((measured.values - design @ solution.values)[known], certain) if start is None else start
     for _ in range(_REWEIGHTINGS if start is None else 1):
-        model = design @ parameters
+        model = design @ solution.values
         errors = model_errors((measured.values - model)[known], certain, errors, clip_sigma=clip_sigma)
         values, weights = measured.explained(model, variances.total(errors), clip_sigma)
-        parameters = _weighted(design, values, weights, prior)
-        if parameters is None:
+        solution = Columns(layout, matrix, prior, values, weights).solve()
+        if solution is None:
             return None
-    return RobustFit(parameters, errors, noise + errors[0] * shapes[0], errors[1:] @ shapes[1:], values, weights)
+    noise, error = noise + errors[0] * shapes[0], errors[1:] @ shapes[1:]
+    return RobustFit(solution.values, errors, noise, error, values, weights)
 
 
 def model_errors(residuals: Float, variances: VarianceModel, start: Float, *, clip_sigma: float) -> Float:
@@ -235,18 +221,6 @@ def _likeliest(squares: Float, noise: Float, shapes: Float, start: Float, most: 
     return result
 
 
-def _weighted(design: Float, values: Float, weights: Float, prior: Prior) -> Float | None:
-    """Weighted least-squares parameters (k,) with a prior; None when they are not determined."""
-    rows = design.T * np.sqrt(weights)
-    information = rows @ rows.T + np.diag(prior.information)  # of an array with itself: half of the products
-    right = design.T @ (weights * values) + prior.information * prior.mean
-    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    scaled = information / scale / scale[:, None]
-    if not np.isfinite(scaled).all() or np.linalg.cond(scaled) > _CONDITION_LIMIT:
-        return None
-    return np.asarray(np.linalg.solve(scaled, right / scale) / scale)
-
-
 def _first_errors(residuals: Float, variances: VarianceModel) -> Float:
     """Rough sizes (m,) of the model errors to start from: some of each kind."""
     noise, count = variances.noise, len(variances.shapes)
@@ -254,48 +228,19 @@ def _first_errors(residuals: Float, variances: VarianceModel) -> Float:
     return np.array([max(excess, 1e-3 * float(noise.mean())), *[_FIRST_ERROR**2] * (count - 1)])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LinearFit(Value):
-    """Weighted linear least-squares fit of images to pixels, with a prior.
+@dataclass(frozen=True, eq=False)
+class LinearFit(Solution):
+    """Images fitted to pixels (h, w), with the covariances that noise and errors of the model make."""
 
-    Parameters
-    ----------
-    columns : (k, h, w) float64
-        Derivatives of the model image by the parameters.
-    weights : (h, w) float64
-        0 where a pixel is not used.
-    prior : Prior
-
-    Attributes
-    ----------
-    information : (k, k) float64
-        Normal matrix, the prior included.
-    scaled : (k, h, w) float64
-        Columns in units of the standard deviations of the pixels.
-    """
-
-    columns: Float
-    weights: Float
-    prior: Prior
-    information: Float = field(init=False)
-    scaled: Float = field(init=False)
-
-    def __post_init__(self) -> None:
-        scaled = self.columns * np.sqrt(self.weights)
-        rows = scaled.reshape(len(scaled), -1)
-        object.__setattr__(self, "scaled", scaled)
-        object.__setattr__(self, "information", rows @ rows.T + np.diag(self.prior.information))
-        Value.__post_init__(self)
-
-    def _sandwich(self, scatter: Float) -> Float:
-        """Covariance (k, k) of the parameters from that of their scores."""
-        inverse = np.linalg.inv(self.information)
-        return np.asarray(inverse @ scatter @ inverse)
+    def sigmas(self, effect: str) -> Float:
+        """Standard deviations (j,) of the parameters of an effect, by the weights of the pixels."""
+        return np.sqrt(np.diag(np.linalg.inv(self.columns.information))[self.columns.layout.span(effect)])
 
     def noise_covariance(self, noise: Float) -> Float:
         """Covariance (k, k) of the parameters from independent noise of given variance (h, w), and from the prior."""
-        rows = self.columns.reshape(len(self.columns), -1) * (self.weights * np.sqrt(noise)).ravel()
-        return self._sandwich(rows @ rows.T + np.diag(self.prior.information))
+        columns = self.columns
+        rows = columns.rows * (columns.weights * np.sqrt(noise)).ravel()
+        return columns.propagate(rows @ rows.T + np.diag(columns.prior.information))
 
     def error_covariance(self, error: Float, *, length_px: float) -> Float:
         """Covariance of the parameters from an error of the model of known size.
@@ -311,114 +256,15 @@ class LinearFit(Value):
         -------
         (k, k) float64
         """
-        return self._sandwich(_correlated(self.columns * (self.weights * error), length_px / math.sqrt(2.0)))
+        columns = self.columns
+        scores = columns.matrix * (columns.weights * error)
+        return columns.propagate(_correlated(scores, length_px / math.sqrt(2.0)))
 
-    def errors_covariance(self, errors: Float) -> Float:
-        """Covariance (k, k) of the parameters from errors of the model, images (m, h, w) of one standard deviation."""
-        scores = self.columns.reshape(len(self.columns), -1) @ (self.weights * errors).reshape(len(errors), -1).T
-        return self._sandwich(scores @ scores.T)
-
-    def noise_parts(self, of_noise: Float, groups: Mapping[Cause, list[int]]) -> dict[Cause, Float]:
-        """Covariance from noise, apart by the parameters without which it would not be there.
-
-        Parameters
-        ----------
-        of_noise : (k, k) float64
-            From :meth:`noise_covariance`.
-        groups : mapping of Cause to list of int
-            Parameters of each cause.
-
-        Returns
-        -------
-        dict of Cause to (k, k) float64
-            Of each cause in turn, what knowledge of its parameters would take away; ``NOISE`` holds the rest.
-        """
-        rest, parts = of_noise, dict[Cause, Float]()
-        for cause, group in groups.items():
-            if group:
-                inverse = np.linalg.pinv(rest[np.ix_(group, group)], hermitian=True)
-                parts[cause] = rest[:, group] @ inverse @ rest[group]
-                rest = rest - parts[cause]
-        return parts | {Cause.NOISE: rest}
-
-    def asked(self, residuals: Float, column: Float) -> tuple[float, float]:
-        """Return the parameter that a column left out of the model would get, and its standard deviation.
-
-        Parameters
-        ----------
-        residuals : (h, w) float64
-        column : (h, w) float64
-
-        Returns
-        -------
-        float, float
-        """
-        (score,), ((information,),), _ = self._with(residuals, column[None])
-        return float(score) / max(information, 1e-300), max(information, 1e-300) ** -0.5
-
-    def _with(self, residuals: Float, columns: Float) -> tuple[Float, Float, Float]:
-        """Scores (m,) and information (m, m) of columns beside those of the model, and the steps (k, m) by them."""
-        weighted = (self.weights * columns).reshape(len(columns), -1)
-        shared = self.columns.reshape(len(self.columns), -1) @ weighted.T
-        moves = np.asarray(np.linalg.solve(self.information, shared), dtype=np.float64)
-        return weighted @ residuals.ravel(), columns.reshape(len(columns), -1) @ weighted.T - shared.T @ moves, moves
-
-    def omitted(self, residuals: Float, columns: Float, sigmas: Float) -> tuple[Float, Float, Float, float]:
-        """Estimate columns that were left out of the model.
-
-        Parameters
-        ----------
-        residuals : (h, w) float64
-        columns : (m, h, w) float64
-        sigmas : (m,) float64
-            A priori standard deviations of their parameters.
-
-        Returns
-        -------
-        parameters : (m,) float64
-        deviations : (m,) float64
-            Their standard deviations.
-        step : (k,) float64
-            Change of the parameters of the model with them in it.
-        squares : float
-            Squared parameters over their covariance: ``m`` on average by noise alone.
-        """
-        scores, information, moves = self._with(residuals, columns)
-        covariance = np.linalg.inv(information + np.diag(sigmas**-2.0))
-        found = covariance @ scores
-        return found, np.sqrt(np.diag(covariance)), -moves @ found, float(scores @ found)
-
-    def omission_covariance(self, residuals: Float, column: Float, sigma: float) -> Float:
-        """Covariance of the parameters from a column that was left out of the model.
-
-        Parameters
-        ----------
-        residuals : (h, w) float64
-        column : (h, w) float64
-        sigma : float
-            A priori standard deviation of its parameter.
-
-        Returns
-        -------
-        (k, k) float64
-
-        Notes
-        -----
-        With the column in the model, its parameter would be ``t`` standard deviations from zero and the others would
-        change by ``d``. Noise alone makes ``t^2`` one on average; the rest, ``d d^T (1 - 1 / t^2)``, is an error of the
-        model. (This is Hausman's comparison of two estimates, for one column.)
-        """
-        _, _, step, squares = self.omitted(residuals, column[None], np.array([sigma]))
-        return np.outer(step, step) * max(1.0 - 1.0 / max(squares, 1.0), 0.0)
-
-    def full_covariance(
-        self, residuals: Float, error: Float, *, of_noise: Float, blur_px: float, block_px: int
-    ) -> Float:
+    def full_covariance(self, error: Float, *, of_noise: Float, blur_px: float, block_px: int) -> Float:
         """Covariance of the parameters from noise and from correlated errors of the model.
 
         Parameters
         ----------
-        residuals : (h, w) float64
         error : (h, w) float64
             Variance of the part that the point spread function spreads.
         of_noise : (k, k) float64
@@ -441,22 +287,22 @@ class LinearFit(Value):
         pixels finds more, in any direction of parameter space, its variance is taken: it includes any correlation
         over the size of a block.
         """
-        length_px = _correlation_length_px(residuals, self.weights, error, blur_px, block_px)
-        absorbed = _absorbed(self.weights * error, length_px, len(self.columns))
-        correlated = _correlated(self.columns * (self.weights * np.sqrt(error)), length_px) / (1.0 - absorbed)
-        sandwich = of_noise + self._sandwich(correlated)
-        found = self.jackknife(residuals, block_px)
+        columns, weights = self.columns, self.columns.weights
+        length_px = _correlation_length_px(self.residuals, weights, error, blur_px, block_px)
+        absorbed = _absorbed(weights * error, length_px, len(columns.matrix))
+        correlated = _correlated(columns.matrix * (weights * np.sqrt(error)), length_px) / (1.0 - absorbed)
+        sandwich = of_noise + columns.propagate(correlated)
+        found = self.jackknife(block_px)
         if found is None:
             return sandwich
-        of_prior = self._sandwich(np.diag(self.prior.information))
+        of_prior = columns.propagate(np.diag(columns.prior.information))
         return sandwich + excess(sandwich, found + of_prior)
 
-    def jackknife(self, residuals: Float, block_px: int) -> Float | None:
+    def jackknife(self, block_px: int) -> Float | None:
         """Covariance of the parameters from what changes when one block of pixels at a time is left out.
 
         Parameters
         ----------
-        residuals : (h, w) float64
         block_px : int, px
             Side of the blocks.
 
@@ -465,15 +311,15 @@ class LinearFit(Value):
         (k, k) float64 or None
             None where so few blocks hold the information that their scatter says little.
         """
-        offsets = (0, block_px // 2) if self.weights.size < _MANY_BLOCKS * block_px**2 else (0,)
-        found = [self._jackknife(residuals, block_px, offset) for offset in offsets]
+        offsets = (0, block_px // 2) if self.residuals.size < _MANY_BLOCKS * block_px**2 else (0,)
+        found = [self._jackknife(block_px, offset) for offset in offsets]
         known = [covariance for covariance in found if covariance is not None]
         return np.asarray(np.mean(known, axis=0)) if known else None
 
-    def _jackknife(self, residuals: Float, block: int, offset: int) -> Float | None:
+    def _jackknife(self, block: int, offset: int) -> Float | None:
         """The same (k, k) with one grid of blocks."""
-        information, count = self.information, len(self.columns)
-        scores, own = self._block_scores(residuals, block, offset)
+        information, count = self.columns.information, len(self.columns.matrix)
+        scores, own = self._block_scores(block, offset)
         leverage = np.einsum("bij,ji->b", own, np.linalg.inv(information))
         if float(leverage.sum()) ** 2 < _BLOCKS_PER_PARAMETER * count * float(np.vdot(leverage, leverage)):
             return None
@@ -482,14 +328,15 @@ class LinearFit(Value):
         moved = moved - moved.mean(axis=0)
         return np.asarray(moved.T @ moved)
 
-    def _block_scores(self, residuals: Float, block: int, offset: int) -> tuple[Float, Float]:
+    def _block_scores(self, block: int, offset: int) -> tuple[Float, Float]:
         """Scores (b, k) and information (b, k, k) of square blocks of pixels, the first starting ``offset`` early."""
-        scores, own, scaled = [], [], residuals * np.sqrt(self.weights)
-        height, width = self.weights.shape
+        scores, own = list[Float](), list[Float]()
+        scaled, (count, height, width) = self.residuals * np.sqrt(self.columns.weights), self.columns.matrix.shape
+        images = self.columns.scaled.reshape(count, height, width)
         for top in range(-offset, height, block):
             for left in range(-offset, width, block):
                 part = (slice(max(top, 0), top + block), slice(max(left, 0), left + block))
-                rows = self.scaled[:, part[0], part[1]].reshape(len(self.scaled), -1)
+                rows = images[:, part[0], part[1]].reshape(count, -1)
                 scores.append(rows @ scaled[part].ravel())
                 own.append(rows @ rows.T)  # of an array with itself: half of the products
         return np.array(scores), np.array(own)

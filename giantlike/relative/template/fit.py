@@ -21,12 +21,13 @@ from giantlike.core.causes import Cause, summed
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
+from giantlike.image_model.columns import Block, Columns, Prior, Use, split_noise
 from giantlike.processing.limb.altitude import lifted
 from giantlike.relative.response import Response
 from giantlike.relative.template.asked import Asked, asked_beside
-from giantlike.relative.template.covariance import LinearFit, Prior, RobustFit, excess
+from giantlike.relative.template.covariance import LinearFit, RobustFit, excess
 from giantlike.relative.template.haze import haze_altitude
-from giantlike.relative.template.linear import BLUR, GAIN, LAWS, OFFSET, PIXEL_VARIANCE_PX2, RANGE, Problem, X, Y
+from giantlike.relative.template.linear import PIXEL_VARIANCE_PX2, Problem
 from giantlike.relative.template.relief import relief_covariance
 from giantlike.relative.template.smear import Smear
 from giantlike.relative.template.state import Synthesis, TemplateState
@@ -267,7 +268,7 @@ def fit_template(
         images = synthesize(trial, fine)
         if isinstance(images, Failure):
             return images
-        photometry = None if last is None else last.solution.parameters[GAIN : last.problem.n_light]
+        photometry = None if last is None else last["gain", "wings"]
         problem = Problem(pixels, images, trial, photometry, options.response)
         if last is not None and last.motion_px > _ROUGH_STEP_PX and last.problem.misfit_dn2() < problem.misfit_dn2():
             last = last.shortened(_RETREAT)
@@ -285,7 +286,7 @@ def fit_template(
         _LOG.debug("template moved by %.3g px in render %d", moved_px, iteration)
         settled = fine and moved_px < options.tolerance_px
         if settled or (last_render and moved_px < _FLICKER_PX):
-            flicker = solution.parameters[: RANGE + 1] * (0.0 if settled else 1.0)
+            flicker = solved["center", "range"] * (0.0 if settled else 1.0)
             return solved.result(flicker, iteration, options)
         if iteration > _DAMPED_AFTER or (last is not None and solved.returns(last)):
             solved = solved.shortened(0.5)
@@ -295,9 +296,8 @@ def fit_template(
 
 def _prior(state: TemplateState, start: TemplateState, problem: Problem, options: TemplateFitOptions) -> Prior:
     """Return the prior of the step from ``state``: none of center and background."""
-    blur_px2 = start.psf_variance_px2 - state.psf_variance_px2
-    mean = np.array([0.0, 0.0, -state.log_range, blur_px2])
-    return problem.prior(mean, np.array([np.inf, np.inf, options.log_range_sigma, options.blur_sigma_px2]))
+    mean = {"range": -state.log_range, "blur": start.psf_variance_px2 - state.psf_variance_px2}
+    return problem.prior(mean, {"range": options.log_range_sigma, "blur": options.blur_sigma_px2})
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,29 +310,41 @@ class _Solved:
     solution: RobustFit
     share: float = 1.0
 
+    def __getitem__(self, effects: tuple[str, str]) -> Float:
+        """Parameters (j,) from one effect to another."""
+        return self.solution.parameters[self.problem.layout.span(*effects)]
+
+    @property
+    def _place(self) -> Float:
+        """Step (3,) of center and logarithm of the range."""
+        return self.share * self["center", "range"]
+
+    @property
+    def _blur_step_px2(self) -> float:
+        """Step of the variance of the point spread function, px^2."""
+        return self.share * float(self["blur", "blur"][0])
+
     @property
     def length_px(self) -> float:
         """Motion of center or limb, px, by the step."""
-        step = self.share * self.solution.parameters
-        turned = abs(float(step[RANGE])) * self.problem.reach_px
-        return max(float(np.hypot(step[X], step[Y])), turned, _BLUR_MOVES * self._blurred(step))
+        x, y, growth = self._place
+        return max(float(np.hypot(x, y)), abs(float(growth)) * self.problem.reach_px, _BLUR_MOVES * self._blurred_px2)
 
     @property
     def motion_px(self) -> float:
         """Motion of the image, px, by the step: less than that of the center where the frame cuts the body."""
-        step = self.share * self.solution.parameters
-        return max(self.problem.motion_px(step[: RANGE + 1]), _BLUR_MOVES * self._blurred(step))
+        return max(self.problem.motion_px(self._place), _BLUR_MOVES * self._blurred_px2)
 
-    def _blurred(self, step: Float) -> float:
+    @property
+    def _blurred_px2(self) -> float:
         """Change of the variance of the point spread function, px^2."""
         known = self.state.psf_variance_px2
-        return abs(float(np.clip(known + step[BLUR], 0.0, _MAX_PSF_VARIANCE_PX2)) - known)
+        return abs(float(np.clip(known + self._blur_step_px2, 0.0, _MAX_PSF_VARIANCE_PX2)) - known)
 
     def returns(self, last: _Solved) -> bool:
         """Return True if the step goes back most of the last one: renders flicker, or the step was too long."""
-        names = [X, Y, RANGE]
         scale = np.array([1.0, 1.0, self.problem.reach_px])
-        one, two = (scale * each.share * each.solution.parameters[names] for each in (self, last))
+        one, two = scale * self._place, scale * last._place
         return float(one @ two) < -0.5 * float(two @ two)
 
     def shortened(self, share: float) -> _Solved:
@@ -341,117 +353,113 @@ class _Solved:
 
     def stepped(self) -> TemplateState:
         """State after the step, limited by how far the image moves: center and range keep their proportion."""
-        step, state = self.share * self.solution.parameters, self.state
-        motion_px = self.problem.motion_px(step[: RANGE + 1])
-        longest = min(_MAX_STEP_PX / max(motion_px, 1e-12), _MAX_STEP_LOG_RANGE / max(abs(float(step[RANGE])), 1e-12))
-        moved = min(longest, 1.0) * step[: RANGE + 1]
-        blur = float(np.clip(step[BLUR], -_MAX_STEP_BLUR_PX2, _MAX_STEP_BLUR_PX2))
+        state, step = self.state, self._place
+        longest = min(
+            _MAX_STEP_PX / max(self.problem.motion_px(step), 1e-12),
+            _MAX_STEP_LOG_RANGE / max(abs(float(step[-1])), 1e-12),
+        )
+        x, y, growth = (min(longest, 1.0) * step).tolist()
+        blur = float(np.clip(self._blur_step_px2, -_MAX_STEP_BLUR_PX2, _MAX_STEP_BLUR_PX2))
         return TemplateState(
-            center_px=state.center_px + moved[[X, Y]],
-            log_range=state.log_range + float(moved[RANGE]),
+            center_px=state.center_px + np.array([x, y]),
+            log_range=state.log_range + growth,
             psf_variance_px2=float(np.clip(state.psf_variance_px2 + blur, 0.0, _MAX_PSF_VARIANCE_PX2)),
         )
 
     def result(self, last_step: Float, iterations: int, options: TemplateFitOptions) -> TemplateFit:
         """The fit after its last step (3,)."""
         problem, solution, state = self.problem, self.solution, self.stepped()
-        use, columns, parameters = problem.offered, problem.columns, solution.parameters
+        use = problem.offered
         used = np.zeros(use.shape, bool)
         used[use] = solution.kept
         noise, error, weights = np.ones(use.shape), np.zeros(use.shape), np.zeros(use.shape)
         noise[use], error[use], weights[use] = solution.noise, solution.error, solution.weights
-        model = np.tensordot(parameters, columns, 1)
         values = problem.pixels.values_dn.copy()
         values[use] = solution.values
-        residuals = values - model
-        fit = LinearFit(columns, weights, self.prior)
-        altitude_sigma = options.altitude_sigma or self._untold_altitude(fit, residuals, options)
+        columns = Columns(problem.layout, problem.matrix, self.prior, values, weights)
+        fit = LinearFit(columns, solution.parameters)
+        altitude_sigma = options.altitude_sigma or self._untold_altitude(fit, options)
         options = replace(options, altitude_sigma=altitude_sigma)
-        parts = self._parts(fit, residuals, (noise, error), options)
+        parts = self._parts(fit, (noise, error), options)
         parts[Cause.NOISE] = parts[Cause.NOISE] + np.outer(last_step, last_step)
-        response, bend_sigmas = self._response(fit, residuals, model, options.response)
-        smear, smear_sigmas = self._smear(fit, residuals, options.smear)
+        response, bend_sigmas = self._response(fit, options.response)
+        smear, smear_sigmas = self._smear(fit, options.smear)
         return TemplateFit(
             state=state,
             parts=parts,
-            gain_dn=float(parameters[GAIN]),
-            offset_dn=float(parameters[OFFSET]),
-            signal_dn=model - np.tensordot(parameters[OFFSET:LAWS], columns[OFFSET:LAWS], 1),
+            gain_dn=float(fit["gain"][0]),
+            offset_dn=float(fit["background"][0]),
+            signal_dn=fit.model - np.tensordot(fit["background"], columns["background"], 1),
             score=float(np.corrcoef(problem.light[used], values[used])[0, 1]),
-            residuals_dn=residuals,
-            model_dn=model,
+            residuals_dn=fit.residuals,
+            model_dn=fit.model,
             used=used,
             n_rejected=int(np.count_nonzero(~solution.kept)),
-            chi=float(np.sqrt(np.mean(residuals[used] ** 2 / noise[used]))),
+            chi=float(np.sqrt(np.mean(fit.residuals[used] ** 2 / noise[used]))),
             iterations=iterations,
             response=response,
             bend_sigmas=bend_sigmas,
             smear=smear,
             smear_sigmas=smear_sigmas,
             altitude_sigma=altitude_sigma,
-            asked=self._asked(fit, residuals, (noise, error), options) if options.ask else Asked(),
+            asked=self._asked(fit, (noise, error), options) if options.ask else Asked(),
             corner_px=problem.pixels.corner_px,
         )
 
-    def _response(
-        self, fit: LinearFit, residuals: Float, model: Float, known: Response | None
-    ) -> tuple[Response, float]:
+    def _response(self, fit: LinearFit, known: Response | None) -> tuple[Response, float]:
         """Response as it was estimated, or as the residuals ask for one, and its bend over its standard deviation."""
         if known is None:
-            dark_dn = float(self.solution.parameters[OFFSET])
-            known = Response(bend=0.0, dark_dn=dark_dn, bright_dn=max(float(model.max()), dark_dn + 1e-12))
-            bend, sigma = fit.asked(residuals, -known.changes_dn(model)[0])
+            dark_dn = float(fit["background"][0])
+            known = Response(bend=0.0, dark_dn=dark_dn, bright_dn=max(float(fit.model.max()), dark_dn + 1e-12))
+            (bend,), (sigma,) = fit.score_omitted(_block("bend", -known.changes_dn(fit.model)[:1])).alone
         else:
-            place = self.problem.n_light
-            bend = known.bend + float(self.solution.parameters[place])
-            sigma = math.sqrt(float(np.linalg.inv(fit.information)[place, place]))
-        return replace(known, bend=bend), bend / sigma
+            bend, (sigma,) = known.bend + float(fit["bend"][0]), fit.sigmas("bend")
+        return replace(known, bend=float(bend)), float(bend / sigma)
 
-    def _smear(self, fit: LinearFit, residuals: Float, known: Smear | None) -> tuple[Smear, float]:
+    def _smear(self, fit: LinearFit, known: Smear | None) -> tuple[Smear, float]:
         """Smear as it was estimated, or as the residuals ask for one, and its size over its standard deviation."""
         if known is None:
-            found = [fit.asked(residuals, column) for column in self.problem.by_smear()]
-            straight, oblique = (share for share, _ in found)
-            sigma = max(each for _, each in found)
+            found, sigmas = fit.score_omitted(_block("smear", np.stack(self.problem.by_smear()))).alone
         else:
-            left = self.solution.parameters[-2:]
-            straight, oblique = known.straight_px2 + left[0], known.oblique_px2 + left[1]
-            sigma = math.sqrt(float(np.diag(np.linalg.inv(fit.information))[-2:].max()))
-        smear = Smear(straight_px2=float(straight), oblique_px2=float(oblique))
-        return smear, smear.size_px2 / sigma
+            found = np.array([known.straight_px2, known.oblique_px2]) + fit["smear"]
+            sigmas = fit.sigmas("smear")
+        straight, oblique = found.tolist()
+        smear = Smear(straight_px2=straight, oblique_px2=oblique)
+        return smear, smear.size_px2 / float(sigmas.max())
 
-    def _untold_altitude(self, fit: LinearFit, residuals: Float, options: TemplateFitOptions) -> float:
+    def _untold_altitude(self, fit: LinearFit, options: TemplateFitOptions) -> float:
         """Standard deviation, over the radius, of the altitude of the limb by haze that the residuals show."""
-        veils, moves = self.problem.veils() if self._wrong_edges else None, slice(None, RANGE + 1)
+        veils, place = self.problem.veils() if self._wrong_edges else None, self.problem.layout.span("center", "range")
         if veils is None:
             return 0.0
-        lifted_by = fit.errors_covariance(self._lifts(options))[moves, moves]
-        wider_px2 = float(self.solution.parameters[BLUR] - self.prior.mean[BLUR])
+        lifted_by = fit.columns.consider(self._altitude(options, 1.0))[place, place]
+        wider_px2 = float(fit["blur"][0] - self.prior.mean[self.problem.layout.span("blur")][0])
         blur = math.sqrt(max(wider_px2, 0.0)) / options.radius_px
-        return haze_altitude(fit, residuals, veils, self.problem.gain_dn, lifted_by, blur=blur)
+        return haze_altitude(fit, veils, self.problem.gain_dn, lifted_by, blur=blur)
 
-    def _lifts(self, options: TemplateFitOptions) -> Float:
-        """Images (2, h, w) that an altitude of the limb as large as the radius would make, if it were linear."""
-        growth = self.problem.columns[RANGE]
+    def _altitude(self, options: TemplateFitOptions, sigma: float) -> Block:
+        """Altitudes of the limb, over the radius, along two axes: if they were linear up to the whole radius."""
+        (growth,) = self.problem["range"]
         rows, columns = np.indices(growth.shape)
         x, y = self.state.center_px - self.problem.pixels.corner_px
         sights = np.stack([columns - x, rows - y, np.ones_like(growth)], axis=-1).reshape(-1, 3)
         lifts = lifted(growth.ravel(), sights, np.array([0.0, 0.0, 1.0]), np.array(options.sun_direction))
-        return np.asarray(lifts.T.reshape(2, *growth.shape))
+        return Block(
+            effect="altitude",
+            cause=Cause.ALTITUDE,
+            matrix=lifts.T.reshape(2, *growth.shape),
+            prior=Prior.of_sigmas([sigma, sigma]),
+            use=Use.CONSIDERED,
+        )
 
-    def _asked(
-        self, fit: LinearFit, residuals: Float, variances: tuple[Float, Float], options: TemplateFitOptions
-    ) -> Asked:
+    def _asked(self, fit: LinearFit, variances: tuple[Float, Float], options: TemplateFitOptions) -> Asked:
         """What the residuals ask for beside the parameters of the fit."""
         noise, error = variances
-        changes, hazy = self.problem.by_strain(self.state), options.altitude_sigma > 0.0
-        if options.smear is None:
-            changes = np.concatenate([changes, np.stack(self.problem.by_smear())])
         return asked_beside(
             fit,
-            residuals,
-            changes,
-            options.altitude_sigma * self._lifts(options) if hazy else changes[:0],
+            strain=self.problem.by_strain(self.state),
+            smear=None if options.smear is not None else np.stack(self.problem.by_smear()),
+            considered=self._altitude(options, options.altitude_sigma) if options.altitude_sigma > 0.0 else None,
             radius_px=self.problem.reach_px,
             noise=noise,
             error=error,
@@ -474,51 +482,42 @@ class _Solved:
         """Side of the blocks of the jackknife."""
         return int(np.clip(round(_BLOCK * self.problem.reach_px), 3, _MAX_BLOCK_PX))
 
-    def _relief(self, fit: LinearFit, residuals: Float, options: TemplateFitOptions) -> Float:
+    def _relief(self, fit: LinearFit, options: TemplateFitOptions) -> Float:
         """Covariance (k, k) of the parameters by relief, where edges are wrong and blocks too few for a jackknife."""
-        if not self._wrong_edges or fit.jackknife(residuals, self._block_px) is not None:
-            return np.zeros_like(fit.information)
+        if not self._wrong_edges or fit.jackknife(self._block_px) is not None:
+            return np.zeros_like(fit.columns.information)
         center_px, sun = self.state.center_px - self.problem.pixels.corner_px, np.array(options.sun_direction)
-        return relief_covariance(fit, residuals, center_px, sun[:2], radius_px=self.problem.reach_px)
+        return relief_covariance(fit, center_px, sun[:2], radius_px=self.problem.reach_px)
 
-    def _parts(
-        self, fit: LinearFit, residuals: Float, variances: tuple[Float, Float], options: TemplateFitOptions
-    ) -> dict[Cause, Float]:
+    def _parts(self, fit: LinearFit, variances: tuple[Float, Float], options: TemplateFitOptions) -> dict[Cause, Float]:
         """Covariance (3, 3) of center and range by cause: of noise, and what residuals show beyond it, as markings."""
         noise, error = variances
-        of_noise, of_relief = fit.noise_covariance(noise), self._relief(fit, residuals, options)
+        of_noise, of_relief = fit.noise_covariance(noise), self._relief(fit, options)
         whole = fit.full_covariance(
-            residuals,
-            error,
-            of_noise=of_noise + of_relief,
-            blur_px=self._blur_px,
-            block_px=self._block_px,
+            error, of_noise=of_noise + of_relief, blur_px=self._blur_px, block_px=self._block_px
         )
-        groups = {
-            Cause.REFLECTANCE: [
-                *range(LAWS, LAWS + self.problem.n_laws),
-                *range(self.problem.n_light, self.problem.n_light + self.problem.n_bends),
-            ],
-            Cause.BACKGROUND: list(range(OFFSET, LAWS)),
-            Cause.PSF: [
-                BLUR,
-                *range(LAWS + self.problem.n_laws, self.problem.n_light),
-                *range(self.problem.n_light + self.problem.n_bends, self.problem.n_parameters),
-            ],
-        }
-        parts = fit.noise_parts(of_noise, groups)
+        parts = split_noise(of_noise, self.problem.layout, (Cause.REFLECTANCE, Cause.BACKGROUND, Cause.PSF))
         known = sum(parts.values(), np.zeros_like(whole))
         parts[Cause.RELIEF], with_relief = of_relief, known + of_relief
         if options.relief_sigma > 0.0:
-            relief = options.relief_sigma * self.problem.columns[RANGE]
+            (growth,) = self.problem["range"]
+            relief = options.relief_sigma * growth
             declared = fit.error_covariance(relief, length_px=options.relief_length_px)
             parts[Cause.RELIEF] = declared + excess(known + declared, with_relief)
         known = known + parts[Cause.RELIEF]
         if options.altitude_sigma > 0.0:
-            parts[Cause.ALTITUDE] = options.altitude_sigma**2 * fit.errors_covariance(self._lifts(options))
+            parts[Cause.ALTITUDE] = fit.columns.consider(self._altitude(options, options.altitude_sigma))
             known = known + parts[Cause.ALTITUDE]
         parts[Cause.ALBEDO] = excess(known, whole)
         if self.problem.untried is not None:
-            omitted = fit.omission_covariance(residuals, self.problem.untried, self.problem.mixing_sigma_dn)
+            prior = Prior.of_sigmas([self.problem.mixing_sigma_dn])
+            omitted = fit.score_omitted(_block("untried law", self.problem.untried[None], prior)).omission_covariance
             parts[Cause.REFLECTANCE] = parts.get(Cause.REFLECTANCE, 0.0) + omitted
-        return {cause: 0.5 * (part + part.T)[: RANGE + 1, : RANGE + 1] for cause, part in parts.items()}
+        place = self.problem.layout.span("center", "range")
+        return {cause: 0.5 * (part + part.T)[place, place] for cause, part in parts.items()}
+
+
+def _block(effect: str, matrix: Float, prior: Prior | None = None) -> Block:
+    """Unknowns that the fit leaves out; without a prior nothing is known of them."""
+    prior = Prior.of_sigmas([math.inf] * len(matrix)) if prior is None else prior
+    return Block(effect=effect, cause=Cause.REFLECTANCE, matrix=matrix, prior=prior)

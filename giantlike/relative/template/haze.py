@@ -12,9 +12,10 @@ from typing import ClassVar
 import numpy as np
 
 from giantlike.core.arrays import Float
+from giantlike.core.causes import Cause
+from giantlike.image_model.columns import Block, Prior, Solution
 from giantlike.ray_tracing import LommelSeeliger, Reflectance
 from giantlike.ray_tracing.reflectance.law import SurfaceLaw
-from giantlike.relative.template.covariance import LinearFit
 
 HAZE = "altitude_sigma_km"
 """Key of the provenance of fixes whose covariance has an altitude of the limb: its standard deviation, km."""
@@ -70,16 +71,12 @@ def haze_laws(ground: Reflectance, *, depth: float = VEIL_DEPTH) -> tuple[Reflec
     return _Veil(ground, depth), _Veil(None, depth), LommelSeeliger()
 
 
-def haze_altitude(
-    fit: LinearFit, residuals: Float, images: Float, gain_dn: float, altitude: Float, *, blur: float
-) -> float:
+def haze_altitude(fit: Solution, images: Float, gain_dn: float, altitude: Float, *, blur: float) -> float:
     """Return how uncertain the altitude of the limb is by haze that the residuals show.
 
     Parameters
     ----------
-    fit : LinearFit
-        Whose first three parameters are the center and the logarithm of the range.
-    residuals : (h, w) float64, DN
+    fit : Solution
     images : (3, h, w) float64
         What haze takes, what it sends, and the change of a body of even brightness with the logarithm of its range.
     gain_dn : float, DN
@@ -96,12 +93,12 @@ def haze_altitude(
         haze is put into the model: with it, that is one standard deviation of both errors of the altitude together. 0
         where the residuals show no haze.
     """
-    (taken, sent, _), (of_taken, of_sent, _), step, squares = fit.omitted(
-        residuals, gain_dn * images, np.array([1.0, 1.0, _RING])
-    )
-    if squares < _SQUARES or max(-taken / of_taken, sent / of_sent) < _SHARE_SIGMAS:
+    haze = Block(effect="haze", cause=Cause.ALTITUDE, matrix=gain_dn * images, prior=Prior.of_sigmas([1.0, 1.0, _RING]))
+    score = fit.score_omitted(haze)
+    (taken, sent, _), (of_taken, of_sent, _) = score.values, np.sqrt(np.diag(score.covariance))
+    if score.chi_square < _SQUARES or max(-taken / of_taken, sent / of_sent) < _SHARE_SIGMAS:
         return 0.0
     unit = np.sqrt(np.diag(altitude))
     values, vectors = np.linalg.eigh(altitude / unit / unit[:, None])
-    along = vectors[:, 1:].T @ (step[:3] / unit)
+    along = vectors[:, 1:].T @ (score.step[fit.columns.layout.span("center", "range")] / unit)
     return float(np.hypot(_OF_BLUR * blur, np.sqrt(np.sum(along**2 / values[1:]))))

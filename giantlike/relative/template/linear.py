@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask
+from giantlike.core.causes import Cause
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
+from giantlike.image_model.columns import Layout, Prior
 from giantlike.relative.response import Response
-from giantlike.relative.template.covariance import Measured, Prior, RobustFit, VarianceModel, robust_fit
+from giantlike.relative.template.covariance import Measured, RobustFit, VarianceModel, robust_fit
 from giantlike.relative.template.state import TemplateImages, TemplateState
-
-X, Y, RANGE, BLUR, GAIN, OFFSET, RAMP_X, RAMP_Y = range(8)
-"""Parameters: center in px, logarithm of the range, variance of the point spread function in px^2, then photometry: the
-light, a constant background and its slopes over half the box. After them come the other reflectance laws, then the
-wings of the point spread function where they are estimated, and last the changes of the response and those of a smear
-where these are."""
-LAWS = RAMP_Y + 1
 
 PIXEL_VARIANCE_PX2 = 1.0 / 12.0
 """Variance, px^2, of a square pixel along one axis."""
@@ -37,6 +33,29 @@ _WING_SIGMA, _WING_WIDTHS = 0.1, (2.0, 6.0)
 of its core: two, as for horizons, so that those between are spanned."""
 _CUBE_SIGMA = 0.2
 """A priori standard deviation of the share of a cube in the response: of powers of 0.45, 0.6 it is 0.11, -0.13."""
+
+
+def layout_of(*, laws: int, wings: int, response: bool, smear: bool) -> Layout:
+    """Parameters of a linear step.
+
+    Center in px, logarithm of the range, variance of the point spread function in px^2; then photometry: the light, a
+    constant background and its slopes over half the box, shares of other reflectance laws and of wings of the point
+    spread function; then changes of the bend and of the cube of a response, and of the variances of a smear.
+    """
+    return Layout(
+        (
+            ("center", Cause.NOISE, 2),
+            ("range", Cause.NOISE, 1),
+            ("blur", Cause.PSF, 1),
+            ("gain", Cause.NOISE, 1),
+            ("background", Cause.BACKGROUND, 3),
+            ("laws", Cause.REFLECTANCE, laws),
+            ("wings", Cause.PSF, wings),
+            ("bend", Cause.REFLECTANCE, int(response)),
+            ("cube", Cause.REFLECTANCE, int(response)),
+            ("smear", Cause.PSF, 2 * int(smear)),
+        )
+    )
 
 
 class Problem:
@@ -69,47 +88,56 @@ class Problem:
         self.pixels, self.light, self.veiled = pixels, images.light, images.veiled
         total = float(images.light.sum())
         differences = [_difference(other, images.light) for other in images.others]
-        self.n_laws = len(differences)
-        if images.winged:
-            differences += [_winged(images.light, state.psf_variance_px2, w) - images.light for w in _WING_WIDTHS]
+        widths = _WING_WIDTHS if images.winged else ()
+        differences += [_winged(images.light, state.psf_variance_px2, width) - images.light for width in widths]
         self.untried = None if images.untried is None else _difference(images.untried, images.light)
-        seen = (images.light, *_background(images.light.shape), *differences)
-        self.n_light = GAIN + len(seen)
-        self.n_bends, self.n_smears = 0 if response is None else 2, 0 if images.by_smear is None else 2
-        self.columns = np.empty((self.n_light + self.n_bends + self.n_smears, *images.light.shape))
-        moved, basis = self.columns[:GAIN], self.columns[GAIN : self.n_light]
-        np.stack(seen, out=basis)
+        self.layout = layout_of(
+            laws=len(images.others),
+            wings=len(widths),
+            response=response is not None,
+            smear=images.by_smear is not None,
+        )
+        self.matrix = np.empty((self.layout.count, *images.light.shape))
+        seen = np.stack((images.light, *_background(images.light.shape), *differences), out=self["gain", "wings"])
         if photometry is None:
-            first = unweighted(basis[: LAWS - GAIN], pixels)
-            photometry = first
-        photometry = np.pad(photometry, (0, len(basis) - len(photometry)))  # of wings, after a render without
-        self.gain_dn = float(photometry[0])
-        under = np.zeros_like(photometry)
-        under[1 : LAWS - GAIN] = photometry[1 : LAWS - GAIN]
-        self.signal, level = np.tensordot(np.stack([photometry - under, under]), basis, 1)
-        self.model = self.signal + level
+            photometry = unweighted(self["gain", "background"], pixels)
+        photometry = np.pad(photometry, (0, len(seen) - len(photometry)))  # of wings, after a render without
+        known = self.layout.vector({})
+        known[self.layout.span("gain", "wings")] = photometry
+        gain, level, laws, wings = (known[self.layout.span(each)] for each in ("gain", "background", "laws", "wings"))
+        self.gain_dn = float(gain[0])
+        under = np.zeros_like(known)
+        under[self.layout.span("background")] = level
+        split = np.stack([known - under, under])[:, self.layout.span("gain", "wings")]
+        self.signal, background = np.tensordot(split, seen, 1)
+        self.model = self.signal + background
         if response is not None:
-            np.negative(response.changes_dn(self.model), out=self.columns[self.n_light :][:2])
+            np.negative(response.changes_dn(self.model), out=self["bend", "cube"])
         if images.by_smear is not None:
-            np.multiply(images.by_smear, self.gain_dn, out=self.columns[-2:])
+            np.multiply(images.by_smear, self.gain_dn, out=self["smear"])
         x = pixels.corner_px[0] + np.arange(self.model.shape[1]) - state.center_px[0]
         y = pixels.corner_px[1] + np.arange(self.model.shape[0])[:, None] - state.center_px[1]
         spread = state.psf_variance_px2 + PIXEL_VARIANCE_PX2  # the blur does not grow with the body
         self._from_center = x, y, spread
-        shares = photometry[LAWS - GAIN :]
-        wings, by_differences = shares[self.n_laws :], self.signal
+        moved, by_differences = self["center", "blur"], self.signal
         if images.derivatives is not None:
             scales = [total / max(float(other.sum()), 1e-300) for other in images.others]
-            weights = np.array([photometry[0] - shares.sum(), *(shares[: self.n_laws] * scales)])
+            weights = np.array([gain[0] - known[self.layout.span("laws", "wings")].sum(), *(laws * scales)])
             np.copyto(moved, images.derivatives(weights))
-            by_differences = np.tensordot(wings, basis[len(basis) - len(wings) :] + images.light, 1)
+            by_differences = np.tensordot(wings, self["wings"] + images.light, 1)
         else:
             moved[:] = 0.0
         if images.derivatives is None or wings.any():  # wings are wide enough for differences of pixels
             moved += _by_differences(by_differences, x, y, spread)
-        self._slope2 = moved[X] ** 2 + moved[Y] ** 2
+        by_x, by_y = self["center"]
+        self._slope2 = by_x**2 + by_y**2
         self._slope_moments = _moments(np.where(self.offered, self._slope2, 0.0), x, y[:, 0])
         self.reach_px = math.sqrt(_moments(images.light, x, y[:, 0])[3] / total)
+
+    def __getitem__(self, effects: str | tuple[str, str]) -> Float:
+        """Derivatives (j, h, w) by the parameters of an effect, or of all from one to another."""
+        first, last = (effects, effects) if isinstance(effects, str) else effects
+        return self.matrix[self.layout.span(first, last)]
 
     @property
     def mixing_sigma_dn(self) -> float:
@@ -137,8 +165,8 @@ class Problem:
         Where a body is cut by the frame, a center far outside moves more than they do.
         """
         total, by_x, by_y, by_square = self._slope_moments
-        along, growth = step[X] * by_x + step[Y] * by_y, float(step[RANGE])
-        squares = (step[X] ** 2 + step[Y] ** 2) * total - 2.0 * growth * along + growth**2 * by_square
+        x, y, growth = step.tolist()
+        squares = (x**2 + y**2) * total - 2.0 * growth * (x * by_x + y * by_y) + growth**2 * by_square
         return math.sqrt(max(float(squares), 0.0) / max(total, 1e-300))
 
     def by_strain(self, state: TemplateState) -> Float:
@@ -149,7 +177,7 @@ class Problem:
         """
         x = self.pixels.corner_px[0] + np.arange(self.model.shape[1]) - state.center_px[0]
         y = self.pixels.corner_px[1] + np.arange(self.model.shape[0])[:, None] - state.center_px[1]
-        by_x, by_y = self.columns[X], self.columns[Y]
+        by_x, by_y = self["center"]
         return np.stack([by_x * y, by_y * x, by_x * x - by_y * y])
 
     def by_smear(self) -> tuple[Float, Float]:
@@ -162,35 +190,29 @@ class Problem:
         if self.veiled is None:
             return None
         taken, sent, even = self.veiled()
-        return np.stack([taken, sent, _by_differences(even, *self._from_center)[RANGE]])
-
-    @property
-    def n_parameters(self) -> int:
-        """Number of parameters."""
-        return len(self.columns)
+        _, _, by_log_range, _ = _by_differences(even, *self._from_center)
+        return np.stack([taken, sent, by_log_range])
 
     def misfit_dn2(self) -> float:
         """Mean square of image minus model, with the brightness that fits best."""
         use = self._short
-        basis, values = _chosen(self.columns[GAIN:], use), self.pixels.values_dn[use]
+        basis, values = _chosen(self["gain", "smear"], use), self.pixels.values_dn[use]
         found = np.linalg.lstsq(basis @ basis.T, basis @ values, rcond=None)[0]
         return float(np.sum((values - found @ basis) ** 2)) / max(int(np.count_nonzero(self.offered)), 1)
 
     def plain_step(self, longest_px: float) -> Float:
         """Unweighted step (3,) in x, y and logarithm of the range, brightness free, not longer than ``longest_px``."""
-        names = [X, Y, RANGE, *range(GAIN, LAWS)]
-        step = unweighted(self.columns[names], replace(self.pixels, usable=self._short))[: RANGE + 1]
-        length_px = max(float(np.hypot(step[X], step[Y])), abs(float(step[RANGE])) * self.reach_px, 1e-12)
+        basis = np.concatenate([self["center", "range"], self["gain", "background"]])
+        step = unweighted(basis, replace(self.pixels, usable=self._short))[self.layout.span("center", "range")]
+        x, y, growth = step.tolist()
+        length_px = max(float(np.hypot(x, y)), abs(growth) * self.reach_px, 1e-12)
         return np.asarray(step * min(1.0, longest_px / length_px))
 
-    def prior(self, mean: Float, sigma: Float) -> Prior:
-        """Prior of all parameters from that of the first four, ``mean`` and ``sigma`` (4,): laws get their own."""
-        means, sigmas = np.zeros(self.n_parameters), np.full(self.n_parameters, np.inf)
-        means[:GAIN], sigmas[:GAIN] = mean, sigma
-        sigmas[LAWS : LAWS + self.n_laws] = self.mixing_sigma_dn
-        sigmas[LAWS + self.n_laws : self.n_light] = _WING_SIGMA * self.mixing_sigma_dn / _MIXING_SIGMA
-        sigmas[self.n_light + 1 : self.n_light + self.n_bends] = _CUBE_SIGMA
-        return Prior(means, sigmas**-2)
+    def prior(self, mean: Mapping[str, float], sigma: Mapping[str, float]) -> Prior:
+        """Prior of all parameters from that of range and blur; shares of laws and wings, and a cube, get their own."""
+        shares = {"laws": self.mixing_sigma_dn, "wings": _WING_SIGMA * self.mixing_sigma_dn / _MIXING_SIGMA}
+        sigmas = self.layout.vector({**sigma, **shares, "cube": _CUBE_SIGMA}, other=math.inf)
+        return Prior.of_sigmas(sigmas, self.layout.vector(mean))
 
     def solve(
         self, prior: Prior, clip_sigma: float, errors: Float | None, *, most_pixels: float = math.inf
@@ -207,8 +229,8 @@ class Problem:
         variances = VarianceModel(pixels.noise_variance_dn2(signal), shapes)
         censored = np.zeros(signal.size, bool) if pixels.censored is None else pixels.censored.ravel()[taken]
         measured = Measured(pixels.values_dn.ravel()[taken], censored, variances)
-        design = self.columns.reshape(self.n_parameters, -1)[:, taken].T
-        fit = robust_fit(design, measured, prior, clip_sigma=clip_sigma, start=errors)
+        matrix = self.matrix.reshape(self.layout.count, -1)[:, taken]
+        fit = robust_fit(self.layout, matrix, measured, prior, clip_sigma=clip_sigma, start=errors)
         if fit is None:
             return Failure(
                 Reason.DEGENERATE_GEOMETRY, "the pixels do not determine position and brightness of the body"

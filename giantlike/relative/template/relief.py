@@ -7,7 +7,6 @@ import numpy as np
 from giantlike.core.arrays import Float
 from giantlike.processing.outline_errors import outline_errors
 from giantlike.relative.template.covariance import LinearFit
-from giantlike.relative.template.linear import RANGE
 
 _SECTOR_PX = 3.0
 """Width of a sector along the limb, px: sharp point spread functions reach no farther. Outlines are averaged further;
@@ -19,14 +18,12 @@ _LEAST_SECTORS = 8
 """Sectors, at least: five degrees of freedom beside the place, from which a spectrum is hardly told."""
 
 
-def relief_covariance(fit: LinearFit, residuals: Float, center_px: Float, sun: Float, *, radius_px: float) -> Float:
+def relief_covariance(fit: LinearFit, center_px: Float, sun: Float, *, radius_px: float) -> Float:
     r"""Covariance of the parameters of a template from relief that its shape does not hold.
 
     Parameters
     ----------
     fit : LinearFit
-        With the parameters of center and range first.
-    residuals : (h, w) float64
     center_px : (2,) float64, px
         Center of the body, from the first pixel of the images.
     sun : (2,) float64
@@ -46,32 +43,36 @@ def relief_covariance(fit: LinearFit, residuals: Float, center_px: Float, sun: F
     :func:`~giantlike.processing.outline_errors.outline_errors`. A crescent needs it most: it shows less than half of
     the limb, over which the long waves of relief are all but a shift, and holds too few blocks for a jackknife.
     """
-    rows, columns = np.indices(residuals.shape)
-    x, y = (columns - center_px[0]).ravel(), (rows - center_px[1]).ravel()
+    columns, weights = fit.columns, fit.columns.weights.ravel()
+    at_y, at_x = np.indices(fit.residuals.shape)
+    x, y = (at_x - center_px[0]).ravel(), (at_y - center_px[1]).ravel()
     count = int(2.0 * np.pi * radius_px / _SECTOR_PX)
-    zero = np.zeros_like(fit.information)
-    lit = np.flatnonzero((x * sun[0] + y * sun[1] >= 0.0) & (fit.weights.ravel() > 0.0))
+    zero = np.zeros_like(columns.information)
+    lit = np.flatnonzero((x * sun[0] + y * sun[1] >= 0.0) & (weights > 0.0))
     sectors = ((np.arctan2(y[lit], x[lit]) / (2.0 * np.pi) + 0.5) * count).astype(np.int64) % max(count, 1)
-    images = np.concatenate([fit.columns, residuals[None]]).reshape(len(fit.columns) + 1, -1)[:, lit]
-    by_relief = fit.weights.ravel()[lit] * images[RANGE]
-    sums = np.stack([np.bincount(sectors, by_relief * image, count) for image in images], axis=1)
-    enough = sums[:, RANGE] > _LEAST_SHARE * np.median(sums[sums[:, RANGE] > 0.0, RANGE])
+    by_relief = weights[lit] * columns["range"].ravel()[lit]
+
+    sums = [np.bincount(sectors, by_relief * row, count) for row in columns.rows[:, lit]]
+    scores: Float = np.stack(sums, axis=1).astype(np.float64, copy=False)
+    pull = np.asarray(np.bincount(sectors, by_relief * fit.residuals.ravel()[lit], count), dtype=np.float64)
+    information = scores[:, columns.layout.span("range")].ravel()
+    enough = information > _LEAST_SHARE * np.median(information[information > 0.0])
     if np.count_nonzero(enough) < _LEAST_SECTORS:
         return zero
     order = np.flatnonzero(enough)
     order = np.roll(order, -int(np.argmax(np.diff(order, append=order[0] + count))) - 1)  # the widest gap is no limb
-    information, scores = sums[order, RANGE], sums[order, :-1]
+    information, scores = information[order], scores[order]
     angle = 2.0 * np.pi * ((order + 0.5) / count - 0.5)
     points = np.column_stack([np.cos(angle), np.sin(angle)])
-    heights, sigma = sums[order, -1] / information, information**-0.5
+    heights, sigma = pull[order] / information, np.asarray(information**-0.5, dtype=np.float64)
     errors = outline_errors(
         heights,
-        scores[:, : RANGE + 1] / information[:, None],
+        scores[:, columns.layout.span("center", "range")] / information[:, None],
         sigma,
         points,
         radius=1.0,
         least_length=_SECTOR_PX / radius_px,
     )
     relief = errors.covariances(sigma, points).relief
-    moved = np.linalg.solve(fit.information, scores.T)
+    moved = np.linalg.solve(columns.information, scores.T)
     return np.asarray(moved @ relief @ moved.T)

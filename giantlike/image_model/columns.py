@@ -1,0 +1,371 @@
+"""Linear looks at data: unknowns in named blocks, their weighted least squares, and scores of omitted blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.core.arrays import Float
+from giantlike.core.causes import Cause
+from giantlike.core.values import Value
+
+_CONDITION_LIMIT = 1e12  # of the scaled normal matrix: four digits of float64 are left
+
+
+class Use(StrEnum):
+    """How an effect enters a model."""
+
+    FITTED = "fitted"
+    """Estimated along with the place."""
+    CONSIDERED = "considered"
+    """In the covariance only: its size is declared, and residuals must not decide on it."""
+    WHEN_SEEN = "when_seen"
+    """Averaged over on and off, by the odds of either."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior(Value):
+    """A priori knowledge of unknowns, independent of each other.
+
+    Parameters
+    ----------
+    mean : (k,) float64
+    information : (k,) float64
+        Inverse variances; 0 where nothing is known.
+    """
+
+    mean: Float
+    information: Float
+
+    @property
+    def parts(self) -> tuple[Float, Float]:
+        """Mean and information."""
+        return self.mean, self.information
+
+    @classmethod
+    def of_sigmas(cls, sigmas: Float | Sequence[float], mean: Float | float = 0.0) -> Prior:
+        """Return the prior of standard deviations (k,), infinite where nothing is known."""
+        return cls(np.zeros(len(sigmas)) + mean, np.asarray(sigmas, dtype=np.float64) ** -2.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Block(Value):
+    """Unknowns of one effect.
+
+    Parameters
+    ----------
+    effect : str
+    cause : Cause
+        Of the errors of the solution that ignorance of the effect makes.
+    matrix : (k, ...) float64
+        Derivative of the data by each unknown.
+    prior : Prior
+    use : Use
+    """
+
+    effect: str
+    cause: Cause
+    matrix: Float
+    prior: Prior
+    use: Use = Use.FITTED
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Order of the unknowns of a model: the name of each effect, its cause and the number of its unknowns.
+
+    Parameters
+    ----------
+    effects : tuple of (str, Cause, int)
+    """
+
+    effects: tuple[tuple[str, Cause, int], ...]
+
+    @cached_property
+    def count(self) -> int:
+        """Number of unknowns."""
+        return sum(size for _, _, size in self.effects)
+
+    @cached_property
+    def _spans(self) -> dict[str, slice]:
+        """Entries of each effect."""
+        ends = np.cumsum([size for _, _, size in self.effects]).tolist()
+        return {name: slice(end - size, end) for (name, _, size), end in zip(self.effects, ends, strict=True)}
+
+    def span(self, first: str, last: str | None = None) -> slice:
+        """Return the entries of an effect, or of all from one to another."""
+        return slice(self._spans[first].start, self._spans[last or first].stop)
+
+    def of_cause(self, cause: Cause) -> NDArray[np.int64]:
+        """Return the entries whose effects have a cause."""
+        _, causes, sizes = zip(*self.effects, strict=True)
+        return np.flatnonzero(np.repeat([each is cause for each in causes], sizes))
+
+    def without(self, effect: str) -> NDArray[np.int64]:
+        """Return the entries of all other effects."""
+        return np.delete(np.arange(self.count), self._spans[effect])
+
+    def vector(self, values: Mapping[str, float | Sequence[float] | Float], *, other: float = 0.0) -> Float:
+        """Return a vector (k,) of values by effect, with one value for all effects without."""
+        result = np.full(self.count, other)
+        for effect, value in values.items():
+            result[self._spans[effect]] = value
+        return result
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns(Value):
+    """A linear model of data: ``data = matrix^T unknowns + noise``.
+
+    Parameters
+    ----------
+    layout : Layout
+        Of the rows of ``matrix``.
+    matrix : (k, ...) float64
+        Derivative of the data by each unknown.
+    prior : Prior
+    data : (...) float64
+    weights : (...) float64
+        Inverse variances; 0 where data is not used.
+
+    Attributes
+    ----------
+    scaled : (k, n) float64
+        Derivatives in units of the standard deviations of the data.
+    information : (k, k) float64
+        Normal matrix, the prior included.
+    """
+
+    layout: Layout
+    matrix: Float
+    prior: Prior
+    data: Float
+    weights: Float
+    scaled: Float = field(init=False)
+    information: Float = field(init=False)
+
+    def __post_init__(self) -> None:
+        scaled = (self.matrix * np.sqrt(self.weights)).reshape(len(self.matrix), -1)
+        object.__setattr__(self, "scaled", scaled)
+        # of an array with itself: half of the products
+        object.__setattr__(self, "information", scaled @ scaled.T + np.diag(self.prior.information))
+        Value.__post_init__(self)
+
+    @classmethod
+    def of(cls, blocks: Sequence[Block], data: Float, weights: Float) -> Columns:
+        """Return the model with the unknowns of blocks."""
+        return cls(*_stacked(blocks), data, weights)
+
+    def extended(self, blocks: Sequence[Block]) -> Columns:
+        """Return the model with the unknowns of further blocks after its own."""
+        layout, matrix, prior = _stacked(blocks)
+        return replace(
+            self,
+            layout=Layout(self.layout.effects + layout.effects),
+            matrix=np.concatenate([self.matrix, matrix]),
+            prior=Prior(*(np.concatenate(both) for both in zip(self.prior.parts, prior.parts, strict=True))),
+        )
+
+    @property
+    def rows(self) -> Float:
+        """Derivatives (k, n) by each unknown."""
+        return self.matrix.reshape(len(self.matrix), -1)
+
+    def __getitem__(self, effect: str) -> Float:
+        """Derivatives (j, ...) by the unknowns of an effect."""
+        return self.matrix[self.layout.span(effect)]
+
+    def solve(self) -> Solution | None:
+        """Return the weighted least-squares solution; None where the data do not determine the unknowns."""
+        right = self.rows @ (self.weights * self.data).ravel() + self.prior.information * self.prior.mean
+        scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        scaled = self.information / scale / scale[:, None]
+        if not _condition(scaled) <= _CONDITION_LIMIT:
+            return None
+        return Solution(self, np.asarray(np.linalg.solve(scaled, right / scale) / scale))
+
+    def propagate(self, scatter: Float) -> Float:
+        """Return the covariance (k, k) of the unknowns from that of their scores."""
+        inverse = np.linalg.inv(self.information)
+        return np.asarray(inverse @ scatter @ inverse)
+
+    def consider(self, block: Block) -> Float:
+        """Return the covariance (k, k) of the unknowns from those of a block that are not estimated.
+
+        With the gain ``G`` of the unknowns by the data it is ``G A P A^T G^T``.
+        """
+        errors = (block.matrix.T * block.prior.information**-0.5).T
+        scores = self.rows @ (self.weights * errors).reshape(len(errors), -1).T
+        return self.propagate(scores @ scores.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution(Value):
+    """Unknowns of a linear model as its data determine them.
+
+    Parameters
+    ----------
+    columns : Columns
+    values : (k,) float64
+    """
+
+    columns: Columns
+    values: Float
+
+    @cached_property
+    def model(self) -> Float:
+        """Data (...) by the model."""
+        return np.asarray(np.tensordot(self.values, self.columns.matrix, 1))
+
+    @cached_property
+    def residuals(self) -> Float:
+        """Data minus model (...)."""
+        return np.asarray(self.columns.data - self.model)
+
+    def __getitem__(self, effect: str) -> Float:
+        """Unknowns (j,) of an effect."""
+        return self.values[self.columns.layout.span(effect)]
+
+    def score_omitted(self, *blocks: Block) -> Score:
+        r"""Return what blocks that were left out of the model would explain together.
+
+        Notes
+        -----
+        With ``B`` the derivatives by their unknowns, ``A`` those of the model, ``W`` the weights, ``r`` the residuals
+        and ``H`` the information of the model, the gradient is ``B^T W r`` and the information, by the Schur
+        complement, ``B^T W B - B^T W A H^-1 A^T W B``. Both are exact at the solution, where the model's own gradient
+        vanishes.
+        """
+        _, matrix, prior = _stacked(blocks)
+        weighted = (self.columns.weights * matrix).reshape(len(matrix), -1)
+        own, shared = matrix.reshape(len(matrix), -1) @ weighted.T, self.columns.rows @ weighted.T
+        return Score(self.columns, weighted @ self.residuals.ravel(), shared, own, prior)
+
+
+@dataclass(frozen=True, eq=False)
+class Score(Value):
+    """Score test of m unknowns that were left out of a model of k.
+
+    Parameters
+    ----------
+    columns : Columns
+        The model.
+    gradient : (m,) float64
+        Of half the chi-square, with its sign reversed, by the unknowns where they are zero.
+    shared : (k, m) float64
+        Products of the derivatives by the unknowns of the model and by those left out, weighted.
+    own : (m, m) float64
+        The same among those left out.
+    prior : Prior
+        Of the unknowns left out.
+    """
+
+    columns: Columns
+    gradient: Float
+    shared: Float
+    own: Float
+    prior: Prior
+
+    @cached_property
+    def moves(self) -> Float:
+        """Change (k, m) of the unknowns of the model with those left out."""
+        return np.asarray(-np.linalg.solve(self.columns.information, self.shared), dtype=np.float64)
+
+    @cached_property
+    def information(self) -> Float:
+        """Information (m, m) of the data on the unknowns, those of the model free."""
+        return np.asarray(self.own + self.shared.T @ self.moves)
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the normal matrix of both together, scaled."""
+        own = self.own + np.diag(self.prior.information)
+        both = np.block([[self.columns.information, self.shared], [self.shared.T, own]])
+        scale = np.sqrt(np.diag(both))
+        return _condition(both / np.outer(scale, scale)) if scale.all() else np.inf
+
+    @property
+    def covariance(self) -> Float:
+        """Covariance (m, m) of the unknowns."""
+        return np.asarray(np.linalg.inv(self.information + np.diag(self.prior.information)), dtype=np.float64)
+
+    @property
+    def values(self) -> Float:
+        """Unknowns (m,) with the block in the model."""
+        return np.asarray(self.covariance @ self._pull)
+
+    @property
+    def step(self) -> Float:
+        """Change (k,) of the unknowns of the model with the block in it."""
+        return np.asarray(self.moves @ self.values)
+
+    @property
+    def chi_square(self) -> float:
+        """Chi-square that the block takes away; m on average where noise alone makes it and nothing is known before."""
+        return float(self._pull @ self.values)
+
+    @property
+    def alone(self) -> tuple[Float, Float]:
+        """Each unknown (m,) without the others and without prior, and its standard deviation (m,)."""
+        information = np.maximum(np.diag(self.information), 1e-300)
+        return self.gradient / information, np.asarray(information**-0.5, dtype=np.float64)
+
+    @property
+    def omission_covariance(self) -> Float:
+        """Covariance (k, k) of the unknowns of the model from the omission of the block.
+
+        Notes
+        -----
+        With the block in the model they change by ``d``. Of the chi-square ``q`` that the block takes away, noise alone
+        makes m on average; the rest, ``d d^T (1 - m / q)``, is an error of the model. (This is Hausman's comparison of
+        two estimates.)
+        """
+        step, count = self.step, len(self.gradient)
+        return np.outer(step, step) * max(1.0 - count / max(self.chi_square, count), 0.0)
+
+    @property
+    def _pull(self) -> Float:
+        """Gradient (m,), the prior included."""
+        return self.gradient + self.prior.information * self.prior.mean
+
+
+def _stacked(blocks: Sequence[Block]) -> tuple[Layout, Float, Prior]:
+    """Layout, derivatives (k, ...) and prior of the unknowns of blocks."""
+    layout = Layout(tuple((block.effect, block.cause, len(block.matrix)) for block in blocks))
+    prior = Prior(*(np.concatenate(part) for part in zip(*(block.prior.parts for block in blocks), strict=True)))
+    matrix = blocks[0].matrix if len(blocks) == 1 else np.concatenate([block.matrix for block in blocks])
+    return layout, matrix, prior
+
+
+def _condition(scaled: Float) -> float:
+    """Condition number of a scaled normal matrix; infinite where it is not finite."""
+    return float(np.linalg.cond(scaled)) if np.isfinite(scaled).all() else np.inf
+
+
+def split_noise(covariance: Float, layout: Layout, causes: Iterable[Cause]) -> dict[Cause, Float]:
+    """Split a covariance from noise by the effects without which it would not be there.
+
+    Parameters
+    ----------
+    covariance : (k, k) float64
+    layout : Layout
+    causes : iterable of Cause
+
+    Returns
+    -------
+    dict of Cause to (k, k) float64
+        Of each cause in turn, what knowledge of its unknowns would take away; ``NOISE`` holds the rest.
+    """
+    parts = dict[Cause, Float]()
+    for cause in causes:
+        group = layout.of_cause(cause)
+        if len(group):
+            inverse = np.linalg.pinv(covariance[np.ix_(group, group)], hermitian=True)
+            parts[cause] = covariance[:, group] @ inverse @ covariance[group]
+            covariance = covariance - parts[cause]
+    return parts | {Cause.NOISE: covariance}
