@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.values import Value
+from giantlike.image_model.field import FieldSolution, FieldSums, MarkingModes
 
 _CONDITION_LIMIT = 1e12  # of the scaled normal matrix: four digits of float64 are left
 
@@ -101,6 +102,11 @@ class Layout:
         """Return the entries of an effect, or of all from one to another."""
         return slice(self._spans[first].start, self._spans[last or first].stop)
 
+    def part(self, first: str, last: str) -> Layout:
+        """Return the order of the unknowns from one effect to another alone."""
+        names = [name for name, _, _ in self.effects]
+        return Layout(self.effects[names.index(first) : names.index(last) + 1])
+
     def of_cause(self, cause: Cause) -> NDArray[np.int64]:
         """Return the entries whose effects have a cause."""
         _, causes, sizes = zip(*self.effects, strict=True)
@@ -120,7 +126,7 @@ class Layout:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns(Value):
-    """A linear model of data: ``data = matrix^T unknowns + noise``.
+    """A linear model of data: ``data = matrix^T unknowns + field + noise``.
 
     Parameters
     ----------
@@ -132,13 +138,22 @@ class Columns(Value):
     data : (...) float64
     weights : (...) float64
         Inverse variances; 0 where data is not used.
+    markings : MarkingModes, optional
+        A random field in the data beside the unknowns, which is eliminated; data are images then.
+    variances : (m,) float64, optional
+        Of the modes of the field; by default they follow from the data, see
+        :meth:`~giantlike.image_model.field.FieldSums.variances`.
 
     Attributes
     ----------
-    scaled : (k, n) float64
-        Derivatives in units of the standard deviations of the data.
+    projected : (k, ...) float64
+        Derivatives by the unknowns less what the field takes up of them.
     information : (k, k) float64
-        Normal matrix, the prior included.
+        Normal matrix, the prior included and the field eliminated.
+    right : (k,) float64
+        Right-hand side of the normal equations.
+    eliminated : FieldSolution or None
+        What the field takes up.
     """
 
     layout: Layout
@@ -146,14 +161,36 @@ class Columns(Value):
     prior: Prior
     data: Float
     weights: Float
-    scaled: Float = field(init=False)
+    markings: MarkingModes | None = None
+    variances: Float | None = None
+    projected: Float = field(init=False)
     information: Float = field(init=False)
+    right: Float = field(init=False)
+    eliminated: FieldSolution | None = field(init=False)
 
     def __post_init__(self) -> None:
-        scaled = (self.matrix * np.sqrt(self.weights)).reshape(len(self.matrix), -1)
-        object.__setattr__(self, "scaled", scaled)
+        matrix, prior = self.matrix.reshape(len(self.matrix), -1), self.prior
+        scaled = matrix * np.sqrt(self.weights).ravel()
         # of an array with itself: half of the products
-        object.__setattr__(self, "information", scaled @ scaled.T + np.diag(self.prior.information))
+        information = scaled @ scaled.T + np.diag(prior.information)
+        right = matrix @ (self.weights * self.data).ravel() + prior.information * prior.mean
+        projected, solved = self.matrix, None
+        if self.markings is not None:
+            modes, weighted = self.markings, self.weights * self.data
+            sums = FieldSums(
+                gram=modes.gram(self.weights),
+                cross=modes.products(self.matrix * self.weights),
+                scores=modes.products(weighted),
+                information=information,
+                right=right,
+            )
+            variances = sums.variances(modes.spectra) if self.variances is None else self.variances
+            solved = sums.solve(variances)
+            information, right = solved.information, solved.right
+            projected = self.matrix - modes.image(solved.steps.T)
+        for name, value in (("projected", projected), ("information", information), ("right", right)):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "eliminated", solved)
         Value.__post_init__(self)
 
     @classmethod
@@ -173,8 +210,8 @@ class Columns(Value):
 
     @property
     def rows(self) -> Float:
-        """Derivatives (k, n) by each unknown."""
-        return self.matrix.reshape(len(self.matrix), -1)
+        """Derivatives (k, n) by each unknown, less what the field takes up of them."""
+        return self.projected.reshape(len(self.projected), -1)
 
     def __getitem__(self, effect: str) -> Float:
         """Derivatives (j, ...) by the unknowns of an effect."""
@@ -182,12 +219,11 @@ class Columns(Value):
 
     def solve(self) -> Solution | None:
         """Return the weighted least-squares solution; None where the data do not determine the unknowns."""
-        right = self.rows @ (self.weights * self.data).ravel() + self.prior.information * self.prior.mean
         scale = np.sqrt(np.maximum(np.diag(self.information), 1e-300))
         scaled = self.information / scale / scale[:, None]
         if not _condition(scaled) <= _CONDITION_LIMIT:
             return None
-        return Solution(self, np.asarray(np.linalg.solve(scaled, right / scale) / scale))
+        return Solution(self, np.asarray(np.linalg.solve(scaled, self.right / scale) / scale))
 
     def propagate(self, scatter: Float) -> Float:
         """Return the covariance (k, k) of the unknowns from that of their scores."""
@@ -220,7 +256,30 @@ class Solution(Value):
     @cached_property
     def model(self) -> Float:
         """Data (...) by the model."""
-        return np.asarray(np.tensordot(self.values, self.columns.matrix, 1))
+        return np.asarray(np.tensordot(self.values, self.columns.matrix, 1) + self.marks)
+
+    @cached_property
+    def modes(self) -> Float:
+        """Coefficients (m,) of the field; none without one."""
+        solved = self.columns.eliminated
+        return np.zeros(0) if solved is None else np.asarray(solved.own - solved.steps @ self.values)
+
+    @cached_property
+    def marks(self) -> Float:
+        """Data (...) by the field."""
+        markings = self.columns.markings
+        return np.zeros_like(self.columns.data) if markings is None else markings.image(self.modes)
+
+    @property
+    def penalized_squares(self) -> float:
+        """Squared residuals over their variances and squared unknowns over those of their prior: the least there are."""
+        columns, prior = self.columns, self.columns.prior
+        squares = float(np.sum(columns.weights * self.residuals**2))
+        squares += float(prior.information @ (self.values - prior.mean) ** 2)
+        if columns.eliminated is not None:
+            free = columns.eliminated.variances > 0.0
+            squares += float(np.sum(self.modes[free] ** 2 / columns.eliminated.variances[free]))
+        return squares
 
     @cached_property
     def residuals(self) -> Float:
@@ -242,9 +301,12 @@ class Solution(Value):
         vanishes.
         """
         _, matrix, prior = _stacked(blocks)
-        weighted = (self.columns.weights * matrix).reshape(len(matrix), -1)
-        own, shared = matrix.reshape(len(matrix), -1) @ weighted.T, self.columns.rows @ weighted.T
-        return Score(self.columns, weighted @ self.residuals.ravel(), shared, own, prior)
+        weighted, markings = self.columns.weights * matrix, self.columns.markings
+        flat = weighted.reshape(len(matrix), -1)
+        own, shared = matrix.reshape(len(matrix), -1) @ flat.T, self.columns.rows @ flat.T
+        if markings is not None and self.columns.eliminated is not None:
+            own = own - self.columns.eliminated.taken(markings.products(weighted))
+        return Score(self.columns, flat @ self.residuals.ravel(), shared, own, prior)
 
 
 @dataclass(frozen=True, eq=False)

@@ -244,7 +244,7 @@ def test_alignment_takes_a_rough_start_near_the_solution() -> None:
     light = blobs()(rendered, True).light
     pixels = noisy(1500.0 * blobs()(TRUE, True).light, np.random.default_rng(16))
     rough = replace(rendered, center_px=np.add(TRUE.center_px, [-1.5, 1.2]))
-    state = align_template(boxed(pixels), light, rendered, rough, radius_px=18.0)
+    state = align_template(boxed(pixels), [light], rendered, rough, radius_px=18.0)
     assert np.abs(state.center_px - TRUE.center_px).max() < ALIGNED_PX
     assert abs(state.log_range - TRUE.log_range) * 17.0 < ALIGNED_PX
 

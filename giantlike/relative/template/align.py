@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -23,15 +24,16 @@ _WARPED_OVER = 4  # pixels averaged after an image was moved: the errors of the 
 
 
 def align_template(
-    pixels: BoxPixels, light: Float, rendered: TemplateState, start: TemplateState, *, radius_px: float
+    pixels: BoxPixels, lights: Sequence[Float], rendered: TemplateState, start: TemplateState, *, radius_px: float
 ) -> TemplateState:
     """Improve a rough start from one render by moving and scaling it, on images reduced in size and then less so.
 
     Parameters
     ----------
     pixels : BoxPixels
-    light : (h, w) float64
-        A template rendered for the state ``rendered``.
+    lights : (k, h, w) float64
+        A template rendered for the state ``rendered``, under the law of the target first, then under others: with one
+        law alone, a limb that is brighter or darker than it says looks like another size.
     rendered, start : TemplateState
     radius_px : float, px
         Of the body; the first reduction leaves 12 px of it, the last 40.
@@ -58,17 +60,16 @@ def align_template(
             corner_px=(0, 0),
             noise_variance_dn2=pixels.noise_variance_dn2,
         )
-        part = _mean_over(light, first)
+        parts = [_mean_over(light, first) for light in lights]
         tried: list[tuple[float, TemplateState]] = []
         for _ in range(_STEPS):
-            moved = warped(
-                part, (0, 0), _reduced(rendered, pixels.corner_px, first), _reduced(state, pixels.corner_px, first)
-            )
-            moved = _softened(_mean_over(moved, last))
-            moved = moved[: small.usable.shape[0], : small.usable.shape[1]]
-            if not float(moved.sum()) > 0.0:
+            ends = _reduced(rendered, pixels.corner_px, first), _reduced(state, pixels.corner_px, first)
+            rows, columns = small.usable.shape
+            moved = [_softened(_mean_over(warped(part, (0, 0), *ends), last))[:rows, :columns] for part in parts]
+            if not float(moved[0].sum()) > 0.0:
                 break
-            problem = Problem(small, TemplateImages(light=moved), _reduced(state, pixels.corner_px, factor), None)
+            images = TemplateImages(light=moved[0], others=moved[1:])
+            problem = Problem(small, images, _reduced(state, pixels.corner_px, factor), None)
             tried.append((problem.misfit_dn2(), state))
             step = problem.plain_step(_STEP_PX)
             if problem.motion_px(step) < _STILL_PX:

@@ -17,6 +17,7 @@ from giantlike.core.compiled import compiled
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value
 from giantlike.image_model.columns import Columns, Layout, Prior, Solution
+from giantlike.image_model.field import MarkingModes
 
 _REWEIGHTINGS = 3
 """Rounds of a first fit in which errors, weights and clipped values are updated; later fits start from their result."""
@@ -68,28 +69,30 @@ class RobustFit(Value):
 
     Parameters
     ----------
-    parameters : (k,) float64
+    solution : Solution
+        Of the last step. Its data are what it explained, of a limit the value that stands for it, see
+        :meth:`Measured.explained`; no weight where a residual was clipped.
     errors : (m,) float64
         Sizes of the kinds of error.
-    noise, error : (n,) float64
+    noise, error : (h, w) float64
         Variances: of the part that is independent from pixel to pixel, and of model errors that the point spread
         function spreads.
-    values, weights : (n,) float64
-        What the last step explained, with its weights: of a limit, the value that stands for it, see
-        :meth:`Measured.explained`; no weight where a residual was clipped.
     """
 
-    parameters: Float
+    solution: Solution
     errors: Float
     noise: Float
     error: Float
-    values: Float
-    weights: Float
+
+    @property
+    def parameters(self) -> Float:
+        """Parameters (k,)."""
+        return self.solution.values
 
     @property
     def kept(self) -> Mask:
-        """Values (n,) that were not clipped; limits far below the model count for nothing, and are kept."""
-        return self.weights > 0.0
+        """Values (h, w) that count; limits far below the model count for nothing."""
+        return self.solution.columns.weights > 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,18 +102,21 @@ class Measured(Value):
     Parameters
     ----------
     values : (n,) float64
+    offered : (n,) bool
+        True where a value says something.
     censored : (n,) bool
         True where the true value is at least that.
     variances : VarianceModel
     """
 
     values: Float
+    offered: Mask
     censored: Mask
     variances: VarianceModel
 
     def certain(self) -> VarianceModel:
         """Variances of the values that are no limits."""
-        known = ~self.censored
+        known = self.offered & ~self.censored
         return (
             self.variances
             if known.all()
@@ -125,7 +131,7 @@ class Measured(Value):
         is that of a value ``m + sigma / (h + z)`` with weight ``h (h + z) / sigma^2``, with ``h = phi(z) / Phi(z)``.
         It is the limit itself where the model lies far below, and has no weight where it lies far above.
         """
-        weights = (np.abs(self.values - model) <= clip_sigma * np.sqrt(variance)) / variance
+        weights = (self.offered & (np.abs(self.values - model) <= clip_sigma * np.sqrt(variance))) / variance
         if not self.censored.any():
             return self.values, weights
         values, limits = self.values.copy(), self.censored
@@ -145,14 +151,22 @@ def _hazard(z: Float) -> Float:
 
 
 def robust_fit(
-    layout: Layout, matrix: Float, measured: Measured, prior: Prior, *, clip_sigma: float, start: Float | None = None
+    layout: Layout,
+    matrix: Float,
+    measured: Measured,
+    prior: Prior,
+    *,
+    clip_sigma: float,
+    start: Float | None = None,
+    markings: MarkingModes | None = None,
+    approach: bool = False,
 ) -> RobustFit | None:
     """Weighted least squares, with weights that allow for errors of the model.
 
     Parameters
     ----------
     layout : Layout
-    matrix : (k, n) float64
+    matrix : (k, h, w) float64
         Derivatives of the values by the parameters.
     measured : Measured
     prior : Prior
@@ -160,29 +174,39 @@ def robust_fit(
         Values with larger residuals, in standard deviations, are rejected.
     start : (m,) float64, optional
         Sizes of the errors from a fit nearby.
+    markings : MarkingModes, optional
+        Undeclared markings of the body.
+    approach : bool
+        Keep the sizes of the errors and the variances of the markings as they are at the start.
 
     Returns
     -------
     RobustFit or None
         None when the values do not determine the parameters.
     """
-    variances, known, design = measured.variances, ~measured.censored, matrix.T
+    shape, variances, certain = matrix.shape[1:], measured.variances, measured.offered & ~measured.censored
     noise, shapes = variances.noise, variances.shapes
+    known = None if markings is None or not approach else markings.first_variances
+
+    def solved(values: Float, weights: Float, markings: MarkingModes | None) -> Solution | None:
+        data = values.reshape(shape), weights.reshape(shape)
+        return Columns(layout, matrix, prior, *data, markings, None if markings is None else known).solve()
+
     first = np.zeros(len(shapes)) if start is None else start
-    solution = Columns(layout, matrix, prior, measured.values, known / variances.total(first)).solve()
+    solution = solved(measured.values, certain / variances.total(first), markings if approach else None)
     if solution is None:
         return None
-    certain = measured.certain()
-    errors = _first_errors((measured.values - design @ solution.values)[known], certain) if start is None else start
+    sample = measured.certain()
+    errors = _first_errors(solution.residuals.ravel()[certain], sample) if start is None else start
     for _ in range(_REWEIGHTINGS if start is None else 1):
-        model = design @ solution.values
-        errors = model_errors((measured.values - model)[known], certain, errors, clip_sigma=clip_sigma)
-        values, weights = measured.explained(model, variances.total(errors), clip_sigma)
-        solution = Columns(layout, matrix, prior, values, weights).solve()
+        if not approach:
+            errors = model_errors(solution.residuals.ravel()[certain], sample, errors, clip_sigma=clip_sigma)
+        values, weights = measured.explained(solution.model.ravel(), variances.total(errors), clip_sigma)
+        solution = solved(values, weights, markings)
         if solution is None:
             return None
     noise, error = noise + errors[0] * shapes[0], errors[1:] @ shapes[1:]
-    return RobustFit(solution.values, errors, noise, error, values, weights)
+    return RobustFit(solution, errors, noise.reshape(shape), error.reshape(shape))
 
 
 def model_errors(residuals: Float, variances: VarianceModel, start: Float, *, clip_sigma: float) -> Float:
@@ -237,10 +261,11 @@ class LinearFit(Solution):
         return np.sqrt(np.diag(np.linalg.inv(self.columns.information))[self.columns.layout.span(effect)])
 
     def noise_covariance(self, noise: Float) -> Float:
-        """Covariance (k, k) of the parameters from independent noise of given variance (h, w), and from the prior."""
+        """Covariance (k, k) of the parameters from independent noise of given variance (h, w), from markings and from the prior."""
         columns = self.columns
         rows = columns.rows * (columns.weights * np.sqrt(noise)).ravel()
-        return columns.propagate(rows @ rows.T + np.diag(columns.prior.information))
+        scatter = rows @ rows.T + np.diag(columns.prior.information)
+        return columns.propagate(scatter if columns.eliminated is None else scatter + columns.eliminated.scatter)
 
     def error_covariance(self, error: Float, *, length_px: float) -> Float:
         """Covariance of the parameters from an error of the model of known size.
@@ -257,8 +282,14 @@ class LinearFit(Solution):
         (k, k) float64
         """
         columns = self.columns
-        scores = columns.matrix * (columns.weights * error)
+        scores = columns.projected * (columns.weights * error)
         return columns.propagate(_correlated(scores, length_px / math.sqrt(2.0)))
+
+    @property
+    def _free_modes(self) -> float:
+        """Number of modes of the markings that the pixels determine, rather than their prior."""
+        solved = self.columns.eliminated
+        return 0.0 if solved is None else len(solved.own) - float(np.trace(np.linalg.inv(solved.whitened)))
 
     def full_covariance(self, error: Float, *, of_noise: Float, blur_px: float, block_px: int) -> Float:
         """Covariance of the parameters from noise and from correlated errors of the model.
@@ -289,8 +320,8 @@ class LinearFit(Solution):
         """
         columns, weights = self.columns, self.columns.weights
         length_px = _correlation_length_px(self.residuals, weights, error, blur_px, block_px)
-        absorbed = _absorbed(weights * error, length_px, len(columns.matrix))
-        correlated = _correlated(columns.matrix * (weights * np.sqrt(error)), length_px) / (1.0 - absorbed)
+        absorbed = _absorbed(weights * error, length_px, len(columns.matrix) + self._free_modes)
+        correlated = _correlated(columns.projected * (weights * np.sqrt(error)), length_px) / (1.0 - absorbed)
         sandwich = of_noise + columns.propagate(correlated)
         found = self.jackknife(block_px)
         if found is None:
@@ -332,7 +363,7 @@ class LinearFit(Solution):
         """Scores (b, k) and information (b, k, k) of square blocks of pixels, the first starting ``offset`` early."""
         scores, own = list[Float](), list[Float]()
         scaled, (count, height, width) = self.residuals * np.sqrt(self.columns.weights), self.columns.matrix.shape
-        images = self.columns.scaled.reshape(count, height, width)
+        images = self.columns.projected * np.sqrt(self.columns.weights)
         for top in range(-offset, height, block):
             for left in range(-offset, width, block):
                 part = (slice(max(top, 0), top + block), slice(max(left, 0), left + block))
@@ -364,7 +395,7 @@ def _correlation_length_px(residuals: Float, weights: Float, error: Float, least
     return float(np.clip((total + 0.5) / math.sqrt(math.pi), least_px, max(most_px, least_px)))
 
 
-def _absorbed(share: Float, length_px: float, count: int) -> float:
+def _absorbed(share: Float, length_px: float, count: float) -> float:
     """Part of the variance of a correlated error that ``count`` parameters take out of the residuals."""
     square = float(np.vdot(share, share))
     if square <= 0.0:
@@ -397,15 +428,17 @@ def excess(first: Float, second: Float) -> Float:
     Parameters
     ----------
     first, second : (k, k) float64
-        ``first`` positive definite.
+        Positive semi-definite; a direction in which the first has nothing to rounding counts as if it had that.
 
     Returns
     -------
     (k, k) float64
         Positive semi-definite.
     """
-    root = np.linalg.cholesky(first)
-    inverse_root = np.linalg.inv(root)
+    scale = np.sqrt(np.maximum(np.maximum(np.diag(first), np.diag(second)), 1e-300))
+    squares, axes = np.linalg.eigh(first / np.outer(scale, scale))
+    lengths = np.sqrt(np.maximum(squares, np.finfo(float).eps))
+    root, inverse_root = scale[:, None] * axes * lengths, (axes / lengths).T / scale
     values, vectors = np.linalg.eigh(inverse_root @ second @ inverse_root.T)
     wide = root @ (vectors * np.sqrt(np.maximum(values - 1.0, 0.0)))
     return np.asarray(wide @ wide.T)

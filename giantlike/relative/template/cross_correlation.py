@@ -31,6 +31,7 @@ from giantlike.relative.template.rendering import (
     ROUGH,
     UNKNOWN_BLUR_SIGMA_PX2,
     TemplateRenderer,
+    contrasting_laws,
     placed,
 )
 from giantlike.relative.template.smear import SMEAR, Smear
@@ -359,7 +360,9 @@ def match_template(
     state = replace(start, center_px=start.center_px + peak.offset_px)
     if radius_px >= _ALIGN_RADIUS_PX:
         rendered = replace(state, center_px=template.center_px + shift)
-        state = align_template(pixels, light, rendered, state, radius_px=radius_px)
+        other = located.traced.trace.with_reflectance(contrasting_laws(renderer.target.reflectance)[0]).template()
+        lights = [light] if isinstance(other, Failure) else [light, placed(other, box, shift)]
+        state = align_template(pixels, lights, rendered, state, radius_px=radius_px)
         scale = math.exp(rendered.log_range - state.log_range)
         low, high = (state.center_px + scale * (end - template.center_px) for end in (low, high))
         box = renderer.box(low, high, _BOX_MARGIN_PX + math.ceil(_ALIGNED_MARGIN * radius_px))

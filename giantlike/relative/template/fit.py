@@ -45,8 +45,7 @@ _RETREAT = 0.3  # of a step that made the misfit larger: so much of it is tried 
 _DAMPED_AFTER = 5  # renders: steps that have not settled by then come from the sampling of the renders, and are halved
 _FLICKER_PX = 0.6
 """Last step, px, up to which a fit at the end of its renders counts as converged; the step enters the covariance."""
-_ROUGH_PIXELS = 8_000
-"""Pixels, about, that a step from a rough render is solved for: noise moves it by a hundredth of a pixel."""
+_ROUGH_ERROR = 0.03  # of the brightest light: error of the model in rough renders, from which only steps follow
 _ROUGH_STEP_PX = 0.5  # px: from so near, one linear step ends where the next hardly moves
 _WRONG_EDGE_PX = 0.015
 """Error of the model at edges, px, from which on haze and relief are looked for: 0.02 to 0.3 with haze of 0.2 to 0.6 px
@@ -270,18 +269,25 @@ def fit_template(
             return images
         photometry = None if last is None else last["gain", "wings"]
         problem = Problem(pixels, images, trial, photometry, options.response)
-        if last is not None and last.motion_px > _ROUGH_STEP_PX and last.problem.misfit_dn2() < problem.misfit_dn2():
+        markings = problem.markings(options.radius_px) if math.isfinite(options.radius_px) else None
+        approach = markings is not None and not fine
+        errors = None if last is None or last.approach > approach else last.solution.errors
+        objective = -math.inf
+        if markings is None:
+            objective = problem.misfit_dn2()
+        elif approach:
+            sigma_dn = _ROUGH_ERROR * float(np.abs(markings.light).max()) if errors is None else math.sqrt(errors[0])
+            errors, objective = np.array([sigma_dn**2, 0.0, 0.0]), problem.objective(markings, sigma_dn)
+        if last is not None and last.motion_px > _ROUGH_STEP_PX and objective > last.objective:
             last = last.shortened(_RETREAT)
             trial = last.stepped()
             continue
         prior = _prior(trial, start, problem, options)
         last_render = iteration == options.max_iterations
-        most_pixels = math.inf if fine or last_render else _ROUGH_PIXELS
-        errors = None if last is None else last.solution.errors
-        solution = problem.solve(prior, options.clip_sigma, errors, most_pixels=most_pixels)
+        solution = problem.solve(prior, options.clip_sigma, errors, markings=markings, approach=approach)
         if isinstance(solution, Failure):
             return solution
-        solved = _Solved(problem, trial, prior, solution)
+        solved = _Solved(problem, trial, prior, solution, objective, approach)
         moved_px = solved.length_px
         _LOG.debug("template moved by %.3g px in render %d", moved_px, iteration)
         settled = fine and moved_px < options.tolerance_px
@@ -308,6 +314,8 @@ class _Solved:
     state: TemplateState
     prior: Prior
     solution: RobustFit
+    objective: float
+    approach: bool
     share: float = 1.0
 
     def __getitem__(self, effects: tuple[str, str]) -> Float:
@@ -369,15 +377,9 @@ class _Solved:
     def result(self, last_step: Float, iterations: int, options: TemplateFitOptions) -> TemplateFit:
         """The fit after its last step (3,)."""
         problem, solution, state = self.problem, self.solution, self.stepped()
-        use = problem.offered
-        used = np.zeros(use.shape, bool)
-        used[use] = solution.kept
-        noise, error, weights = np.ones(use.shape), np.zeros(use.shape), np.zeros(use.shape)
-        noise[use], error[use], weights[use] = solution.noise, solution.error, solution.weights
-        values = problem.pixels.values_dn.copy()
-        values[use] = solution.values
-        columns = Columns(problem.layout, problem.matrix, self.prior, values, weights)
-        fit = LinearFit(columns, solution.parameters)
+        used = problem.offered & solution.kept
+        fit = LinearFit(solution.solution.columns, solution.parameters)
+        columns, values, noise, error = fit.columns, fit.columns.data, solution.noise, solution.error
         altitude_sigma = options.altitude_sigma or self._untold_altitude(fit, options)
         options = replace(options, altitude_sigma=altitude_sigma)
         parts = self._parts(fit, (noise, error), options)
@@ -394,7 +396,7 @@ class _Solved:
             residuals_dn=fit.residuals,
             model_dn=fit.model,
             used=used,
-            n_rejected=int(np.count_nonzero(~solution.kept)),
+            n_rejected=int(np.count_nonzero(problem.offered & ~solution.kept)),
             chi=float(np.sqrt(np.mean(fit.residuals[used] ** 2 / noise[used]))),
             iterations=iterations,
             response=response,

@@ -13,7 +13,8 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.causes import Cause
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
-from giantlike.image_model.columns import Layout, Prior
+from giantlike.image_model.columns import Columns, Layout, Prior
+from giantlike.image_model.field import MarkingModes
 from giantlike.relative.response import Response
 from giantlike.relative.template.covariance import Measured, RobustFit, VarianceModel, robust_fit
 from giantlike.relative.template.state import TemplateImages, TemplateState
@@ -111,6 +112,9 @@ class Problem:
         split = np.stack([known - under, under])[:, self.layout.span("gain", "wings")]
         self.signal, background = np.tensordot(split, seen, 1)
         self.model = self.signal + background
+        seen_dn, offered = np.where(self.offered, pixels.values_dn - background, 0.0), self.signal[self.offered]
+        self._shown = float(np.vdot(seen_dn, self.signal)) / max(float(offered @ offered), 1e-300)
+        self._center = state.center_px - np.array(pixels.corner_px)
         if response is not None:
             np.negative(response.changes_dn(self.model), out=self["bend", "cube"])
         if images.by_smear is not None:
@@ -142,7 +146,14 @@ class Problem:
     @property
     def mixing_sigma_dn(self) -> float:
         """A priori standard deviation of the parameter of another law."""
-        return _MIXING_SIGMA * max(abs(self.gain_dn), 1e-12)
+        return _MIXING_SIGMA * max(abs(self._shown * self.gain_dn), 1e-12)
+
+    def markings(self, radius_px: float) -> MarkingModes:
+        """Modes of undeclared markings, as shares of the light that the image shows.
+
+        Of that which a step found they would be the cheaper the more light it gives the body.
+        """
+        return MarkingModes.across(self._shown * self.signal, self._center, radius_px)
 
     @property
     def offered(self) -> Mask:
@@ -200,9 +211,29 @@ class Problem:
         found = np.linalg.lstsq(basis @ basis.T, basis @ values, rcond=None)[0]
         return float(np.sum((values - found @ basis) ** 2)) / max(int(np.count_nonzero(self.offered)), 1)
 
+    def objective(self, markings: MarkingModes, sigma_dn: float) -> float:
+        """Squared residuals over a variance, with the brightness, shares and markings that fit best beside their priors.
+
+        Of steps in the approach to a solution, the one with the least is the best.
+        """
+        first, last = "gain", "wings"
+        span, prior = self.layout.span(first, last), self.prior({}, {})
+        variance = self.pixels.noise_variance_dn2(self.signal) + sigma_dn**2
+        columns = Columns(
+            self.layout.part(first, last),
+            self.matrix[span],
+            Prior(prior.mean[span], prior.information[span]),
+            np.where(self.offered, self.pixels.values_dn, 0.0),
+            self._short / variance,
+            markings,
+            markings.first_variances,
+        )
+        solution = columns.solve()
+        return math.inf if solution is None else solution.penalized_squares
+
     def plain_step(self, longest_px: float) -> Float:
         """Unweighted step (3,) in x, y and logarithm of the range, brightness free, not longer than ``longest_px``."""
-        basis = np.concatenate([self["center", "range"], self["gain", "background"]])
+        basis = np.concatenate([self["center", "range"], self["gain", "laws"]])
         step = unweighted(basis, replace(self.pixels, usable=self._short))[self.layout.span("center", "range")]
         x, y, growth = step.tolist()
         length_px = max(float(np.hypot(x, y)), abs(growth) * self.reach_px, 1e-12)
@@ -215,22 +246,34 @@ class Problem:
         return Prior.of_sigmas(sigmas, self.layout.vector(mean))
 
     def solve(
-        self, prior: Prior, clip_sigma: float, errors: Float | None, *, most_pixels: float = math.inf
+        self,
+        prior: Prior,
+        clip_sigma: float,
+        errors: Float | None,
+        *,
+        markings: MarkingModes | None = None,
+        approach: bool = False,
     ) -> RobustFit | Failure:
-        """Weighted least squares with the model-error variances that the residuals ask for.
-
-        Above twice ``most_pixels`` it takes every second, third, ... pixel that is offered.
-        """
-        use, pixels = self.offered, self.pixels
-        step = max(int(np.count_nonzero(use) / most_pixels), 1)
-        taken = slice(None, None, step) if use.all() else np.flatnonzero(use)[::step]
-        signal = self.signal.ravel()[taken]
-        shapes = np.stack([np.ones(signal.size), self._slope2.ravel()[taken], signal**2])
-        variances = VarianceModel(pixels.noise_variance_dn2(signal), shapes)
-        censored = np.zeros(signal.size, bool) if pixels.censored is None else pixels.censored.ravel()[taken]
-        measured = Measured(pixels.values_dn.ravel()[taken], censored, variances)
-        matrix = self.matrix.reshape(self.layout.count, -1)[:, taken]
-        fit = robust_fit(self.layout, matrix, measured, prior, clip_sigma=clip_sigma, start=errors)
+        """Weighted least squares with the model-error variances that fit the residuals best, or those of an approach."""
+        pixels, signal = self.pixels, self.signal.ravel()
+        shapes = np.stack([np.ones(signal.size), self._slope2.ravel(), signal**2])
+        offered = self.offered.ravel()
+        measured = Measured(
+            np.where(offered, pixels.values_dn.ravel(), 0.0),
+            offered,
+            np.zeros(signal.size, bool) if pixels.censored is None else pixels.censored.ravel(),
+            VarianceModel(pixels.noise_variance_dn2(signal), shapes),
+        )
+        fit = robust_fit(
+            self.layout,
+            self.matrix,
+            measured,
+            prior,
+            clip_sigma=clip_sigma,
+            start=errors,
+            markings=markings,
+            approach=approach,
+        )
         if fit is None:
             return Failure(
                 Reason.DEGENERATE_GEOMETRY, "the pixels do not determine position and brightness of the body"

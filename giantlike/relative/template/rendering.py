@@ -200,13 +200,14 @@ class TemplateRenderer(Value):
         others = contrasting_laws(self.target.reflectance)[: 1 if small else most_laws] if other_law else ()
         laws = (self.target.reflectance, *others)
         every = (*laws, _law_of_phase(laws[0])) if other_law and most_laws is None and not small else laws
+        few = laws[:2]  # on the way: without the field of markings, which fine renders allow, shares would run away
         kept: dict[bool, tuple[MovedBody, ShadedRays]] = {}
         if traced is not None:
-            kept[False] = traced, traced.shaded(laws)
+            kept[False] = traced, traced.shaded(few)
 
         def images(state: TemplateState, fine: bool) -> TemplateImages | Failure:
             fine = fine and not small
-            untried, mixed = fine and other_law, every if fine else laws
+            untried, mixed = fine and other_law, every if fine else few
             if fine not in kept or not self._near(kept[fine][0].state, state, fine=fine or small):
                 known = self._daylight(kept[False][0], state) if False in kept and not small else None
                 made = self._traced(state, (*mixed, _UNTRIED_LAW) if untried else mixed, fine=fine, daylight=known)

@@ -1,0 +1,236 @@
+"""Undeclared markings of a surface: a smooth random field that multiplies the light of a body.
+
+The field is a Gaussian process of unknown amplitude and correlation length, approximated by cosines over a square
+around the body whose variances are those of its spectral density [1]_. Products of cosines are sums of cosines, so that
+sums over pixels for all pairs of modes follow from one small transform of the image of weights.
+
+References
+----------
+.. [1] Solin and Sarkka (2020), Hilbert space methods for reduced-rank Gaussian process regression, Statistics and
+   Computing 30, 419, eqs. 19-21 and 56 (here with Neumann boundaries, whose eigenfunctions are cosines).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.core.values import Value
+
+HALF_WIDTH = 1.25
+"""Half width of the square over the radius of the body."""
+_MODES = 9
+"""Cosines along each axis: a wavelength of 0.6 radii is the shortest."""
+LENGTHS = (0.25, 0.5, 1.0)
+"""Correlation lengths over the radius that are averaged."""
+AMPLITUDES = np.concatenate([[0.0], np.geomspace(0.004, 0.8, 9)])
+"""Standard deviations, over the light, that are averaged."""
+MEDIAN_AMPLITUDE, AMPLITUDE_FACTOR = 0.10, 2.5
+"""Median and geometric standard deviation of the prior of the amplitude."""
+UNMARKED = 0.1
+"""Prior probability of a surface without undeclared markings."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MarkingModes(Value):
+    """Cosine modes of a field that multiplies light, on the pixels of a box.
+
+    Parameters
+    ----------
+    light : (h, w) float64
+        Signal of the body that the field multiplies.
+    along_x, along_y : (m, w) and (m, h) float64
+        Cosines along each axis.
+    frequencies : (m,) float64
+        Angular frequencies of the cosines, in units of 1 over the radius.
+    """
+
+    light: Float
+    along_x: Float
+    along_y: Float
+    frequencies: Float
+
+    @classmethod
+    def across(cls, light: Float, center_px: Float, radius_px: float, modes: int = _MODES) -> MarkingModes:
+        """Return the modes across a body.
+
+        Parameters
+        ----------
+        light : (h, w) float64
+        center_px : (2,) float64, px
+            Center of the body from the first pixel.
+        radius_px : float, px
+        modes : int
+            Cosines along each axis.
+
+        Returns
+        -------
+        MarkingModes
+        """
+        order = np.arange(modes)
+        norm = np.where(order == 0, 1.0, math.sqrt(2.0))[:, None]
+        phases = [
+            (np.arange(size) - middle) / (2.0 * HALF_WIDTH * radius_px) + 0.5
+            for size, middle in zip(light.shape[::-1], center_px, strict=True)
+        ]
+        along_x, along_y = (norm * np.cos(np.pi * order[:, None] * np.clip(phase, 0.0, 1.0)) for phase in phases)
+        frequencies = np.pi * order / (2.0 * HALF_WIDTH)
+        return cls(light=light, along_x=along_x, along_y=along_y, frequencies=frequencies)
+
+    @property
+    def count(self) -> int:
+        """Number of modes in two dimensions."""
+        return len(self.along_x) ** 2
+
+    def image(self, coefficients: Float) -> Float:
+        """Light (..., h, w) that coefficients (..., modes) add."""
+        size = len(self.along_x)
+        grid = coefficients.reshape(*coefficients.shape[:-1], size, size)
+        return np.asarray(self.light * (self.along_y.T @ grid @ self.along_x))
+
+    def products(self, images: Float) -> Float:
+        """Sums (..., modes) over the pixels of images (..., h, w) times each mode."""
+        grid = self.along_y @ (images * self.light) @ self.along_x.T
+        return np.asarray(grid.reshape(*images.shape[:-2], self.count))
+
+    def gram(self, weights: Float) -> Float:
+        """Weighted sums (modes, modes) over the pixels of the products of modes."""
+        size = len(self.along_x)
+        weighted = weights * self.light**2
+        pairs_x, pairs_y = (
+            (one[:, None] * one[None]).reshape(size * size, -1) for one in (self.along_x, self.along_y)
+        )
+        sums = (pairs_y @ weighted @ pairs_x.T).reshape(size, size, size, size)  # y, y', x, x'
+        return np.ascontiguousarray(sums.transpose(0, 2, 1, 3)).reshape(self.count, self.count)
+
+    @property
+    def spectra(self) -> Float:
+        """Variances (lengths, modes) of fields of unit variance with the lengths that are averaged."""
+        return np.stack([self.spectrum(length) for length in LENGTHS])
+
+    @property
+    def first_variances(self) -> Float:
+        """Variances (modes,) for the approach to a solution, whose residuals say nothing of markings yet."""
+        return MEDIAN_AMPLITUDE**2 * self.spectrum(LENGTHS[1])
+
+    def spectrum(self, length: float) -> Float:
+        """Variances (modes,) of the modes of a field of unit variance and a squared-exponential correlation.
+
+        Parameters
+        ----------
+        length : float
+            Correlation length over the radius.
+
+        Returns
+        -------
+        (modes,) float64
+        """
+        along = np.exp(-0.5 * (length * self.frequencies) ** 2)
+        variances = np.outer(along / along.sum(), along / along.sum()).ravel()
+        variances[0] = 0.0  # the same everywhere: the brightness of the body, which is fitted
+        return variances
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FieldSums(Value):
+    """Weighted sums over the pixels of the modes of a field and of the columns fitted beside them.
+
+    Parameters
+    ----------
+    gram : (m, m) float64
+        Of the modes.
+    cross : (k, m) float64
+        Of the columns and the modes.
+    scores : (m,) float64
+        Of the modes and the values.
+    information : (k, k) float64
+        Of the columns, with their prior.
+    right : (k,) float64
+        Of the columns and the values, with the mean of the prior.
+    """
+
+    gram: Float
+    cross: Float
+    scores: Float
+    information: Float
+    right: Float
+
+    def variances(self, spectra: Float, declared: float = 0.0) -> Float:
+        """Return the variances (m,) of the modes, averaged over amplitudes and lengths by their likelihood.
+
+        The likelihood is that of the values with the columns integrated out (restricted likelihood).
+        """
+        solved = np.linalg.solve(self.information, np.column_stack([self.cross, self.right]))
+        gram, scores = self.gram - self.cross.T @ solved[:, :-1], self.scores - self.cross.T @ solved[:, -1]
+        variances = np.hypot(AMPLITUDES, declared) ** 2
+        log_likelihood = np.empty((len(spectra), len(variances)))
+        for number, spectrum in enumerate(spectra):
+            root = np.sqrt(spectrum)
+            values, vectors = np.linalg.eigh(root[:, None] * gram * root)
+            shares = variances[:, None] * np.maximum(values, 0.0)
+            gains = variances[:, None] * (vectors.T @ (root * scores)) ** 2
+            log_likelihood[number] = 0.5 * np.sum(gains / (1.0 + shares) - np.log1p(shares), axis=1)
+        log_likelihood += np.log(prior_of_amplitudes())
+        chances = np.exp(log_likelihood - log_likelihood.max())
+        return np.asarray(np.einsum("la,a,lm->m", chances / chances.sum(), variances, spectra))
+
+    def solve(self, variances: Float) -> FieldSolution:
+        """Solve for the columns and the modes under given variances (m,) of the modes."""
+        root = np.sqrt(variances)
+        whitened = np.eye(len(root)) + root[:, None] * self.gram * root
+        right = root[:, None] * np.column_stack([self.cross.T, self.scores])
+        solved = np.linalg.solve(whitened, right)
+        steps, own = root[:, None] * solved[:, :-1], root * solved[:, -1]
+        information = self.information - self.cross @ steps
+        return FieldSolution(
+            information=0.5 * (information + information.T),
+            right=self.right - self.cross @ own,
+            steps=steps,
+            own=own,
+            scatter=solved[:, :-1].T @ solved[:, :-1],
+            variances=variances,
+            whitened=whitened,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FieldSolution(Value):
+    """Normal equations of the columns with the field eliminated.
+
+    Parameters
+    ----------
+    information : (k, k) float64
+    right : (k,) float64
+    steps : (m, k) float64
+        Change of the modes by the columns: modes are ``own - steps @ parameters``.
+    own : (m,) float64
+    scatter : (k, k) float64
+        Covariance of the scores of the columns by the field.
+    variances : (m,) float64
+        Of the modes.
+    whitened : (m, m) float64
+        Information on the modes in units of their standard deviations, that of their prior included.
+    """
+
+    information: Float
+    right: Float
+    steps: Float
+    own: Float
+    scatter: Float
+    variances: Float
+    whitened: Float
+
+    def taken(self, products: Float) -> Float:
+        """Information (j, j) that the field takes from columns with weighted products (j, m) with its modes."""
+        scaled = np.sqrt(self.variances) * products
+        return np.asarray(scaled @ np.linalg.solve(self.whitened, scaled.T))
+
+
+def prior_of_amplitudes() -> Float:
+    """Prior probabilities of :data:`AMPLITUDES`."""
+    logs = np.log(AMPLITUDES[1:] / MEDIAN_AMPLITUDE) / math.log(AMPLITUDE_FACTOR)
+    density = np.exp(-0.5 * logs**2)
+    return np.concatenate([[UNMARKED], (1.0 - UNMARKED) * density / density.sum()])
