@@ -92,6 +92,11 @@ class Layout:
         return sum(size for _, _, size in self.effects)
 
     @cached_property
+    def causes(self) -> tuple[Cause, ...]:
+        """Causes of the effects that have unknowns, each once, in their order."""
+        return tuple(dict.fromkeys(cause for _, cause, size in self.effects if size))
+
+    @cached_property
     def _spans(self) -> dict[str, slice]:
         """Entries of each effect."""
         ends = np.cumsum([size for _, _, size in self.effects]).tolist()
