@@ -93,6 +93,11 @@ class Layout:
         return sum(size for _, _, size in self.effects)
 
     @cached_property
+    def causes(self) -> tuple[Cause, ...]:
+        """Causes of the effects that have unknowns, each once, in their order."""
+        return tuple(dict.fromkeys(cause for _, cause, size in self.effects if size))
+
+    @cached_property
     def _spans(self) -> dict[str, slice]:
         """Entries of each effect."""
         ends = np.cumsum([size for _, _, size in self.effects]).tolist()
@@ -112,11 +117,16 @@ class Layout:
         _, causes, sizes = zip(*self.effects, strict=True)
         return np.flatnonzero(np.repeat([each is cause for each in causes], sizes))
 
+    def between(self, first: str, last: str) -> Layout:
+        """Return the layout of the unknowns from one effect to another."""
+        names = [name for name, _, _ in self.effects]
+        return Layout(self.effects[names.index(first) : names.index(last) + 1])
+
     def without(self, effect: str) -> NDArray[np.int64]:
         """Return the entries of all other effects."""
         return np.delete(np.arange(self.count), self._spans[effect])
 
-    def vector(self, values: Mapping[str, float | Sequence[float] | Float], *, other: float = 0.0) -> Float:
+    def vector(self, values: Mapping[str, float | Sequence[float]], *, other: float = 0.0) -> Float:
         """Return a vector (k,) of values by effect, with one value for all effects without."""
         result = np.full(self.count, other)
         for effect, value in values.items():
@@ -230,6 +240,11 @@ class Columns(Value):
         inverse = np.linalg.inv(self.information)
         return np.asarray(inverse @ scatter @ inverse)
 
+    def gain(self, first: str, last: str) -> Float:
+        """Return the change (j, ...) of the unknowns from one effect to another with the data."""
+        some = np.linalg.inv(self.information)[self.layout.span(first, last)]
+        return np.asarray((some @ (self.rows * self.weights.ravel())).reshape(-1, *self.data.shape))
+
     def consider(self, block: Block) -> Float:
         """Return the covariance (k, k) of the unknowns from those of a block that are not estimated.
 
@@ -306,7 +321,7 @@ class Solution(Value):
         own, shared = matrix.reshape(len(matrix), -1) @ flat.T, self.columns.rows @ flat.T
         if markings is not None and self.columns.eliminated is not None:
             own = own - self.columns.eliminated.taken(markings.products(weighted))
-        return Score(self.columns, flat @ self.residuals.ravel(), shared, own, prior)
+        return Score(self.columns, matrix, flat @ self.residuals.ravel(), shared, own, prior)
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,6 +332,8 @@ class Score(Value):
     ----------
     columns : Columns
         The model.
+    matrix : (m, ...) float64
+        Derivatives of the data by the unknowns that were left out.
     gradient : (m,) float64
         Of half the chi-square, with its sign reversed, by the unknowns where they are zero.
     shared : (k, m) float64
@@ -328,6 +345,7 @@ class Score(Value):
     """
 
     columns: Columns
+    matrix: Float
     gradient: Float
     shared: Float
     own: Float
@@ -376,6 +394,13 @@ class Score(Value):
         """Each unknown (m,) without the others and without prior, and its standard deviation (m,)."""
         information = np.maximum(np.diag(self.information), 1e-300)
         return self.gradient / information, np.asarray(information**-0.5, dtype=np.float64)
+
+    @property
+    def gain_alone(self) -> Float:
+        """Change (m, ...) of each unknown with the data, without the others and without prior."""
+        free = self.matrix + np.tensordot(self.moves.T, self.columns.matrix, 1)
+        information = np.maximum(np.diag(self.information), 1e-300)
+        return np.asarray((self.columns.weights * free).T / information).T
 
     @property
     def omission_covariance(self) -> Float:

@@ -173,10 +173,10 @@ def test_where_a_body_was_lit_tells_renders_of_it_turned_what_they_need(
         found.append((fit, sum(sent)))
         sent.clear()
     (fit, rays), (of_all, all_rays) = found
-    sigma = np.sqrt(np.diag(of_all.further_covariance))
+    sigma = np.sqrt(np.diag(of_all.further.covariance))
     assert rays < all_rays
-    assert np.all(np.abs(fit.further - of_all.further) < TURN_SIGMAS * sigma)
-    assert fit.misfit == pytest.approx(of_all.misfit, rel=0.01)
+    assert np.all(np.abs(fit.further.values - of_all.further.values) < TURN_SIGMAS * sigma)
+    assert fit.residuals.misfit == pytest.approx(of_all.residuals.misfit, rel=0.01)
 
 
 @pytest.mark.parametrize(("phase_deg", "share"), [(20.0, 0.5), (60.0, 0.7), (120.0, 1.2)])
@@ -219,10 +219,10 @@ def test_a_fit_that_ends_early_is_where_one_of_all_rounds_is_and_where_the_body_
     early = fitted(image, off_px)
     monkeypatch.setattr(coarse_fit, "_SETTLED", -1.0)
     late = fitted(image, off_px)
-    sigma = np.sqrt(np.diag(early.covariance))
-    assert np.all(np.abs(early.moved - late.moved) < 0.05 * sigma)
-    assert early.misfit == pytest.approx(late.misfit, rel=0.02)
-    assert np.all(np.abs(early.moved[:2] + off_px) < 3.0 * sigma[:2])
+    sigma = np.sqrt(np.diag(early.place.covariance))
+    assert np.all(np.abs(early.place.values - late.place.values) < 0.05 * sigma)
+    assert early.residuals.misfit == pytest.approx(late.residuals.misfit, rel=0.02)
+    assert np.all(np.abs(early.place.values[:2] + off_px) < 3.0 * sigma[:2])
 
 
 def test_a_fit_does_not_end_before_cells_that_nothing_explains_are_left_out() -> None:
@@ -232,7 +232,7 @@ def test_a_fit_does_not_end_before_cells_that_nothing_explains_are_left_out() ->
     for x, y in ((110, 118), (190, 150), (150, 205), (128, 160)):  # about the limb and on the face
         struck[y, x] += 30000.0
     hit = fitted(struck)
-    sigma = np.sqrt(np.diag(clean.covariance))
-    assert np.all(np.abs(hit.moved - clean.moved) < sigma)
-    assert hit.misfit < 1.5 * clean.misfit
-    assert hit.unexplained < 0.02
+    sigma = np.sqrt(np.diag(clean.place.covariance))
+    assert np.all(np.abs(hit.place.values - clean.place.values) < sigma)
+    assert hit.residuals.misfit < 1.5 * clean.residuals.misfit
+    assert hit.residuals.unexplained < 0.02

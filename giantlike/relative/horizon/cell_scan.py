@@ -12,6 +12,7 @@ from giantlike.core.causes import Cause
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value, select_rows
+from giantlike.image_model.columns import Layout, Prior
 from giantlike.processing.limb.measurement import (
     MIN_BRIGHTNESS,
     LimbMeasurement,
@@ -102,17 +103,17 @@ class CellMeasurement(LimbMeasurement):
     ----------
     fits : CellFits
         Of the good cells.
-    prior : (s,) float64
-        Information on the shared errors before the measurement: the first is the blur, the others belong to the law.
-    expected : (s,) float64
-        Their values before the measurement.
+    shared : Layout
+        Of the shared errors: blur, law, other laws and wings.
+    prior : Prior
+        Of the shared errors.
     whole : bool
         All of the arc was measured, not only a few cells of it.
     """
 
     fits: CellFits
-    prior: Float
-    expected: Float
+    shared: Layout
+    prior: Prior
     whole: bool
 
     @property
@@ -131,7 +132,8 @@ class CellMeasurement(LimbMeasurement):
         """
         information, pull = self.fits.about_shared(self.keep)
         scale2 = self.noise_scale2
-        return information / scale2 + np.diag(self.prior), pull / scale2 + self.prior * self.expected
+        prior = self.prior
+        return information / scale2 + np.diag(prior.information), pull / scale2 + prior.information * prior.mean
 
     def blur_and_law(self) -> tuple[Float, Float]:
         """Estimate the shared errors with every shift left free.
@@ -345,7 +347,8 @@ class CellScan(Value):
         cells = good_cells(view, arc, table, self._clear(position), rules)
         if isinstance(cells, NoCells):
             return too_few(view, area, cells.good, cells.rejected, needed=options.min_cells)
-        prior = self._prior(first)
+        shared, sigmas = self._shared(first)
+        mean = shared.vector({"blur": self.nominal_psf_px2 - psf_px2})
         return CellMeasurement(
             predicted_px=arc.points_px[cells.middles],
             normals_px=arc.normals_px[cells.middles],
@@ -362,8 +365,8 @@ class CellScan(Value):
             rejected=cells.rejected,
             area=area,
             fits=cells.fits,
-            prior=prior,
-            expected=np.concatenate([[self.nominal_psf_px2 - psf_px2], np.zeros(prior.size - 1)]),
+            shared=shared,
+            prior=Prior.of_sigmas(sigmas, mean),
             whole=whole,
             unmeasured_px=arc.points_px[cells.others],
         )
@@ -377,19 +380,21 @@ class CellScan(Value):
         sigma = measured.sigma_px[keep] * math.sqrt(measured.noise_scale2)
         design = np.concatenate([measured.design, measured.fits.shared], axis=1)[keep] / sigma[:, None]
         information, pull = measured.about_shared()
-        normal = design.T @ design
-        normal[3:, 3:] += information + stiff * np.eye(len(information))
+        layout = Layout((("position", Cause.NOISE, 3), *measured.shared.effects))
+        shared, normal = layout.span("blur", "wings"), design.T @ design
+        normal[shared, shared] += information + stiff * np.eye(len(information))
         right = design.T @ (measured.shift_px[keep] / sigma)
-        right[3:] += pull + stiff * measured.expected
+        right[shared] += pull + stiff * measured.prior.mean
         scale = np.sqrt(np.diagonal(normal))
         solution = np.linalg.solve(normal / np.outer(scale, scale), right / scale) / scale
-        psf_px2 = 0.0 if state.iteration == 0 or stiff else float(solution[3])
-        return LimbStep(position_km=solution[:3], keep=keep, psf_px2=psf_px2)
+        (blur_px2,) = solution[layout.span("blur")].tolist()
+        psf_px2 = 0.0 if state.iteration == 0 or stiff else blur_px2
+        return LimbStep(position_km=solution[layout.span("position")], keep=keep, psf_px2=psf_px2)
 
     def settled(self, measured: CellMeasurement, step: LimbStep, moved_px: float, state: LimbState) -> bool:
         """Return True if the square of the step is small, or noise explains it, and the blur has settled too."""
         kept = replace(measured, keep=step.keep)
-        blurred_px2 = step.psf_px2 or float(kept.blur_and_law()[0][0])
+        blurred_px2 = step.psf_px2 or float(kept.blur_and_law()[0][kept.shared.span("blur")][0])
         linear = _BLUR_REST if state.iteration <= PATIENCE else _BLUR_REST_LATER
         blurred = not self.held and abs(blurred_px2) > linear * (state.psf_px2 + PIXEL_VARIANCE_PX2)
         if state.iteration == 0 or blurred or not measured.whole:
@@ -401,31 +406,41 @@ class CellScan(Value):
         """Return the shifts with blur and law as the cells show them, and what their errors do to the shifts."""
         kept = replace(measured, keep=step.keep)
         estimate, covariance = kept.blur_and_law()
-        shared_px = kept.fits.shared @ np.linalg.cholesky(covariance)
+        layout, shared_px = kept.shared, kept.fits.shared @ np.linalg.cholesky(covariance)
+        (wider_px2,) = (estimate - kept.prior.mean)[layout.span("blur")].tolist()
         radius_px = self.view.radius_px
         lawless = 0.0
         if self.options.edges is EdgeModel.STEP:
-            lawless = _STEP_LAW_SIGMA * float(np.median(np.abs(kept.fits.shared[kept.keep, 1])))
+            lawless = _STEP_LAW_SIGMA * float(np.median(np.abs(kept.fits.shared[kept.keep, layout.span("law")])))
         brightness_px = math.hypot(lawless, (_SMALL_DISK_PX / radius_px) ** 2)
         known = self.view.psf_sigma_px is not None
         return replace(
             kept,
-            wider_px2=float(estimate[0] - kept.expected[0]) if known else None,
+            wider_px2=wider_px2 if known else None,
             shift_px=kept.shift_px - kept.fits.shared @ estimate,
-            common_px={Cause.PSF: shared_px[:, :1], Cause.REFLECTANCE: shared_px[:, 1:]},
+            common_px={
+                Cause.PSF: shared_px[:, layout.span("blur")],
+                Cause.REFLECTANCE: shared_px[:, layout.span("law", "wings")],
+            },
             smooth_errors=(SmoothError(cause=Cause.REFLECTANCE, sigma_px=brightness_px, length_px=radius_px),),
         )
 
-    def _prior(self, first: bool) -> Float:
-        """A priori information on blur, the power of the law, other laws and the wings."""
+    def _shared(self, first: bool) -> tuple[Layout, Float]:
+        """Blur, the power of the law, other laws and the wings, with their a priori standard deviations."""
         sigma_px2 = _UNKNOWN_PSF_SIGMA_PX2
         if self.view.psf_sigma_px is not None:
             sigma_px2 = 2.0 * self.options.psf_error * max(self.nominal_psf_px2, _LEAST_VARIANCE_PX2)
+        layout = Layout(
+            (
+                ("blur", Cause.PSF, 1),
+                ("law", Cause.REFLECTANCE, 1),
+                ("laws", Cause.REFLECTANCE, 0 if first else len(OTHER_LAWS)),
+                ("wings", Cause.REFLECTANCE, 0 if first else len(_WING_RATIOS)),
+            )
+        )
         law_sigma = _LAW_SIGMA if self.options.edges is EdgeModel.TEMPLATE else _STEP_LAW_SIGMA
-        sigmas = [sigma_px2, law_sigma]
-        if not first:
-            sigmas += [_OTHER_LAW_SIGMA] * len(OTHER_LAWS) + [_WING_SIGMA] * len(_WING_RATIOS)
-        return np.array(sigmas) ** -2.0
+        sigmas = {"blur": sigma_px2, "law": law_sigma, "laws": _OTHER_LAW_SIGMA, "wings": _WING_SIGMA}
+        return layout, layout.vector(sigmas)
 
     def _clear(self, position_km: Float) -> Mask:
         """Usable pixels (rows, columns) that no rings cover."""

@@ -463,7 +463,7 @@ class LineScan(Value):
     ) -> LineMeasurement | Failure:
         """Match lines with their profiles, which were made with a point spread function of some ``width``, px."""
         view, options, offsets = self.view, self.options, scans.offsets_px
-        known = view.psf_sigma_px if profiles.causes else None
+        known = view.psf_sigma_px if profiles.layout.count else None
         loose = self.relief_px > 0.0 or options.edges is EdgeModel.STEP
         search_px = offsets[-1] - options.window_px
         found = match_lines(view, scans, profiles, window_px=options.window_px, search_px=search_px, loose=loose)

@@ -14,6 +14,7 @@ from giantlike.core.causes import Cause
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
 from giantlike.core.values import Value
+from giantlike.image_model.columns import Layout, Prior
 from giantlike.processing.limb.measurement import judge_points
 from giantlike.processing.limb.scan import (
     PIXEL_VARIANCE_PX2,
@@ -134,26 +135,25 @@ class ExpectedProfiles(Value):
         Any unit.
     changes : (n, m, c) float64
         By each of c parameters.
-    prior : (c,) float64
-        Information on the parameters before the measurement.
-    expected : (c,) float64
-        Parameters before the measurement, from those that the profiles are made with.
-    causes : tuple of Cause
-        One for each parameter; the last is the variance of the point spread function, px^2.
+    layout : Layout
+        Of the parameters: shares of other laws and of wings, logarithm of a brightness that is clipped, variance of the
+        point spread function, px^2.
+    prior : Prior
+        Of the parameters, from those that the profiles are made with.
     beyond : (n,) float64
         Logarithm of the brightness of each line over the level at which it is clipped; 0 where it is not.
     """
 
     values: Float
     changes: Float
-    prior: Float
-    expected: Float
-    causes: tuple[Cause, ...]
+    layout: Layout
+    prior: Prior
     beyond: Float
 
     def moved(self, step: Float) -> ExpectedProfiles:
         """Return the profiles with parameters (c,) changed by a step."""
-        return replace(self, values=self.values + self.changes @ step, expected=self.expected - step)
+        prior = replace(self.prior, mean=self.prior.mean - step)
+        return replace(self, values=self.values + self.changes @ step, prior=prior)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -228,7 +228,6 @@ def expected_profiles(
     scales = [float(np.median(height / np.maximum(np.ptp(law, axis=1), 1e-300))) for law in laws]
     nominal, psf_sigma = _nominal_psf(view, psf_px2, options.psf_error)
     level_dn = clipping_level_dn(view, scans)
-    count, prior, causes = len(laws), [LAW_SIGMA**-2] * len(laws), [Cause.REFLECTANCE] * len(laws)
     if level_dn is None:
         second = np.zeros_like(values)
         second[:, 1:-1] = (values[:, 2:] - 2.0 * values[:, 1:-1] + values[:, :-2]) / scans.step_px**2
@@ -237,23 +236,34 @@ def expected_profiles(
             _wings(values, scans, psf_px2, options.window_px),
             0.5 * second,
         ]
-        count, prior, causes = count + 1, [*prior, _WING_SIGMA**-2], [*causes, Cause.PSF]
     else:
         scaled = [images[0], *(scale * image for scale, image in zip(scales, images[1:], strict=True))]
         reach_px = scans.offsets_px[-1] - options.window_px
         clipped = clipped_profiles(scaled, there, level_dn, view, window_px=options.window_px, search_px=reach_px)
         values, beyond = clipped.values, clipped.beyond
         changes = [*np.moveaxis(clipped.laws, -1, 0), clipped.brightness, clipped.blur]
-        count, prior, causes = count + 1, [*prior, LOG_GAIN_SIGMA**-2], [*causes, Cause.EDGE]
     if first:
         return _alone(values)
+    layout = _layout(laws=len(laws), wings=level_dn is None, brightness=level_dn is not None, blur=True)
+    sigmas = {"laws": LAW_SIGMA, "wings": _WING_SIGMA, "brightness": LOG_GAIN_SIGMA, "blur": psf_sigma}
     return ExpectedProfiles(
         values=values,
         changes=np.stack(changes, axis=-1),
-        prior=np.append(prior, psf_sigma**-2),
-        expected=np.append(np.zeros(count), nominal - psf_px2),
-        causes=(*causes, Cause.PSF),
+        layout=layout,
+        prior=Prior.of_sigmas(layout.vector(sigmas), layout.vector({"blur": nominal - psf_px2})),
         beyond=beyond,
+    )
+
+
+def _layout(*, laws: int = 0, wings: bool = False, brightness: bool = False, blur: bool = False) -> Layout:
+    """Parameters that all lines share."""
+    return Layout(
+        (
+            ("laws", Cause.REFLECTANCE, laws),
+            ("wings", Cause.PSF, int(wings)),
+            ("brightness", Cause.EDGE, int(brightness)),
+            ("blur", Cause.PSF, int(blur)),
+        )
     )
 
 
@@ -269,13 +279,11 @@ def _wings(values: Float, scans: Scans, psf_px2: float, window_px: float) -> Flo
 
 def _alone(values: Float) -> ExpectedProfiles:
     """Profiles (n, m) without shared parameters."""
-    none = np.zeros(0)
     return ExpectedProfiles(
         values=values,
         changes=np.zeros((*values.shape, 0)),
-        prior=none,
-        expected=none,
-        causes=(),
+        layout=_layout(),
+        prior=Prior.of_sigmas([]),
         beyond=np.zeros(len(values)),
     )
 
@@ -333,8 +341,8 @@ def match_lines(
     MatchedLines
     """
     variance = view.detector.variance_dn2
-    found = np.zeros(profiles.prior.size)
-    of_blur = np.arange(found.size) == found.size - 1
+    layout, found = profiles.layout, np.zeros(profiles.layout.count)
+    of_blur = layout.vector({"blur": 1.0}) > 0.0
     about_px = None
     none = SharedEstimate(values=found, covariance=np.zeros((found.size, found.size)))
     for number in range(_ROUNDS):
@@ -351,7 +359,8 @@ def match_lines(
         estimate = none
         if found.size == 0 or not good.any():
             break
-        estimate = estimate_shared(match, good, prior=profiles.prior, expected=profiles.expected, open_above=of_blur)
+        mean, information = profiles.prior.parts
+        estimate = estimate_shared(match, good, prior=information, expected=mean, open_above=of_blur)
         last = number > 0 and float(np.median(np.abs(match.shared_px[good] @ estimate.values))) < _SETTLED_PX
         if last or number == _ROUNDS - 1:
             break
@@ -359,22 +368,21 @@ def match_lines(
         profiles, found = profiles.moved(estimate.values), found + estimate.values
     match = replace(match, shift_px=match.shift_px - match.shared_px @ estimate.values)
     by_sigma = match.shared_px @ _root(estimate.covariance)
-    causes = np.array(profiles.causes)
     return MatchedLines(
         match=match,
         good=good,
         rejected=rejected,
-        common_px={cause: by_sigma[:, causes == cause] for cause in dict.fromkeys(profiles.causes)},
+        common_px={cause: by_sigma[:, layout.of_cause(cause)] for cause in layout.causes},
         extrapolated_px=_extrapolated_px(match, good, profiles),
-        psf_px2=float((found + estimate.values)[-1]) if found.size else 0.0,
+        psf_px2=float((found + estimate.values)[layout.span("blur")].sum()),
     )
 
 
 def _extrapolated_px(match: ProfileMatch, good: Mask, profiles: ExpectedProfiles) -> float:
     """Mean shift of good lines by one standard deviation of the brightness that is clipped; 0 where none is."""
-    if Cause.EDGE not in profiles.causes or not good.any():
+    by_brightness = match.shared_px[good, profiles.layout.span("brightness")].ravel()
+    if not by_brightness.size:
         return 0.0
-    by_brightness = match.shared_px[good, profiles.causes.index(Cause.EDGE)]
     return EXTRAPOLATION_ERROR * float(np.mean(np.abs(by_brightness) * profiles.beyond[good] ** 2))
 
 

@@ -12,7 +12,9 @@ EXACT = 1e-9
 
 
 @compiled
-def design_of(light: Float, others: Float, scattered: Float, x: float, y: float, radius: float) -> tuple[Float, Float]:
+def design_of(
+    light: Float, others: Float, scattered: Float, x: float, y: float, radius: float
+) -> tuple[Float, Float, Float, Float, Float, Float, Float]:
     """Columns that the light of cells may be a sum of.
 
     Parameters
@@ -30,14 +32,20 @@ def design_of(light: Float, others: Float, scattered: Float, x: float, y: float,
 
     Returns
     -------
-    columns : (k + 16, n, n) float64
-        The light, its differences to others of the same sum, a plane (3), stray light (3), and derivatives by place
-        (3), strain (3) and blur (3), places in radii.
+    laws : (k, n, n) float64
+        Differences of the light under other laws, of the same sum, to the light.
+    background : (3, n, n) float64
+        A plane, places in radii.
+    stray : (3, n, n) float64
+        Stray light, along columns, along rows, and around the body.
+    place, strain, blur : (3, n, n) float64
+        Derivatives, places in radii.
     slope : (n, n) float64
         Steepness of the light, per cell.
     """
-    size, laws = len(light), len(others)
-    columns, slope = np.empty((laws + 16, size, size)), np.empty((size, size))
+    size, laws, slope = len(light), np.empty_like(others), np.empty_like(light)
+    background, stray = np.empty((3, size, size)), np.empty((3, size, size))
+    place, strain, blur = np.empty((3, size, size)), np.empty((3, size, size)), np.empty((3, size, size))
     by_row, by_column = np.empty((size, size)), np.empty((size, size))
     across, down, total = np.zeros(size), np.zeros(size), 0.0
     for row in range(size):
@@ -47,7 +55,7 @@ def design_of(light: Float, others: Float, scattered: Float, x: float, y: float,
             across[column] += light[row, column]
             down[row] += light[row, column]
         total += down[row]
-    for law in range(laws):
+    for law in range(len(others)):
         whole = 0.0
         for row in range(size):
             for column in range(size):
@@ -55,31 +63,29 @@ def design_of(light: Float, others: Float, scattered: Float, x: float, y: float,
         share = total / max(whole, 1e-30)
         for row in range(size):
             for column in range(size):
-                columns[1 + law, row, column] = others[law, row, column] * share - light[row, column]
-    at = 1 + laws
+                laws[law, row, column] = others[law, row, column] * share - light[row, column]
     for row in range(size):
         place_y = (row - y) / radius
         for column in range(size):
             place_x = (column - x) / radius
             right, low = -radius * by_column[row, column], -radius * by_row[row, column]
-            columns[0, row, column] = light[row, column]
-            columns[at, row, column] = 1.0
-            columns[at + 1, row, column] = place_x
-            columns[at + 2, row, column] = place_y
-            columns[at + 3, row, column] = across[column] / size
-            columns[at + 4, row, column] = down[row] / size
-            columns[at + 5, row, column] = scattered[row, column]
-            columns[at + 6, row, column] = right
-            columns[at + 7, row, column] = low
-            columns[at + 8, row, column] = right * place_x + low * place_y
-            columns[at + 9, row, column] = right * place_y
-            columns[at + 10, row, column] = low * place_x
-            columns[at + 11, row, column] = right * place_x - low * place_y
-            columns[at + 12, row, column] = 0.5 * _difference(by_column[row], column)
-            columns[at + 13, row, column] = _difference(by_column[:, column], row)
-            columns[at + 14, row, column] = 0.5 * _difference(by_row[:, column], row)
+            background[0, row, column] = 1.0
+            background[1, row, column] = place_x
+            background[2, row, column] = place_y
+            stray[0, row, column] = across[column] / size
+            stray[1, row, column] = down[row] / size
+            stray[2, row, column] = scattered[row, column]
+            place[0, row, column] = right
+            place[1, row, column] = low
+            place[2, row, column] = right * place_x + low * place_y
+            strain[0, row, column] = right * place_y
+            strain[1, row, column] = low * place_x
+            strain[2, row, column] = right * place_x - low * place_y
+            blur[0, row, column] = 0.5 * _difference(by_column[row], column)
+            blur[1, row, column] = _difference(by_column[:, column], row)
+            blur[2, row, column] = 0.5 * _difference(by_row[:, column], row)
             slope[row, column] = np.sqrt(by_row[row, column] ** 2 + by_column[row, column] ** 2)
-    return columns, slope
+    return laws, background, stray, place, strain, blur, slope
 
 
 @compiled

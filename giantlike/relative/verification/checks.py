@@ -172,12 +172,12 @@ def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
     """
     own = _own(fix)
     size = len(own)
-    place = _ratio(fit.moved[:size], fit.covariance[:size, :size] + own)
-    figure = _ratio(fit.strain, fit.strain_covariance)
+    place = _ratio(fit.place.values[:size], fit.place.covariance[:size, :size] + own)
+    figure = _ratio(fit.strain.values, fit.strain.covariance)
     # A fix that is less certain than the coarse one has errors of the figure in its covariance already.
-    room = min(float(np.trace(fit.covariance[:2, :2]) / max(np.trace(own[:2, :2]), 1e-300)), 1.0)
-    blurred = psf_known and chance_of(fit.blur, fit.blur_covariance) > LEAST_CHANCE  # beyond, the fix is refused
-    smear = _ratio(_SMEAR @ fit.blur, _SMEAR @ fit.blur_covariance @ _SMEAR.T) if blurred else 0.0
+    room = min(float(np.trace(fit.place.covariance[:2, :2]) / max(np.trace(own[:2, :2]), 1e-300)), 1.0)
+    blurred = psf_known and chance_of(fit.blur.values, fit.blur.covariance) > LEAST_CHANCE  # beyond, the fix is refused
+    smear = _ratio(_SMEAR @ fit.blur.values, _SMEAR @ fit.blur.covariance @ _SMEAR.T) if blurred else 0.0
     return max(1.0, place, 1.0 + room * (figure - 1.0), 1.0 + room * (smear - 1.0))
 
 
@@ -239,8 +239,8 @@ def _off_prediction(fix: CenterFix, fit: CoarseFit | None, inputs: EstimatorInpu
     if isinstance(fix, PositionFix):
         difference = np.append(difference, math.log(fix.range_km / inputs.geometry.range_km))
     elif fit is not None and not any(inputs.geometry.limb_altitude_km):  # haze looks larger than the body in it
-        difference = np.append(difference, fit.moved[2])
-        size = fit.covariance[2, 2] + _size_variance(fix, inputs)
+        difference = np.append(difference, fit.place.values[2])
+        size = fit.place.covariance[2, 2] + _size_variance(fix, inputs)
         covariance = np.block([[covariance, np.zeros((2, 1))], [np.zeros((1, 2)), np.full((1, 1), size)]])
     compared = slice(0 if inputs.image.attitude_covariance_rad2 is not None else 2, len(difference))
     return (difference[compared], covariance[compared, compared]) if difference[compared].size else None
@@ -281,28 +281,28 @@ def _fit_numbers(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> _Numbers
     own = _own(fix)
     size = len(own)
     return _Numbers(
-        misfit=fit.misfit,
-        unexplained=fit.unexplained,
-        unevenness=fit.unevenness,
-        step=fit.step,
-        place_chance=chance_of(fit.moved[:size], fit.covariance[:size, :size] + own),
-        figure_chance=chance_of(fit.strain, fit.strain_covariance),
-        blur_chance=chance_of(fit.blur, fit.blur_covariance) if psf_known else 1.0,
+        misfit=fit.residuals.misfit,
+        unexplained=fit.residuals.unexplained,
+        unevenness=fit.residuals.unevenness,
+        step=fit.residuals.step,
+        place_chance=chance_of(fit.place.values[:size], fit.place.covariance[:size, :size] + own),
+        figure_chance=chance_of(fit.strain.values, fit.strain.covariance),
+        blur_chance=chance_of(fit.blur.values, fit.blur.covariance) if psf_known else 1.0,
     )
 
 
 def _turn_numbers(coarse: _Coarse, fit: CoarseFit, inputs: EstimatorInputs) -> _Numbers:
     """What a turn of the face explains of the residuals, and its chance; none where there is little to explain."""
-    if isinstance(inputs.geometry.target.shape, Ellipsoid) or not _TURN_MISFIT < fit.misfit < math.inf:
+    if isinstance(inputs.geometry.target.shape, Ellipsoid) or not _TURN_MISFIT < fit.residuals.misfit < math.inf:
         return _Numbers()
     sun, turn_rad = inputs.geometry.sun_direction_camera, inputs.turn_rad
     albedo = inputs.geometry.target.uncertainty.albedo
     turned = fit_turned(coarse.cells, coarse.trace, coarse.own, sun, albedo=albedo, turn_rad=turn_rad)
-    if turned is None or not len(turned.further):
+    if turned is None or not len(turned.further.values):
         return _Numbers()
-    covariance = turned.further_covariance + turn_rad**2 * np.eye(len(turned.further))
-    share = 1.0 - (turned.misfit / fit.misfit) ** 2
-    return _Numbers(turn_chance=chance_of(turned.further, covariance), turn_share=share)
+    covariance = turned.further.covariance + turn_rad**2 * np.eye(len(turned.further.values))
+    share = 1.0 - (turned.residuals.misfit / fit.residuals.misfit) ** 2
+    return _Numbers(turn_chance=chance_of(turned.further.values, covariance), turn_share=share)
 
 
 @runtime_checkable
@@ -339,9 +339,9 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
     first = _at(body, inputs, search_px, fix)
     if first is None or first.fit is None:
         return first
-    moved = first.fit.moved
+    moved = first.fit.place.values
     found = nearer + moved
-    coarse = replace(first, fit=replace(first.fit, moved=found))
+    coarse = replace(first, fit=first.fit.at(found))
     radius_px = first.cells.size * first.cells.radius
     step = max(float(np.hypot(*moved[:2])) / radius_px, abs(float(moved[2])))
     linear = _LINEAR if isinstance(fix, PositionFix) else min(_LINEAR, _SHARP_PX / radius_px)
@@ -349,9 +349,9 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
         return coarse
     position_km = range_km * math.exp(found[2]) * model.unproject(fix.center_px + found[:2])
     again = _at(replace(body, position_camera_km=position_km), inputs, search_px, fix)
-    if again is None or again.fit is None or not again.fit.misfit < first.fit.misfit:
+    if again is None or again.fit is None or not again.fit.residuals.misfit < first.fit.residuals.misfit:
         return coarse
-    return replace(again, fit=replace(again.fit, moved=found + again.fit.moved))
+    return replace(again, fit=again.fit.at(found + again.fit.place.values))
 
 
 def _at(body: Body, inputs: EstimatorInputs, search_px: float | None, fix: CenterFix) -> _Coarse | None:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask
+from giantlike.core.causes import Cause
 from giantlike.core.values import Value
+from giantlike.image_model.columns import Block, Columns, Layout, Prior, Solution
 from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Template, Trace
 from giantlike.relative.response import LEAST_BEND, Response
 from giantlike.relative.template.smear import Smear
@@ -32,26 +36,18 @@ _MOVED, _GROWN, _STRAINED = 0.5, 0.3, 0.3
 _OTHER_LAWS = (Lambert(), LommelSeeliger(), Minnaert(k=0.7))
 """Laws that the light may be a sum of: of strong, no and medium darkening, as for limbs. Minnaert's is no sum of the
 others: without it, it looked like another figure by up to 3 standard deviations."""
-_LAWS = (1, 2, 3)
-"""Columns of the design for other laws."""
 _OTHER_LAW = 0.5
 """Error that laws beyond those leave, over what they change: half of it."""
-_LEVEL = 4
-"""Column of the design for the background."""
-_PLACE, _STRAIN, _BLUR = slice(10, 13), slice(13, 16), slice(16, 19)
-"""Columns of the design for the place, the strain and the blur."""
-_GEOMETRY, _OF_GEOMETRY = slice(10, None), (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, None))
-"""All of these and what is fitted besides, and each of them among all."""
-_X_AND_Y = slice(10, 12)
-"""Columns of the place in the image alone."""
-_FURTHER = slice(19, None)
-"""Columns of what is fitted besides."""
 _BLURRED = 10.0
 """Standard deviation of the blur a priori, squares of a cell: far beyond what is linear."""
-_SIGMA = np.array(
-    [math.inf, *3 * [_LAW_SIGMA], *6 * [math.inf], _MOVED, _MOVED, _GROWN, *3 * [_STRAINED], *3 * [_BLURRED]]
-)
-"""Standard deviations of all of these a priori, over the gain."""
+_SIGMAS: Mapping[str, float | Sequence[float]] = {
+    "laws": _LAW_SIGMA,
+    "place": (_MOVED, _MOVED, _GROWN),
+    "strain": _STRAINED,
+    "blur": _BLURRED,
+    "further": 1.0,
+}
+"""Standard deviations of the unknowns a priori, over the gain; nothing is known of the others."""
 _PSF_PX2 = 0.3
 """Standard deviation, px^2, of the variance of a point spread function that a camera knows: one of 0.7 px to 30 %."""
 _ITERATIONS, _SETTLED = 3, 0.01
@@ -89,6 +85,68 @@ of 288 undisturbed bodies of the gauntlet (20-250 px) none but four crescents ca
 craters of 300 px at 120 degrees of phase one to 0.51."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate(Value):
+    """Unknowns of one effect.
+
+    Parameters
+    ----------
+    values : (k,) float64
+    covariance : (k, k) float64
+        Noise, and errors of the model of the size that the residuals show.
+    """
+
+    values: Float
+    covariance: Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellResiduals:
+    """What a body fitted to cells leaves.
+
+    Parameters
+    ----------
+    misfit : float
+        Root mean square, over the lit cells, of the residuals over what noise and known errors of models come to.
+    unexplained : float
+        Area of the cells with light that neither explains, or that lack it, over the area that is lit.
+    structure : float
+        Mean product of residuals of neighboring lit cells over their errors: noise comes to zero.
+    unevenness : float
+        Mean squared difference of the places of neighboring rows, or columns, over its variance: where one of them ends
+        light tells where it is. Errors of figures, laws and markings reach over many, so that 1 is far too much.
+    step : float
+        The largest squared difference of the places of :data:`_BESIDE` rows and as many below them, or columns, over
+        its variance, or over what is usual beside other rows: where all lines from one on are shifted. A single line
+        that is off counts little.
+    """
+
+    misfit: float
+    unexplained: float
+    structure: float
+    unevenness: float = 0.0
+    step: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Omitted(Value):
+    """Images that were left out of a fit of cells, each alone; none by default.
+
+    Parameters
+    ----------
+    values : (a,) float64
+        Share of each image in the residuals, beside all that is fitted.
+    sigma : (a,) float64
+        Standard deviations.
+    explains : (a,) float64
+        Squared residuals that each of them explains, over those that noise leaves.
+    """
+
+    values: Float = field(default_factory=lambda: np.zeros(0))
+    sigma: Float = field(default_factory=lambda: np.zeros(0))
+    explains: Float = field(default_factory=lambda: np.zeros(0))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoarseFit(Value):
     """A body fitted to cells.
@@ -97,88 +155,102 @@ class CoarseFit(Value):
     ----------
     gain_dn : float, DN
         Light of a surface seen and lit along its normal.
-    misfit : float
-        Root mean square, over the lit cells, of the residuals over what noise and known errors of models come to.
-    unexplained : float
-        Area of the cells with light that neither explains, or that lack it, over the area that is lit.
-    moved : (3,) float64
-        Motion that the image asks for: x and y in px, and of the logarithm of the range.
-    covariance : (3, 3) float64
-        Of ``moved``: noise, and errors of the model of the size that the residuals show.
-    strain : (3,) float64
+    residuals : CellResiduals
+    place : Estimate
+        Motion: x and y in px, and of the logarithm of the range.
+    strain : Estimate
         How the parts of the body disagree: motion along rows and along columns in proportion to the place along the
         other axis, and growth along rows with shrinking along columns; relative.
-    strain_covariance : (3, 3) float64
-    blur : (3,) float64, px^2
-        Covariance of light about its place beyond that of the point spread function: xx, xy and yy.
-    blur_covariance : (3, 3) float64
-    unevenness : float
-        Mean squared difference of the places of neighboring rows, or columns, over its variance: where one of them ends
-        light tells where it is. Errors of figures, laws and markings reach over many, so that 1 is far too much.
-    step : float
-        The largest squared difference of the places of :data:`_BESIDE` rows and as many below them, or columns, over
-        its variance, or over what is usual beside other rows: where all lines from one on are shifted. A single line
-        that is off counts little.
+    blur : Estimate
+        Covariance of light about its place beyond that of the point spread function: xx, xy and yy, px^2.
+    further : Estimate
+        Unknowns that were fitted besides.
     figure_px2 : (2, 2) float64, px^2
         Covariance of the center of all light by a figure that is not that of the body, as far as edges and strain show
         it; zero where they are those of a right one.
     response : Response
-        What the residuals ask for beside all else: the one by which the values were made proportional to light, if they
-        were, with another bend.
+        The one by which the values were made proportional to light, if they were, with the bend that the residuals
+        show beside all else.
     bend_sigma : float
         Standard deviation of its bend; infinite where it is too small to be looked at.
-    structure : float
-        Mean product of residuals of neighboring lit cells over their errors: noise comes to zero.
-    further : (k,) float64
-        What was fitted besides.
-    further_covariance : (k, k) float64
-    asked : (a,) float64
-        What the residuals ask for, beside all else, of each of the images that they were asked about, alone.
-    asked_sigma : (a,) float64
-        Standard deviations.
-    asked_explains : (a,) float64
-        Squared residuals that each of them explains, over those that noise leaves.
+    omitted : Omitted
     """
 
     gain_dn: float
-    misfit: float
-    unexplained: float
-    moved: Float
-    covariance: Float
-    strain: Float
-    strain_covariance: Float
-    blur: Float
-    blur_covariance: Float
-    unevenness: float
-    step: float
+    residuals: CellResiduals
+    place: Estimate
+    strain: Estimate
+    blur: Estimate
+    further: Estimate
     figure_px2: Float
     response: Response
     bend_sigma: float
-    structure: float
-    further: Float
-    further_covariance: Float
-    asked: Float
-    asked_sigma: Float
-    asked_explains: Float
+    omitted: Omitted
+
+    def at(self, moved: Float) -> CoarseFit:
+        """Return the same with another motion (3,), as of a place from which the body has moved."""
+        return replace(self, place=replace(self.place, values=moved))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Design(Value):
-    """Columns (p, n, n) that light may be a sum of, and their a priori standard deviations (p,) over the gain.
+    """What the light of cells may be a sum of.
 
-    Also the light itself, its steepness per cell and what optics scatter of it, (n, n) each.
+    The unknowns with their derivatives ``matrix`` (k, n, n) and their a priori standard deviations ``sigma`` (k,) over
+    the gain; the light itself, its steepness per cell and what optics scatter of it, (n, n) each.
     """
 
-    own: Float
-    columns: Float
+    layout: Layout
+    matrix: Float
     sigma: Float
+    own: Float
     slope: Float
     scattered: Float
 
-    def with_further(self, columns: Float) -> _Design:
-        """Add columns (k, n, n) of unknowns of the order of 1."""
-        sigma = np.concatenate([self.sigma, np.ones(len(columns))])
-        return replace(self, columns=np.concatenate([self.columns, columns]), sigma=sigma)
+    def columns(self, values: Float, weights: Float, gain: float) -> Columns:
+        """Linear look at the values (n, n) of cells."""
+        return Columns(self.layout, self.matrix, Prior.of_sigmas(gain * self.sigma), values, weights)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Fitted(Value):
+    """A design fitted to cells: the solution, its gain and the sigma (n, n) of the errors of its model.
+
+    ``edge`` (n, n) are the cells whose errors are mostly those of edges, ``least`` the least scatter that the residuals
+    are taken to show; ``noise`` (n, n) is the variance of the noise.
+    """
+
+    cells: Cells
+    design: _Design
+    solution: Solution
+    gain: float
+    noise: Float
+    model_sigma: Float
+    edge: Mask
+    least: float
+
+    @cached_property
+    def fresh(self) -> Mask:
+        """Cells (n, n) that count."""
+        return self.solution.columns.weights > 0.0
+
+    @cached_property
+    def lit(self) -> Mask:
+        """Those of them (n, n) where the body is lit."""
+        return self.fresh & _lit(self.design.own)
+
+    @cached_property
+    def normalized(self) -> Float:
+        """Residuals (n, n) over their standard deviations; 0 where a cell does not count."""
+        return np.asarray(self.solution.residuals * np.sqrt(self.solution.columns.weights))
+
+    def covariance(self, influence: Float, *, noise: Float | None = None) -> Float:
+        """Covariance (k, k) of unknowns that change with the cells by ``influence`` (k, n, n).
+
+        ``noise`` (n, n), squares of the normalized residuals, is not counted as an error of the model.
+        """
+        scale = _scale(self.normalized, self.lit, self.edge, least=self.least, noise=noise)
+        return _covariance(influence, self.noise, scale * self.model_sigma, self.cells)
 
 
 def fit_cells(
@@ -220,111 +292,134 @@ def fit_cells(
     CoarseFit or None
         None where too few cells hold the body.
     """
-    design = _design(cells, trace, own, smear)
-    if further is not None:
-        design = design.with_further(further)
-    fresh = cells.cropped(cells.fresh)
-    lit = fresh & (design.own > _LIT * float(design.own.max()))
-    if np.count_nonzero(lit) <= len(design.columns):
+    fresh, design = cells.cropped(cells.fresh), _design(cells, trace, own, smear, further)
+    if np.count_nonzero(fresh & _lit(design.own)) <= design.layout.count:
         return None
-    values, noise = cells.cropped(cells.values), cells.cropped(cells.variance)
-    gain = _first_gain(values, design.own, fresh)
-    relative_sigma, edge = _model_sigma(design, albedo, turn_rad, cells)
-    flat = design.columns.reshape(len(design.columns), -1)
-    for _ in range(_ITERATIONS):
-        model_sigma = gain * relative_sigma
-        weights = 1.0 / (noise + model_sigma**2)
-        weighted = flat * np.where(fresh, weights, 0.0).ravel()
-        normal, projected = weighted @ flat.T + np.diag(1.0 / (gain * design.sigma) ** 2), weighted @ values.ravel()
-        solution = np.linalg.solve(normal, projected)
-        if not solution[0] > 0.0:
-            return _nothing_alike()
-        change, gain = abs(float(solution[0]) / gain - 1.0), float(solution[0])
-        used, normalized = fresh, (values - (solution @ flat).reshape(values.shape)) * np.sqrt(weights)
-        isolated = _isolated(normalized, fresh)
-        if change < _SETTLED and not isolated.any():
-            break
-        fresh = fresh & ~isolated
-    fresh, lit = used, lit & used
-    if not lit.any():
+    sigma, edge = _model_sigma(design, albedo, turn_rad, cells)
+    fitted = _fitted(cells, design, sigma, edge, cells.place(own.coverage, own))
+    if fitted is None:
+        return _nothing_alike()
+    if not fitted.lit.any():
         return None
-    normalized = np.where(fresh, normalized, 0.0)
-    misfit = float(np.sqrt(np.mean(normalized[lit] ** 2)))
-    parts = float(cells.place(own.coverage, own)[fresh].sum()) / (BLOCK * cells.radius) ** 2
-    least = _LEAST_SCALE if parts > len(flat) else 1.0
-    shown_sigma = _scale(normalized, lit, edge, least=least) * model_sigma
-    influence = (np.linalg.inv(normal)[_GEOMETRY] @ weighted).reshape(-1, *values.shape)
-    by_law = _OTHER_LAW * (solution - _without_laws(normal, projected))[_GEOMETRY]
-    covariance = _covariance(influence, noise, shown_sigma, cells) + np.outer(by_law, by_law)
-    place, strain, blur, besides = (covariance[part, part] for part in _OF_GEOMETRY)
-    strain_covariance = strain / gain**2 + turn_rad**2 * np.eye(3)
-    by_figure = math.sqrt(_share_of_figure(normalized, lit, edge))
-    strained, strayed = np.asarray(solution[_STRAIN] / gain), np.where(edge, by_figure * shown_sigma / gain, 0.0)
-    by_x, by_y = design.columns[_X_AND_Y]
-    unevenness, step = unevenness_of(by_x, by_y, weights, normalized, _TELLING, _LINES, _BESIDE)
-    per_radius = np.diag([cells.radius * cells.size, cells.radius * cells.size, -1.0])
-    model = (solution @ flat).reshape(values.shape)
-    if response is None:
-        response = Response(bend=0.0, dark_dn=float(solution[_LEVEL]), bright_dn=float(model[lit].max()))
-    by_bend, bend = _bend_asked(response, values, model, flat, weighted, normal)
-    bend_sigma = math.inf
-    if bend > LEAST_BEND:
-        bend_sigma = math.sqrt(float(_covariance(by_bend[None], noise, shown_sigma, cells)[0, 0]))
-    shares, share_variances, explained = np.zeros(0), np.zeros(0), np.zeros(0)
-    if asked is not None:
-        by_asked, information = _influences(gain * asked.reshape(len(asked), -1), flat, weighted, normal)
-        shares = by_asked @ (values - model).ravel()
-        of_noise = np.where(fresh, noise * weights, 0.0)
-        scale = _scale(normalized, lit, edge, least=least, noise=of_noise)
-        share_variances = np.diag(_covariance(by_asked.reshape(-1, *values.shape), noise, scale * model_sigma, cells))
-        by_chance = math.sqrt(2.0 * float(np.sum(of_noise**2)))
-        explained = shares**2 * information / max(float(np.sum(normalized**2 - of_noise)), by_chance)
+    place, strain, blur, besides = _geometry(fitted, turn_rad)
+    bent, bend_sigma = _response(fitted, response)
     return CoarseFit(
-        gain_dn=gain,
-        misfit=misfit,
-        unexplained=_unexplained_area(normalized, fresh) / float(np.count_nonzero(lit)),
-        moved=per_radius @ solution[_PLACE] / gain,
-        covariance=per_radius @ place @ per_radius / gain**2,
-        blur=np.asarray(solution[_BLUR] / gain * cells.size**2),
-        blur_covariance=blur * (cells.size**2 / gain) ** 2 + _PSF_PX2**2 * np.diag([1.0, 0.25, 1.0]),
-        strain=strained,
-        strain_covariance=strain_covariance,
-        unevenness=unevenness,
-        step=step,
-        figure_px2=_by_figure(strained, strain_covariance, strayed, design.own, cells),
-        response=replace(response, bend=bend),
+        gain_dn=fitted.gain,
+        residuals=_residuals(fitted),
+        place=place,
+        strain=strain,
+        blur=blur,
+        further=besides,
+        figure_px2=_by_figure(fitted, strain),
+        response=bent,
         bend_sigma=bend_sigma,
-        structure=_structure(normalized, lit),
-        further=np.asarray(solution[_FURTHER] / gain),
-        further_covariance=besides / gain**2,
-        asked=shares,
-        asked_sigma=np.sqrt(share_variances),
-        asked_explains=explained,
+        omitted=Omitted() if asked is None else _omitted(fitted, fitted.gain * asked),
     )
 
 
-def _bend_asked(
-    response: Response, values: Float, model: Float, flat: Float, weighted: Float, normal: Float
-) -> tuple[Float, float]:
-    """Bend of a response that residuals ask for beside a model (n, n), and how it changes with the cells (n, n).
+def _lit(light: Float) -> Mask:
+    """Cells (n, n) whose light is not much fainter than that of the brightest."""
+    return np.asarray(light > _LIT * float(light.max()))
 
-    ``flat`` and ``weighted`` (p, n * n) are the design and the same over variances, ``normal`` (p, p) their products.
+
+def _fitted(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: Float) -> _Fitted | None:
+    """Fit a design to cells, weighted by the gain and without isolated cells that it does not explain.
+
+    ``sigma`` (n, n) are the errors of the model over the gain, ``coverage`` (n, n) the parts of cells that the body
+    covers. None where the image fits a dark body better than a bright one.
     """
-    bent = -response.changes_dn(model)[0].ravel()
-    influence = _influences(bent[None], flat, weighted, normal)[0][0]
-    return influence.reshape(values.shape), response.bend + float(influence @ (values - model).ravel())
+    values, noise, fresh = cells.cropped(cells.values), cells.cropped(cells.variance), cells.cropped(cells.fresh)
+    gain = _first_gain(values, design.own, fresh)
+    for _ in range(_ITERATIONS):
+        model_sigma = gain * sigma
+        weights = np.where(fresh, 1.0 / (noise + model_sigma**2), 0.0)
+        found = design.columns(values, weights, gain).solve()
+        if found is None or not found["gain"][0] > 0.0:
+            return None
+        solution = found
+        change, gain = abs(float(solution["gain"][0]) / gain - 1.0), float(solution["gain"][0])
+        isolated = _isolated(solution.residuals * np.sqrt(weights), fresh)
+        used, fresh = fresh, fresh & ~isolated
+        if change < _SETTLED and not isolated.any():
+            break
+    parts = float(coverage[used].sum()) / (BLOCK * cells.radius) ** 2
+    return _Fitted(
+        cells=cells,
+        design=design,
+        solution=solution,
+        gain=gain,
+        noise=noise,
+        model_sigma=model_sigma,
+        edge=edge,
+        least=_LEAST_SCALE if parts > design.layout.count else 1.0,
+    )
 
 
-def _influences(images: Float, flat: Float, weighted: Float, normal: Float) -> tuple[Float, Float]:
-    """How shares of images (a, n * n) that residuals ask for beside a model, each alone, change with the cells.
+def _residuals(fitted: _Fitted) -> CellResiduals:
+    """What a fit leaves in the cells."""
+    normalized, lit, columns = fitted.normalized, fitted.lit, fitted.solution.columns
+    by_x, by_y, _ = columns["place"]
+    weights = columns.weights.copy()  # values are read-only, for which loops are compiled anew
+    unevenness, step = unevenness_of(by_x, by_y, weights, normalized, _TELLING, _LINES, _BESIDE)
+    return CellResiduals(
+        misfit=float(np.sqrt(np.mean(normalized[lit] ** 2))),
+        unexplained=_unexplained_area(normalized, fitted.fresh) / float(np.count_nonzero(lit)),
+        structure=_structure(normalized, lit),
+        unevenness=unevenness,
+        step=step,
+    )
 
-    And what the cells tell of each, (a,).
-    ``flat`` and ``weighted`` (p, n * n) are the design and the same over variances, ``normal`` (p, p) their products.
-    """
-    weights = weighted[_LEVEL]  # of a column of ones
-    influence = weights * (images - np.linalg.solve(normal, weighted @ images.T).T @ flat)
-    information = np.maximum(np.sum(influence * images, axis=1), 1e-300)
-    return influence / information[:, None], information
+
+def _geometry(fitted: _Fitted, turn_rad: float) -> tuple[Estimate, Estimate, Estimate, Estimate]:
+    """Place, strain, blur, and what was fitted besides."""
+    solution, gain, cells = fitted.solution, fitted.gain, fitted.cells
+    layout = solution.columns.layout.between("place", "further")
+    by_law = _OTHER_LAW * (solution.values - _without_laws(solution.columns))
+    by_law = by_law[solution.columns.layout.span("place", "further")]
+    covariance = fitted.covariance(solution.columns.gain("place", "further")) + np.outer(by_law, by_law)
+    place, strain, blur, further = (
+        Estimate(solution[name] / gain, covariance[layout.span(name), layout.span(name)] / gain**2)
+        for name, _, _ in layout.effects
+    )
+    per_radius = np.diag([cells.radius * cells.size, cells.radius * cells.size, -1.0])
+    return (
+        Estimate(per_radius @ place.values, per_radius @ place.covariance @ per_radius),
+        Estimate(strain.values, strain.covariance + turn_rad**2 * np.eye(3)),
+        Estimate(
+            cells.size**2 * blur.values, cells.size**4 * blur.covariance + _PSF_PX2**2 * np.diag([1.0, 0.25, 1.0])
+        ),
+        further,
+    )
+
+
+def _response(fitted: _Fitted, known: Response | None) -> tuple[Response, float]:
+    """The known response, or a linear one, with the bend that the residuals show, and its standard deviation."""
+    solution = fitted.solution
+    if known is None:
+        dark_dn, bright_dn = float(solution["background"][0]), float(solution.model[fitted.lit].max())
+        known = Response(bend=0.0, dark_dn=dark_dn, bright_dn=bright_dn)
+    influence = _influence(solution, "bend", -known.changes_dn(solution.model)[:1])[0]
+    bend = known.bend + float(np.vdot(influence, solution.residuals))
+    sigma = math.sqrt(float(fitted.covariance(influence)[0, 0])) if bend > LEAST_BEND else math.inf
+    return replace(known, bend=bend), sigma
+
+
+def _omitted(fitted: _Fitted, images: Float) -> Omitted:
+    """Shares of images (a, n, n) in the residuals."""
+    influence, information = _influence(fitted.solution, "omitted", images)
+    values = influence.reshape(len(images), -1) @ fitted.solution.residuals.ravel()
+    of_noise = fitted.noise * fitted.solution.columns.weights
+    variances = np.diag(fitted.covariance(influence, noise=of_noise))
+    by_chance = math.sqrt(2.0 * float(np.sum(of_noise**2)))
+    left = max(float(np.sum(fitted.normalized**2 - of_noise)), by_chance)
+    return Omitted(values=values, sigma=np.sqrt(variances), explains=values**2 * information / left)
+
+
+def _influence(solution: Solution, effect: str, images: Float) -> tuple[Float, Float]:
+    """How shares of images (a, n, n) left out, each alone, change with the cells; and the information on them (a,)."""
+    prior = Prior.of_sigmas([math.inf] * len(images))
+    score = solution.score_omitted(Block(effect=effect, cause=Cause.NOISE, matrix=images, prior=prior))
+    return score.gain_alone, np.maximum(np.diag(score.information), 1e-300)
 
 
 def _structure(normalized: Float, lit: Mask) -> float:
@@ -334,7 +429,7 @@ def _structure(normalized: Float, lit: Mask) -> float:
     return products / float(np.count_nonzero(lit))
 
 
-def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None) -> _Design:
+def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None, further: Float | None) -> _Design:
     """The light of the body under its law and others, a plane, and derivatives by place and size."""
     in_cells = None if smear is None else smear.on_blocks(cells.size)
     light = cells.place(own.brightness, own)
@@ -345,15 +440,35 @@ def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None) -> _
         others[number] = other if in_cells is None else in_cells.smeared(other)
     x, y = own.center_px[0] - cells.inner.x, own.center_px[1] - cells.inner.y
     scattered = _blurred(light, _WING_RADIUS * cells.radius)
-    columns, slope = design_of(light, others, scattered, x, y, cells.radius)
-    return _Design(own=light, columns=columns, sigma=_SIGMA, slope=slope, scattered=scattered)
+    laws, background, stray, place, strain, blur, slope = design_of(light, others, scattered, x, y, cells.radius)
+    besides = light[:0].reshape(0, *light.shape) if further is None else further
+    blocks = (
+        ("gain", Cause.REFLECTANCE, light[None]),
+        ("laws", Cause.REFLECTANCE, laws),
+        ("background", Cause.BACKGROUND, background),
+        ("stray", Cause.BACKGROUND, stray),
+        ("place", Cause.NOISE, place),
+        ("strain", Cause.RELIEF, strain),
+        ("blur", Cause.PSF, blur),
+        ("further", Cause.POLE, besides),
+    )
+    layout = Layout(tuple((effect, cause, len(images)) for effect, cause, images in blocks))
+    return _Design(
+        layout=layout,
+        matrix=np.concatenate([images for _, _, images in blocks]),
+        sigma=layout.vector(_SIGMAS, other=math.inf),
+        own=light,
+        slope=slope,
+        scattered=scattered,
+    )
 
 
-def _without_laws(normal: Float, projected: Float) -> Float:
-    """Solution (p,) with the law as it was told."""
-    kept = np.delete(np.arange(len(projected)), _LAWS)
-    solution = np.zeros_like(projected)
-    solution[kept] = np.linalg.solve(normal[np.ix_(kept, kept)], projected[kept])
+def _without_laws(columns: Columns) -> Float:
+    """Solution (k,) with the law as it was told."""
+    kept = columns.layout.without("laws")
+    solution = np.zeros(columns.layout.count)
+    pull = columns.rows[kept] @ (columns.weights * columns.data).ravel()
+    solution[kept] = np.linalg.solve(columns.information[np.ix_(kept, kept)], pull)
     return solution
 
 
@@ -401,27 +516,18 @@ def _model_sigma(design: _Design, albedo: float, turn_rad: float, cells: Cells) 
 
 def _nothing_alike() -> CoarseFit:
     """The outcome where the image fits a dark body better than a bright one."""
+    nothing = Estimate(np.zeros(3), np.eye(3))
     return CoarseFit(
         gain_dn=0.0,
-        misfit=math.inf,
-        unexplained=1.0,
-        moved=np.zeros(3),
-        covariance=np.eye(3),
-        strain=np.zeros(3),
-        strain_covariance=np.eye(3),
-        blur=np.zeros(3),
-        blur_covariance=np.eye(3),
-        unevenness=0.0,
-        step=0.0,
+        residuals=CellResiduals(misfit=math.inf, unexplained=1.0, structure=math.inf),
+        place=nothing,
+        strain=nothing,
+        blur=nothing,
+        further=Estimate(np.zeros(0), np.zeros((0, 0))),
         figure_px2=np.zeros((2, 2)),
         response=Response(bend=0.0, dark_dn=0.0, bright_dn=1.0),
         bend_sigma=math.inf,
-        structure=math.inf,
-        further=np.zeros(0),
-        further_covariance=np.zeros((0, 0)),
-        asked=np.zeros(0),
-        asked_sigma=np.zeros(0),
-        asked_explains=np.zeros(0),
+        omitted=Omitted(),
     )
 
 
@@ -439,16 +545,21 @@ def _covariance(influence: Float, noise: Float, model_sigma: Float, cells: Cells
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
-def _by_figure(strain: Float, strain_covariance: Float, strayed: Float, light: Float, cells: Cells) -> Float:
+def _by_figure(fitted: _Fitted, strain: Estimate) -> Float:
     """Covariance (2, 2), px^2, of the center of all light by a wrong figure.
 
     A strain (3,) about the center hardly moves light, but a figure that is wrong by as much in what a strain tells is
     wrong by as much in what a motion tells too: rows that slip strain it by half of what they move it. Markings hardly
-    strain: of 80 nominal fixes of the gauntlet (seeds 3000 and 6000) none is strained beyond its errors. ``strayed``
-    (n, n) are the errors of limb and terminator over the gain by the figure, as the residuals show them.
+    strain: of 80 nominal fixes of the gauntlet (seeds 3000 and 6000) none is strained beyond its errors. Limb and
+    terminator add errors of the size that their residuals show.
     """
-    excess = max(1.0 - len(strain) / max(float(strain @ np.linalg.solve(strain_covariance, strain)), 1e-300), 0.0)
-    strained_px2 = excess * float(np.mean(strain**2)) * (cells.radius * cells.size) ** 2
+    cells, light, values = fitted.cells, fitted.design.own, strain.values
+    excess = max(1.0 - len(values) / max(float(values @ np.linalg.solve(strain.covariance, values)), 1e-300), 0.0)
+    strained_px2 = excess * float(np.mean(values**2)) * (cells.radius * cells.size) ** 2
+    normalized, lit, edge = fitted.normalized, fitted.lit, fitted.edge
+    by_figure = math.sqrt(_share_of_figure(normalized, lit, edge))
+    shown = _scale(normalized, lit, edge, least=fitted.least) * fitted.model_sigma
+    strayed = np.where(edge, by_figure * shown / fitted.gain, 0.0)
     if not strayed.any():
         return strained_px2 * np.eye(2)
     rows, columns = np.mgrid[: light.shape[0], : light.shape[1]].astype(np.float64)

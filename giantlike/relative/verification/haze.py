@@ -178,7 +178,7 @@ def haze_depth(fit: CoarseFit) -> float:
     -------
     float
     """
-    sigmas = np.where(fit.asked_explains > _LEAST_EXPLAINED, _sigmas(fit), 0.0)
+    sigmas = np.where(fit.omitted.explains > _LEAST_EXPLAINED, _sigmas(fit), 0.0)
     if not np.any(sigmas > _HAZY_SIGMAS):
         return 0.0
     return _clearest_depth(fit, sigmas)
@@ -187,14 +187,14 @@ def haze_depth(fit: CoarseFit) -> float:
 def _clearest_depth(fit: CoarseFit, sigmas: Float) -> float:
     """Depth of the haze whose share has the most ``sigmas`` (6,)."""
     clearest = int(np.argmax(sigmas))
-    return _DEPTHS[clearest // len(_BRIGHTNESS)] * float(fit.asked[clearest])
+    return _DEPTHS[clearest // len(_BRIGHTNESS)] * float(fit.omitted.values[clearest])
 
 
 def _sigmas(fit: CoarseFit) -> Float:
     """Shares of haze over their standard deviations; zero where there is light of something else."""
-    if fit.misfit > MISFIT or fit.unexplained > UNEXPLAINED:
-        return np.zeros_like(fit.asked)
-    return np.asarray(fit.asked / np.maximum(fit.asked_sigma, 1e-300))
+    if fit.residuals.misfit > MISFIT or fit.residuals.unexplained > UNEXPLAINED:
+        return np.zeros_like(fit.omitted.values)
+    return np.asarray(fit.omitted.values / np.maximum(fit.omitted.sigma, 1e-300))
 
 
 def haze_altitude_px(depth: float, blur_px2: float, radius_px: float) -> float:

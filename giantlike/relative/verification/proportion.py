@@ -55,7 +55,7 @@ def looks_bent(coarse: Looked | None) -> bool:
     bool
     """
     fit = None if coarse is None else coarse.fit
-    if fit is None or fit.misfit > MISFIT:
+    if fit is None or fit.residuals.misfit > MISFIT:
         return False
     return fit.response.bend > max(LEAST_BEND, _BENT_SIGMAS * fit.bend_sigma)
 
@@ -104,7 +104,11 @@ def in_proportion(
         return fit_of(trial).response, fit_of(trial).bend_sigma
 
     trial = None if before is None else settled(before.response, tried, asked)
-    if before is None or trial is None or fit_of(trial).structure > _STRAIGHTENED * before.structure:
+    if (
+        before is None
+        or trial is None
+        or fit_of(trial).residuals.structure > _STRAIGHTENED * before.residuals.structure
+    ):
         return None
     found, seen, straight = trial
     per_bend = _difference(found, fix) / fit_of(trial).response.bend
