@@ -17,8 +17,9 @@ from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Re
 from giantlike.core.threads import at_once
 from giantlike.ray_tracing import trace_silhouette
 from giantlike.relative.consensus import fused, verdict
-from giantlike.relative.estimator import BodyEstimator, Estimator, EstimatorInputs
+from giantlike.relative.estimator import BodyEstimator, Estimator
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.landmarks.surface_features import SurfaceFeatures, SurfaceFeaturesOptions
 from giantlike.relative.light.moment import Moment, MomentOptions
 from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions

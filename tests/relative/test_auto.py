@@ -25,7 +25,7 @@ from giantlike.image import Image
 from giantlike.relative import ESTIMATORS, Auto, AutoOptions, CrossCorrelation, Estimator, LimbMatching
 from giantlike.relative.auto import choose
 from giantlike.relative.consensus import agreement_of, fused
-from giantlike.relative.estimator import EstimatorInputs
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid, TriangleMesh
 from giantlike.shapes.generate import irregular_body

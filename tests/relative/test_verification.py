@@ -21,7 +21,7 @@ from giantlike.gauntlet.bodies import rock
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, SphereField, bumps, record, render_body
 from giantlike.relative import Moment
-from giantlike.relative.estimator import EstimatorInputs, gather
+from giantlike.relative.inputs import EstimatorInputs, gather
 from giantlike.relative.place import place_covariance
 from giantlike.relative.quality import LEAST_CHANCE
 from giantlike.relative.verification import verified

@@ -23,7 +23,8 @@ from giantlike.ray_tracing import (
     disk_photocenter,
 )
 from giantlike.ray_tracing.block_templates import BlockedPlane, block_templates
-from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
+from giantlike.relative.estimator import BodyEstimator
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.light.averaged import averaged, on_pixels
 from giantlike.relative.light.law_mixture import LawMixture, fit_law
 from giantlike.relative.light.lit_size import first_scale, measured_size

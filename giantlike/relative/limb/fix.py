@@ -19,7 +19,7 @@ from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import FocalPlane
-from giantlike.relative.estimator import EstimatorInputs
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.place import center_of_position, place_covariance
 from giantlike.relative.quality import LEAST_USED_SHARE, QualityChecks
 from giantlike.relative.verification.haze import LIMB_BLUR

@@ -17,7 +17,8 @@ from giantlike.processing.limb.altitude import lifted
 from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import Body
-from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
+from giantlike.relative.estimator import BodyEstimator
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.limb.fix import IteratedSearch, limb_view
 from giantlike.relative.limb.line_scan import LineMeasurement, measure_by_lines, measure_once
 from giantlike.relative.limb.profiles import OTHER_LAWS, LimbScanOptions

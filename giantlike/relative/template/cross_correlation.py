@@ -16,7 +16,8 @@ from giantlike.core.values import Value
 from giantlike.processing.correlate import CorrelationOptions, CorrelationPeak, locate_template
 from giantlike.ray_tracing import Template, trace_silhouette
 from giantlike.ray_tracing.silhouette import outline_points_px
-from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
+from giantlike.relative.estimator import BodyEstimator
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.place import limb_in_frame, position_of_center
 from giantlike.relative.quality import SHORT_ARC_SHARE, QualityChecks
 from giantlike.relative.response import LEAST_BEND, RESPONSE, Response, settled

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol, TypedDict, TypeVar, runtime_checkable
+from typing import Protocol, TypedDict, TypeVar, runtime_checkable
 
 import cv2
 import numpy as np
@@ -17,6 +17,7 @@ from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
 from giantlike.relative.budget import camera_response, with_error, with_larger_errors
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.place import SEEN_SIZE
 from giantlike.relative.quality import LEAST_CHANCE, LEAST_PREDICTION_CHANCE, UNLIKELY, QualityChecks
 from giantlike.relative.response import RESPONSE, Response
@@ -30,9 +31,6 @@ from giantlike.relative.verification.rival import rival_log_odds
 from giantlike.relative.verification.turn import fit_turned
 from giantlike.rings import Rings
 from giantlike.shapes import Ellipsoid
-
-if TYPE_CHECKING:
-    from giantlike.relative.estimator import EstimatorInputs
 
 AnyFix = TypeVar("AnyFix", bound=CenterFix)
 

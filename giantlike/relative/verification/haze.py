@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,15 +14,13 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import CenterFix, Failure
 from giantlike.ray_tracing import Trace
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.quality import MISFIT, UNEXPLAINED
 from giantlike.relative.template.haze import HAZE, VEIL_DEPTH, haze_laws
 from giantlike.relative.verification.cells import Cells
 from giantlike.relative.verification.coarse_fit import CoarseFit
 from giantlike.relative.verification.proportion import Looked
 from giantlike.shapes import Ellipsoid
-
-if TYPE_CHECKING:
-    from giantlike.relative.estimator import EstimatorInputs
 
 LIMB_BLUR = "limb_blur_px2"
 """Key of the provenance of fixes from limbs: the variance of their blur beyond that of the camera, px^2."""
