@@ -22,8 +22,8 @@ class _Stated:
     @property
     def texts(self) -> dict[str, str]:
         """Texts of what is known, by name."""
-        texts = {one.name: _text(getattr(self, one.name), one.metadata.get("digits")) for one in fields(self)}
-        return {name: text for name, text in texts.items() if text}
+        texts = ((one.name, _text(getattr(self, one.name), one.metadata.get("digits"))) for one in fields(self))
+        return {name: text for name, text in texts if text}
 
     def __str__(self) -> str:
         return " ".join(f"{name}={text}" for name, text in self.texts.items())
