@@ -23,7 +23,7 @@ from giantlike.core.arrays import unit
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.ray_tracing.tracer import tracer_for
 from giantlike.relative import ESTIMATORS
-from giantlike.relative.estimator import EstimatorInputs, gather
+from giantlike.relative.inputs import EstimatorInputs, gather
 from giantlike.relative.verification import verified
 from giantlike.shapes import TriangleMesh
 

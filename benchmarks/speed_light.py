@@ -14,7 +14,8 @@ from stress_truth import Case, Draw
 
 from giantlike.core.outcomes import Failure
 from giantlike.relative import ESTIMATORS
-from giantlike.relative.estimator import BodyEstimator, gather
+from giantlike.relative.estimator import BodyEstimator
+from giantlike.relative.inputs import gather
 
 ELLIPSOID = Case(name="speed", frame_px=1024, diameter_px=300.0)
 

@@ -18,7 +18,7 @@ from giantlike.core.outcomes import CenterFix, Failure, Quality, Reason
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, Recorder
-from giantlike.relative.estimator import EstimatorInputs, gather
+from giantlike.relative.inputs import EstimatorInputs, gather
 from giantlike.relative.light.averaged import averaged
 from giantlike.relative.light.moment import Moment
 from giantlike.scene import Scene, Target

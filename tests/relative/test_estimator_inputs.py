@@ -18,7 +18,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.relative import ESTIMATORS, estimator
-from giantlike.relative.estimator import EstimatorInputs, gather
+from giantlike.relative.inputs import EstimatorInputs, gather
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
 

@@ -21,8 +21,9 @@ from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, Recorder, Sampling
 from giantlike.ray_tracing import Lambert
-from giantlike.relative.estimator import Estimator, gather
+from giantlike.relative.estimator import Estimator
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA
+from giantlike.relative.inputs import gather
 from giantlike.relative.light.moment import Moment
 from giantlike.relative.light.unresolved import Unresolved, rays_across
 from giantlike.relative.limb.limb_matching import LimbMatching

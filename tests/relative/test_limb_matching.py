@@ -27,8 +27,8 @@ from giantlike.io.image_files import read_image_file
 from giantlike.processing.limb.measurement import limb_design
 from giantlike.ray_tracing import Body, Lambert, McEwen, Reflectance, trace_silhouette
 from giantlike.relative import ESTIMATORS, Estimator
-from giantlike.relative.estimator import gather
 from giantlike.relative.horizon.geometry import Figure, horizon_residuals
+from giantlike.relative.inputs import gather
 from giantlike.relative.limb.fix import limb_view
 from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
 from giantlike.relative.limb.line_scan import LineScan, Outline, lay_lines

@@ -22,7 +22,7 @@ from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.processing.detection.windowed import windowed_centroid
 from giantlike.ray_tracing import Body, LommelSeeliger, McEwen, Reflectance, RenderOptions, Template, render
-from giantlike.relative.estimator import gather
+from giantlike.relative.inputs import gather
 from giantlike.relative.light.phase_correction import kaasalainen_tanga
 from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
 from giantlike.relative.template.cross_correlation import CrossCorrelation

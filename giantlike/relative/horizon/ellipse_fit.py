@@ -24,10 +24,11 @@ from giantlike.processing.limb.measurement import LimbMeasurement, SmoothError, 
 from giantlike.processing.limb.segmentation import Background, background_of
 from giantlike.processing.limb.view import LimbView
 from giantlike.processing.limb.zernike import zernike_edges
-from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
+from giantlike.relative.estimator import BodyEstimator
 from giantlike.relative.horizon.clipped_disk import measure_clipped
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidStandIn
 from giantlike.relative.horizon.geometry import Altitude, Figure, christian_robinson, fit_horizon, horizon_residuals
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.light.phase_correction import sunlight_px
 from giantlike.relative.limb.fix import IteratedSearch, LimbSearch, LimbSolution, ScanOptions, limb_fix, limb_view
 from giantlike.relative.limb.terrain import with_terrain

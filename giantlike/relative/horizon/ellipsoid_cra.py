@@ -14,10 +14,11 @@ from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.core.values import Value
 from giantlike.processing.limb.measurement import LimbMeasurement, SmoothError
 from giantlike.ray_tracing import Body
-from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
+from giantlike.relative.estimator import BodyEstimator
 from giantlike.relative.horizon.cell_scan import measure_by_cells
 from giantlike.relative.horizon.geometry import CraMethod, Figure, christian_robinson, fit_horizon
 from giantlike.relative.horizon.options import HorizonScan, HorizonSearch
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.limb.fix import LimbSolution, limb_view
 from giantlike.relative.limb.line_scan import measure_by_lines
 from giantlike.relative.limb.profiles import LimbScanOptions

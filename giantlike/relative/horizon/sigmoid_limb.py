@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from giantlike.core.outcomes import Failure, PositionFix, Reason
-from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
+from giantlike.relative.estimator import BodyEstimator
 from giantlike.relative.horizon.cell_scan import measure_by_cells
 from giantlike.relative.horizon.geometry import Figure, fit_horizon
 from giantlike.relative.horizon.options import HorizonScan, HorizonSearch
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.limb.fix import limb_view
 from giantlike.relative.limb.strain import fix_of_strained
 from giantlike.relative.limb.terrain import CELL_SLOPE_ERROR, with_terrain

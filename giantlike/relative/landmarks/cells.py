@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from giantlike.core.blocks import block_sums, whole_blocks
-from giantlike.relative.estimator import EstimatorInputs
+from giantlike.relative.inputs import EstimatorInputs
 
 
 def in_cells(inputs: EstimatorInputs, size_px: int) -> EstimatorInputs:

@@ -17,7 +17,8 @@ from giantlike.core.units import RAD_PER_DEG
 from giantlike.core.values import Value
 from giantlike.processing.geometry.pnp import PnpFix, PnpOptions, solve_pnp
 from giantlike.ray_tracing import Body
-from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
+from giantlike.relative.estimator import BodyEstimator
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.landmarks.cells import in_cells
 from giantlike.relative.landmarks.matching import LandmarkMatch, common_shift, correlation_surface, fit_patch, peak_near
 from giantlike.relative.landmarks.rendering import LandmarkRenderer, Patch, TracedGround, rays_for

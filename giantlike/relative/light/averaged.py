@@ -10,7 +10,7 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.blocks import block_sums, whole_blocks
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, GaussianPsf
 from giantlike.core.outcomes import CenterFix
-from giantlike.relative.estimator import EstimatorInputs
+from giantlike.relative.inputs import EstimatorInputs
 
 _LEAST_GOOD = 0.5
 """Share of the pixels of a block that are not bad, of which its mean is taken; with fewer it is bad."""

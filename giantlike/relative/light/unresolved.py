@@ -18,7 +18,8 @@ from giantlike.processing.detection.detections import DetectionFlag
 from giantlike.processing.detection.windowed import WindowedCentroid, windowed_centroid
 from giantlike.processing.limb.segmentation import background_of
 from giantlike.ray_tracing import Template
-from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
+from giantlike.relative.estimator import BodyEstimator
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
 from giantlike.relative.quality import QualityChecks
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template

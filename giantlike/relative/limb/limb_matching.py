@@ -11,13 +11,15 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, require_number, unit
 from giantlike.core.causes import Cause
+from giantlike.core.findings import Corrections
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import BodyTurn, Failure, PositionFix, Reason
 from giantlike.processing.limb.altitude import lifted
 from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import Body
-from giantlike.relative.estimator import BodyEstimator, EstimatorInputs
+from giantlike.relative.estimator import BodyEstimator
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.limb.fix import IteratedSearch, limb_view
 from giantlike.relative.limb.line_scan import LineMeasurement, measure_by_lines, measure_once
 from giantlike.relative.limb.profiles import OTHER_LAWS, LimbScanOptions
@@ -122,7 +124,7 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
             measured = replace(measured, common_px={**measured.common_px, **lift})
         solution = solve_limb(measured, view.radius_px, min_length_px=self.options.scan.spacing_px)
         if altitude_km:
-            solution = replace(solution, provenance={"limb_altitude_km": f"{altitude_km:.6g}"})
+            solution = replace(solution, corrections=Corrections(limb_altitude_km=altitude_km))
         if not (inputs.place_alone or measured.terrain or sigma_km):  # relief and haze are no part of the outline
             solution = replace(solution, turn=self._turn(lines, view, body, inputs))
         return fix_of_strained(inputs, measured, solution, self.options)

@@ -13,7 +13,7 @@ from giantlike.core.outcomes import Failure, PositionFix
 from giantlike.core.values import Value
 from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.processing.outline_errors import averages, outline_errors
-from giantlike.relative.estimator import EstimatorInputs
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, limb_fix
 from giantlike.relative.quality import UNLIKELY
 

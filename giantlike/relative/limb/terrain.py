@@ -13,7 +13,7 @@ from giantlike.core.frames import rotate, turn_between
 from giantlike.processing.correlated_fit import robust_solution
 from giantlike.processing.limb.measurement import LimbMeasurement, SmoothError, TerrainShift
 from giantlike.processing.outline_errors import averages
-from giantlike.relative.estimator import EstimatorInputs
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.shapes import Ellipsoid
 from giantlike.terrain import limb_profile
 

@@ -12,7 +12,7 @@ from giantlike.core.blocks import block_sums, whole_blocks
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
 from giantlike.ray_tracing import FocalPlane
-from giantlike.relative.estimator import EstimatorInputs
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.template.fit import TemplateFit
 
 _DIAMETER_PX = 62.5

@@ -17,8 +17,6 @@ from giantlike.image_model.columns import Block, Prior, Solution
 from giantlike.ray_tracing import LommelSeeliger, Reflectance
 from giantlike.ray_tracing.reflectance.law import SurfaceLaw
 
-HAZE = "altitude_sigma_km"
-"""Key of the provenance of fixes whose covariance has an altitude of the limb: its standard deviation, km."""
 VEIL_DEPTH = 0.05
 """Vertical optical depth of the haze that is looked for; others are shares of it."""
 _LEAST_COSINE = 0.03

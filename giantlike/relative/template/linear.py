@@ -11,11 +11,11 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.causes import Cause
+from giantlike.core.findings import Response
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.image_model.columns import Columns, Layout, Prior
 from giantlike.image_model.field import MarkingModes
-from giantlike.relative.response import Response
 from giantlike.relative.template.covariance import Measured, RobustFit, VarianceModel, robust_fit
 from giantlike.relative.template.state import TemplateImages, TemplateState
 

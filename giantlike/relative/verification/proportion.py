@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
+from giantlike.core.findings import Response
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.relative.budget import with_error
+from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.quality import MISFIT
-from giantlike.relative.response import LEAST_BEND, Response, settled
+from giantlike.relative.response import LEAST_BEND, settled
 from giantlike.relative.verification.coarse_fit import CoarseFit
-
-if TYPE_CHECKING:
-    from giantlike.relative.estimator import EstimatorInputs
 
 _BENT_SIGMAS = 4.0
 """Bend that a coarse render asks for, over its standard deviation, from which on it is tried where residuals are no

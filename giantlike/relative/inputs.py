@@ -1,0 +1,418 @@
+"""Inputs of the estimators of a body, gathered from image, camera and scene."""
+
+from __future__ import annotations
+
+import math
+import threading
+import weakref
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.camera import Camera
+from giantlike.core.arrays import Float, Mask
+from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, Detector, GaussianPsf
+from giantlike.core.findings import Corrections, Response
+from giantlike.core.outcomes import Failure, Quality, Reason
+from giantlike.core.pixel_box import BoxPixels
+from giantlike.core.values import Value
+from giantlike.core.version import VERSION
+from giantlike.image import AttitudeSource, Image
+from giantlike.processing.detection.dead_lines import dead_lines
+from giantlike.processing.detection.frame_lines import FrameLines
+from giantlike.processing.detection.hot_lines import hot_lines
+from giantlike.ray_tracing import FocalPlane
+from giantlike.relative.place import apparent_radius_px
+from giantlike.scene import Scene, TargetGeometry
+
+_PLATEAU_PIXELS = 20
+"""Pixels of exactly the largest value from which on they may be a plateau: hot pixels are fewer, a saturated star has
+more."""
+_PLATEAU_SIGMAS, _PLATEAU_STEPS = 3.0, 3.0
+"""Width of the band below the largest value, in standard deviations of the noise and at least in DN: without clipping
+the noise spreads the pixels of the brightest ground over it."""
+
+_SPARSE = 16
+"""Step along rows and columns between the pixels that are looked at first."""
+
+_ATTITUDE_FLAGS = MappingProxyType(
+    {
+        AttitudeSource.NONE: Quality.NONE,
+        AttitudeSource.A_PRIORI: Quality.APRIORI_ATTITUDE,
+        AttitudeSource.STARS: Quality.NONE,
+        AttitudeSource.INTERPOLATED: Quality.INTERPOLATED_ATTITUDE,
+    }
+)
+
+
+class FixIdentity(TypedDict):
+    """Fields of a fix that follow from the inputs: keywords of :class:`~giantlike.core.outcomes.CenterFix`."""
+
+    estimator: str
+    target: str
+    predicted_px: Float
+    provenance: Mapping[str, str]
+    corrections: Corrections
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EstimatorInputs(Value):
+    """Inputs of an estimator, gathered from image, camera and scene.
+
+    Parameters
+    ----------
+    estimator : str
+        Name of the estimator.
+    image : Image
+    scene : Scene
+    geometry : TargetGeometry
+        A priori geometry of the target.
+    camera : Camera
+    predicted_px : (2,) float64, px
+        Center of the body by the a priori geometry; may lie outside the frame.
+    pixels_dn : (rows, columns) float64, DN
+        Bias subtracted.
+    usable : (rows, columns) bool
+        Neither bad nor saturated.
+    saturated : (rows, columns) bool
+        At or above the saturation level of the detector, the largest value that the pixel type holds, or the value at
+        which the image itself shows that it was clipped.
+    masked : (rows, columns) bool
+        Bad pixels of the image, and lines without signal, or with charge that is no light, that it shows.
+    flags : Quality
+        What is known before the measurement: the source of the attitude, and what the sky of its stars lacked.
+    provenance : mapping of str to str
+    corrections : Corrections
+        What the image is known to show beside the body.
+    place_alone : bool
+        True where only the place of the body is asked for, to see how it follows an error of what was declared; the
+        corrections are then those of the fix, which need not be found again.
+    """
+
+    estimator: str
+    image: Image
+    scene: Scene
+    geometry: TargetGeometry
+    camera: Camera
+    predicted_px: Float
+    pixels_dn: Float
+    usable: Mask
+    saturated: Mask
+    masked: Mask
+    flags: Quality
+    provenance: Mapping[str, str]
+    corrections: Corrections = field(default_factory=Corrections)
+    place_alone: bool = False
+
+    @property
+    def target_name(self) -> str:
+        """Name of the target."""
+        return self.geometry.target.name
+
+    @property
+    def identity(self) -> FixIdentity:
+        """Estimator, target, prediction, provenance and corrections, for the fix."""
+        return FixIdentity(
+            estimator=self.estimator,
+            target=self.target_name,
+            predicted_px=self.predicted_px,
+            provenance=self.provenance,
+            corrections=self.corrections,
+        )
+
+    @property
+    def psf_sigma_px(self) -> float | None:
+        """Standard deviation of the point spread function, px; None when the camera does not know it."""
+        return None if self.camera.psf is None else self.camera.psf.sigma_px
+
+    @property
+    def pixels(self) -> BoxPixels:
+        """The pixels of the image and their noise."""
+        noise = self.camera.detector.variance_dn2
+        censored = self.saturated if self.saturated.any() else None
+        return BoxPixels(values_dn=self.pixels_dn, usable=self.usable, censored=censored, noise_variance_dn2=noise)
+
+    @property
+    def radius_px(self) -> float:
+        """Apparent mean radius of the body, px: that of the sphere of its volume at the predicted center."""
+        return apparent_radius_px(
+            self.camera, self.predicted_px, self.geometry.target.shape.mean_radius_km, self.geometry.range_km
+        )
+
+    @property
+    def reach_px(self) -> float:
+        """Apparent radius of the sphere around the body, px: all of it is seen within that of its center."""
+        return apparent_radius_px(
+            self.camera, self.predicted_px, self.geometry.target.shape.circumscribing_radius_km, self.geometry.range_km
+        )
+
+    @property
+    def turn_rad(self) -> float:
+        """Standard deviation of the orientation of the body in the image as it was declared, about any axis, rad."""
+        known, attitude = self.geometry.target.uncertainty, self.image.attitude_covariance_rad2
+        roll = 0.0 if attitude is None else float(attitude[2, 2])
+        return math.sqrt(known.pole_rad**2 + known.spin_rad**2 + roll)
+
+    def focal_plane(self, psf_sigma_px: float | None = None) -> FocalPlane:
+        """Return the camera as renders take it.
+
+        Parameters
+        ----------
+        psf_sigma_px : float, px, optional
+            Standard deviation of the point spread function; None takes that of the camera, or
+            :data:`~giantlike.core.detector.UNKNOWN_PSF_SIGMA_PX` where the camera does not know it.
+
+        Returns
+        -------
+        FocalPlane
+        """
+        known = self.psf_sigma_px if psf_sigma_px is None else psf_sigma_px
+        psf = GaussianPsf(sigma_px=UNKNOWN_PSF_SIGMA_PX if known is None else known)
+        return FocalPlane(model=self.camera.model, columns=self.camera.columns, rows=self.camera.rows, psf=psf)
+
+    def linearized(self, response: Response) -> EstimatorInputs:
+        """Return the inputs with values in proportion to light.
+
+        Parameters
+        ----------
+        response : Response
+
+        Returns
+        -------
+        EstimatorInputs
+            With the response among their corrections.
+        """
+        corrections = self.corrections | Corrections(response=response)
+        return replace(self, pixels_dn=response.light_dn(self.pixels_dn), corrections=corrections)
+
+    def straight_image(self, response: Response) -> Image:
+        """Return the image with values in proportion to light, and a detector that saturates where it did.
+
+        Parameters
+        ----------
+        response : Response
+
+        Returns
+        -------
+        Image
+        """
+        detector, light_dn = self.camera.detector, response.light_dn(self.pixels_dn)
+        if self.saturated.any():
+            detector = replace(detector, saturation_dn=detector.bias_dn + float(light_dn[self.saturated].min()))
+        return replace(self.image, pixels=light_dn + detector.bias_dn, detector=detector)
+
+    def fail(self, reason: Reason, detail: str) -> Failure:
+        """Return a failure whose text starts with the image, the target and the estimator.
+
+        Parameters
+        ----------
+        reason : Reason
+        detail : str
+
+        Returns
+        -------
+        Failure
+        """
+        return Failure(reason, f"{self.image.name}: {self.target_name}: {self.estimator}: {detail}")
+
+    def flags_at(self, area: Mask, corner_px: tuple[int, int] = (0, 0)) -> Quality:
+        """Return the flags of the inputs for a measurement on some pixels.
+
+        Parameters
+        ----------
+        area : (h, w) bool
+            Pixels that were measured, in a part of the image.
+        corner_px : (int, int), px
+            Column and row of its first element.
+
+        Returns
+        -------
+        Quality
+            The source of the attitude, and whether saturated or bad pixels lie in the area.
+        """
+        flags, (x, y) = self.flags, corner_px
+        part = slice(y, y + area.shape[0]), slice(x, x + area.shape[1])
+        if bool((self.saturated[part] & area).any()):
+            flags |= Quality.SATURATED
+        if bool((self.masked[part] & area).any()):
+            flags |= Quality.MASKED
+        return flags
+
+
+def gather(
+    image: Image, camera: Camera, scene: Scene, target: str | None, *, estimator: str, options: object
+) -> EstimatorInputs | Failure:
+    """Collect and check the inputs of an estimator.
+
+    Parameters
+    ----------
+    image : Image
+    camera : Camera
+    scene : Scene
+    target : str or None
+        None where the scene has one target.
+    estimator : str
+        Name of the estimator that asks.
+    options : object
+        Its options; their text goes into the provenance.
+
+    Returns
+    -------
+    EstimatorInputs or Failure
+        Failure when the image has no attitude, epoch or signal, is saturated all over, or when the body is behind the
+        camera or around it.
+
+    Raises
+    ------
+    InputError
+        The image has another size than the camera, or there is no such target.
+    DataError
+        SPICE kernels do not cover the epoch.
+    """
+    camera.require_image(image)
+    geometry = scene.geometry(image, target)
+    if isinstance(geometry, Failure):
+        return geometry
+    readout = _readout(image, image.detector or camera.detector)
+    camera = replace(camera, detector=readout.detector)
+    predicted_px = camera.model.project(geometry.position_camera_km)
+    inputs = EstimatorInputs(
+        estimator=estimator,
+        image=image,
+        scene=scene,
+        geometry=geometry,
+        camera=camera,
+        predicted_px=predicted_px,
+        pixels_dn=readout.pixels_dn,
+        usable=readout.usable,
+        saturated=readout.saturated,
+        masked=readout.masked,
+        flags=_ATTITUDE_FLAGS[image.attitude_source] | image.attitude_errors.flags,
+        provenance=_provenance(image, camera, geometry, options),
+    )
+    problem = _problem(inputs)
+    return inputs if problem is None else inputs.fail(*problem)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Readout(Value):
+    """The pixels of an image as :class:`EstimatorInputs` has them, and the detector with all of its noise known."""
+
+    detector: Detector
+    pixels_dn: Float
+    usable: Mask
+    saturated: Mask
+    masked: Mask
+
+    @classmethod
+    def of(cls, image: Image, detector: Detector) -> _Readout:
+        """Readout of an image with the detector that its camera states."""
+        detector = detector.of_image(image.pixels, image.mask)
+        frame = FrameLines.of(image.pixels, detector.bias_dn)
+        limit_dn = min(detector.saturation_dn, _type_limit(image.pixels), _plateau_dn(image, frame, detector))
+        saturated = image.pixels >= limit_dn
+        masked = _bad_pixels(image, frame, detector)
+        usable = masked | saturated
+        return cls(
+            detector=detector,
+            pixels_dn=frame.light_dn,
+            usable=np.logical_not(usable, out=usable),
+            saturated=saturated & ~masked if masked.any() else saturated,
+            masked=masked,
+        )
+
+
+_LATEST: list[tuple[weakref.ref[Image], Detector, _Readout]] = []
+"""The last image, as long as it is there: one estimator after the other takes the same."""
+_LATEST_LOCK = threading.Lock()
+
+
+def _readout(image: Image, detector: Detector) -> _Readout:
+    """Readout of an image, made once where several estimators run on it."""
+    with _LATEST_LOCK:
+        for known, stated, readout in _LATEST:
+            if known() is image and stated == detector:
+                return readout
+        readout = _Readout.of(image, detector)
+        _LATEST[:] = [(weakref.ref(image, lambda _: _LATEST.clear()), detector, readout)]
+        return readout
+
+
+def _bad_pixels(image: Image, frame: FrameLines, detector: Detector) -> Mask:
+    """The mask of an image, with the dead and the hot rows and columns that it shows."""
+    noise_dn = math.sqrt(float(detector.variance_dn2(np.zeros(1))[0]))
+    dead, hot = dead_lines(frame, noise_dn=noise_dn), hot_lines(frame, noise_dn=noise_dn)
+    mask = image.mask if dead is None else image.mask | dead
+    return mask if hot is None else mask | hot
+
+
+def _problem(inputs: EstimatorInputs) -> tuple[Reason, str] | None:
+    """Reason and text where no estimator can use the inputs; None where they are good."""
+    geometry = inputs.geometry
+    if not inputs.usable.any():
+        if inputs.saturated.any():
+            return Reason.SATURATED, "every good pixel of the image is saturated; use a shorter exposure"
+        return Reason.MASKED, "every pixel of the image is masked: no bad pixel is used; check the mask and the file"
+    level = None if inputs.saturated.any() else _level_dn(inputs.pixels_dn, inputs.usable)
+    if level is not None:
+        return Reason.NO_SIGNAL, f"every good pixel of the image holds {level + inputs.camera.detector.bias_dn:g}"
+    if geometry.range_km <= geometry.target.shape.circumscribing_radius_km:
+        return Reason.DEGENERATE_GEOMETRY, f"at a range of {geometry.range_km:g} km the camera is inside the body"
+    if not np.isfinite(inputs.predicted_px).all():
+        return Reason.OUT_OF_FRAME, "the predicted center lies behind the camera or outside the field of its model"
+    return None
+
+
+def _level_dn(pixels_dn: Float, usable: Mask) -> float | None:
+    """Value of all usable pixels of an image, of which there is one at least; None where they differ."""
+    for step in (_SPARSE, 1):  # pixels far apart differ nearly always
+        values = pixels_dn[::step, ::step][usable[::step, ::step]]
+        if values.size and float(values.min()) != float(values.max()):
+            return None
+    return float(values[0])
+
+
+def _type_limit(pixels: NDArray[Any]) -> float:
+    """Largest value that integer pixels can hold: what reaches it was clipped."""
+    return float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "iu" else math.inf
+
+
+def _plateau_dn(image: Image, frame: FrameLines, detector: Detector) -> float:
+    """Value, DN, at which an image was clipped without its camera saying so; infinite where none shows.
+
+    A clipped image piles up at its largest value what lay above. Noise keeps an image that is not clipped from holding
+    more pixels of exactly that value than within the band of noise below it.
+    """
+    if image.mask.any():
+        values = among = image.pixels[~image.mask]
+    else:
+        values, among = image.pixels, image.pixels[frame.largest_dn == frame.largest_dn.max()]
+    if values.size == 0:
+        return math.inf
+    largest = among.max()
+    at_top = int(np.count_nonzero(among == largest))
+    if at_top < _PLATEAU_PIXELS or at_top == values.size:
+        return math.inf
+    top = float(largest)
+    sigma = math.sqrt(float(detector.variance_dn2(np.array([top - detector.bias_dn]))[0]))
+    below = values > top - max(_PLATEAU_SIGMAS * sigma, _PLATEAU_STEPS)
+    return top if 2 * at_top > int(np.count_nonzero(below)) else math.inf
+
+
+def _provenance(image: Image, camera: Camera, geometry: TargetGeometry, options: object) -> Mapping[str, str]:
+    shape = geometry.target.shape
+    return {
+        "giantlike": VERSION,
+        "image": image.name,
+        "image_sha256": image.sha256,
+        "camera": camera.name,
+        "shape": shape.name,
+        "shape_sha256": shape.sha256,
+        "reflectance": repr(geometry.target.reflectance),
+        "attitude_source": str(image.attitude_source),
+        "options": repr(options),
+    }
