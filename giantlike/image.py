@@ -20,6 +20,7 @@ from giantlike.core.errors import InputError
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation
 from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import AttitudeErrors, AttitudeFix
+from giantlike.core.pixel_noise import EightBitValues
 from giantlike.core.time import et_from_time, utc_text
 from giantlike.core.values import Value
 from giantlike.io.image_files import read_image_file
@@ -77,6 +78,8 @@ class Image(Pictured, Value):
         Name of the camera that took the image and whose axes the attitude refers to; empty when unknown.
     detector : Detector, optional
         Noise and limits of these pixels where they are not those of the camera, as after :meth:`calibrated`.
+    eight_bit : EightBitValues, optional
+        Of the values of an 8-bit JPEG or PNG file as stored, which may be coded for display.
 
     Raises
     ------
@@ -99,6 +102,7 @@ class Image(Pictured, Value):
     sha256: str = ""
     camera_name: str = ""
     detector: Detector | None = None
+    eight_bit: EightBitValues | None = None
 
     def __post_init__(self) -> None:
         pixels = as_image(self.pixels, f"{self.name}: pixels")
@@ -158,6 +162,7 @@ class Image(Pictured, Value):
             name=Path(path).name,
             path=Path(path),
             sha256=file.sha256,
+            eight_bit=file.eight_bit,
         )
 
     @property
@@ -174,6 +179,11 @@ class Image(Pictured, Value):
     def et(self) -> float | None:
         """Mid-exposure in TDB seconds past J2000; None where the epoch is not known."""
         return None if self.epoch is None else et_from_time(self.epoch)
+
+    @property
+    def step_dn(self) -> float | None:
+        """Step of the values by the format of the file, DN; None where the values themselves have to show it."""
+        return None if self.eight_bit is None else self.eight_bit.step_dn
 
     def calibrated(self, frames: CalibrationFrames, detector: Detector) -> Image:
         """Return the image without bias, dark current and differences of response.
@@ -200,7 +210,7 @@ class Image(Pictured, Value):
             done = frames.apply(self.pixels, detector, exposure_s=self.exposure_s, mask=self.mask)
         except InputError as error:
             raise InputError(f"{self.name}: {error}") from error
-        return dataclasses.replace(self, pixels=done.pixels, mask=done.mask, detector=done.detector)
+        return dataclasses.replace(self, pixels=done.pixels, mask=done.mask, detector=done.detector, eight_bit=None)
 
     def with_attitude(
         self,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.core.errors import InputError
-from giantlike.core.pixel_noise import sky_noise, value_step
+from giantlike.core.pixel_noise import UNKNOWN_READ_NOISE_E, EstimatedNoise, estimate_noise, value_step
 from giantlike.core.tables import checked_table
 
 UNKNOWN_PSF_SIGMA_PX = 0.7
@@ -24,12 +24,10 @@ Chosen by trial on ellipsoids 160 px wide, blurred by 0.4, 0.7 and 1.2 px. Half 
 """
 
 _NOISE = ("gain_e_per_dn", "read_noise_e")
-_OF_IMAGES = ("estimated", "frame_noise_dn", "relative_noise")
+_OF_IMAGES = ("estimated", "frame_noise_dn", "relative_noise", "noise_of_image")
 """Fields that are no keys of a camera file: they follow from images and their calibration frames."""
 _SPARSE = 101
 """Pixels from one that is looked at first to the next."""
-_SILENT = 1e-3
-"""Noise of floating point numbers whose dark has none, over their range: that of a well exposed image."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,13 +65,17 @@ class Detector:
         Step of the converter; its square over 12 is the noise of quantization. By default that of the pixels of each
         image (:meth:`of_image`), and 1 without an image.
     estimated : bool
-        True where gain and read noise are not known and follow from each image (:meth:`of_image`); what they hold then
-        serves simulations only. The detector of a camera that states none, or neither of the two.
+        True where gain and read noise are not declared and follow from each image (:meth:`of_image`); the values of
+        the two fields then serve simulations only. The detector of a camera file that declares neither of the two;
+        where one of them is declared, the other is the default.
     frame_noise_dn : float, DN
         Standard deviation that calibration frames (bias, dark) and the shot noise of the dark current leave in
         calibrated pixels.
     relative_noise : float
         Standard deviation of the response of a pixel that a flat leaves, relative to the signal.
+    noise_of_image : EstimatedNoise, optional
+        Noise that :meth:`of_image` took from an image, as none was declared; None where gain and read noise are
+        declared.
 
     Raises
     ------
@@ -82,13 +84,14 @@ class Detector:
     """
 
     gain_e_per_dn: float = 1.0
-    read_noise_e: float = 5.0
+    read_noise_e: float = UNKNOWN_READ_NOISE_E
     saturation_dn: float = math.inf
     bias_dn: float = 0.0
     step_dn: float | None = None
     estimated: bool = False
     frame_noise_dn: float = 0.0
     relative_noise: float = 0.0
+    noise_of_image: EstimatedNoise | None = None
 
     def __post_init__(self) -> None:
         require_number(self.gain_e_per_dn, "gain_e_per_dn", above=0.0)
@@ -122,7 +125,7 @@ class Detector:
         for key, value in checked.items():
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise InputError(f"[detector]: {key} must be a number, got {value!r}")
-        numbers = {key: float(value) for key, value in checked.items()}
+        numbers: dict[str, Any] = {key: float(value) for key, value in checked.items()}
         return cls(**numbers, estimated=not any(key in numbers for key in _NOISE))
 
     def to_mapping(self) -> dict[str, float]:
@@ -136,7 +139,7 @@ class Detector:
         values = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in left_out}
         return {key: float(value) for key, value in values.items() if value is not None and math.isfinite(value)}
 
-    def of_image(self, pixels: NDArray[Any], mask: Mask | None = None) -> Detector:
+    def of_image(self, pixels: NDArray[Any], mask: Mask | None = None, *, step_dn: float | None = None) -> Detector:
         """Return the detector in the unit of the pixels of an image, with all of its noise known.
 
         Parameters
@@ -145,40 +148,40 @@ class Detector:
             Finite, as stored.
         mask : (rows, columns) bool, optional
             True where a pixel is bad.
+        step_dn : float, DN, optional
+            Step of the numbers where the format of the file gives it; by default the step that the pixels show.
 
         Returns
         -------
         Detector
-            ``step_dn`` is that of the pixels: 0 for floating point numbers without a common step. Where gain and read
-            noise are ``estimated``, the noise of the sky counts as the default read noise, which gives the gain:
-            reflectances (I/F) get a noise in their own unit. Floating point numbers that all lie within the read
-            noise stated cannot be in its unit: they are treated likewise, and their bias is 0. A detector with a
-            ``step_dn`` and a known noise is that of an image already.
+            ``step_dn`` is the step of the pixels: 0 for floating point numbers without a common one. Where gain and
+            read noise are ``estimated``, they are those of :func:`~giantlike.core.pixel_noise.estimate_noise`, kept in
+            ``noise_of_image``: reflectances (I/F) get a noise in their own unit. Floating point numbers that all lie
+            within the declared read noise cannot be in its unit: they are treated likewise, and their bias is 0. A
+            detector with a ``step_dn`` and a known noise belongs to an image already.
         """
         if self.step_dn is not None and not self.estimated:
             return self
-        step = value_step(pixels, mask) if self.step_dn is None else self.step_dn
-        good = pixels if mask is None or not mask.any() else pixels[~mask]
-        reach, foreign = math.inf, False
-        if self.estimated or pixels.dtype.kind == "f":
+        step = self.step_dn
+        if step is None:
+            step = value_step(pixels, mask) if step_dn is None else step_dn
+        bias_dn = self.bias_dn
+        if not self.estimated:
             stated_dn = self.read_noise_e / self.gain_e_per_dn
-            reach = _reach(good, enough=math.inf if self.estimated else stated_dn)
-            foreign = 0.0 < reach < stated_dn
-        if not (self.estimated or foreign):
-            return replace(self, step_dn=step)
-        bias_dn = self.bias_dn if self.estimated else 0.0
-        read_noise_e, sigma_dn = type(self)().read_noise_e, sky_noise(pixels, mask)
-        if sigma_dn > 0.0:
-            read_dn = math.sqrt(max(sigma_dn**2 - step**2 / 12.0, step**2 / 12.0))
-        else:
-            read_dn = read_noise_e * step if step > 0.0 else _SILENT * reach
+            good = pixels if mask is None or not mask.any() else pixels[~mask]
+            reach = _reach(good, enough=stated_dn) if pixels.dtype.kind == "f" else math.inf
+            if not 0.0 < reach < stated_dn:
+                return replace(self, step_dn=step)
+            bias_dn = 0.0
+        noise = estimate_noise(pixels, mask, step_dn=step)
         return replace(
             self,
-            gain_e_per_dn=read_noise_e / read_dn if read_dn > 0.0 else 1.0,
-            read_noise_e=read_noise_e,
+            gain_e_per_dn=noise.gain_e_per_dn,
+            read_noise_e=noise.read_noise_dn * noise.gain_e_per_dn,
             bias_dn=bias_dn,
             step_dn=step,
             estimated=False,
+            noise_of_image=noise,
         )
 
     def variance_dn2(self, signal_dn: Float) -> Float:

@@ -29,6 +29,8 @@ from giantlike.relative.place import apparent_radius_px
 from giantlike.relative.response import RESPONSE, Response
 from giantlike.scene import Scene, TargetGeometry
 
+ESTIMATED_NOISE = "estimated_noise"
+"""Key of the provenance of fixes made without a declared detector: the noise that was taken from the image."""
 _PLATEAU_PIXELS = 20
 """Pixels of exactly the largest value from which on they may be a plateau: hot pixels are fewer, a saturated star has
 more."""
@@ -305,8 +307,8 @@ class _Readout(Value):
 
     @classmethod
     def of(cls, image: Image, detector: Detector) -> _Readout:
-        """Readout of an image with the detector that its camera states."""
-        detector = detector.of_image(image.pixels, image.mask)
+        """Readout of an image with the declared detector of its camera, or with the noise that the image shows."""
+        detector = detector.of_image(image.pixels, image.mask, step_dn=image.step_dn)
         frame = FrameLines.of(image.pixels, detector.bias_dn)
         limit_dn = min(detector.saturation_dn, _type_limit(image.pixels), _plateau_dn(image, frame, detector))
         saturated = image.pixels >= limit_dn
@@ -399,8 +401,11 @@ def _plateau_dn(image: Image, frame: FrameLines, detector: Detector) -> float:
 
 
 def _provenance(image: Image, camera: Camera, geometry: TargetGeometry, options: object) -> Mapping[str, str]:
+    """Versions, hashes and names of the inputs, and the noise of the image where its camera declares none."""
     shape = geometry.target.shape
-    return {
+    noise = camera.detector.noise_of_image
+    estimated = {} if noise is None else {ESTIMATED_NOISE: str(noise)}
+    return estimated | {
         "giantlike": VERSION,
         "image": image.name,
         "image_sha256": image.sha256,
