@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -18,6 +19,7 @@ from giantlike.core.detector import Detector
 from giantlike.core.display import Pictured
 from giantlike.core.errors import InputError
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation
+from giantlike.core.gamma import GammaCurve
 from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import AttitudeErrors, AttitudeFix
 from giantlike.core.pixel_noise import EightBitValues
@@ -184,6 +186,47 @@ class Image(Pictured, Value):
     def step_dn(self) -> float | None:
         """Step of the values by the format of the file, DN; None where the values themselves have to show it."""
         return None if self.eight_bit is None else self.eight_bit.step_dn
+
+    @property
+    def limit_dn(self) -> float:
+        """Largest value that the pixels can hold by their type or file, DN; infinite where none is known."""
+        if self.eight_bit is not None:
+            return self.eight_bit.full_scale_dn
+        return float(np.iinfo(self.pixels.dtype).max) if self.pixels.dtype.kind in "iu" else math.inf
+
+    def linearized(self, detector: Detector) -> Image:
+        """Return the image with values in proportion to light, where a detector declares their gamma.
+
+        Parameters
+        ----------
+        detector : Detector
+            Of the camera; that of the image, where it has one, wins.
+
+        Returns
+        -------
+        Image
+            Itself without a gamma. Else its ``detector`` has the noise of the values times the squared slope of the
+            curve; 0 above bias and the full scale (255 of 8-bit files, else the declared saturation or the end of an
+            integer type) are as before.
+
+        Raises
+        ------
+        InputError
+            There is a gamma, but the values have no known full scale.
+        """
+        own = self.detector or detector
+        if own.gamma is None:
+            return self
+        full_dn = self.limit_dn if self.eight_bit is not None else min(self.limit_dn, own.saturation_dn)
+        require(
+            math.isfinite(full_dn),
+            f"{self.name}: a gamma of floating point values needs saturation_dn, the value of the full scale",
+        )
+        curve = GammaCurve(gamma=own.gamma, full_scale_dn=full_dn - own.bias_dn)
+        known = own.of_image(self.pixels, self.mask, step_dn=self.step_dn)
+        known = dataclasses.replace(known, saturation_dn=min(known.saturation_dn, self.limit_dn))
+        light = known.bias_dn + curve.light_dn(self.pixels.astype(np.float64) - known.bias_dn)
+        return dataclasses.replace(self, pixels=light, detector=known.of_light(curve), eight_bit=None)
 
     def calibrated(self, frames: CalibrationFrames, detector: Detector) -> Image:
         """Return the image without bias, dark current and differences of response.

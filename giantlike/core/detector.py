@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.core.errors import InputError
+from giantlike.core.gamma import Gamma, GammaCurve, checked_gamma
 from giantlike.core.pixel_noise import UNKNOWN_READ_NOISE_E, EstimatedNoise, estimate_noise, value_step
 from giantlike.core.tables import checked_table
 
@@ -73,6 +74,11 @@ class Detector:
         calibrated pixels.
     relative_noise : float
         Standard deviation of the response of a pixel that a flat leaves, relative to the signal.
+    gamma : float or 'srgb', optional
+        Coding of the values: the exponent of the light over that of the value, such as 2.2, or ``"srgb"``. Values are
+        then linearized before they are used (:meth:`giantlike.image.Image.linearized`); gain, read noise and limits
+        are those of the values as stored. None for values that are proportional to light, or whose coding is not
+        known.
     noise_of_image : EstimatedNoise, optional
         Noise that :meth:`of_image` took from an image, as none was declared; None where gain and read noise are
         declared.
@@ -91,6 +97,7 @@ class Detector:
     estimated: bool = False
     frame_noise_dn: float = 0.0
     relative_noise: float = 0.0
+    gamma: Gamma | None = None
     noise_of_image: EstimatedNoise | None = None
 
     def __post_init__(self) -> None:
@@ -100,6 +107,7 @@ class Detector:
         require_number(self.relative_noise, "relative_noise", least=0.0)
         if self.step_dn is not None:
             require_number(self.step_dn, "step_dn", least=0.0)
+        object.__setattr__(self, "gamma", checked_gamma(self.gamma))
         require(self.saturation_dn > 0, f"saturation_dn must be > 0, got {self.saturation_dn}")
 
     @classmethod
@@ -122,22 +130,26 @@ class Detector:
         """
         keys = [entry.name for entry in fields(cls) if entry.name not in _OF_IMAGES]
         checked = checked_table(table, "[detector]", keys, [])
+        gamma = checked.get("gamma")
+        checked = {key: value for key, value in checked.items() if key != "gamma"}
         for key, value in checked.items():
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise InputError(f"[detector]: {key} must be a number, got {value!r}")
         numbers: dict[str, Any] = {key: float(value) for key, value in checked.items()}
-        return cls(**numbers, estimated=not any(key in numbers for key in _NOISE))
+        return cls(**numbers, gamma=checked_gamma(gamma), estimated=not any(key in numbers for key in _NOISE))
 
-    def to_mapping(self) -> dict[str, float]:
+    def to_mapping(self) -> dict[str, float | str]:
         """Return the ``[detector]`` table of a camera file; what is estimated or infinite is left out.
 
         Returns
         -------
-        dict of str to float
+        dict of str to float or str
         """
         left_out = (*_OF_IMAGES, *_NOISE) if self.estimated else _OF_IMAGES
         values = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in left_out}
-        return {key: float(value) for key, value in values.items() if value is not None and math.isfinite(value)}
+        texts = {key: value for key, value in values.items() if isinstance(value, str)}
+        numbers = {key: value for key, value in values.items() if value is not None and key not in texts}
+        return {key: float(value) for key, value in numbers.items() if math.isfinite(value)} | texts
 
     def of_image(self, pixels: NDArray[Any], mask: Mask | None = None, *, step_dn: float | None = None) -> Detector:
         """Return the detector in the unit of the pixels of an image, with all of its noise known.
@@ -201,6 +213,33 @@ class Detector:
         dark = (self.read_noise_e / self.gain_e_per_dn) ** 2 + step_dn**2 / 12.0 + self.frame_noise_dn**2
         variance = light / self.gain_e_per_dn + dark
         return variance + (self.relative_noise * light) ** 2 if self.relative_noise else variance
+
+    def of_light(self, curve: GammaCurve) -> Detector:
+        """Return the detector of values that were linearized, with the noise propagated to light.
+
+        Parameters
+        ----------
+        curve : GammaCurve
+            By which light follows from values above bias.
+
+        Returns
+        -------
+        Detector
+            Without a ``gamma``; its read noise, gain and relative noise are those of light
+            (:meth:`~giantlike.core.gamma.GammaCurve.noise_of_light`).
+        """
+        constant, linear, square = curve.noise_of_light(self.variance_dn2(curve.samples_dn()))
+        gain_e_per_dn = 1.0 / max(linear, constant / curve.full_scale_dn)
+        return replace(
+            self,
+            gamma=None,
+            gain_e_per_dn=gain_e_per_dn,
+            read_noise_e=math.sqrt(constant) * gain_e_per_dn,
+            saturation_dn=self.bias_dn + float(curve.light_dn(self.saturation_dn - self.bias_dn)),
+            step_dn=0.0,
+            frame_noise_dn=0.0,
+            relative_noise=math.sqrt(square),
+        )
 
     def averaged(self, factor: int) -> Detector:
         """Return the detector of means over blocks of pixels, each with its own noise.

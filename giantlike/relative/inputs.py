@@ -275,7 +275,7 @@ def gather(
     if isinstance(geometry, Failure):
         return geometry
     readout = _readout(image, image.detector or camera.detector)
-    camera = replace(camera, detector=readout.detector)
+    image, camera = readout.linear or image, replace(camera, detector=readout.detector)
     predicted_px = camera.model.project(geometry.position_camera_km)
     inputs = EstimatorInputs(
         estimator=estimator,
@@ -304,10 +304,14 @@ class _Readout(Value):
     usable: Mask
     saturated: Mask
     masked: Mask
+    linear: Image | None = None
+    """The image that these are of, where its values were linearized by a declared gamma."""
 
     @classmethod
     def of(cls, image: Image, detector: Detector) -> _Readout:
         """Readout of an image with the declared detector of its camera, or with the noise that the image shows."""
+        stored, image = image, image.linearized(detector)
+        detector = image.detector or detector
         detector = detector.of_image(image.pixels, image.mask, step_dn=image.step_dn)
         frame = FrameLines.of(image.pixels, detector.bias_dn)
         limit_dn = min(detector.saturation_dn, _type_limit(image.pixels), _plateau_dn(image, frame, detector))
@@ -320,6 +324,7 @@ class _Readout(Value):
             usable=np.logical_not(usable, out=usable),
             saturated=saturated & ~masked if masked.any() else saturated,
             masked=masked,
+            linear=None if image is stored else image,
         )
 
 
