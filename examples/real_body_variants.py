@@ -485,7 +485,7 @@ def judged(frame: Frame, name: str, outcomes: dict[str, CenterFix | Failure]) ->
         return row | {"status": "failed", "reason": str(fix.reason), "detail": fix.detail.split(": ", 3)[-1]}
     row["status"] = "suspect" if fix.flags.suspect else "ok"
     row["flags"] = list((fix.flags & Quality.SUSPECT).names())
-    row |= {key: fix.provenance[key] for key in ("chosen", "checked_by") if key in fix.provenance}
+    row |= {key: text for key, text in fix.findings.texts.items() if key in ("chosen", "checked_by")}
     error = fix.center_px - frame.center_px
     total = fix.covariance_px2 + frame.sigma_px**2 * np.eye(2)
     row |= {

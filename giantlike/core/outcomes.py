@@ -14,6 +14,7 @@ from giantlike.core.arrays import Float, require
 from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, checked_partials, checked_parts, require_sum, summed
 from giantlike.core.display import Pictured
 from giantlike.core.errors import EstimationError
+from giantlike.core.findings import Corrections, Findings
 from giantlike.core.reasons import Quality as Quality
 from giantlike.core.reasons import Reason as Reason
 from giantlike.core.values import Value
@@ -225,7 +226,7 @@ class CenterFix(Pictured, Value):
     flags : Quality
         Quality flags.
     provenance : mapping of str to str
-        Versions and hashes of everything that the fix was made from.
+        Versions and hashes of everything that the fix was made from, and the texts of ``corrections`` and ``findings``.
     parts : mapping of Cause to (k, k) float64
         The covariance by cause, of x and y in px (k = 2) and, in a :class:`PositionFix`, of the natural logarithm of
         the range (k = 3). Causes ``IN_IMAGE`` sum to ``covariance_px2``; the camera, the attitude, the ephemeris and
@@ -239,6 +240,10 @@ class CenterFix(Pictured, Value):
         axis, rad), and the uncertain parameters of the camera, stars that follow them included.
     residuals_at_px : (n, 2) float64, px
         Place in the image of each of the ``residuals``; empty where the estimator does not say.
+    corrections : Corrections
+        What else the image shows that the fix takes into account.
+    findings : Findings
+        What its checks came to.
 
     Raises
     ------
@@ -261,8 +266,12 @@ class CenterFix(Pictured, Value):
     parts: Mapping[Cause, Float] = field(default_factory=dict)
     partials: Mapping[Cause, Float] = field(default_factory=dict)
     residuals_at_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    corrections: Corrections = field(default_factory=Corrections)
+    findings: Findings = field(default_factory=Findings)
 
     def __post_init__(self) -> None:
+        texts = self.corrections.texts | self.findings.texts
+        object.__setattr__(self, "provenance", {**self.provenance, **texts})
         require(
             len(self.residuals_at_px) in (0, len(self.residuals)),
             f"residuals_at_px: {len(self.residuals_at_px)} places for {len(self.residuals)} residuals",

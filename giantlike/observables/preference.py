@@ -57,7 +57,7 @@ def preferred(fixes: Sequence[CenterFix]) -> Preference:
         return Preference(None, "no fix" if not fixes else "all fixes are suspect")
     for index in good:
         if fixes[index].estimator == _CHECKED:
-            checked = fixes[index].provenance.get("checked_by")
+            checked = fixes[index].findings.checked_by
             return Preference(index, f"auto, checked by {checked}" if checked else "auto, which nothing else confirms")
     if len(good) == 1:
         return Preference(good[0], "the only fix that is not suspect")

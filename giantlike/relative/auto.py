@@ -13,6 +13,7 @@ import numpy as np
 
 from giantlike.atmosphere import Atmosphere
 from giantlike.core.arrays import require
+from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.threads import at_once
 from giantlike.ray_tracing import trace_silhouette
@@ -25,9 +26,7 @@ from giantlike.relative.light.moment import Moment, MomentOptions
 from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
 from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOptions
 from giantlike.relative.place import limb_in_frame
-from giantlike.relative.response import RESPONSE, Response
 from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
-from giantlike.relative.template.haze import HAZE
 from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid
 
@@ -203,7 +202,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
 
     The fix is that of the estimator taken, a :class:`~giantlike.core.outcomes.PositionFix` where that estimates the
     range, under the name ``auto``, fused with the one that confirms it (:func:`~giantlike.relative.consensus.fused`);
-    its ``provenance`` says which was taken (``chosen``), why (``because``), what checked it (``checked_by``), the
+    its ``findings`` say which was taken (``chosen``), why (``because``), what checked it (``checked_by``), the
     probability that right estimates differ by as much (``agreement``) and the share of the estimator taken in the
     place (``weight``). ``score``, residuals and counts are those of the estimator taken. A failure is that of the first
     choice; its text names the others that were tried. Where ``cross_correlation`` finds that values are not in
@@ -231,24 +230,22 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
         if not isinstance(template, CenterFix):
             return fix
         # Only the template knows of values that are not proportional to light; limbs too of haze that nobody told.
-        found = {key: template.provenance[key] for key in (RESPONSE, HAZE) if key in template.provenance}
-        limbs = [
-            one.provenance[HAZE] for one in outcomes.values() if isinstance(one, CenterFix) and HAZE in one.provenance
-        ]
-        if limbs:
-            found.setdefault(HAZE, limbs[0])
-        if inputs.geometry.target.atmosphere is not None or inputs.geometry.target.terrain is not None:
-            found.pop(HAZE, None)
-        if not found:
+        response, haze_km = template.corrections.response, None
+        if inputs.geometry.target.atmosphere is None and inputs.geometry.target.terrain is None:
+            fixes = [template, *(one for one in outcomes.values() if isinstance(one, CenterFix))]
+            sigmas_km = (one.corrections.altitude_sigma_km for one in fixes)
+            haze_km = next((sigma_km for sigma_km in sigmas_km if sigma_km is not None), None)
+        if response is None and haze_km is None:
             return fix
         known = inputs
-        if RESPONSE in found:
-            known = replace(known, image=inputs.straight_image(Response.from_text(found[RESPONSE])))
-        if HAZE in found:
-            known = replace(known, scene=_in_haze(inputs.scene, inputs.target_name, float(found[HAZE])))
-        knows = HAZE not in found or HAZE in template.provenance
+        if response is not None:
+            known = replace(known, image=inputs.straight_image(response))
+        if haze_km is not None:
+            known = replace(known, scene=_in_haze(inputs.scene, inputs.target_name, haze_km))
+        knows = haze_km is None or template.corrections.altitude_sigma_km is not None
         fix = self._consensus(known, choice, {CrossCorrelation.name: template} if knows else {})
-        return fix if isinstance(fix, Failure) else replace(fix, provenance={**fix.provenance, **found})
+        found = Corrections(response=response, altitude_sigma_km=haze_km)
+        return fix if isinstance(fix, Failure) else replace(fix, corrections=fix.corrections | found)
 
     def _consensus(
         self, inputs: EstimatorInputs, choice: Choice, outcomes: dict[str, CenterFix | Failure]
@@ -275,10 +272,10 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
             later = taken != choice.estimators[0]
             alone = Quality.UNCONFIRMED if later or choice.needs_check else Quality.UNCHECKED
             found = verdict(fix, seconds, alone=alone, false_alarm=self.options.false_alarm)
-        provenance = {**fix.provenance, "chosen": taken, "because": choice.because}
+        findings = replace(fix.findings, chosen=taken, because=choice.because)
         if found.checked_by:
-            provenance |= {"checked_by": found.checked_by, "agreement": f"{found.agreement:.3g}"}
-        fix = replace(fix, estimator=self.name, flags=fix.flags | found.flag, provenance=provenance)
+            findings = replace(findings, checked_by=found.checked_by, agreement=found.agreement)
+        fix = replace(fix, estimator=self.name, flags=fix.flags | found.flag, findings=findings)
         second = outcomes.get(found.checked_by)
         if fix.flags.suspect or not isinstance(second, CenterFix) or second.flags.suspect:
             return fix

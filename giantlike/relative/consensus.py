@@ -171,7 +171,7 @@ def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
         "parts": parts,
         "partials": _fused_partials(first, second, weight),
         "flags": first.flags | second.flags,
-        "provenance": {**first.provenance, "weight": f"{weight:.3g}"},
+        "findings": replace(first.findings, weight=weight),
     }
     if isinstance(first, PositionFix) and isinstance(second, PositionFix):
         range_km = math.exp(weight * math.log(first.range_km) + (1.0 - weight) * math.log(second.range_km))

@@ -12,7 +12,6 @@ from giantlike.core.processes import one_thread
 from giantlike.image import Image
 from giantlike.relative.budget import with_budget
 from giantlike.relative.inputs import EstimatorInputs, gather
-from giantlike.relative.response import RESPONSE, Response
 from giantlike.relative.verification import verified
 from giantlike.scene import Scene
 
@@ -117,8 +116,8 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
             return inputs.fail(result.reason, result.detail)
         if self.of_fixes:
             return result
-        bent = result.provenance.get(RESPONSE)
-        seen = inputs if bent is None else inputs.linearized(Response.from_text(bent))
+        response = result.corrections.response
+        seen = inputs if response is None else inputs.linearized(response)
         again = None if self.finds_response else self._budgeted
         search_px = getattr(self.options, "search_px", 0.0)
         return verified(result, seen, search_px, by_light=self.by_light, again=again)
@@ -128,7 +127,7 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         result = self._estimate(inputs)
         if isinstance(result, Failure):
             return result
-        again = replace(inputs, place_alone=True, provenance=result.provenance)
+        again = replace(inputs, place_alone=True, corrections=result.corrections)
         return with_budget(
             result,
             inputs.image,

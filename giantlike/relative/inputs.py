@@ -6,7 +6,7 @@ import math
 import threading
 import weakref
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, TypedDict
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, Detector, GaussianPsf
+from giantlike.core.findings import Corrections, Response
 from giantlike.core.outcomes import Failure, Quality, Reason
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
@@ -26,7 +27,6 @@ from giantlike.processing.detection.frame_lines import FrameLines
 from giantlike.processing.detection.hot_lines import hot_lines
 from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.place import apparent_radius_px
-from giantlike.relative.response import RESPONSE, Response
 from giantlike.scene import Scene, TargetGeometry
 
 ESTIMATED_NOISE = "estimated_noise"
@@ -58,6 +58,7 @@ class FixIdentity(TypedDict):
     target: str
     predicted_px: Float
     provenance: Mapping[str, str]
+    corrections: Corrections
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,9 +88,11 @@ class EstimatorInputs(Value):
     flags : Quality
         What is known before the measurement: the source of the attitude, and what the sky of its stars lacked.
     provenance : mapping of str to str
+    corrections : Corrections
+        What the image is known to show beside the body.
     place_alone : bool
-        True where only the place of the body is asked for, to see how it follows an error of what was told; the
-        provenance is then that of the fix, so that what it found out of the image need not be looked for again.
+        True where only the place of the body is asked for, to see how it follows an error of what was declared; the
+        corrections are then those of the fix, which need not be found again.
     """
 
     estimator: str
@@ -104,6 +107,7 @@ class EstimatorInputs(Value):
     masked: Mask
     flags: Quality
     provenance: Mapping[str, str]
+    corrections: Corrections = field(default_factory=Corrections)
     place_alone: bool = False
 
     @property
@@ -113,12 +117,13 @@ class EstimatorInputs(Value):
 
     @property
     def identity(self) -> FixIdentity:
-        """Estimator, target, prediction and provenance, for the fix."""
+        """Estimator, target, prediction, provenance and corrections, for the fix."""
         return FixIdentity(
             estimator=self.estimator,
             target=self.target_name,
             predicted_px=self.predicted_px,
             provenance=self.provenance,
+            corrections=self.corrections,
         )
 
     @property
@@ -181,10 +186,10 @@ class EstimatorInputs(Value):
         Returns
         -------
         EstimatorInputs
-            With the response in their provenance, by which the checks of a fix know of it.
+            With the response among their corrections.
         """
-        provenance = {**self.provenance, RESPONSE: str(response)}
-        return replace(self, pixels_dn=response.light_dn(self.pixels_dn), provenance=provenance)
+        corrections = self.corrections | Corrections(response=response)
+        return replace(self, pixels_dn=response.light_dn(self.pixels_dn), corrections=corrections)
 
     def straight_image(self, response: Response) -> Image:
         """Return the image with values in proportion to light, and a detector that saturates where it did.

@@ -13,9 +13,6 @@ from giantlike.camera_models import CameraModel, ifov_rad
 from giantlike.core.arrays import Float
 from giantlike.ray_tracing import FocalPlane, Silhouette
 
-SEEN_SIZE = "seen_size"
-"""Key of the provenance of fixes without a range: the size of the body over that at its predicted range."""
-
 
 def apparent_radius_px(camera: Camera | FocalPlane, center_px: ArrayLike, radius_km: float, range_km: float) -> float:
     """Apparent radius of a sphere, px.

@@ -52,7 +52,7 @@ def test_a_roll_of_the_camera_is_another_figure_only_where_the_attitude_is_known
     rolled = Rotation.from_rotvec([0.0, 0.0, math.radians(0.3)])
     image = replace(one.image, camera_from_inertial=rolled, attitude_covariance_rad2=known)
     fix = replace(one, image=image).fix(CrossCorrelation())
-    assert (Quality.WRONG_FIGURE in fix.flags) is wrong, fix.provenance
+    assert (Quality.WRONG_FIGURE in fix.flags) is wrong, fix.findings
 
 
 @pytest.mark.parametrize(("law", "marked"), [("mcewen", True), ("lambert", False), ("hapke", True)])

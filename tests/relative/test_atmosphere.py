@@ -85,7 +85,7 @@ def test_a_limb_in_haze_gives_the_range_within_its_sigma_when_the_atmosphere_is_
     assert abs(error) < 2.0 * sigma
     assert abs(error) < 0.6 * abs(before)
     assert sigma > 0.7 * AIR.sigma_km
-    assert abs(float(found.provenance["limb_altitude_km"]) - AIR.limb_altitude_km(RADIUS_KM)) < SCALE_KM
+    assert abs((found.corrections.limb_altitude_km or 0.0) - AIR.limb_altitude_km(RADIUS_KM)) < SCALE_KM
     assert not found.flags.suspect
 
 
@@ -117,7 +117,7 @@ def test_a_template_of_a_body_in_thin_haze_is_within_its_sigma_told_of_it_or_not
     sigmas = math.sqrt(error_km @ np.linalg.solve(found.covariance_camera_km2, error_km))
     assert sigmas < 3.0
     assert Cause.ALTITUDE in found.parts
-    assert ("limb_altitude_km" in found.provenance) is told
+    assert (found.corrections.limb_altitude_km is not None) is told
     assert not found.flags.suspect
 
 
@@ -132,7 +132,7 @@ def test_a_limb_in_thin_haze_that_nobody_told_is_within_its_sigma(name: str, pha
     assert math.sqrt(error_km @ np.linalg.solve(found.covariance_camera_km2, error_km)) < 3.5
     assert not found.flags.suspect
     assert Cause.ALTITUDE in found.parts
-    assert "altitude_sigma_km" in found.provenance
+    assert found.corrections.altitude_sigma_km
 
 
 @pytest.mark.parametrize("name", ["ellipsoid_cra", "auto"])
@@ -143,7 +143,7 @@ def test_a_crescent_in_thin_haze_that_nobody_told_is_within_its_sigma(name: str)
     error_km = found.position_camera_km - POSITION_KM
     assert math.sqrt(error_km @ np.linalg.solve(found.covariance_camera_km2, error_km)) < 3.5
     assert not found.flags.suspect
-    assert "altitude_sigma_km" in found.provenance
+    assert found.corrections.altitude_sigma_km
 
 
 @pytest.mark.parametrize("phase_deg", [15.0, 120.0])
@@ -152,7 +152,7 @@ def test_a_limb_without_haze_has_no_error_of_its_altitude(name: str, phase_deg: 
     phase_rad = math.radians(phase_deg)
     _, _, found = radius_error_km(name, None, hazy(32.0, 1e-6, "mcewen", phase_rad), phase_rad)
     assert not found.parts.get(Cause.ALTITUDE, np.zeros(1)).any()
-    assert "altitude_sigma_km" not in found.provenance
+    assert found.corrections.altitude_sigma_km is None
 
 
 def test_a_template_of_a_body_without_haze_has_no_error_of_its_altitude() -> None:

@@ -81,7 +81,7 @@ def test_small_bodies_are_found_by_their_light_and_checked_by_its_moment(
     case = body_image(rock, 2, phase_deg=50.0, radius_px=radius_px).believed(off_px=(3.0, -2.0))
     fix = Auto().estimate(case.image, case.camera, case.scene)
     assert isinstance(fix, CenterFix)
-    assert (fix.estimator, fix.provenance["chosen"], fix.provenance["checked_by"]) == ("auto", chosen, "moment")
+    assert (fix.estimator, fix.findings.chosen, fix.findings.checked_by) == ("auto", chosen, "moment")
     _sound(fix, case.center_px)
 
 
@@ -89,8 +89,8 @@ def test_an_irregular_body_is_found_by_its_light_and_checked_by_its_limb(rock: T
     case = body_image(rock, 3, phase_deg=50.0).believed(off_px=(6.0, -4.0), range_error=0.01)
     fix = Auto().estimate(case.image, case.camera, case.scene)
     assert isinstance(fix, PositionFix)
-    assert (fix.provenance["chosen"], fix.provenance["checked_by"]) == ("cross_correlation", "limb_matching")
-    assert float(fix.provenance["agreement"]) > AutoOptions().false_alarm
+    assert (fix.findings.chosen, fix.findings.checked_by) == ("cross_correlation", "limb_matching")
+    assert (fix.findings.agreement or 0.0) > AutoOptions().false_alarm
     assert not fix.flags.suspect
     assert case.nees(fix) < NEES_LIMIT
 
@@ -99,7 +99,7 @@ def test_an_ellipsoid_is_found_by_its_horizon_and_checked_by_its_light() -> None
     case = body_image(MOON, 4, phase_deg=50.0).believed(off_px=(6.0, -4.0), range_error=0.01)
     fix = Auto().estimate(case.image, case.camera, case.scene)
     assert isinstance(fix, PositionFix)
-    assert (fix.provenance["chosen"], fix.provenance["checked_by"]) == ("ellipsoid_cra", "cross_correlation")
+    assert (fix.findings.chosen, fix.findings.checked_by) == ("ellipsoid_cra", "cross_correlation")
     assert case.nees(fix) < NEES_LIMIT
 
 
@@ -143,7 +143,7 @@ def test_two_threads_run_the_choice_and_its_check_at_once(rock: TriangleMesh, mo
     with threads(2):
         fix = Auto().estimate(case.image, case.camera, case.scene)
     assert isinstance(fix, CenterFix)
-    assert fix.provenance["checked_by"] == "limb_matching"
+    assert fix.findings.checked_by == "limb_matching"
 
 
 def test_an_image_of_nothing_is_a_failure_that_names_what_was_tried() -> None:
@@ -207,17 +207,17 @@ def test_a_disagreement_beyond_the_covariances_makes_the_fix_suspect(rock: Trian
 def test_what_rests_on_something_else_checks_before_what_rests_on_the_same(rock: TriangleMesh) -> None:
     fix = _told(rock, cross_correlation=_fix((0, 0)), moment=_fix((9, 9)), limb_matching=_fix((0, 0)))
     assert isinstance(fix, CenterFix)
-    assert fix.provenance["checked_by"] == "limb_matching"
+    assert fix.findings.checked_by == "limb_matching"
     second_best = _told(rock, cross_correlation=_fix((0, 0)), moment=_fix((0, 0)))
     assert isinstance(second_best, CenterFix)
-    assert second_best.provenance["checked_by"] == "moment"
+    assert second_best.findings.checked_by == "moment"
 
 
 def test_an_irregular_body_that_one_estimator_alone_finds_is_suspect(rock: TriangleMesh) -> None:
     fix = _told(rock, cross_correlation=_fix((0, 0)))
     assert isinstance(fix, CenterFix)
     assert fix.flags == Quality.UNCONFIRMED
-    assert "checked_by" not in fix.provenance
+    assert not fix.findings.checked_by
 
 
 def test_an_ellipsoid_that_its_limb_alone_finds_is_unchecked_but_not_suspect() -> None:
@@ -231,10 +231,10 @@ def test_an_ellipsoid_that_its_limb_alone_finds_is_unchecked_but_not_suspect() -
 def test_a_fix_to_which_its_own_checks_object_gives_way_to_the_next(rock: TriangleMesh) -> None:
     fix = _told(rock, cross_correlation=_fix((0, 0), Quality.LOW_SCORE), limb_matching=_fix((0.1, 0)))
     assert isinstance(fix, CenterFix)
-    assert fix.provenance["chosen"] == "limb_matching"
+    assert fix.findings.chosen == "limb_matching"
     only = _told(rock, cross_correlation=_fix((0, 0), Quality.LOW_SCORE))
     assert isinstance(only, CenterFix)
-    assert only.provenance["chosen"] == "cross_correlation"
+    assert only.findings.chosen == "cross_correlation"
 
 
 def test_agreement_is_the_chance_of_a_larger_difference() -> None:
@@ -284,11 +284,11 @@ def test_a_suspect_check_that_is_certain_has_a_say_against_a_fix_but_none_for_it
     against = _told(rock, cross_correlation=_fix((0, 0)), limb_matching=_fix((5, 5), suspect), moment=_fix((0, 0)))
     assert isinstance(against, CenterFix)
     assert against.flags == Quality.DISAGREEMENT
-    assert against.provenance["checked_by"] == "limb_matching"
+    assert against.findings.checked_by == "limb_matching"
     confirmed = _told(rock, cross_correlation=_fix((0, 0)), limb_matching=_fix((0, 0), suspect), moment=_fix((0, 0)))
     assert isinstance(confirmed, CenterFix)
     assert confirmed.flags == Quality.NONE
-    assert confirmed.provenance["checked_by"] == "moment"
+    assert confirmed.findings.checked_by == "moment"
 
 
 def _with_parts(center_px: tuple[float, float], **variances: float) -> CenterFix:
@@ -303,14 +303,15 @@ def test_what_two_fixes_share_does_not_average_out_and_what_one_has_alone_does()
     alone = fused(_with_parts((10.0, 10.0), albedo=0.01), _with_parts((10.1, 10.0), edge=0.01), model)
     assert_allclose(alone.covariance_px2, 0.005 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
     assert_allclose(alone.center_px, [10.05, 10.0], rtol=0, atol=FLOAT64_SUM)
-    assert alone.provenance["weight"] == "0.5"
+    assert alone.findings.weight == 0.5
 
 
 def test_a_fused_covariance_holds_for_errors_that_are_independent_or_the_same() -> None:
     """10,000 draws; the sigma of a mean square of 20,000 numbers is one percent."""
     model, rng = body_image(MOON, 1, phase_deg=50.0).camera.model, np.random.default_rng(2)
     stated = fused(_with_parts((0, 0), noise=0.01, albedo=0.01), _with_parts((0, 0), noise=0.02, edge=0.01), model)
-    weight = float(stated.provenance["weight"])
+    weight = stated.findings.weight
+    assert weight is not None
     draws = rng.normal(size=(4, 10_000, 2))
     for noise in (draws[1], draws[0]):
         first, second = 0.1 * (draws[0] + draws[2]), math.sqrt(0.02) * noise + 0.1 * draws[3]
@@ -329,6 +330,7 @@ def test_an_ellipsoid_is_fused_from_its_horizon_and_its_light_and_its_position_a
     case = body_image(MOON, 4, phase_deg=50.0).believed(off_px=(6.0, -4.0), range_error=0.01)
     fix = Auto().estimate(case.image, case.camera, case.scene)
     assert isinstance(fix, PositionFix)
-    assert 0.0 <= float(fix.provenance["weight"]) <= 1.0
+    assert fix.findings.weight is not None
+    assert 0.0 <= fix.findings.weight <= 1.0
     assert_allclose(case.camera.model.project(fix.position_camera_km), fix.center_px, rtol=0, atol=1e-9)
     assert case.nees(fix) < NEES_LIMIT

@@ -73,8 +73,8 @@ def fix_of(
 @ESTIMATORS
 def test_a_roll_that_only_the_limb_tells_is_another_figure_unless_declared(estimator: Estimator) -> None:
     fix = fix_of(estimator, light(50.0), 50.0, roll_deg=4.0)
-    numbers = dict(part.split("=") for part in fix.provenance["checks"].split())
-    assert float(numbers["figure_chance"]) > LEAST_CHANCE, numbers
+    numbers = fix.findings.checks
+    assert numbers["figure_chance"] > LEAST_CHANCE, numbers
     assert Quality.WRONG_FIGURE in fix.flags
     assert not fix_of(estimator, light(50.0), 50.0).flags.suspect
     assert not fix_of(estimator, light(50.0), 50.0, roll_deg=4.0, declared_rad=0.07).flags.suspect

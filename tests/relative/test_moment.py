@@ -228,7 +228,7 @@ def test_checks_render_a_body_once_in_the_size_that_its_light_shows(monkeypatch:
 
     monkeypatch.setattr(checks, "_at", counted)
     fix = found(body_image(ROCK, 7, phase_deg=20.0).believed(range_error=0.015))
-    assert float(fix.provenance["seen_size"]) == pytest.approx(1.015, abs=0.003)  # a quarter of a pixel of the limb
+    assert fix.corrections.seen_size == pytest.approx(1.015, abs=0.003)  # a quarter of a pixel of the limb
     assert len(renders) == 1
 
 

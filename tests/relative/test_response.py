@@ -9,13 +9,13 @@ import pytest
 from scipy.stats import chi2
 
 from giantlike.core.detector import Detector
+from giantlike.core.findings import Response
 from giantlike.relative.auto import Auto
 from giantlike.relative.estimator import Estimator
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA
 from giantlike.relative.horizon.sigmoid_limb import SigmoidLimb
 from giantlike.relative.light.moment import Moment
 from giantlike.relative.limb.limb_matching import LimbMatching
-from giantlike.relative.response import Response
 from giantlike.relative.template.cross_correlation import CrossCorrelation
 from tests.relative.test_light_truth import Shot, shot
 from tests.tolerances import RARE
@@ -53,8 +53,8 @@ def test_auto_gives_other_estimators_an_image_in_proportion_to_light(seed: int) 
     one = tabled(shot(seed, phase_deg=60.0, diameter_px=DIAMETER_PX), 0.5)
     fix = one.fix(Auto())
     assert not fix.flags.suspect, fix.flags
-    assert fix.provenance["checked_by"]
-    assert "response" in fix.provenance
+    assert fix.findings.checked_by
+    assert fix.corrections.response
     error = fix.center_px - one.center_px
     assert float(error @ np.linalg.solve(fix.covariance_px2, error)) < chi2.ppf(1.0 - RARE, 2)
 
@@ -66,7 +66,7 @@ def test_estimators_without_a_response_of_their_own_make_their_fix_again_in_ligh
         one = tabled(shot(seed, phase_deg=40.0 + 20.0 * seed, diameter_px=DIAMETER_PX), 0.5)
         fix = one.fix(estimator)
         assert not fix.flags.suspect, fix.flags
-        assert "response" in fix.provenance
+        assert fix.corrections.response
         assert np.sqrt(np.diag(fix.covariance_px2)).max() < (0.3 if estimator.name == "moment" else SIGMA_PX)
         error = fix.center_px - one.center_px
         total += float(error @ np.linalg.solve(fix.covariance_px2, error))
@@ -76,7 +76,8 @@ def test_estimators_without_a_response_of_their_own_make_their_fix_again_in_ligh
 
 def test_the_bend_of_a_table_of_square_roots_is_that_of_its_parabola() -> None:
     fix = tabled(shot(1, diameter_px=DIAMETER_PX), 0.5).fix(CrossCorrelation())
-    found = Response.from_text(fix.provenance["response"])
+    found = fix.corrections.response
+    assert found
     # Light over the sky is (v^2 - d^2) / (b^2 - d^2) of the brightest: of the square the share is (b - d) / (b + d).
     expected = (found.bright_dn - found.dark_dn) / (found.bright_dn + found.dark_dn)
     assert found.bend == pytest.approx(expected, abs=BEND)
@@ -85,7 +86,7 @@ def test_the_bend_of_a_table_of_square_roots_is_that_of_its_parabola() -> None:
 def test_markings_and_other_laws_bend_nothing() -> None:
     for one in (shot(1, diameter_px=DIAMETER_PX, marked=True), shot(2, diameter_px=DIAMETER_PX, law="hapke")):
         for estimator in (CrossCorrelation(), LimbMatching(), Moment()):
-            assert "response" not in one.fix(estimator).provenance
+            assert one.fix(estimator).corrections.response is None
 
 
 def test_light_and_its_derivative_by_the_bend_agree_with_differences() -> None:
@@ -94,4 +95,3 @@ def test_light_and_its_derivative_by_the_bend_agree_with_differences() -> None:
     slope = (high.light_dn(values) - low.light_dn(values)) / 2e-5
     np.testing.assert_allclose(here.changes_dn(here.light_dn(values))[0], slope, rtol=0, atol=1e-6)
     assert np.all(np.diff(here.light_dn(values)) > 0.0)
-    assert Response.from_text(str(here)) == here

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from giantlike.core.findings import Smear
 from giantlike.relative.template.cross_correlation import CrossCorrelation
-from giantlike.relative.template.smear import Smear
 from tests.relative.test_light_truth import shot
 from tests.tolerances import RARE
 
@@ -34,7 +34,8 @@ def test_bodies_in_motion_are_placed_as_well_as_others_and_tell_how_they_moved(l
         assert np.sqrt(np.diag(fix.covariance_px2)).max() < SIGMA_PX
         error = fix.center_px - one.center_px
         total += float(error @ np.linalg.solve(fix.covariance_px2, error))
-        smear = Smear.from_text(fix.provenance["smear"])
+        smear = fix.corrections.smear
+        assert smear
         assert smear.length_px == pytest.approx(length_px, abs=LENGTH_PX)
         along = smear.direction[0] * math.cos(angle) + smear.direction[1] * math.sin(angle)
         assert abs(along) > math.cos(ANGLE_RAD)
@@ -44,9 +45,8 @@ def test_bodies_in_motion_are_placed_as_well_as_others_and_tell_how_they_moved(l
 @pytest.mark.parametrize("law", ["mcewen", "hapke", "lambert"])
 def test_bodies_at_rest_have_no_smear(law: str) -> None:
     for marked in (False, True):
-        assert (
-            "smear" not in shot(4, law=law, diameter_px=DIAMETER_PX, marked=marked).fix(CrossCorrelation()).provenance
-        )
+        fix = shot(4, law=law, diameter_px=DIAMETER_PX, marked=marked).fix(CrossCorrelation())
+        assert fix.corrections.smear is None
 
 
 def test_a_point_becomes_a_line_with_the_variance_that_is_stated() -> None:
@@ -60,7 +60,6 @@ def test_a_point_becomes_a_line_with_the_variance_that_is_stated() -> None:
     np.testing.assert_allclose(smear.blur_px2, [36.0 / 12.0, -18.0 / 12.0, 9.0 / 12.0], rtol=0, atol=ROUNDED_PX2)
 
 
-def test_a_smear_is_read_as_it_is_written() -> None:
+def test_a_smear_is_half_as_long_on_blocks_of_two_pixels() -> None:
     smear = Smear(straight_px2=-0.25, oblique_px2=1.5)
-    assert Smear.from_text(str(smear)) == smear
     assert smear.on_blocks(2.0).length_px == pytest.approx(0.5 * smear.length_px, abs=ROUNDED_PX2)

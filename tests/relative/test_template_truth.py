@@ -106,7 +106,7 @@ def test_strong_markings_are_no_large_residuals_and_a_limb_that_is_elsewhere_is(
 
     marked = fix_of(EllipsoidBody(RADII_KM, independent.bumps(3, rms=0.25, widths_deg=(4.0, 25.0))))
     assert np.sqrt(np.mean(marked.residuals**2)) > UNEXPLAINED
-    assert not marked.flags.suspect, marked.provenance["checks"]
+    assert not marked.flags.suspect, marked.findings.checks
     assert one.nees(marked).sum() < chi2.ppf(1.0 - RARE, 2)
     rugged = fix_of(ReliefBody(RADII_KM, independent.bumps(3, rms=0.016, widths_deg=(3.0, 15.0), count=150)))
     assert Quality.LARGE_RESIDUALS in rugged.flags

@@ -112,8 +112,9 @@ def test_a_coarse_map_leaves_a_larger_sigma_that_holds(name: str) -> None:
 def test_the_map_of_another_side_makes_a_fix_suspect(name: str) -> None:
     wrong = fix(name, "wrong")
     assert Quality.WRONG_FIGURE in wrong.flags
-    assert float(wrong.provenance["terrain_log_odds"]) < math.log(1000.0)
-    assert float(wrong.provenance["terrain_misfit"]) > 3.0
+    assert wrong.findings.terrain_log_odds is not None
+    assert wrong.findings.terrain_log_odds < math.log(1000.0)
+    assert (wrong.findings.terrain_misfit or 0.0) > 3.0
     assert range_error(wrong)[1] > range_error(fix(name, "right"))[1]
 
 

@@ -118,7 +118,7 @@ def flags(inputs: EstimatorInputs, position_km: Float = POSITION_KM) -> Quality:
 def test_a_right_fix_raises_no_flag_whatever_law_and_markings_the_body_has(law: str, phase_deg: float) -> None:
     inputs = inputs_of(light(phase_deg, law, True), phase_deg)
     fix = verified(fix_at(inputs), inputs, SEARCH_PX)
-    assert fix.flags == Quality.NONE, fix.provenance["checks"]
+    assert fix.flags == Quality.NONE, fix.findings.checks
     assert verified(fix, inputs, SEARCH_PX) is fix
 
 
@@ -264,9 +264,9 @@ def test_a_rock_whose_face_is_turned_is_another_figure_unless_declared() -> None
     assert flags(inputs_of(signal, 50.0, shape=mesh)) == Quality.NONE
     turned = Rotation.from_rotvec([0.0, math.radians(4.0), 0.0]) * TURN
     fix = verified(fix_at(inputs := inputs_of(signal, 50.0, shape=mesh, turn=turned)), inputs, SEARCH_PX)
-    numbers = dict(part.split("=") for part in fix.provenance["checks"].split())
+    numbers = fix.findings.checks
     assert Quality.WRONG_FIGURE in fix.flags, numbers
-    assert float(numbers["figure_chance"]) > LEAST_CHANCE, numbers  # nothing but the turn tells
+    assert numbers["figure_chance"] > LEAST_CHANCE, numbers  # nothing but the turn tells
     declared = TargetUncertainty(pole_rad=0.05, spin_rad=0.05)
     assert not flags(inputs_of(signal, 50.0, shape=mesh, turn=turned, uncertainty=declared)).suspect
 
@@ -281,8 +281,8 @@ def test_rows_that_are_one_pixel_off_are_another_figure() -> None:
 @pytest.mark.parametrize("law", ["minnaert", "hapke", "lommel_seeliger"])
 def test_a_law_that_is_not_the_one_told_is_no_other_figure(law: str) -> None:
     fix = verified(fix_at(inputs_of(light(100.0, law), 100.0)), inputs_of(light(100.0, law), 100.0), SEARCH_PX)
-    numbers = dict(part.split("=") for part in fix.provenance["checks"].split())
-    assert min(float(numbers[name]) for name in ("place_chance", "figure_chance", "blur_chance")) > 0.05
+    numbers = fix.findings.checks
+    assert min(numbers[name] for name in ("place_chance", "figure_chance", "blur_chance")) > 0.05
     assert fix.flags == Quality.NONE
 
 
@@ -311,7 +311,7 @@ def test_a_fix_beyond_the_declared_errors_of_its_prediction_is_far_from_it() -> 
         part = place_covariance(CAMERA.model, POSITION_KM, 4.0 * np.eye(3))
         fix = replace(fix, parts={**fix.parts, Cause.EPHEMERIS: part})
         found = verified(fix, replace(inputs, image=image), SEARCH_PX)
-        assert (Quality.FAR_FROM_PREDICTION in found.flags) is far, found.provenance["checks"]
+        assert (Quality.FAR_FROM_PREDICTION in found.flags) is far, found.findings.checks
 
 
 def without_range(inputs: EstimatorInputs, sigma_km: float) -> CenterFix:
@@ -332,7 +332,7 @@ def test_a_body_of_another_size_than_predicted_is_far_from_it_though_its_range_i
     known = TargetUncertainty(ephemeris_km=5.0, scale=scale)
     inputs = inputs_of(light(60.0), 60.0, uncertainty=known, off_km=(0.5, 0.7, off_km))
     found = verified(without_range(inputs, 5.0), inputs, SEARCH_PX)
-    assert (Quality.FAR_FROM_PREDICTION in found.flags) is far, found.provenance["checks"]
+    assert (Quality.FAR_FROM_PREDICTION in found.flags) is far, found.findings.checks
 
 
 def test_a_fix_that_is_unlikely_by_its_prediction_is_less_certain() -> None:
@@ -343,4 +343,4 @@ def test_a_fix_that_is_unlikely_by_its_prediction_is_less_certain() -> None:
         fix = replace(fix, parts={**fix.parts, Cause.EPHEMERIS: part})
         found = verified(fix, inputs, SEARCH_PX)
         variance = np.trace(found.covariance_px2) / np.trace(fix.covariance_px2)
-        assert variance == pytest.approx(grown**2, rel=0.1), found.provenance["checks"]
+        assert variance == pytest.approx(grown**2, rel=0.1), found.findings.checks

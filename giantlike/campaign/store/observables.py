@@ -19,6 +19,7 @@ from giantlike.campaign.store.records import Attitude, AttitudeRecord, Observati
 from giantlike.campaign.store.results import RunResult, camera_of_run
 from giantlike.campaign.store.run_folder import RESULTS_FILE, RunFolder
 from giantlike.core.arrays import Float
+from giantlike.core.findings import Findings
 from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import BodyTurn, CenterFix, PositionFix, Quality
 from giantlike.core.version import VERSION
@@ -353,6 +354,7 @@ def _fix(record: ObservationRecord) -> CenterFix:
         "score": np.nan if record.score is None else record.score,
         "flags": flags,
         "provenance": record.provenance,
+        "findings": Findings(checked_by=record.provenance.get("checked_by", "")),
         "parts": {cause: np.array(part) for cause, part in record.parts.items()},
         "partials": {cause: np.array(partial) for cause, partial in record.partials.items()},
     }

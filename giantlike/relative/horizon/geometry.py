@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, as_floats, require, require_number
 from giantlike.core.causes import Cause, added
+from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import solution_gain
@@ -158,9 +159,11 @@ class Altitude:
         return replace(self, altitude_km=estimate_km, sigma_km=math.sqrt(max(known, 0.0)))
 
     @property
-    def provenance(self) -> dict[str, str]:
-        """Both numbers for the provenance of a fix."""
-        return {"limb_altitude_km": f"{self.altitude_km:.6g}", "altitude_sigma_km": f"{self.sigma_km:.6g}"}
+    def corrections(self) -> Corrections:
+        """Both numbers for a fix; none of them where the limb is that of the surface."""
+        if self == Altitude():
+            return Corrections()
+        return Corrections(limb_altitude_km=self.altitude_km, altitude_sigma_km=self.sigma_km)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -403,7 +406,6 @@ def fit_horizon(
     gain = solution_gain(design, covariance, weights=None if best else cone_weights(points, model, figure, start_km))
     step = gain @ residuals if best else np.zeros(3)
     left = residuals - design @ step
-    seen = altitude.after(left, design, covariance, lift)
     return LimbSolution(
         position_camera_km=start_km + step,
         covariances_km2=added(
@@ -412,7 +414,7 @@ def fit_horizon(
         ),
         residuals_px=left,
         limb_px=measured.seen_px[keep],
-        provenance={} if seen == Altitude() else seen.provenance,
+        corrections=altitude.after(left, design, covariance, lift).corrections,
     )
 
 

@@ -13,6 +13,7 @@ from giantlike.camera import Camera
 from giantlike.core.arrays import Float, require, unit
 from giantlike.core.causes import Cause, summed
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
+from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import CenterFix, Failure
 from giantlike.processing.limb.segmentation import ExpectedBlob
 from giantlike.ray_tracing import (
@@ -31,7 +32,7 @@ from giantlike.relative.light.lit_size import first_scale, measured_size
 from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
 from giantlike.relative.light.separation import MIN_AREA_PX, TRACE, BodyLight, Prediction, light_of
 from giantlike.relative.light.wings import WING_UNKNOWN, wing_share, with_wings
-from giantlike.relative.place import SEEN_SIZE, apparent_radius_px
+from giantlike.relative.place import apparent_radius_px
 from giantlike.relative.quality import QualityChecks
 from giantlike.scene import TargetGeometry
 
@@ -117,7 +118,7 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
     how far it is from the law of the target toward that of Lommel and Seeliger or that of Lambert, and how it changes
     with the phase angle from limb to limb, follows from the brightness of blocks of a quarter of the radius.
 
-    ``score`` is the lit area over that expected, ``seen_size`` of the provenance the size over that predicted,
+    ``score`` is the lit area over that expected, ``seen_size`` of its corrections the size over that predicted,
     ``residuals`` are image minus template over the brightest pixel of the template.
 
     The covariance is the sum of ``parts``: ``noise``; ``background``, the plane and, as one sigma, the bend of the sky;
@@ -223,7 +224,7 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: M
         residuals=max(size.excess, stray / n_used / _MAX_STRAY, law.unexplained / _MOST_UNEXPLAINED),
     )
     identity = inputs.identity
-    identity["provenance"] = {**inputs.provenance, SEEN_SIZE: f"{size.scale:.6g}"}
+    identity["corrections"] |= Corrections(seen_size=size.scale)
     return CenterFix(
         **identity,
         center_px=light.corner_px + center_px + offset,

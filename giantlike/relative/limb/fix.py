@@ -13,6 +13,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.core.causes import Cause, summed
+from giantlike.core.findings import Corrections, Findings
 from giantlike.core.outcomes import BodyTurn, Failure, PositionFix, Quality, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import robust_solution
@@ -22,7 +23,6 @@ from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.place import center_of_position, place_covariance
 from giantlike.relative.quality import LEAST_USED_SHARE, QualityChecks
-from giantlike.relative.verification.haze import LIMB_BLUR
 
 _LOG = logging.getLogger("giantlike.relative")
 
@@ -337,8 +337,8 @@ class LimbSolution(Value):
         Of the points used, positive outward.
     limb_px : (m, 2) float64, px
         Those points in the image.
-    provenance : mapping of str to str
-        What else there is to say.
+    corrections : Corrections
+        For the altitude of the limb.
     turn : BodyTurn or None
         Where it was measured.
     """
@@ -347,7 +347,7 @@ class LimbSolution(Value):
     covariances_km2: Mapping[Cause, Float]
     residuals_px: Float
     limb_px: Float
-    provenance: Mapping[str, str] = field(default_factory=dict)
+    corrections: Corrections = field(default_factory=Corrections)
     turn: BodyTurn | None = None
 
     @property
@@ -399,8 +399,13 @@ def limb_fix(
         )
     replaced = Quality.SHAPE_APPROXIMATED if measured.relief_px > 0.0 else Quality.NONE
     identity = inputs.identity
-    blur = {} if measured.wider_px2 is None else {LIMB_BLUR: f"{measured.wider_px2:.4g}"}
-    identity["provenance"] = {**inputs.provenance, **blur, **_terrain_provenance(measured), **solution.provenance}
+    identity["corrections"] |= solution.corrections | Corrections(limb_blur_px2=measured.wider_px2)
+    terrain, findings = measured.terrain, Findings()
+    if terrain is not None:
+        identity["provenance"] = {**inputs.provenance, "terrain": terrain.name, "terrain_sha256": terrain.sha256}
+        findings = Findings(
+            terrain_mean_km=terrain.mean_km, terrain_log_odds=-terrain.log_odds, terrain_misfit=terrain.misfit
+        )
     model, position_km = inputs.camera.model, solution.position_camera_km
     return PositionFix(
         **identity,
@@ -418,6 +423,7 @@ def limb_fix(
         limb_rejected_px=measured.rejected_px,
         residuals_at_px=solution.limb_px,
         turn=solution.turn,
+        findings=findings,
     )
 
 
@@ -490,20 +496,6 @@ def _checks(place: _Place, inputs: EstimatorInputs, measured: LimbMeasurement, s
         terrain_log_odds=-math.inf if measured.terrain is None else measured.terrain.log_odds,
         terrain_misfit=0.0 if measured.terrain is None else measured.terrain.misfit,
     )
-
-
-def _terrain_provenance(measured: LimbMeasurement) -> dict[str, str]:
-    """What a fix says of the height map whose relief was taken off its limb; nothing where there was none."""
-    terrain = measured.terrain
-    if terrain is None:
-        return {}
-    return {
-        "terrain": terrain.name,
-        "terrain_sha256": terrain.sha256,
-        "terrain_mean_km": f"{terrain.mean_km:.6g}",
-        "terrain_log_odds": f"{-terrain.log_odds:.3g}",
-        "terrain_misfit": f"{terrain.misfit:.3g}",
-    }
 
 
 def _share(step: LimbStep, state: LimbState) -> float:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, require_number, unit
 from giantlike.core.causes import Cause
+from giantlike.core.findings import Corrections
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import BodyTurn, Failure, PositionFix, Reason
 from giantlike.processing.limb.altitude import lifted
@@ -123,7 +124,7 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
             measured = replace(measured, common_px={**measured.common_px, **lift})
         solution = solve_limb(measured, view.radius_px, min_length_px=self.options.scan.spacing_px)
         if altitude_km:
-            solution = replace(solution, provenance={"limb_altitude_km": f"{altitude_km:.6g}"})
+            solution = replace(solution, corrections=Corrections(limb_altitude_km=altitude_km))
         if not (inputs.place_alone or measured.terrain or sigma_km):  # relief and haze are no part of the outline
             solution = replace(solution, turn=self._turn(lines, view, body, inputs))
         return fix_of_strained(inputs, measured, solution, self.options)

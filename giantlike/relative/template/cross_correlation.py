@@ -10,6 +10,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.core.causes import Cause
+from giantlike.core.findings import Corrections, Response, Smear
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
@@ -20,12 +21,11 @@ from giantlike.relative.estimator import BodyEstimator
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.place import limb_in_frame, position_of_center
 from giantlike.relative.quality import SHORT_ARC_SHARE, QualityChecks
-from giantlike.relative.response import LEAST_BEND, RESPONSE, Response, settled
+from giantlike.relative.response import LEAST_BEND, settled
 from giantlike.relative.template.align import align_template
 from giantlike.relative.template.asked import known_strain
 from giantlike.relative.template.binning import Blocks, blocks_of
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
-from giantlike.relative.template.haze import HAZE
 from giantlike.relative.template.moved_body import MovedBody
 from giantlike.relative.template.rendering import (
     KNOWN_BLUR_SIGMA_PX2,
@@ -34,7 +34,6 @@ from giantlike.relative.template.rendering import (
     TemplateRenderer,
     placed,
 )
-from giantlike.relative.template.smear import SMEAR, Smear
 from giantlike.relative.template.state import TemplateState
 from giantlike.shapes import Ellipsoid
 
@@ -205,9 +204,8 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         """Find the body of gathered inputs: :func:`match_template` and the flags of its result."""
         altitude_km = inputs.geometry.limb_altitude_km[0]
         if altitude_km:
-            told = {"limb_altitude_km": f"{altitude_km:.6g}"}
-            inputs = replace(inputs, provenance={**inputs.provenance, **told})
-        response, smear = _found_before(inputs)
+            inputs = replace(inputs, corrections=inputs.corrections | Corrections(limb_altitude_km=altitude_km))
+        response, smear = inputs.corrections.response, inputs.corrections.smear
         inputs = inputs if response is None else inputs.linearized(response)
         blocks, match = self._matched(inputs, response, smear)
         if isinstance(match, Failure):
@@ -222,7 +220,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         inputs, blocks, match = (inputs, blocks, match) if found is None else found
         if match.fit.altitude_sigma > 0.0:
             sigma_km = match.fit.altitude_sigma * inputs.geometry.seen_body().shape.mean_radius_km
-            inputs = replace(inputs, provenance={**inputs.provenance, HAZE: f"{sigma_km:.6g}"})
+            inputs = replace(inputs, corrections=inputs.corrections | Corrections(altitude_sigma_km=sigma_km))
         fit = blocks.unbinned(match.fit)
         parts = dict(fit.parts)
         parts[Cause.RELIEF] = parts.get(Cause.RELIEF, np.zeros((3, 3))) + fit.asked.error(_known_strain(inputs))
@@ -282,9 +280,9 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
                 return None
             found = again.fit.smear
             if found.less(smear).size_px2 < _SETTLED_SMEAR * smear.size_px2:
-                provenance = {**inputs.provenance, SMEAR: str(found.on_blocks(1.0 / blocks.size))}
-                told = replace(inputs, provenance=provenance)
-                return (told, blocks, again) if again.fit.structure < max(_EXPLAINED * structure, _EXACT) else None
+                moved = Corrections(smear=found.on_blocks(1.0 / blocks.size))
+                known = replace(inputs, corrections=inputs.corrections | moved)
+                return (known, blocks, again) if again.fit.structure < max(_EXPLAINED * structure, _EXACT) else None
             smear = found
         return None
 
@@ -557,20 +555,13 @@ def _unexplained(fit: TemplateFit, seen: Mask, inputs: EstimatorInputs, block_px
     return min(everywhere / large, max(at_edges / large_at_edges, everywhere / large_of_markings))
 
 
-def _found_before(inputs: EstimatorInputs) -> tuple[Response | None, Smear | None]:
-    """Response and smear, on pixels, of the fix of which the body alone was moved since; None of those it has not."""
-    if not inputs.place_alone:
-        return None, None
-    bent, moved = (inputs.provenance.get(key) for key in (RESPONSE, SMEAR))
-    return None if bent is None else Response.from_text(bent), None if moved is None else Smear.from_text(moved)
-
-
 def _known_strain(inputs: EstimatorInputs) -> Float:
     """Covariance (3, 3) of the strain of a right body by its orientation and the attitude as declared, and by haze.
 
     Haze may stand higher over some of the limb than over the rest by as much as its altitude is uncertain.
     """
-    altitude_km = float(inputs.provenance.get(HAZE, inputs.geometry.limb_altitude_km[1]))
+    found_km = inputs.corrections.altitude_sigma_km
+    altitude_km = inputs.geometry.limb_altitude_km[1] if found_km is None else found_km
     strain = math.hypot(inputs.turn_rad, altitude_km / inputs.geometry.target.shape.mean_radius_km)
     return known_strain(strain, attitude_known=inputs.image.attitude_covariance_rad2 is not None)
 

@@ -18,17 +18,17 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.causes import Cause, summed
+from giantlike.core.findings import Response, Smear
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
 from giantlike.processing.limb.altitude import lifted
-from giantlike.relative.response import Response
 from giantlike.relative.template.asked import Asked, asked_beside
 from giantlike.relative.template.covariance import LinearFit, Prior, RobustFit, excess
 from giantlike.relative.template.haze import haze_altitude
 from giantlike.relative.template.linear import BLUR, GAIN, LAWS, OFFSET, PIXEL_VARIANCE_PX2, RANGE, Problem, X, Y
 from giantlike.relative.template.relief import relief_covariance
-from giantlike.relative.template.smear import Smear
+from giantlike.relative.template.smear import smeared_renders
 from giantlike.relative.template.state import Synthesis, TemplateState
 
 _LOG = logging.getLogger("giantlike.relative")
@@ -260,7 +260,7 @@ def fit_template(
     the residuals.
     """
     if options.smear is not None:
-        synthesize = options.smear.of_renders(synthesize)
+        synthesize = smeared_renders(synthesize, options.smear)
     trial, fine = start, options.fine_at_once
     last: _Solved | None = None
     for iteration in range(1, options.max_iterations + 1):

@@ -16,8 +16,6 @@ from giantlike.ray_tracing import LommelSeeliger, Reflectance
 from giantlike.ray_tracing.reflectance.law import SurfaceLaw
 from giantlike.relative.template.covariance import LinearFit
 
-HAZE = "altitude_sigma_km"
-"""Key of the provenance of fixes whose covariance has an altitude of the limb: its standard deviation, km."""
 VEIL_DEPTH = 0.05
 """Vertical optical depth of the haze that is looked for; others are shares of it."""
 _LEAST_COSINE = 0.03

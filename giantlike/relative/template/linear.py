@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask
+from giantlike.core.findings import Response
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
-from giantlike.relative.response import Response
 from giantlike.relative.template.covariance import Measured, Prior, RobustFit, VarianceModel, robust_fit
 from giantlike.relative.template.state import TemplateImages, TemplateState
 

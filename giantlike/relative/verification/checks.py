@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol, TypedDict, TypeVar, runtime_checkable
+from typing import Protocol, TypedDict, TypeVar, cast, runtime_checkable
 
 import cv2
 import numpy as np
@@ -18,10 +18,7 @@ from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
 from giantlike.relative.budget import camera_response, with_error, with_larger_errors
 from giantlike.relative.inputs import EstimatorInputs
-from giantlike.relative.place import SEEN_SIZE
 from giantlike.relative.quality import LEAST_CHANCE, LEAST_PREDICTION_CHANCE, UNLIKELY, QualityChecks
-from giantlike.relative.response import RESPONSE, Response
-from giantlike.relative.template.smear import SMEAR, Smear
 from giantlike.relative.verification.cells import CELLS_PER_RADIUS, Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
 from giantlike.relative.verification.haze import HAZE_CELLS_PER_RADIUS, hint_of_haze, in_haze, may_be_hazy, veils
@@ -34,10 +31,6 @@ from giantlike.shapes import Ellipsoid
 
 AnyFix = TypeVar("AnyFix", bound=CenterFix)
 
-_CHECKED = "checks"
-"""Key of the provenance of fixes: the numbers of their checks."""
-_ALTITUDE = "limb_altitude_km"
-"""Key of the provenance of fixes whose limb stands above the shape: haze, an atmosphere."""
 _LINEAR = 0.01
 """Motion over the radius, and change of the range, up to which derivatives of the coarse render tell the residuals: a
 fifth of a cell."""
@@ -106,7 +99,7 @@ def verified(
     -------
     CenterFix or PositionFix
     """
-    if _CHECKED in fix.provenance:
+    if fix.findings.checks:
         return fix
     coarse = _coarse(fix, inputs, search_px)
     if again is not None and coarse is not None and looks_bent(coarse):
@@ -131,8 +124,8 @@ def verified(
     tension = 1.0 if fit is None else tension_of(fix, fit, psf_known=known)
     if off is not None and LEAST_PREDICTION_CHANCE <= numbers["prediction_chance"] < UNLIKELY:
         tension = max(tension, _ratio(*off))
-    text = " ".join(f"{name}={number:.3g}" for name, number in (*numbers.items(), ("tension", tension)))
-    fix = replace(fix, flags=fix.flags | checks.flags, provenance={**fix.provenance, _CHECKED: text})
+    findings = replace(fix.findings, checks={**cast("dict[str, float]", numbers), "tension": tension})
+    fix = replace(fix, flags=fix.flags | checks.flags, findings=findings)
     if tension > 1.0:
         fix = with_larger_errors(fix, inputs.camera.model, tension, _OF_ITS_OWN)
     if not by_light or fit is None:
@@ -329,9 +322,8 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
     """
     geometry, model = inputs.geometry, inputs.camera.model
     range_km = fix.range_km if isinstance(fix, PositionFix) else geometry.range_km
-    if _ALTITUDE in fix.provenance:
-        range_km /= 1.0 + float(fix.provenance[_ALTITUDE]) / geometry.target.shape.mean_radius_km
-    nearer = np.array([0.0, 0.0, -math.log(float(fix.provenance.get(SEEN_SIZE, 1.0)))])
+    range_km /= 1.0 + (fix.corrections.limb_altitude_km or 0.0) / geometry.target.shape.mean_radius_km
+    nearer = np.array([0.0, 0.0, -math.log(fix.corrections.seen_size or 1.0)])
     known = geometry.body(range_km * math.exp(nearer[2]) * model.unproject(fix.center_px))
     body = replace(known, camera_from_body=fix.camera_from_body) if isinstance(fix, _Oriented) else known
     first = _at(body, inputs, search_px, fix)
@@ -378,7 +370,6 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float | None, fix: Cente
     if cells is None or trace is None or own is None:
         return None
     albedo = inputs.geometry.target.uncertainty.albedo
-    bent, moved = fix.provenance.get(RESPONSE), fix.provenance.get(SMEAR)
     fit = None
     if cells.has_face:
         fit = fit_cells(
@@ -387,8 +378,8 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float | None, fix: Cente
             own,
             albedo=albedo,
             turn_rad=inputs.turn_rad,
-            response=None if bent is None else Response.from_text(bent),
-            smear=None if moved is None else Smear.from_text(moved),
+            response=fix.corrections.response,
+            smear=fix.corrections.smear,
             asked=veils(cells, trace) if may_be_hazy(fix, inputs) else None,
         )
     return _Coarse(cells=cells, trace=trace, own=own, fit=fit)

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask
+from giantlike.core.findings import Response, Smear
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Template, Trace
-from giantlike.relative.response import LEAST_BEND, Response
-from giantlike.relative.template.smear import Smear
+from giantlike.relative.response import LEAST_BEND
 from giantlike.relative.verification.cell_loops import design_of, unevenness_of
 from giantlike.relative.verification.cells import BLOCK, Cells
 

@@ -12,18 +12,17 @@ import numpy as np
 from giantlike.atmosphere import Atmosphere
 from giantlike.core.arrays import Float
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
+from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import CenterFix, Failure
 from giantlike.ray_tracing import Trace
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.quality import MISFIT, UNEXPLAINED
-from giantlike.relative.template.haze import HAZE, VEIL_DEPTH, haze_laws
+from giantlike.relative.template.haze import VEIL_DEPTH, haze_laws
 from giantlike.relative.verification.cells import Cells
 from giantlike.relative.verification.coarse_fit import CoarseFit
 from giantlike.relative.verification.proportion import Looked
 from giantlike.shapes import Ellipsoid
 
-LIMB_BLUR = "limb_blur_px2"
-"""Key of the provenance of fixes from limbs: the variance of their blur beyond that of the camera, px^2."""
 HAZE_CELLS_PER_RADIUS = 60
 """Cells to a radius of the body in which haze is looked for, as far as pixels are not larger. Of crescents of 120 px
 (125 degrees) with a depth of 0.05 shares come to 2 to 8 sigmas in cells of 3 px and to 7 to 9 in cells of 1 px, of
@@ -73,7 +72,7 @@ def may_be_hazy(fix: CenterFix, inputs: EstimatorInputs) -> bool:
         False for an airless target, where the altitude of the limb is declared, no limb was measured, or it is sharper
         than the camera by more than is not known of that, which no limb in haze is.
     """
-    target, blur = inputs.geometry.target, _limb_blur(fix)
+    target, blur = inputs.geometry.target, fix.corrections.limb_blur_px2
     told = target.airless or target.atmosphere is not None or target.terrain is not None
     return not told and blur is not None and blur > -_optics_px2(inputs) and isinstance(target.shape, Ellipsoid)
 
@@ -127,7 +126,7 @@ def in_haze(
     (CenterFix or PositionFix, Looked, EstimatorInputs) or None
         The fix, its coarse render and its inputs; None where no haze is seen.
     """
-    blur = _limb_blur(fix)
+    blur = fix.corrections.limb_blur_px2
     depth = 0.0 if fine is None or fine.fit is None else haze_depth(fine.fit)
     if blur is None or depth == 0.0:
         return None
@@ -139,7 +138,7 @@ def in_haze(
     hazy = replace(
         inputs,
         geometry=replace(geometry, target=replace(geometry.target, atmosphere=haze)),
-        provenance={**inputs.provenance, HAZE: f"{sigma_km:.6g}"},
+        corrections=inputs.corrections | Corrections(altitude_sigma_km=sigma_km),
     )
     found = again(hazy)
     seen = None if isinstance(found, Failure) else look(found, hazy)
@@ -159,7 +158,7 @@ def hint_of_haze(fix: CenterFix, fit: CoarseFit | None, inputs: EstimatorInputs)
     -------
     bool
     """
-    blur = _limb_blur(fix)
+    blur = fix.corrections.limb_blur_px2
     if fit is None or blur is None or not np.any(_sigmas(fit) > _HINT_SIGMAS):
         return False
     return blur > _HINT_BLUR * _optics_px2(inputs) or _clearest_depth(fit, _sigmas(fit)) > _HINT_DEPTH
@@ -217,9 +216,3 @@ def haze_altitude_px(depth: float, blur_px2: float, radius_px: float) -> float:
 def _optics_px2(inputs: EstimatorInputs) -> float:
     """Standard deviation of the variance of the point spread function, px^2."""
     return 2.0 * _OPTICS * (inputs.psf_sigma_px or UNKNOWN_PSF_SIGMA_PX) ** 2
-
-
-def _limb_blur(fix: CenterFix) -> float | None:
-    """Variance of the blur of a limb beyond that of the camera, px^2; None of other fixes."""
-    told = fix.provenance.get(LIMB_BLUR)
-    return None if told is None else float(told)

@@ -10,11 +10,12 @@ import numpy as np
 
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
+from giantlike.core.findings import Response
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.relative.budget import with_error
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.quality import MISFIT
-from giantlike.relative.response import LEAST_BEND, Response, settled
+from giantlike.relative.response import LEAST_BEND, settled
 from giantlike.relative.verification.coarse_fit import CoarseFit
 
 _BENT_SIGMAS = 4.0

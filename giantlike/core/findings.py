@@ -1,0 +1,268 @@
+"""What a fix tells of an image beside the place of a body: what it was corrected for, and what became of its checks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+
+_ROOM_PX = 4
+"""Pixels around an image that a smear is applied to, beside its own length, so that its ends do not meet."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Stated:
+    """Base of values that provenance states: figures with as many digits as the metadata of their fields have."""
+
+    @property
+    def texts(self) -> dict[str, str]:
+        """Texts of what is known, by name."""
+        texts = {one.name: _text(getattr(self, one.name), one.metadata.get("digits")) for one in fields(self)}
+        return {name: text for name, text in texts.items() if text}
+
+    def __str__(self) -> str:
+        return " ".join(f"{name}={text}" for name, text in self.texts.items())
+
+
+def _text(value: Any, digits: int | None) -> str:
+    """Text of a figure, of named figures or of anything else; empty where it is not known."""
+    if value is None:
+        return ""
+    if isinstance(value, Mapping):
+        return " ".join(f"{name}={number:.{digits}g}" for name, number in value.items())
+    return str(value) if digits is None else f"{value:.{digits}g}"
+
+
+def _rounded(value: Any, digits: int | None) -> Any:
+    """A figure with the digits with which it is stated; a value with all of its figures so."""
+    if isinstance(value, _Stated):
+        known = {one.name: _rounded(getattr(value, one.name), one.metadata.get("digits")) for one in fields(value)}
+        return replace(value, **known)
+    return value if value is None or digits is None else float(f"{value:.{digits}g}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Response(_Stated):
+    """Light as a parabola of the values of an image: exact for tables of square roots, near for other tables.
+
+    Parameters
+    ----------
+    bend : float
+        Share of the square: 0 where values are proportional to light, 1 where they are square roots of it.
+    dark_dn, bright_dn : float, DN
+        Values that remain as they are: of the sky, and of the brightest light; ``bend`` goes from one to the other.
+
+    Examples
+    --------
+    >>> table = Response(bend=1.0, dark_dn=0.0, bright_dn=100.0)
+    >>> [float(light) for light in table.light_dn(np.array([0.0, 10.0, 50.0, 100.0]))]
+    [0.0, 1.0, 25.0, 100.0]
+    """
+
+    bend: float = field(metadata={"digits": 4})
+    dark_dn: float = field(metadata={"digits": 6})
+    bright_dn: float = field(metadata={"digits": 6})
+
+    def light_dn(self, values_dn: Float) -> Float:
+        """Return the light of values.
+
+        Parameters
+        ----------
+        values_dn : (...) float64, DN
+            Bias subtracted.
+
+        Returns
+        -------
+        (...) float64, DN
+            Below the lowest point of the parabola, which lies below the sky, as there.
+        """
+        span_dn = self.bright_dn - self.dark_dn
+        lowest_dn = -0.5 * (1.0 - self.bend) / max(self.bend, 1e-9) * span_dn
+        above = np.maximum(values_dn - self.dark_dn, lowest_dn)
+        return np.asarray(self.dark_dn + above + self.bend * above * (above / span_dn - 1.0))
+
+    def changes_dn(self, light_dn: Float) -> Float:
+        """Return the derivatives of :meth:`light_dn` by the bend, and by the share of a cube that vanishes half way.
+
+        Parameters
+        ----------
+        light_dn : (...) float64, DN
+
+        Returns
+        -------
+        (2, ...) float64, DN
+            Of the values that stand for this light.
+        """
+        span_dn, straight = self.bright_dn - self.dark_dn, 1.0 - self.bend
+        light = light_dn - self.dark_dn
+        root = np.sqrt(np.maximum(straight**2 + 4.0 * self.bend * light / span_dn, 0.0))
+        above = 2.0 * light / np.maximum(straight + root, 1e-9)
+        square = above * (above / span_dn - 1.0)
+        return np.stack([square, square * (2.0 * above / span_dn - 1.0)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Smear(_Stated):
+    """A motion of even speed during the exposure, by what it adds to the blur of an image.
+
+    Parameters
+    ----------
+    straight_px2, oblique_px2 : float, px^2
+        Half of the variance along x less that along y, and the covariance of x and y: with what is even in all
+        directions they are the variance of a line.
+
+    Examples
+    --------
+    By 3 px along x and 4 px along y:
+
+    >>> smear = Smear(straight_px2=(3**2 - 4**2) / 24, oblique_px2=3 * 4 / 12)
+    >>> round(smear.length_px, 12), [round(along, 12) for along in smear.direction]
+    (5.0, [0.6, 0.8])
+    """
+
+    straight_px2: float = field(default=0.0, metadata={"digits": 4})
+    oblique_px2: float = field(default=0.0, metadata={"digits": 4})
+
+    def on_blocks(self, size: float) -> Smear:
+        """Return the same motion in an image of blocks of pixels.
+
+        Parameters
+        ----------
+        size : float
+            Pixels along the side of a block.
+
+        Returns
+        -------
+        Smear
+        """
+        return Smear(straight_px2=self.straight_px2 / size**2, oblique_px2=self.oblique_px2 / size**2)
+
+    def less(self, other: Smear) -> Smear:
+        """Return the difference to another smear."""
+        return Smear(
+            straight_px2=self.straight_px2 - other.straight_px2, oblique_px2=self.oblique_px2 - other.oblique_px2
+        )
+
+    @property
+    def size_px2(self) -> float:
+        """Half of the variance along the motion, px^2."""
+        return math.hypot(self.straight_px2, self.oblique_px2)
+
+    @property
+    def length_px(self) -> float:
+        """Length of the motion, px."""
+        return math.sqrt(24.0 * self.size_px2)
+
+    @property
+    def direction(self) -> tuple[float, float]:
+        """Unit vector along the motion."""
+        angle = 0.5 * math.atan2(self.oblique_px2, self.straight_px2)
+        return math.cos(angle), math.sin(angle)
+
+    @property
+    def blur_px2(self) -> Float:
+        """What it adds to the variance of the point spread function, (3,): xx, xy and yy, px^2."""
+        even = self.size_px2
+        return np.array([even + self.straight_px2, self.oblique_px2, even - self.straight_px2])
+
+    def smeared(self, images: Float) -> Float:
+        """Return images smeared by the motion; what lies beyond them is as bright as their edge.
+
+        Parameters
+        ----------
+        images : (..., h, w) float64
+
+        Returns
+        -------
+        (..., h, w) float64
+        """
+        from scipy.fft import irfft2, next_fast_len, rfft2
+
+        room = _ROOM_PX + math.ceil(self.length_px)
+        height, width = images.shape[-2:]
+        size = [next_fast_len(each + 2 * room, real=True) for each in (height, width)]
+        ends = [(room, total - each - room) for each, total in zip((height, width), size, strict=True)]
+        padded = np.pad(images, [*[(0, 0)] * (images.ndim - 2), *ends], mode="edge")
+        x, y = self.direction
+        along = np.fft.rfftfreq(size[1]) * x + np.fft.fftfreq(size[0])[:, None] * y
+        spread = irfft2(rfft2(padded) * np.sinc(self.length_px * along), s=size)
+        return np.asarray(spread[..., room : room + height, room : room + width], dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Corrections(_Stated):
+    """What an image shows beside the place of a body, and a fix takes into account; None what it does not.
+
+    Figures are rounded to the digits with which the provenance of the fix states them: a fix that is made again by what
+    is stated of it is the same. ``one | other`` has the corrections of both, of which those of the second one count.
+
+    Parameters
+    ----------
+    response : Response or None
+        By which values were brought into proportion to light.
+    smear : Smear or None
+        Motion of the body in the image during the exposure.
+    limb_altitude_km : float or None, km
+        Altitude above the shape at which the limb is seen.
+    altitude_sigma_km : float or None, km
+        Standard deviation of the altitude, by haze or an atmosphere.
+    limb_blur_px2 : float or None, px^2
+        Variance of the blur of the limb beyond that of the camera.
+    seen_size : float or None
+        Size of the body over that at its predicted range, of fixes without a range.
+    """
+
+    response: Response | None = None
+    smear: Smear | None = None
+    limb_altitude_km: float | None = field(default=None, metadata={"digits": 6})
+    altitude_sigma_km: float | None = field(default=None, metadata={"digits": 6})
+    limb_blur_px2: float | None = field(default=None, metadata={"digits": 4})
+    seen_size: float | None = field(default=None, metadata={"digits": 6})
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            object.__setattr__(self, one.name, _rounded(getattr(self, one.name), one.metadata.get("digits")))
+
+    def __or__(self, other: Corrections) -> Corrections:
+        known = {one.name: getattr(other, one.name) for one in fields(other)}
+        return replace(self, **{name: value for name, value in known.items() if value is not None})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Findings(_Stated):
+    """What the checks of a fix came to; None, or empty, what was not checked.
+
+    Parameters
+    ----------
+    terrain_mean_km : float or None, km
+        Mean altitude, by a height map, of the ground at the limb.
+    terrain_log_odds : float or None
+        Logarithm of the odds for the height map, against a smooth limb.
+    terrain_misfit : float or None
+        Residuals of the limb over what noise and the errors of the height map let expect.
+    checks : mapping of str to float
+        Numbers of the checks behind every fix, see :class:`~giantlike.relative.quality.QualityChecks`.
+    chosen, because : str
+        Estimator that ``auto`` took, and why.
+    checked_by : str
+        Estimator whose fix decided on that one.
+    agreement : float or None
+        Probability that right fixes of these two differ by as much.
+    weight : float or None
+        Share of the first of two fixes in their mean.
+    """
+
+    terrain_mean_km: float | None = field(default=None, metadata={"digits": 6})
+    terrain_log_odds: float | None = field(default=None, metadata={"digits": 3})
+    terrain_misfit: float | None = field(default=None, metadata={"digits": 3})
+    checks: Mapping[str, float] = field(default_factory=dict, metadata={"digits": 3})
+    chosen: str = ""
+    because: str = ""
+    checked_by: str = ""
+    agreement: float | None = field(default=None, metadata={"digits": 3})
+    weight: float | None = field(default=None, metadata={"digits": 3})
