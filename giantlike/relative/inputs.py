@@ -27,6 +27,7 @@ from giantlike.processing.detection.frame_lines import FrameLines
 from giantlike.processing.detection.hot_lines import hot_lines
 from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.place import apparent_radius_px
+from giantlike.relative.response import DISPLAY_BEND_SIGMA
 from giantlike.scene import Scene, TargetGeometry
 
 ESTIMATED_NOISE = "estimated_noise"
@@ -127,6 +128,15 @@ class EstimatorInputs(Value):
         )
 
     @property
+    def bend_sigma(self) -> float:
+        """A priori standard deviation of the bend of the response; 0 for values that are proportional to light.
+
+        They are where the camera declares its noise or its gamma, and where the format is not one for display.
+        """
+        unknown = self.image.eight_bit is not None and self.camera.detector.noise_of_image is not None
+        return DISPLAY_BEND_SIGMA if unknown and self.corrections.response is None else 0.0
+
+    @property
     def psf_sigma_px(self) -> float | None:
         """Standard deviation of the point spread function, px; None when the camera does not know it."""
         return None if self.camera.psf is None else self.camera.psf.sigma_px
@@ -205,7 +215,7 @@ class EstimatorInputs(Value):
         detector, light_dn = self.camera.detector, response.light_dn(self.pixels_dn)
         if self.saturated.any():
             detector = replace(detector, saturation_dn=detector.bias_dn + float(light_dn[self.saturated].min()))
-        return replace(self.image, pixels=light_dn + detector.bias_dn, detector=detector)
+        return replace(self.image, pixels=light_dn + detector.bias_dn, detector=detector, eight_bit=None)
 
     def fail(self, reason: Reason, detail: str) -> Failure:
         """Return a failure whose text starts with the image, the target and the estimator.

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
+from giantlike.core.causes import Cause
 from giantlike.core.detector import Detector
 from giantlike.core.errors import InputError
 from giantlike.core.gamma import Gamma, GammaCurve
@@ -109,3 +110,26 @@ def test_a_simulated_detector_codes_what_is_linearized() -> None:
     image = Image(pixels=converted(charge_e, detector)).linearized(detector)
     rounding = GammaCurve(gamma="srgb", full_scale_dn=255.0).slope(255.0) * 0.5
     assert_allclose(image.pixels, charge_e / 10.0, rtol=0, atol=float(rounding) + ROUND)
+
+
+@pytest.mark.parametrize("name", ["limb_matching", "ellipsoid_cra", "sigmoid_limb"])
+def test_an_undeclared_coding_of_a_display_file_is_an_error_of_the_fix(name: str) -> None:
+    linear = dataclasses.replace(
+        CAMERA, detector=Detector(gain_e_per_dn=50.0, read_noise_e=40.0, saturation_dn=255.0, bias_dn=0.0)
+    )
+    case = body_image(Ellipsoid(radii_km=np.array([1.0, 0.97, 0.9])), 5, phase_deg=60.0, peak_dn=200.0, camera=linear)
+    curve = GammaCurve(gamma="srgb", full_scale_dn=255.0)
+    coded = np.rint(curve.values_dn(np.maximum(case.image.pixels, 0.0))).astype(np.uint8)
+    undeclared = dataclasses.replace(CAMERA, detector=Detector(estimated=True))
+    fixes = {}
+    for eight_bit in (EightBitValues(), None):
+        image = Image(pixels=coded, camera_from_inertial=Rotation.identity(), eight_bit=eight_bit)
+        fix = ESTIMATORS[name]().estimate(image, undeclared, case.scene)
+        assert isinstance(fix, PositionFix), fix
+        fixes[eight_bit is not None] = fix
+    display, science = fixes[True], fixes[False]
+    assert case.nees(display) < NEES_LIMIT
+    assert case.nees(display) < case.nees(science)
+    added = display.parts[Cause.REFLECTANCE] - science.parts[Cause.REFLECTANCE]
+    assert np.linalg.eigvalsh(added)[-1] > 0.0
+    assert_allclose(sum(part[:2, :2] for part in display.parts.values()), display.covariance_px2, rtol=1e-6, atol=1e-12)
