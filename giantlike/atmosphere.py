@@ -188,7 +188,11 @@ ATMOSPHERES = MappingProxyType(
         "VENUS": Atmosphere(scale_height_km=2.2, optical_depth=0.01, sigma_km=4.0, base_km=82.5),
         "JUPITER": Atmosphere.at(80.0, sigma_km=30.0),
         "SATURN": Atmosphere.at(100.0, sigma_km=40.0),
-        "TITAN": Atmosphere(scale_height_km=65.0, optical_depth=3.9, sigma_km=80.0, base_km=80.0, exponent=2.3),
+        "URANUS": Atmosphere.at(85.0, sigma_km=35.0),
+        "NEPTUNE": Atmosphere.at(60.0, sigma_km=25.0),
+        "TITAN": Atmosphere(scale_height_km=65.0, optical_depth=0.57, sigma_km=65.0, base_km=80.0, exponent=2.3),
+        "TRITON": Atmosphere.at(3.0, sigma_km=3.0),
+        "PLUTO": Atmosphere.at(5.0, sigma_km=5.0),
     }
 )
 """Atmospheres by NAIF name, with sigmas as wide as what is left open: a limb measured in the same filter beats them.
@@ -197,12 +201,23 @@ Earth: scattering by air with the cross-section of Nicolet (1984, abstract: 0.2 
 square centimeter; the scale height is about the mean below 30 km. Clouds and multiple scattering raise the limb: paper
 000 measured 25 km, which is 1 sigma above. Mars: dust with a scale height of 11.56 km and a depth of 0.9 that fell by
 0.6 % a day (Lemmon et al. 2004, abstract); seasons go below and far beyond. Venus: a vertical depth of 0.01 at 80 to
-85 km with a scale height of 1 to 3 km (Lane and Opstbaum 1983, abstract), above the solid surface. Titan: main haze
-above 80 km as the Huygens probe found it at 10 degrees south (Tomasko et al. 2008), by the numbers that the code SRTC++
-(``atmosphere::DISR08``) states from there: a depth of 1.012e7 over the wavelength in nm to the power of 2.339, 3.9 at
-550 nm, and a scale height of 65 km. The sigma is wide because other latitudes and seasons were not seen by it; the
-detached haze in the ultraviolet is not in it, at 500 +- 8 km from 2005 to 2007 (Seignovert et al. 2017, abstract,
-doi:10.1016/j.icarus.2017.03.026), gone from 2012 to 2015 (Seignovert et al. 2021, abstract, arXiv:2102.05384).
+85 km with a scale height of 1 to 3 km (Lane and Opstbaum 1983, abstract), above the solid surface.
+
+Titan: scale height and exponent are those of the main haze above 80 km by the Huygens probe at 10 degrees south
+(Tomasko et al. 2008), by the numbers that the code SRTC++ (``atmosphere::DISR08``) states from there. The depth is the
+one whose limb is at the median of 49 published fits of circles to the limb in images of Cassini from 2004 to 2017 (SETI
+Institute, rms-spindoctor, ``util/titan_cohort/final_run_summary.csv``, rows ``committed``): 146 to 376 km above 2574.7
+km, median 242, by filter 307 (violet, 420 nm), 238 (clear) and 248 (red, 650 nm). They scatter by 40 km about it with
+their own errors. The depth that Huygens measured, 3.9 at 550 nm, has it 125 km higher: where light is scattered many
+times, a limb is steepest deeper than a grazing ray is dark. The sigma is one scale height, for other seasons and
+phases; the detached haze in the ultraviolet is not in it, at 500 +- 8 km from 2005 to 2007 (Seignovert et al. 2017,
+abstract, doi:10.1016/j.icarus.2017.03.026), gone from 2012 to 2015 (Seignovert et al. 2021, abstract,
+arXiv:2102.05384).
+
+Triton: its principal haze lies 3 to 6 km above the surface, fainter haze up to 14 km (caption of images of Voyager 2,
+1989); clouds and haze have a depth of 0.03 in green (Hillier and Veverka 1994, abstract), which hides no ground. Pluto:
+haze up to 200 km (Cheng et al. 2017, abstract, arXiv:1702.07771), through which its ground is seen too. Both sigmas
+reach from the ground to the haze.
 
 Of giant planets the radii are those of a pressure of 1 bar, and the limb is haze above the clouds, with sigmas that
 cover what lies between. Jupiter: clouds end near 0.2 bar, with haze of a vertical depth of 0.3 to 0.6 above (Kuehn and
@@ -210,5 +225,46 @@ Beebe, Vertical structure of Jupiter's atmosphere at the Galileo probe entry lat
 height at 130 K rays that graze are dark from 31 km, and up to 120 km if haze is mixed with the gas. Saturn: hazes
 between 0.5 and 0.01 bar over 130 km (Sanchez-Lavega et al. 2020, abstract), which starts 34 km up. Scattering by
 hydrogen alone, a slant depth of 10 to 20 at 1 bar and 550 nm, has the limb at 3 to 3.6 scale heights, among these.
-Uranus and Neptune: give ``Atmosphere.at``.
+Uranus: haze from 0.1 bar up to a few millibars (Pollack et al. 1987, abstract), 50 to 130 km up with 22 to 25 km of
+scale height; scattering by hydrogen alone has the limb at 85 km. Neptune: 0.1 bar is 40 km up (Voyager 2 radio
+occultation, abstract: 72 K at 1 bar and 52 K there), haze reaches from 1 to 2 bar into the stratosphere, with methane
+ice near 0.2 bar (Irwin et al. 2022, abstract, doi:10.1029/2022JE007189); scattering by hydrogen alone has the limb at
+60 km.
 """
+
+_AIRLESS_NAMES = """
+MERCURY MOON PHOBOS DEIMOS
+IO EUROPA GANYMEDE CALLISTO AMALTHEA THEBE ADRASTEA METIS HIMALIA
+MIMAS ENCELADUS TETHYS DIONE RHEA HYPERION IAPETUS PHOEBE JANUS EPIMETHEUS HELENE TELESTO CALYPSO ATLAS PROMETHEUS
+PANDORA PAN DAPHNIS METHONE PALLENE POLYDEUCES
+MIRANDA ARIEL UMBRIEL TITANIA OBERON PUCK PROTEUS NEREID LARISSA CHARON NIX HYDRA
+CERES VESTA PALLAS LUTETIA MATHILDE IDA DACTYL GASPRA EROS STEINS ITOKAWA BENNU RYUGU DIDYMOS DIMORPHOS TOUTATIS
+ANNEFRANK BRAILLE APOPHIS DINKINESH DONALDJOHANSSON ARROKOTH
+"""
+AIRLESS = frozenset(_AIRLESS_NAMES.split())
+"""Bodies without haze, by NAIF name: gas around them meets their surface more often than itself.
+
+The Moon, Mercury, moons of the outer planets and larger asteroids have such exospheres (conference session "Surface
+boundary exospheres", American Geophysical Union, fall meeting 2014, announcement); smaller ones can hold less. Plumes
+of Io and Enceladus are local. Comets are not among them.
+"""
+
+
+def is_airless(body: str) -> bool:
+    """Return True for a body that is known to have no haze around it: those of :data:`AIRLESS`.
+
+    Parameters
+    ----------
+    body : str
+        NAIF name, with or without the number of an asteroid before it (``"4 Vesta"``, ``"101955 BENNU"``).
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> is_airless("Moon"), is_airless("101955 Bennu"), is_airless("TITAN"), is_airless("ROCK")
+    (True, True, False, False)
+    """
+    return body.upper().lstrip("0123456789 _") in AIRLESS

@@ -16,13 +16,12 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import (
     CameraModel,
-    GridCorrectedModel,
     ifov_rad,
     model_from_mapping,
     model_to_mapping,
 )
-from giantlike.camera_models.affine import AffineModel
 from giantlike.camera_models.convert import WIDE_START, frame_grid
+from giantlike.camera_models.part import divisible
 from giantlike.camera_models.plane import PlaneModel
 from giantlike.camera_models.registry import lens_class
 from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
@@ -450,7 +449,7 @@ class Camera(Pictured):
         Raises
         ------
         InputError
-            The window extends beyond the detector, or the model cannot be shifted.
+            The window extends beyond the detector.
         """
         inside = 0 <= x0_px <= self.columns - columns and 0 <= y0_px <= self.rows - rows
         require(
@@ -458,7 +457,7 @@ class Camera(Pictured):
             f"the window must lie on the detector of {self.columns} x {self.rows} pixels, got {columns} x {rows} "
             f"pixels from ({x0_px}, {y0_px})",
         )
-        return replace(self, columns=columns, rows=rows, model=_lens(self.model).windowed(x0_px, y0_px))
+        return replace(self, columns=columns, rows=rows, model=divisible(self.model).windowed(x0_px, y0_px))
 
     def binned(self, factor: int, *, detector: Detector) -> Camera:
         """Return the camera of images whose pixels are blocks of ``factor`` by ``factor`` pixels.
@@ -478,14 +477,14 @@ class Camera(Pictured):
         Raises
         ------
         InputError
-            The factor is below one, or the model cannot be binned.
+            The factor is below one.
         """
         psf = None if self.psf is None else GaussianPsf(sigma_px=self.psf.sigma_px / factor)
         return replace(
             self,
             columns=self.columns // factor,
             rows=self.rows // factor,
-            model=_lens(self.model).binned(factor),
+            model=divisible(self.model).binned(factor),
             psf=psf,
             detector=detector,
         )
@@ -555,10 +554,3 @@ def _require_size(name: str, columns: int, rows: int) -> None:
             isinstance(value, int) and not isinstance(value, bool) and value > 0,
             f"camera {name!r}: {key} must be a positive whole number, got {value!r}",
         )
-
-
-def _lens(model: CameraModel) -> AffineModel | GridCorrectedModel:
-    """Narrow the type of a model to those that can be binned and windowed."""
-    if not isinstance(model, AffineModel | GridCorrectedModel):
-        raise InputError(f"a {model.type_name} model cannot be binned or windowed")
-    return model

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -18,8 +19,10 @@ from giantlike.core.detector import Detector
 from giantlike.core.display import Pictured
 from giantlike.core.errors import InputError
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation
+from giantlike.core.gamma import GammaCurve
 from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import AttitudeErrors, AttitudeFix
+from giantlike.core.pixel_noise import EightBitValues
 from giantlike.core.time import et_from_time, utc_text
 from giantlike.core.values import Value
 from giantlike.io.image_files import read_image_file
@@ -77,6 +80,8 @@ class Image(Pictured, Value):
         Name of the camera that took the image and whose axes the attitude refers to; empty when unknown.
     detector : Detector, optional
         Noise and limits of these pixels where they are not those of the camera, as after :meth:`calibrated`.
+    eight_bit : EightBitValues, optional
+        Of the values of an 8-bit JPEG or PNG file as stored, which may be coded for display.
 
     Raises
     ------
@@ -99,6 +104,7 @@ class Image(Pictured, Value):
     sha256: str = ""
     camera_name: str = ""
     detector: Detector | None = None
+    eight_bit: EightBitValues | None = None
 
     def __post_init__(self) -> None:
         pixels = as_image(self.pixels, f"{self.name}: pixels")
@@ -158,6 +164,7 @@ class Image(Pictured, Value):
             name=Path(path).name,
             path=Path(path),
             sha256=file.sha256,
+            eight_bit=file.eight_bit,
         )
 
     @property
@@ -174,6 +181,52 @@ class Image(Pictured, Value):
     def et(self) -> float | None:
         """Mid-exposure in TDB seconds past J2000; None where the epoch is not known."""
         return None if self.epoch is None else et_from_time(self.epoch)
+
+    @property
+    def step_dn(self) -> float | None:
+        """Step of the values by the format of the file, DN; None where the values themselves have to show it."""
+        return None if self.eight_bit is None else self.eight_bit.step_dn
+
+    @property
+    def limit_dn(self) -> float:
+        """Largest value that the pixels can hold by their type or file, DN; infinite where none is known."""
+        if self.eight_bit is not None:
+            return self.eight_bit.full_scale_dn
+        return float(np.iinfo(self.pixels.dtype).max) if self.pixels.dtype.kind in "iu" else math.inf
+
+    def linearized(self, detector: Detector) -> Image:
+        """Return the image with values in proportion to light, where a detector declares their gamma.
+
+        Parameters
+        ----------
+        detector : Detector
+            Of the camera; that of the image, where it has one, wins.
+
+        Returns
+        -------
+        Image
+            Itself without a gamma. Else its ``detector`` has the noise of the values times the squared slope of the
+            curve; 0 above bias and the full scale (255 of 8-bit files, else the declared saturation or the end of an
+            integer type) are as before.
+
+        Raises
+        ------
+        InputError
+            There is a gamma, but the values have no known full scale.
+        """
+        own = self.detector or detector
+        if own.gamma is None:
+            return self
+        full_dn = self.limit_dn if self.eight_bit is not None else min(self.limit_dn, own.saturation_dn)
+        require(
+            math.isfinite(full_dn),
+            f"{self.name}: a gamma of floating point values needs saturation_dn, the value of the full scale",
+        )
+        curve = GammaCurve(gamma=own.gamma, full_scale_dn=full_dn - own.bias_dn)
+        known = own.of_image(self.pixels, self.mask, step_dn=self.step_dn)
+        known = dataclasses.replace(known, saturation_dn=min(known.saturation_dn, self.limit_dn))
+        light = known.bias_dn + curve.light_dn(self.pixels.astype(np.float64) - known.bias_dn)
+        return dataclasses.replace(self, pixels=light, detector=known.of_light(curve), eight_bit=None)
 
     def calibrated(self, frames: CalibrationFrames, detector: Detector) -> Image:
         """Return the image without bias, dark current and differences of response.
@@ -200,7 +253,7 @@ class Image(Pictured, Value):
             done = frames.apply(self.pixels, detector, exposure_s=self.exposure_s, mask=self.mask)
         except InputError as error:
             raise InputError(f"{self.name}: {error}") from error
-        return dataclasses.replace(self, pixels=done.pixels, mask=done.mask, detector=done.detector)
+        return dataclasses.replace(self, pixels=done.pixels, mask=done.mask, detector=done.detector, eight_bit=None)
 
     def with_attitude(
         self,

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike.atmosphere import Atmosphere
+from giantlike.atmosphere import ATMOSPHERES, Atmosphere, is_airless
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, Mask, require, require_number, unit
 from giantlike.core.display import Pictured
@@ -96,6 +96,11 @@ class Target(Value):
         Relief of an ellipsoid, with which estimators on limbs predict the outline; other estimators see the ellipsoid.
     atmosphere : Atmosphere, optional
         Haze by which the limb of an ellipsoid is seen above its surface, for estimators on limbs.
+    air : bool, optional
+        True for a body with air or haze: an ellipsoid without an ``atmosphere`` or ``terrain`` gets the one that
+        :data:`~giantlike.atmosphere.ATMOSPHERES` has by its name. False for an airless one: no estimator looks for
+        haze on it, and markings are not mistaken for it. None where it is not known, and haze is looked for; bodies of
+        :data:`~giantlike.atmosphere.AIRLESS` are airless without being declared so.
     rings : Rings, optional
         Rings in the equator of an ellipsoid. What they hide or shade is left out of limbs in cells and of the checks
         that are made of every fix.
@@ -104,7 +109,7 @@ class Target(Value):
     ------
     InputError
         There is a height map, an atmosphere or rings and the shape is no ellipsoid, or there are both of the first: a
-        limb is that of one.
+        limb is that of one; or an airless body has an atmosphere.
     """
 
     name: str
@@ -115,8 +120,15 @@ class Target(Value):
     terrain: HeightMap | None = None
     atmosphere: Atmosphere | None = None
     rings: Rings | None = None
+    air: bool | None = None
 
     def __post_init__(self) -> None:
+        require(
+            self.air is not False or self.atmosphere is None,
+            f"{self.name}: an airless body (air = false) has no atmosphere; leave one of the two out",
+        )
+        if self.air and self.atmosphere is None and self.terrain is None and isinstance(self.shape, Ellipsoid):
+            object.__setattr__(self, "atmosphere", ATMOSPHERES.get(self.name.upper()))
         for name, part in (
             ("terrain goes", self.terrain),
             ("an atmosphere goes", self.atmosphere),
@@ -129,6 +141,13 @@ class Target(Value):
             f"{self.name}: give either terrain or an atmosphere: the limb is seen at one of them",
         )
         Value.__post_init__(self)
+
+    @property
+    def airless(self) -> bool:
+        """True for a body without haze, as declared or by its name: nothing in its image is haze."""
+        if self.air is None:
+            return self.atmosphere is None and is_airless(self.name)
+        return not self.air
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

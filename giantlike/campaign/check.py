@@ -40,6 +40,7 @@ _ALONE: dict[str, Any] = {
     "terrain": None,
     "terrain_sigma_km": None,
     "atmosphere": None,
+    "air": None,
     "rings": None,
 }
 """Keys of a target that stand in while one of them is checked."""

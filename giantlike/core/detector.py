@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.core.errors import InputError
-from giantlike.core.pixel_noise import sky_noise, value_step
+from giantlike.core.gamma import Gamma, GammaCurve, checked_gamma
+from giantlike.core.pixel_noise import UNKNOWN_READ_NOISE_E, EstimatedNoise, estimate_noise, value_step
 from giantlike.core.tables import checked_table
 
 UNKNOWN_PSF_SIGMA_PX = 0.7
@@ -24,12 +25,10 @@ Chosen by trial on ellipsoids 160 px wide, blurred by 0.4, 0.7 and 1.2 px. Half 
 """
 
 _NOISE = ("gain_e_per_dn", "read_noise_e")
-_OF_IMAGES = ("estimated", "frame_noise_dn", "relative_noise")
+_OF_IMAGES = ("estimated", "frame_noise_dn", "relative_noise", "noise_of_image")
 """Fields that are no keys of a camera file: they follow from images and their calibration frames."""
 _SPARSE = 101
 """Pixels from one that is looked at first to the next."""
-_SILENT = 1e-3
-"""Noise of floating point numbers whose dark has none, over their range: that of a well exposed image."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,13 +66,22 @@ class Detector:
         Step of the converter; its square over 12 is the noise of quantization. By default that of the pixels of each
         image (:meth:`of_image`), and 1 without an image.
     estimated : bool
-        True where gain and read noise are not known and follow from each image (:meth:`of_image`); what they hold then
-        serves simulations only. The detector of a camera that states none, or neither of the two.
+        True where gain and read noise are not declared and follow from each image (:meth:`of_image`); the values of
+        the two fields then serve simulations only. The detector of a camera file that declares neither of the two;
+        where one of them is declared, the other is the default.
     frame_noise_dn : float, DN
         Standard deviation that calibration frames (bias, dark) and the shot noise of the dark current leave in
         calibrated pixels.
     relative_noise : float
         Standard deviation of the response of a pixel that a flat leaves, relative to the signal.
+    gamma : float or 'srgb', optional
+        Coding of the values: the exponent of the light over that of the value, such as 2.2, or ``"srgb"``. Values are
+        then linearized before they are used (:meth:`giantlike.image.Image.linearized`); gain, read noise and limits
+        are those of the values as stored. None for values that are proportional to light, or whose coding is not
+        known.
+    noise_of_image : EstimatedNoise, optional
+        Noise that :meth:`of_image` took from an image, as none was declared; None where gain and read noise are
+        declared.
 
     Raises
     ------
@@ -82,13 +90,15 @@ class Detector:
     """
 
     gain_e_per_dn: float = 1.0
-    read_noise_e: float = 5.0
+    read_noise_e: float = UNKNOWN_READ_NOISE_E
     saturation_dn: float = math.inf
     bias_dn: float = 0.0
     step_dn: float | None = None
     estimated: bool = False
     frame_noise_dn: float = 0.0
     relative_noise: float = 0.0
+    gamma: Gamma | None = None
+    noise_of_image: EstimatedNoise | None = None
 
     def __post_init__(self) -> None:
         require_number(self.gain_e_per_dn, "gain_e_per_dn", above=0.0)
@@ -97,6 +107,7 @@ class Detector:
         require_number(self.relative_noise, "relative_noise", least=0.0)
         if self.step_dn is not None:
             require_number(self.step_dn, "step_dn", least=0.0)
+        object.__setattr__(self, "gamma", checked_gamma(self.gamma))
         require(self.saturation_dn > 0, f"saturation_dn must be > 0, got {self.saturation_dn}")
 
     @classmethod
@@ -119,24 +130,28 @@ class Detector:
         """
         keys = [entry.name for entry in fields(cls) if entry.name not in _OF_IMAGES]
         checked = checked_table(table, "[detector]", keys, [])
+        gamma = checked.get("gamma")
+        checked = {key: value for key, value in checked.items() if key != "gamma"}
         for key, value in checked.items():
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise InputError(f"[detector]: {key} must be a number, got {value!r}")
-        numbers = {key: float(value) for key, value in checked.items()}
-        return cls(**numbers, estimated=not any(key in numbers for key in _NOISE))
+        numbers: dict[str, Any] = {key: float(value) for key, value in checked.items()}
+        return cls(**numbers, gamma=checked_gamma(gamma), estimated=not any(key in numbers for key in _NOISE))
 
-    def to_mapping(self) -> dict[str, float]:
+    def to_mapping(self) -> dict[str, float | str]:
         """Return the ``[detector]`` table of a camera file; what is estimated or infinite is left out.
 
         Returns
         -------
-        dict of str to float
+        dict of str to float or str
         """
         left_out = (*_OF_IMAGES, *_NOISE) if self.estimated else _OF_IMAGES
         values = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in left_out}
-        return {key: float(value) for key, value in values.items() if value is not None and math.isfinite(value)}
+        texts = {key: value for key, value in values.items() if isinstance(value, str)}
+        numbers = {key: value for key, value in values.items() if value is not None and key not in texts}
+        return {key: float(value) for key, value in numbers.items() if math.isfinite(value)} | texts
 
-    def of_image(self, pixels: NDArray[Any], mask: Mask | None = None) -> Detector:
+    def of_image(self, pixels: NDArray[Any], mask: Mask | None = None, *, step_dn: float | None = None) -> Detector:
         """Return the detector in the unit of the pixels of an image, with all of its noise known.
 
         Parameters
@@ -145,40 +160,40 @@ class Detector:
             Finite, as stored.
         mask : (rows, columns) bool, optional
             True where a pixel is bad.
+        step_dn : float, DN, optional
+            Step of the numbers where the format of the file gives it; by default the step that the pixels show.
 
         Returns
         -------
         Detector
-            ``step_dn`` is that of the pixels: 0 for floating point numbers without a common step. Where gain and read
-            noise are ``estimated``, the noise of the sky counts as the default read noise, which gives the gain:
-            reflectances (I/F) get a noise in their own unit. Floating point numbers that all lie within the read
-            noise stated cannot be in its unit: they are treated likewise, and their bias is 0. A detector with a
-            ``step_dn`` and a known noise is that of an image already.
+            ``step_dn`` is the step of the pixels: 0 for floating point numbers without a common one. Where gain and
+            read noise are ``estimated``, they are those of :func:`~giantlike.core.pixel_noise.estimate_noise`, kept in
+            ``noise_of_image``: reflectances (I/F) get a noise in their own unit. Floating point numbers that all lie
+            within the declared read noise cannot be in its unit: they are treated likewise, and their bias is 0. A
+            detector with a ``step_dn`` and a known noise belongs to an image already.
         """
         if self.step_dn is not None and not self.estimated:
             return self
-        step = value_step(pixels, mask) if self.step_dn is None else self.step_dn
-        good = pixels if mask is None or not mask.any() else pixels[~mask]
-        reach, foreign = math.inf, False
-        if self.estimated or pixels.dtype.kind == "f":
+        step = self.step_dn
+        if step is None:
+            step = value_step(pixels, mask) if step_dn is None else step_dn
+        bias_dn = self.bias_dn
+        if not self.estimated:
             stated_dn = self.read_noise_e / self.gain_e_per_dn
-            reach = _reach(good, enough=math.inf if self.estimated else stated_dn)
-            foreign = 0.0 < reach < stated_dn
-        if not (self.estimated or foreign):
-            return replace(self, step_dn=step)
-        bias_dn = self.bias_dn if self.estimated else 0.0
-        read_noise_e, sigma_dn = type(self)().read_noise_e, sky_noise(pixels, mask)
-        if sigma_dn > 0.0:
-            read_dn = math.sqrt(max(sigma_dn**2 - step**2 / 12.0, step**2 / 12.0))
-        else:
-            read_dn = read_noise_e * step if step > 0.0 else _SILENT * reach
+            good = pixels if mask is None or not mask.any() else pixels[~mask]
+            reach = _reach(good, enough=stated_dn) if pixels.dtype.kind == "f" else math.inf
+            if not 0.0 < reach < stated_dn:
+                return replace(self, step_dn=step)
+            bias_dn = 0.0
+        noise = estimate_noise(pixels, mask, step_dn=step)
         return replace(
             self,
-            gain_e_per_dn=read_noise_e / read_dn if read_dn > 0.0 else 1.0,
-            read_noise_e=read_noise_e,
+            gain_e_per_dn=noise.gain_e_per_dn,
+            read_noise_e=noise.read_noise_dn * noise.gain_e_per_dn,
             bias_dn=bias_dn,
             step_dn=step,
             estimated=False,
+            noise_of_image=noise,
         )
 
     def variance_dn2(self, signal_dn: Float) -> Float:
@@ -198,6 +213,33 @@ class Detector:
         dark = (self.read_noise_e / self.gain_e_per_dn) ** 2 + step_dn**2 / 12.0 + self.frame_noise_dn**2
         variance = light / self.gain_e_per_dn + dark
         return variance + (self.relative_noise * light) ** 2 if self.relative_noise else variance
+
+    def of_light(self, curve: GammaCurve) -> Detector:
+        """Return the detector of values that were linearized, with the noise propagated to light.
+
+        Parameters
+        ----------
+        curve : GammaCurve
+            By which light follows from values above bias.
+
+        Returns
+        -------
+        Detector
+            Without a ``gamma``; its read noise, gain and relative noise are those of light
+            (:meth:`~giantlike.core.gamma.GammaCurve.noise_of_light`).
+        """
+        constant, linear, square = curve.noise_of_light(self.variance_dn2(curve.samples_dn()))
+        gain_e_per_dn = 1.0 / max(linear, constant / curve.full_scale_dn)
+        return replace(
+            self,
+            gamma=None,
+            gain_e_per_dn=gain_e_per_dn,
+            read_noise_e=math.sqrt(constant) * gain_e_per_dn,
+            saturation_dn=self.bias_dn + float(curve.light_dn(self.saturation_dn - self.bias_dn)),
+            step_dn=0.0,
+            frame_noise_dn=0.0,
+            relative_noise=math.sqrt(square),
+        )
 
     def averaged(self, factor: int) -> Detector:
         """Return the detector of means over blocks of pixels, each with its own noise.

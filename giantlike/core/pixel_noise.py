@@ -1,13 +1,19 @@
-"""Noise of the pixels of an image, by the image: step of its numbers, and noise of its dark parts."""
+"""Noise of the pixels of an image, by the image: step of its numbers, noise of its sky, and its growth with light."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from giantlike.core.arrays import Float, Mask
+
+UNKNOWN_READ_NOISE_E = 5.0
+"""Read noise, electrons, of a detector that declares none: the gain follows where an image does not show it."""
 
 _LEAST_VALUES = 16
 """Different values that a common step needs: fewer have one by chance, 16 once in 30,000 images."""
@@ -25,12 +31,22 @@ _BLOCK_PX = 16
 _BLOCKS = 4096
 """Blocks that are looked at: all of an image of 1024 x 1024 pixels."""
 _DARKEST = 0.25
-"""Share of the blocks, darkest first, that count as sky.
+"""Fraction of the blocks, darkest first, that is treated as sky.
 
 A body may cover up to three quarters of the frame, and stars less than half of these blocks: their median counts.
 """
 _VARIED = 0.5
-"""Least share of blocks whose pixels differ: with fewer, the dark was clipped or made without noise."""
+"""Minimum fraction of the blocks of the sky whose pixels differ: with fewer, it was clipped or made without noise."""
+_SMOOTHEST = 0.1
+"""Quantile of the variances of bright blocks that is treated as noise: structure of a body only adds to it. The same
+quantile of chi-squared is divided out, so that blocks with noise alone give its variance."""
+_MIN_BRIGHT_BLOCKS = 16
+"""Bright blocks from which on noise is measured: the quantile of as many is known to 5 %."""
+_BRIGHT, _BRIGHT_SIGMAS = 0.25, 10.0
+"""Signal of a bright block, over that of the brightest ones (quantile 0.99) and over the noise of a pixel of the sky:
+beyond both, its level is the level of a body and no gradient of the sky."""
+_SILENT = 1e-3
+"""Noise of floating point numbers whose dark has none, over their range: that of a well exposed image."""
 _ROUNDING = 1e-12
 """Variance over squared level of a block of equal numbers, by rounding in single precision (6e-8 squared) and more."""
 
@@ -80,6 +96,104 @@ def _common_step(differences: Float) -> float:
     return 0.0 if bool(misses.any()) else step
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EightBitValues:
+    """Values of an 8-bit JPEG or PNG file, gray or the luminance of its colors; they may be coded for display.
+
+    Parameters
+    ----------
+    step_dn : float, DN
+        Step whose square over 12 is the noise of quantization: 1, or less for the weighted mean of three channels.
+    """
+
+    step_dn: float = 1.0
+
+    @property
+    def full_scale_dn(self) -> float:
+        """Largest value, DN."""
+        return 255.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EstimatedNoise:
+    """Noise of an image whose detector is not declared, as its own pixels show it.
+
+    Parameters
+    ----------
+    read_noise_dn : float, DN
+        Standard deviation of a pixel without light, quantization not included.
+    gain_e_per_dn : float, electron/DN
+        Signal over the variance that it adds.
+    in_sky : bool
+        The read noise is that of the sky. False where the sky is constant, as in clipped images: it is the standard
+        deviation of quantization then, or, without noise in the light either, 5 steps.
+    in_light : bool
+        The gain is that of the smoothest bright parts. False where too few pixels are bright, or where their noise is
+        less than that of the sky: the read noise is then taken to be :data:`UNKNOWN_READ_NOISE_E` electrons.
+    """
+
+    read_noise_dn: float
+    gain_e_per_dn: float
+    in_sky: bool
+    in_light: bool
+
+    def __str__(self) -> str:
+        sky = "of the sky" if self.in_sky else "of quantization"
+        light = "by bright pixels" if self.in_light else f"for {UNKNOWN_READ_NOISE_E:g} e of read noise"
+        return f"read noise {self.read_noise_dn:.3g} DN {sky}, gain {self.gain_e_per_dn:.3g} e/DN {light}"
+
+
+@dataclass(frozen=True, slots=True)
+class _Blocks:
+    """Variances about planes and mean levels of square blocks of an image, and which of them are of the sky."""
+
+    variances: Float
+    levels: Float
+    largest: Float
+    sky: Mask
+    freedom: int
+
+    @classmethod
+    def of(cls, pixels: NDArray[Any], mask: Mask | None) -> _Blocks:
+        """Blocks of the good pixels of an image."""
+        side = min(_BLOCK_PX, *pixels.shape)
+        blocks = _blocks(pixels, side).astype(np.float64)
+        if mask is not None and mask.any():
+            clean = ~_blocks(mask, side).any(axis=1)
+            blocks = blocks[clean] if clean.any() else blocks
+        down, across = np.indices((side, side)).reshape(2, -1)
+        basis = np.linalg.qr(np.stack([np.ones(side**2), down, across], axis=1))[0]
+        away = blocks - (blocks @ basis) @ basis.T
+        freedom = max(side**2 - basis.shape[1], 1)
+        levels = blocks.mean(axis=1)
+        variances = np.sum(away**2, axis=1) / freedom
+        variances[variances <= _ROUNDING * levels**2] = 0.0
+        sky = np.zeros(len(levels), dtype=bool)
+        sky[np.argsort(levels, kind="stable")[: max(int(_DARKEST * len(levels)), 1)]] = True
+        return cls(variances, levels, blocks.max(axis=1), sky, freedom)
+
+    @property
+    def sky_variance(self) -> float:
+        """Variance of the pixels of the sky; 0 where most of it is constant."""
+        variances = self.variances[self.sky]
+        varied = variances[variances > 0.0]
+        return float(np.median(varied)) if len(varied) >= _VARIED * len(variances) else 0.0
+
+    def variance_per_light(self) -> float | None:
+        """Growth of the variance with the signal in the smoothest bright blocks; None where that is not to be seen."""
+        above, dark = self.levels - float(np.median(self.levels[self.sky])), self.sky_variance
+        bright = above > max(_BRIGHT * float(np.quantile(above, 0.99)), _BRIGHT_SIGMAS * math.sqrt(dark))
+        bright &= (self.largest < self.largest.max()) & (self.variances > 0.0)  # neither saturated nor smeared out
+        if np.count_nonzero(bright) < _MIN_BRIGHT_BLOCKS:
+            return None
+        least = float(gammaincinv(0.5 * self.freedom, _SMOOTHEST)) / (
+            0.5 * self.freedom
+        )  # of chi-squared, over its mean
+        smooth = self.variances[bright] / least
+        slope = float(np.quantile((smooth - dark) / above[bright], _SMOOTHEST))
+        return slope if slope > 0.0 else None
+
+
 def sky_noise(pixels: NDArray[Any], mask: Mask | None = None) -> float:
     """Standard deviation of the pixels in the dark parts of an image, about planes.
 
@@ -93,22 +207,46 @@ def sky_noise(pixels: NDArray[Any], mask: Mask | None = None) -> float:
     Returns
     -------
     float, DN
-        0 where most of the image is equal pixels, as in a render without noise.
+        0 where most of the dark parts are equal pixels, as in a render without noise or in a clipped image.
     """
-    side = min(_BLOCK_PX, *pixels.shape)
-    blocks = _blocks(pixels, side).astype(np.float64)
-    if mask is not None and mask.any():
-        clean = ~_blocks(mask, side).any(axis=1)
-        blocks = blocks[clean] if clean.any() else blocks
-    down, across = np.indices((side, side)).reshape(2, -1)
-    basis = np.linalg.qr(np.stack([np.ones(side**2), down, across], axis=1))[0]
-    away = blocks - (blocks @ basis) @ basis.T
-    variances, levels = np.sum(away**2, axis=1) / max(side**2 - basis.shape[1], 1), blocks.mean(axis=1)
-    varied = variances > _ROUNDING * levels**2
-    if np.count_nonzero(varied) < _VARIED * len(varied):
-        return 0.0
-    darkest = np.argsort(levels[varied])[: max(int(_DARKEST * np.count_nonzero(varied)), 1)]
-    return float(np.sqrt(np.median(variances[varied][darkest])))
+    return math.sqrt(_Blocks.of(pixels, mask).sky_variance)
+
+
+def estimate_noise(pixels: NDArray[Any], mask: Mask | None = None, *, step_dn: float) -> EstimatedNoise:
+    """Estimate read noise and gain from an image alone.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) real, DN
+        Finite.
+    mask : (rows, columns) bool, optional
+        True where a pixel is bad.
+    step_dn : float, DN
+        Step of the numbers.
+
+    Returns
+    -------
+    EstimatedNoise
+
+    Notes
+    -----
+    Read noise is what the darkest blocks show about planes, without quantization (``step^2 / 12``) and at least as much
+    as that. Light adds a variance in proportion to itself, measured on the tenth of the bright blocks with the least
+    for their signal: an upper bound where nothing in the image is smooth. It is at least as much as doubles the
+    variance of the dark at the brightest block, since less is not told from it.
+    """
+    blocks, quantization = _Blocks.of(pixels, mask), step_dn**2 / 12.0
+    dark, slope = blocks.sky_variance, blocks.variance_per_light()
+    reach = float(blocks.levels.max() - blocks.levels.min())
+    if dark > 0.0 or (slope is not None and step_dn > 0.0):
+        read = math.sqrt(max(dark - quantization, quantization))
+    else:
+        read = UNKNOWN_READ_NOISE_E * step_dn if step_dn > 0.0 else _SILENT * reach
+    if slope is not None:
+        gain = 1.0 / max(slope, (read**2 + quantization) / reach)
+    else:
+        gain = UNKNOWN_READ_NOISE_E / read if read > 0.0 else 1.0
+    return EstimatedNoise(read_noise_dn=read, gain_e_per_dn=gain, in_sky=dark > 0.0, in_light=slope is not None)
 
 
 def _blocks(pixels: NDArray[Any], side: int) -> NDArray[Any]:

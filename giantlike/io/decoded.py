@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Mask
 from giantlike.core.observer import ObserverState
+from giantlike.core.pixel_noise import EightBitValues
 from giantlike.core.values import Value
 
 if TYPE_CHECKING:
@@ -39,6 +40,8 @@ class DecodedImage(Value):
         Spacecraft with respect to the solar system barycenter.
     header : dict of str to str, int, float or bool
         Header or label items.
+    eight_bit : EightBitValues or None
+        Of 8-bit JPEG and PNG files.
     """
 
     pixels: NDArray[Any]
@@ -49,3 +52,4 @@ class DecodedImage(Value):
     camera_from_inertial: Rotation | None = None
     observer: ObserverState | None = None
     header: dict[str, HeaderValue] = field(default_factory=dict)
+    eight_bit: EightBitValues | None = None

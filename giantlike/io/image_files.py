@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.core.arrays import Mask
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.observer import ObserverState
+from giantlike.core.pixel_noise import EightBitValues
 from giantlike.core.reading import reads, unzipped
 from giantlike.core.values import Value
 from giantlike.io.decoded import DecodedImage, HeaderValue
@@ -67,6 +68,8 @@ class ImageFile(Value):
         Of the file that holds the pixels.
     path : Path
         As it was given.
+    eight_bit : EightBitValues or None
+        Of 8-bit JPEG and PNG files.
     """
 
     pixels: NDArray[Any]
@@ -79,6 +82,7 @@ class ImageFile(Value):
     format: str
     sha256: str
     path: Path
+    eight_bit: EightBitValues | None = None
 
 
 def read_image_file(path: str | Path, *, hdu: int | str | None = None, bottom_up: bool = False) -> ImageFile:
@@ -210,6 +214,7 @@ def _finish(path: Path, decoded: DecodedImage, digest: str) -> ImageFile:
         format=decoded.format,
         sha256=digest,
         path=path,
+        eight_bit=decoded.eight_bit,
     )
 
 

@@ -6,6 +6,7 @@ checked here first: PNG by its chunks and their checksums, JPEG by its markers, 
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 import zlib
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike.core.pixel_noise import EightBitValues
 from giantlike.core.reading import check, reads
 from giantlike.io.decoded import DecodedImage
 
@@ -58,7 +60,7 @@ def decode_raster(path: Path, data: bytes, kind: str) -> DecodedImage:
     Returns
     -------
     DecodedImage
-        Pixels only.
+        Pixels, and the kind of their values.
 
     Raises
     ------
@@ -68,7 +70,9 @@ def decode_raster(path: Path, data: bytes, kind: str) -> DecodedImage:
     if kind == "tiff":
         return DecodedImage(pixels=_decode_tiff(data), format=kind)
     (_require_whole_png if kind == "png" else _require_whole_jpeg)(data)
-    return DecodedImage(pixels=_gray(_decode(data)), format=kind)
+    stored = _decode(data)
+    pixels = _gray(stored)
+    return DecodedImage(pixels=pixels, format=kind, eight_bit=_eight_bit(stored, pixels))
 
 
 def _decode(data: bytes) -> NDArray[Any]:
@@ -82,6 +86,13 @@ def _decode(data: bytes) -> NDArray[Any]:
     if pixels is None:
         raise ValueError("OpenCV does not decode it: a variant that is not supported")
     return pixels
+
+
+def _eight_bit(stored: NDArray[Any], gray: NDArray[Any]) -> EightBitValues | None:
+    """Step of 8-bit channels as stored and of their gray image, which is floating point where it is a luminance."""
+    if stored.dtype != np.uint8:
+        return None
+    return EightBitValues(step_dn=1.0 if gray.dtype == np.uint8 else math.hypot(*LUMINANCE_BGR))
 
 
 def _gray(pixels: NDArray[Any]) -> NDArray[Any]:

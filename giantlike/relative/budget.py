@@ -174,6 +174,14 @@ def with_error(fix: AnyFix, model: CameraModel, cause: Cause, covariance: Float)
     return replace(fix, **changes)  # type: ignore[arg-type]
 
 
+def place_difference(one: CenterFix, other: CenterFix) -> Float:
+    """Difference of the places of two fixes: x and y, px, and the logarithm of the range where it is estimated."""
+    center_px = one.center_px - other.center_px
+    if isinstance(one, PositionFix) and isinstance(other, PositionFix):
+        return np.append(center_px, math.log(one.range_km / other.range_km))
+    return center_px
+
+
 def position_covariance(model: CameraModel, position_camera_km: Float, covariance: Float) -> Float:
     """Covariance of a position from that of the place of the body, such as a sum of the parts of a fix.
 

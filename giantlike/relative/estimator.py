@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
+import numpy as np
+
 from giantlike.camera import Camera
+from giantlike.core.causes import Cause
+from giantlike.core.findings import Response
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.processes import one_thread
 from giantlike.image import Image
-from giantlike.relative.budget import with_budget
+from giantlike.relative.budget import place_difference, with_budget, with_error
 from giantlike.relative.inputs import EstimatorInputs, gather
+from giantlike.relative.response import BEND_STEP
 from giantlike.relative.verification import verified
 from giantlike.scene import Scene
 
 Options = TypeVar("Options")
 Fix = TypeVar("Fix", bound=CenterFix, covariant=True)
+AnyFix = TypeVar("AnyFix", bound=CenterFix)
 
 
 @runtime_checkable
@@ -128,13 +135,16 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         if isinstance(result, Failure):
             return result
         again = replace(inputs, place_alone=True, corrections=result.corrections)
-        return with_budget(
+        budgeted = with_budget(
             result,
             inputs.image,
             inputs.camera,
             inputs.geometry,
             lambda moved: self._estimate(replace(again, geometry=moved)),
         )
+        if self.of_fixes or isinstance(budgeted, Failure):
+            return budgeted
+        return with_response(budgeted, again, self._estimate)
 
     @abstractmethod
     def _estimate(self, inputs: EstimatorInputs) -> Fix | Failure:
@@ -149,3 +159,34 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         CenterFix, PositionFix or Failure
             The text of a failure need not name image, target and estimator.
         """
+
+
+def with_response(
+    fix: AnyFix, inputs: EstimatorInputs, estimate: Callable[[EstimatorInputs], CenterFix | Failure]
+) -> AnyFix:
+    """Return a fix with the error of a response that is not known, as a part of ``reflectance``: both bend the light.
+
+    Parameters
+    ----------
+    fix : CenterFix or PositionFix
+        With its parts.
+    inputs : EstimatorInputs
+        For the place of the body alone.
+    estimate : callable
+        Finds the body of inputs.
+
+    Returns
+    -------
+    CenterFix or PositionFix
+        The same, where the response is known or the fit fails without it. Else, as of 8-bit JPEG and PNG files without
+        declared noise or gamma, how far the body moves with a small bend of the values, for the bend of one standard
+        deviation (:data:`~giantlike.relative.response.DISPLAY_BEND_SIGMA`).
+    """
+    if inputs.bend_sigma == 0.0:
+        return fix
+    bent = Response(bend=BEND_STEP, dark_dn=0.0, bright_dn=float(inputs.pixels_dn[inputs.usable].max()))
+    moved = estimate(replace(inputs, pixels_dn=bent.light_dn(inputs.pixels_dn)))
+    if isinstance(moved, Failure):
+        return fix
+    by_bend = inputs.bend_sigma / BEND_STEP * place_difference(moved, fix)
+    return with_error(fix, inputs.camera.model, Cause.REFLECTANCE, np.outer(by_bend, by_bend))

@@ -27,8 +27,11 @@ from giantlike.processing.detection.frame_lines import FrameLines
 from giantlike.processing.detection.hot_lines import hot_lines
 from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.place import apparent_radius_px
+from giantlike.relative.response import DISPLAY_BEND_SIGMA
 from giantlike.scene import Scene, TargetGeometry
 
+ESTIMATED_NOISE = "estimated_noise"
+"""Key of the provenance of fixes made without a declared detector: the noise that was taken from the image."""
 _PLATEAU_PIXELS = 20
 """Pixels of exactly the largest value from which on they may be a plateau: hot pixels are fewer, a saturated star has
 more."""
@@ -125,6 +128,15 @@ class EstimatorInputs(Value):
         )
 
     @property
+    def bend_sigma(self) -> float:
+        """A priori standard deviation of the bend of the response; 0 for values that are proportional to light.
+
+        They are where the camera declares its noise or its gamma, and where the format is not one for display.
+        """
+        unknown = self.image.eight_bit is not None and self.camera.detector.noise_of_image is not None
+        return DISPLAY_BEND_SIGMA if unknown and self.corrections.response is None else 0.0
+
+    @property
     def psf_sigma_px(self) -> float | None:
         """Standard deviation of the point spread function, px; None when the camera does not know it."""
         return None if self.camera.psf is None else self.camera.psf.sigma_px
@@ -203,7 +215,7 @@ class EstimatorInputs(Value):
         detector, light_dn = self.camera.detector, response.light_dn(self.pixels_dn)
         if self.saturated.any():
             detector = replace(detector, saturation_dn=detector.bias_dn + float(light_dn[self.saturated].min()))
-        return replace(self.image, pixels=light_dn + detector.bias_dn, detector=detector)
+        return replace(self.image, pixels=light_dn + detector.bias_dn, detector=detector, eight_bit=None)
 
     def fail(self, reason: Reason, detail: str) -> Failure:
         """Return a failure whose text starts with the image, the target and the estimator.
@@ -278,7 +290,7 @@ def gather(
     if isinstance(geometry, Failure):
         return geometry
     readout = _readout(image, image.detector or camera.detector)
-    camera = replace(camera, detector=readout.detector)
+    image, camera = readout.linear or image, replace(camera, detector=readout.detector)
     predicted_px = camera.model.project(geometry.position_camera_km)
     inputs = EstimatorInputs(
         estimator=estimator,
@@ -307,11 +319,15 @@ class _Readout(Value):
     usable: Mask
     saturated: Mask
     masked: Mask
+    linear: Image | None = None
+    """The image that these are of, where its values were linearized by a declared gamma."""
 
     @classmethod
     def of(cls, image: Image, detector: Detector) -> _Readout:
-        """Readout of an image with the detector that its camera states."""
-        detector = detector.of_image(image.pixels, image.mask)
+        """Readout of an image with the declared detector of its camera, or with the noise that the image shows."""
+        stored, image = image, image.linearized(detector)
+        detector = image.detector or detector
+        detector = detector.of_image(image.pixels, image.mask, step_dn=image.step_dn)
         frame = FrameLines.of(image.pixels, detector.bias_dn)
         limit_dn = min(detector.saturation_dn, _type_limit(image.pixels), _plateau_dn(image, frame, detector))
         saturated = image.pixels >= limit_dn
@@ -323,6 +339,7 @@ class _Readout(Value):
             usable=np.logical_not(usable, out=usable),
             saturated=saturated & ~masked if masked.any() else saturated,
             masked=masked,
+            linear=None if image is stored else image,
         )
 
 
@@ -404,8 +421,11 @@ def _plateau_dn(image: Image, frame: FrameLines, detector: Detector) -> float:
 
 
 def _provenance(image: Image, camera: Camera, geometry: TargetGeometry, options: object) -> Mapping[str, str]:
+    """Versions, hashes and names of the inputs, and the noise of the image where its camera declares none."""
     shape = geometry.target.shape
-    return {
+    noise = camera.detector.noise_of_image
+    estimated = {} if noise is None else {ESTIMATED_NOISE: str(noise)}
+    return estimated | {
         "giantlike": VERSION,
         "image": image.name,
         "image_sha256": image.sha256,

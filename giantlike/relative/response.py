@@ -11,6 +11,12 @@ from giantlike.core.findings import Response
 LEAST_BEND = 0.25
 """Bend that residuals ask for from which on it is tried. Of the gauntlet tables of square roots ask for 0.34 and more,
 images with nothing but another law for 0.03 at most, markings for 0.3."""
+DISPLAY_BEND_SIGMA = 1.0
+"""A priori standard deviation of the bend, about 0, of values of 8-bit JPEG and PNG files whose camera declares no
+gamma and no noise: they may be proportional to light (0), or coded for display, where light goes as their power of 2.2
+(nearly 1, which is the square)."""
+BEND_STEP = 0.1
+"""Bend by which values are changed to see how a fix follows."""
 _MOST_BEND = 0.98
 _BENDINGS, _SETTLED_BEND = 6, 0.02
 """Trials of a response, at most, and the change of its bend, if not its standard deviation, below which it is found:

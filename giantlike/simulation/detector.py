@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask, as_floats, require, require_number
 from giantlike.core.detector import Detector
+from giantlike.core.gamma import GammaCurve
 from giantlike.core.values import Value
 from giantlike.simulation.cosmic_rays import CosmicRays, draw_tracks
 from giantlike.simulation.effects import DarkCurrent, FlatField, FrameTransfer, FullWell, StrayLight
@@ -259,9 +260,12 @@ def shot_noise(expected_e: Float, random: np.random.Generator) -> Float:
 
 
 def converted(charge_e: Float, detector: Detector, *, bits: int = 16) -> NDArray[np.uint16]:
-    """Digital numbers (rows, columns), DN, of charge, electron: gain, bias, rounding and clipping."""
-    numbers = np.rint(charge_e / detector.gain_e_per_dn + detector.bias_dn)
-    return np.clip(numbers, 0.0, int(min(detector.saturation_dn, 2**bits - 1))).astype(np.uint16)
+    """Digital numbers (rows, columns), DN, of charge, electron: gain, gamma, bias, rounding and clipping."""
+    largest_dn = int(min(detector.saturation_dn, 2**bits - 1))
+    light_dn = charge_e / detector.gain_e_per_dn
+    if detector.gamma is not None:
+        light_dn = GammaCurve(gamma=detector.gamma, full_scale_dn=largest_dn - detector.bias_dn).values_dn(light_dn)
+    return np.clip(np.rint(light_dn + detector.bias_dn), 0.0, largest_dn).astype(np.uint16)
 
 
 def _inside(points_px: NDArray[np.int64], columns: int, rows: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:

@@ -182,6 +182,7 @@ class StarNavigation:
     ) -> Iterator[Detections | Failure]:
         """Sources of an image, more of them as long as more are asked for."""
         self.camera.require_image(image)
+        image = image.linearized(self.camera.detector)
         return detect_in_parts(
             image.pixels,
             shares,

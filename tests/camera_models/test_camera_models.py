@@ -31,11 +31,13 @@ from giantlike.camera_models.affine import AffineModel
 from giantlike.camera_models.axial import AxialModel
 from giantlike.camera_models.convert import Conversion, convert
 from giantlike.camera_models.grid import fit_grid
+from giantlike.camera_models.part import PartModel
 from giantlike.camera_models.resample import resample
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure
+from tests.fixed_grid import FixedGrid
 from tests.numerical import numerical_jacobian
 from tests.tolerances import FIVE_DIGITS, FLOAT64, FLOAT64_CHAIN, FLOAT64_DIGIT, FLOAT64_SUM, ROUND_TRIP_PX, SETTLED
 
@@ -505,6 +507,54 @@ def test_a_camera_is_windowed_binned_and_warmed_as_its_model_is() -> None:
     assert camera.at_temperature(-10.0).model == model.at_temperature(-10.0)
     with pytest.raises(InputError, match="must lie on"):
         camera.windowed(2000, 0, columns=1000, rows=800)
+
+
+PARTS = (
+    PartModel(base=FixedGrid(), x0_px=300.0, y0_px=200.0, size_px=4.0),
+    PartModel(base=NAVCAM, x0_px=-1.5, y0_px=2.25, size_px=3.0),
+)
+
+
+@pytest.mark.parametrize("part", PARTS, ids=lambda m: m.base.type_name)
+def test_part_of_any_model_has_its_directions_and_derivatives(part: PartModel) -> None:
+    assert isinstance(part, CameraModel)
+    pixels = np.random.default_rng(3).uniform(20.0, 150.0, (50, 2))
+    directions = part.unproject(pixels)
+    assert_allclose(part.project(7.0 * directions), pixels, rtol=0, atol=ROUND_TRIP_PX)
+    base_px = part.size_px * pixels + [part.x0_px, part.y0_px]
+    assert_allclose(directions, part.base.unproject(base_px), rtol=0, atol=FLOAT64_DIGIT)
+    for analytic, function, at, step in (
+        (part.project_jacobian(directions), part.project, directions, 1e-5),
+        (part.unproject_jacobian(pixels), part.unproject, pixels, 1e-2),
+    ):
+        numerical = numerical_jacobian(function, at, step)
+        assert_allclose(analytic, numerical, rtol=0, atol=1e-6 * np.abs(numerical).max())
+    steps = 1e-4 * np.maximum(np.abs(part.parameters), 1e-3)
+    by_parameter = part.parameter_jacobian(directions)
+    for k, step in enumerate(steps):
+        moved = step * np.eye(len(steps))[k]
+        forth, back = (part.with_parameters(part.parameters + sign * moved).project(directions) for sign in (1, -1))
+        difference = (forth - back) / (2 * step)
+        assert_allclose(by_parameter[..., k], difference, rtol=0, atol=1e-4 * max(np.abs(difference).max(), 1e-3))
+
+
+def test_blocks_and_windows_of_any_model_are_those_of_the_lenses_that_know_them_themselves() -> None:
+    pixels = np.random.default_rng(4).uniform(0.0, 400.0, (50, 2))
+    wrapped = PartModel(base=NAVCAM)
+    for by_part, by_lens in (
+        (wrapped.binned(3), NAVCAM.binned(3)),
+        (wrapped.windowed(100, 50).binned(4), NAVCAM.windowed(100, 50).binned(4)),
+        (wrapped.binned(4).windowed(10, 20).binned(2), NAVCAM.binned(4).windowed(10, 20).binned(2)),
+    ):
+        assert_allclose(by_part.unproject(pixels), by_lens.unproject(pixels), rtol=0, atol=10 * FLOAT64_DIGIT)
+        assert by_part.focal_length_px == pytest.approx(by_lens.focal_length_px)
+
+
+def test_a_camera_with_a_lens_of_the_user_is_binned_and_windowed() -> None:
+    camera = Camera(name="abi", columns=1024, rows=1024, model=FixedGrid())
+    binned = camera.windowed(100, 60, columns=800, rows=800).binned(4, detector=Detector())
+    assert (binned.columns, binned.rows) == (200, 200)
+    assert_allclose(binned.model.unproject([0.0, 0.0]), camera.model.unproject([101.5, 61.5]), rtol=0, atol=FLOAT64)
 
 
 @EACH

@@ -156,6 +156,26 @@ def test_a_height_map_is_found_and_opened_and_an_atmosphere_is_taken_from_its_na
     assert full == Atmosphere(scale_height_km=8.0, optical_depth=0.1, sigma_km=8.0, exponent=4.0)
 
 
+@pytest.mark.parametrize(
+    ("body", "air", "known", "airless"),
+    [
+        ("NEPTUNE", True, Atmosphere.of("NEPTUNE"), False),
+        ("NEPTUNE", None, None, False),
+        ("MOON", None, None, True),
+        ("MOON", True, None, False),
+        ("NEPTUNE", False, None, True),
+    ],
+)
+def test_air_is_that_of_the_body_by_its_spice_name_where_the_file_does_not_say_more(
+    tmp_path: Path, body: str, air: bool | None, known: Atmosphere | None, airless: bool
+) -> None:
+    table = campaign_table()
+    table["targets"][0] |= {"spice_body": body} | ({} if air is None else {"air": air})
+    limb = Campaign.load(write(tmp_path, table)).targets[0].limb
+    assert limb.atmosphere == known
+    assert (limb.air is False) == airless
+
+
 def test_mesh_reflectance_and_estimator_options_are_taken_over(tmp_path: Path) -> None:
     table = campaign_table()
     table["targets"][0] |= {
@@ -275,7 +295,9 @@ WRONG_VALUES: list[tuple[Callable[[dict[str, Any]], Any], str]] = [
         r"targets\[0\].shape: .*no radii of 599",
     ),
     (lambda t: t["targets"][0].update(uncertainty={"scale": -1.0}), r"targets\[0\].uncertainty.scale: "),
-    (lambda t: t["targets"][0].update(atmosphere="PLUTO"), r"targets\[0\].atmosphere: no atmosphere of 'PLUTO'"),
+    (lambda t: t["targets"][0].update(atmosphere="VULCAN"), r"targets\[0\].atmosphere: no atmosphere of 'VULCAN'"),
+    (lambda t: t["targets"][0].update(air=False, atmosphere="EARTH"), "an airless body"),
+    (lambda t: t["targets"][0].update(air="thin"), r"targets\[0\].air"),
     (lambda t: t["targets"][0].update(atmosphere={"altitude_km": 5}), "expected altitude_km and sigma_km"),
     (lambda t: t["targets"][0].update(atmosphere={"altitude_km": "high", "sigma_km": 1}), "altitude_km must be"),
     (lambda t: t["targets"][0].update(terrain="none.img"), r"targets\[0\].terrain: "),

@@ -53,7 +53,12 @@ def target(phase_rad: float = PHASE_RAD, **more: object) -> Target:
 
 
 def radius_error_km(
-    name: str, air: Atmosphere | None, image: Image | None = None, phase_rad: float = PHASE_RAD
+    name: str,
+    air: Atmosphere | None,
+    image: Image | None = None,
+    phase_rad: float = PHASE_RAD,
+    *,
+    airless: bool = False,
 ) -> tuple[float, float, PositionFix]:
     """Radius by which the limb of a fix is too large, and its sigma, km: the range over range and radius."""
     camera = Camera(
@@ -64,7 +69,8 @@ def radius_error_km(
         psf=GaussianPsf(sigma_px=0.7),
         detector=Detector(gain_e_per_dn=5.0, read_noise_e=25.0),
     )
-    found = ESTIMATORS[name]().estimate(image or hazy(), camera, Scene(targets=(target(phase_rad, atmosphere=air),)))
+    body = target(phase_rad, atmosphere=air, air=False if airless else None)
+    found = ESTIMATORS[name]().estimate(image or hazy(), camera, Scene(targets=(body,)))
     assert isinstance(found, PositionFix), found
     line = POSITION_KM / np.linalg.norm(POSITION_KM)
     error = float((POSITION_KM - found.position_camera_km) @ line)
@@ -181,3 +187,12 @@ def test_a_target_has_relief_or_an_atmosphere_and_not_both() -> None:
     terrain = HeightMap.from_array(np.zeros((4, 8)), reference_radii_km=np.full(3, RADIUS_KM))
     with pytest.raises(InputError, match="either terrain or an atmosphere"):
         target(atmosphere=AIR, terrain=terrain)
+
+
+@pytest.mark.parametrize("name", [*LIMB, "cross_correlation", "auto"])
+def test_what_looks_like_haze_is_none_on_an_airless_body(name: str) -> None:
+    """The image is hazy on purpose: nothing but the declaration keeps the haze from being seen."""
+    phase_rad = math.radians(120.0)
+    _, _, found = radius_error_km(name, None, hazy(32.0, 0.05, "mcewen", phase_rad), phase_rad, airless=True)
+    assert not found.parts.get(Cause.ALTITUDE, np.zeros(1)).any()
+    assert "altitude_sigma_km" not in found.provenance

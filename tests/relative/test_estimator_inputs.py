@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import gc
 import weakref
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -102,3 +104,19 @@ def test_linear_algebra_of_an_estimate_takes_one_thread(name: str, monkeypatch: 
     with threadpool_limits(2):
         assert isinstance(ESTIMATORS[name]().estimate(image(1), camera(100.0), SCENE), Failure)
     assert set(seen) == {1}
+
+
+def test_the_noise_of_an_undeclared_detector_is_in_the_record_and_that_of_a_declared_one_is_not() -> None:
+    undeclared = Camera.from_fov(5.0, SIZE, SIZE)
+    noise = undeclared.detector.of_image(image(0).pixels, image(0).mask).noise_of_image
+    assert inputs(image(0), undeclared, "test").provenance["estimated_noise"] == str(noise)
+    assert "estimated_noise" not in inputs(image(0), camera(10.0), "test").provenance
+
+
+def test_the_step_of_a_luminance_is_that_of_its_three_channels(tmp_path: Path) -> None:
+    channels = np.random.default_rng(1).integers(0, 200, (SIZE, SIZE, 3)).astype(np.uint8)
+    path = tmp_path / "color.png"
+    cv2.imwrite(str(path), channels)
+    luminance = Image.open(path).with_attitude(Rotation.identity())
+    found = inputs(luminance, Camera.from_fov(5.0, SIZE, SIZE), "test").camera.detector
+    assert found.step_dn == pytest.approx(np.linalg.norm([0.114, 0.587, 0.299]))

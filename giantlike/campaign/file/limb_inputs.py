@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from giantlike.atmosphere import Atmosphere
+from giantlike.atmosphere import ATMOSPHERES, Atmosphere, is_airless
 from giantlike.campaign.file.schema import Radii, TargetSection
 from giantlike.core.arrays import require
 from giantlike.rings import Rings
@@ -25,12 +25,15 @@ class LimbSetup:
         Of its heights, where it is not that of the file.
     atmosphere : Atmosphere or None
     rings : Rings or None
+    air : bool or None
+        True with air or haze, False without; None where the file does not say.
     """
 
     terrain: Path | None = None
     terrain_sigma_km: float | None = None
     atmosphere: Atmosphere | None = None
     rings: Rings | None = None
+    air: bool | None = None
 
     @classmethod
     def of(cls, section: TargetSection, where: str, shape: str | Radii, terrain: Path | None) -> LimbSetup:
@@ -53,18 +56,24 @@ class LimbSetup:
         Raises
         ------
         InputError
-            The shape is a mesh, or there are both a map and an atmosphere.
+            The shape is a mesh, there are both a map and an atmosphere, or an airless body has an atmosphere.
         """
         for key, given in (("terrain", terrain), ("atmosphere", section.atmosphere), ("rings", section.rings)):
             smooth = given is None or not isinstance(shape, str)
             require(smooth, f"{where}.{key}: goes with an ellipsoid as shape, got the mesh {shape!r}")
         one = terrain is None or section.atmosphere is None
         require(one, f"{where}: give either terrain or atmosphere: the limb is seen at one of them")
+        airy = section.air is not False or section.atmosphere is None
+        require(airy, f"{where}: an airless body (air = false) has no atmosphere; leave one of the two out")
+        atmosphere, body = section.atmosphere, (section.spice_body or section.name).upper()
+        if section.air and atmosphere is None and terrain is None and not isinstance(shape, str):
+            atmosphere = ATMOSPHERES.get(body)
         return cls(
             terrain=terrain,
             terrain_sigma_km=section.terrain_sigma_km,
-            atmosphere=section.atmosphere,
+            atmosphere=atmosphere,
             rings=section.rings,
+            air=False if section.air is None and atmosphere is None and is_airless(body) else section.air,
         )
 
     def height_map(self) -> HeightMap | None:

@@ -288,9 +288,14 @@ class TargetSection(BodySection):
     terrain_sigma_km: float | None = Field(default=None, ge=0, le=100)
     """One sigma of the heights of the map over wide areas, km; that of the file, else 0."""
     atmosphere: Annotated[Atmosphere | None, PlainValidator(_checked_atmosphere)] = None
-    """Altitude at which the limb of an ellipsoid is seen: `"EARTH"`, `"MARS"`, `"VENUS"`, `"JUPITER"`, `"SATURN"`
-    or `"TITAN"`, a known `{ altitude_km = 25, sigma_km = 3 }`, or `{ scale_height_km, optical_depth, sigma_km, base_km,
-    reference_nm, exponent, wavelength_nm }` ([terrain](terrain.md))."""
+    """Altitude at which the limb of an ellipsoid is seen: `"EARTH"`, `"MARS"`, `"VENUS"`, `"JUPITER"`, `"SATURN"`,
+    `"URANUS"`, `"NEPTUNE"`, `"TITAN"`, `"TRITON"` or `"PLUTO"`, a known `{ altitude_km = 25, sigma_km = 3 }`, or
+    `{ scale_height_km, optical_depth, sigma_km, base_km, reference_nm, exponent, wavelength_nm }`
+    ([terrain](terrain.md))."""
+    air: bool | None = None
+    """`true` for a body with air or haze: an ellipsoid without `atmosphere` gets the one that is known by its
+    `spice_body` or `name`. `false` for an airless one: nothing in its image is haze. Left out: haze is looked for,
+    except on the Moon, Mercury, moons and asteroids that are known to be airless ([terrain](terrain.md))."""
     rings: Annotated[Rings | None, PlainValidator(_checked_rings)] = None
     """Rings in the equator of an ellipsoid, whose light and shadow are no part of it: `"SATURN"`, or
     `{ inner_km, outer_km }` ([terrain](terrain.md))."""

@@ -211,6 +211,7 @@ def _body(target: TargetSetup, shape: Shape, ephemeris: ApparentGeometry | Spice
         terrain=target.limb.height_map(),
         atmosphere=target.limb.atmosphere,
         rings=target.limb.rings,
+        air=target.limb.air,
     )
 
 

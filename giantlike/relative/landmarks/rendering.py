@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Protocol, Self, runtime_checkable
 
 import cv2
 import numpy as np
 
-from giantlike.core.arrays import Float, Mask, frozen, require
+from giantlike.camera_models.part import divisible
+from giantlike.core.arrays import Float, Mask, frozen
 from giantlike.core.outcomes import Failure
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
@@ -39,25 +39,6 @@ but for a hundredth at the edge. With 3 px and 3.5 widths eight rocks of 300 px 
 _TURNED_PX = 0.01
 """Motion, px, of its surface because it is seen from elsewhere, up to which they do: half of the sigma of a body of
 300 px, and what it moves in one direction on one side of the body it moves back on the other."""
-
-
-@runtime_checkable
-class Windowing(Protocol):
-    """A camera model that can be cut to a part of its image, as all of ours can."""
-
-    def windowed(self, x0_px: float, y0_px: float) -> Self:
-        """Return the model of a window of the image.
-
-        Parameters
-        ----------
-        x0_px, y0_px : float, px
-            Pixel here that becomes the first of the window.
-
-        Returns
-        -------
-        CameraModel
-        """
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -204,13 +185,6 @@ class LandmarkRenderer(Value):
     other_law: bool
     surroundings: bool = False
 
-    def __post_init__(self) -> None:
-        model = self.plane.model
-        require(
-            isinstance(model, Windowing), f"landmarks need a camera model with windowed(), not {type(model).__name__}"
-        )
-        Value.__post_init__(self)
-
     def roughly(self) -> LandmarkRenderer:
         """Return one with one ray to a pixel, one law and all of the ground around: enough to find landmarks."""
         return replace(self, rays_per_pixel_side=1, other_law=False, surroundings=True)
@@ -330,10 +304,9 @@ class LandmarkRenderer(Value):
         self, body: Body, box: PixelBox, wanted: Mask | None = None, daylight: Daylight | None = None
     ) -> Trace | Failure:
         """The body traced in a box, or in some of its pixels."""
-        assert isinstance(self.plane.model, Windowing)
         return trace_body(
             body,
-            self.plane.model.windowed(box.x, box.y),
+            divisible(self.plane.model).windowed(box.x, box.y),
             sun_direction_camera=self.sun_direction_camera,
             psf=self.plane.psf,
             columns=box.width,

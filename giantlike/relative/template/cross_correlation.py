@@ -237,6 +237,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             target=body,
             plane=blocks.plane,
             sun_direction_camera=inputs.geometry.sun_direction_camera,
+            airless=inputs.geometry.target.airless,
         )
         match = match_template(
             blocks.pixels,

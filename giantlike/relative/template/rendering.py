@@ -89,12 +89,15 @@ class TemplateRenderer(Value):
         Unit vector from body to Sun.
     rays_across : int
         Rays across the body, about: small bodies get more to a pixel.
+    airless : bool
+        True where no residual can be haze.
     """
 
     target: Body
     plane: FocalPlane
     sun_direction_camera: Float
     rays_across: int = 240
+    airless: bool = False
 
     @property
     def start(self) -> TemplateState:
@@ -196,7 +199,8 @@ class TemplateRenderer(Value):
         -------
         callable
         """
-        small, airy = self.radius_px < _SMALL_RADIUS_PX, isinstance(self.target.shape, Ellipsoid)
+        small = self.radius_px < _SMALL_RADIUS_PX
+        airy = not self.airless and isinstance(self.target.shape, Ellipsoid)
         others = contrasting_laws(self.target.reflectance)[: 1 if small else most_laws] if other_law else ()
         laws = (self.target.reflectance, *others)
         every = (*laws, _law_of_phase(laws[0])) if other_law and most_laws is None and not small else laws

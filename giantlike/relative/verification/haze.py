@@ -69,11 +69,11 @@ def may_be_hazy(fix: CenterFix, inputs: EstimatorInputs) -> bool:
     Returns
     -------
     bool
-        False where the altitude of the limb is told, no limb was measured, or it is sharper than the camera by more
-        than is not known of that, which no limb in haze is.
+        False for an airless target, where the altitude of the limb is declared, no limb was measured, or it is sharper
+        than the camera by more than is not known of that, which no limb in haze is.
     """
     target, blur = inputs.geometry.target, fix.corrections.limb_blur_px2
-    told = target.atmosphere is not None or target.terrain is not None
+    told = target.airless or target.atmosphere is not None or target.terrain is not None
     return not told and blur is not None and blur > -_optics_px2(inputs) and isinstance(target.shape, Ellipsoid)
 
 

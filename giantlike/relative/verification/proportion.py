@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 
 import numpy as np
 
-from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.findings import Response
-from giantlike.core.outcomes import CenterFix, Failure, PositionFix
-from giantlike.relative.budget import with_error
+from giantlike.core.outcomes import CenterFix, Failure
+from giantlike.relative.budget import place_difference, with_error
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.quality import MISFIT
 from giantlike.relative.response import LEAST_BEND, settled
@@ -110,15 +108,7 @@ def in_proportion(
     ):
         return None
     found, seen, straight = trial
-    per_bend = _difference(found, fix) / fit_of(trial).response.bend
+    per_bend = place_difference(found, fix) / fit_of(trial).response.bend
     by_bend = fit_of(trial).bend_sigma * per_bend
     error = np.outer(by_bend, by_bend)
     return with_error(found, inputs.camera.model, Cause.REFLECTANCE, error), seen, straight
-
-
-def _difference(one: CenterFix, other: CenterFix) -> Float:
-    """Difference of the places of two fixes: x and y, px, and the logarithm of the range where it is estimated."""
-    center_px = one.center_px - other.center_px
-    if isinstance(one, PositionFix) and isinstance(other, PositionFix):
-        return np.append(center_px, math.log(one.range_km / other.range_km))
-    return center_px

@@ -1,0 +1,225 @@
+"""Windows and blocks of the pixels of any camera model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, Protocol, Self, runtime_checkable
+
+from numpy.typing import ArrayLike
+
+from giantlike.camera_models.base import CameraModel
+from giantlike.core.arrays import Float, as_floats, require, require_number
+
+
+@runtime_checkable
+class DivisibleModel(CameraModel, Protocol):
+    """A camera model that returns the models of its windows and blocks itself, as all lenses of this package do."""
+
+    def binned(self, factor: int) -> Self:
+        """Return the model of an image whose pixels are blocks of ``factor`` by ``factor`` pixels."""
+        ...
+
+    def windowed(self, x0_px: float, y0_px: float) -> Self:
+        """Return the model of a window of the image, by its first pixel."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartModel:
+    """Any camera model, for the pixels of a window whose pixels may be blocks of those of the model.
+
+    ``pixel = (base pixel - (x0_px, y0_px)) / size_px``: directions go through the model, pixels through this map.
+    :attr:`parameters` are those of the model.
+
+    Parameters
+    ----------
+    base : CameraModel
+        Of the whole image.
+    x0_px, y0_px : float, px
+        Pixel of the model at the center of the first pixel.
+    size_px : float, px
+        Pixels of the model along one side of a pixel.
+
+    Raises
+    ------
+    InputError
+        The size is not positive.
+    """
+
+    type_name: ClassVar[str] = "part"
+
+    base: CameraModel
+    x0_px: float = 0.0
+    y0_px: float = 0.0
+    size_px: float = 1.0
+
+    def __post_init__(self) -> None:
+        require_number(self.size_px, "size_px", above=0.0)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters of the model."""
+        return self.base.parameter_names
+
+    @property
+    def parameters(self) -> Float:
+        """Parameter values (k,) of the model."""
+        return self.base.parameters
+
+    def with_parameters(self, values: ArrayLike) -> Self:
+        """Return the same part of a model with other parameter values.
+
+        Parameters
+        ----------
+        values : (k,) array_like
+            Values in the order and units of :attr:`parameter_names`.
+
+        Returns
+        -------
+        model of the same type
+        """
+        return replace(self, base=self.base.with_parameters(values))
+
+    @property
+    def focal_length_px(self) -> float:
+        """Focal length along x, px."""
+        return self.base.focal_length_px / self.size_px
+
+    def project(self, points_camera: ArrayLike) -> Float:
+        """Project points to pixels.
+
+        Parameters
+        ----------
+        points_camera : (..., 3) array_like, camera axes
+            Points or directions, in any unit of length.
+
+        Returns
+        -------
+        (..., 2) float64, px
+            NaN where the lens images nothing.
+        """
+        pixels: Float = (self.base.project(points_camera) - [self.x0_px, self.y0_px]) / self.size_px
+        return pixels
+
+    def unproject(self, points_px: ArrayLike) -> Float:
+        """Return the directions of pixels.
+
+        Parameters
+        ----------
+        points_px : (..., 2) array_like, px
+            Pixels.
+
+        Returns
+        -------
+        (..., 3) float64, unitless, camera axes
+            Unit vectors; NaN where no direction maps to the pixel.
+        """
+        return self.base.unproject(self._base_px(points_px))
+
+    def project_jacobian(self, points_camera: ArrayLike) -> Float:
+        """Derivative of :meth:`project` with respect to the point.
+
+        Parameters
+        ----------
+        points_camera : (..., 3) array_like, camera axes
+            Points or directions, in any unit of length.
+
+        Returns
+        -------
+        (..., 2, 3) float64, px per unit of the points
+        """
+        return self.base.project_jacobian(points_camera) / self.size_px
+
+    def unproject_jacobian(self, points_px: ArrayLike) -> Float:
+        """Derivative of :meth:`unproject` with respect to the pixel.
+
+        Parameters
+        ----------
+        points_px : (..., 2) array_like, px
+            Pixels.
+
+        Returns
+        -------
+        (..., 3, 2) float64, 1/px
+        """
+        return self.size_px * self.base.unproject_jacobian(self._base_px(points_px))
+
+    def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
+        """Derivative of the pixels at a temperature with respect to :attr:`parameters`.
+
+        Parameters
+        ----------
+        points_camera : (..., 3) array_like, camera axes
+            Points or directions, in any unit of length.
+        temperature_c : float, Celsius
+            Temperature of the optics.
+
+        Returns
+        -------
+        (..., 2, k) float64, px per unit of each parameter
+            Columns in the order of :attr:`parameter_names`.
+        """
+        return self.base.parameter_jacobian(points_camera, temperature_c) / self.size_px
+
+    def at_temperature(self, temperature_c: float) -> Self:
+        """Return the same part of the model at a temperature.
+
+        Parameters
+        ----------
+        temperature_c : float, Celsius
+            Temperature of the optics.
+
+        Returns
+        -------
+        model of the same type
+        """
+        return replace(self, base=self.base.at_temperature(temperature_c))
+
+    def binned(self, factor: int) -> Self:
+        """Return the model of an image whose pixels are blocks of ``factor`` by ``factor`` pixels of this one.
+
+        Parameters
+        ----------
+        factor : int
+            Pixels along one side of a block, at least 1.
+
+        Returns
+        -------
+        model of the same type
+        """
+        require(factor >= 1, f"a binning factor must be >= 1, got {factor}")
+        middle_px = 0.5 * (factor - 1) * self.size_px  # of the first block
+        return replace(self, x0_px=self.x0_px + middle_px, y0_px=self.y0_px + middle_px, size_px=factor * self.size_px)
+
+    def windowed(self, x0_px: float, y0_px: float) -> Self:
+        """Return the model of a window of the image.
+
+        Parameters
+        ----------
+        x0_px, y0_px : float, px
+            First pixel of the window.
+
+        Returns
+        -------
+        model of the same type
+        """
+        return replace(self, x0_px=self.x0_px + self.size_px * x0_px, y0_px=self.y0_px + self.size_px * y0_px)
+
+    def _base_px(self, points_px: ArrayLike) -> Float:
+        """Pixels (..., 2) of the model."""
+        pixels: Float = self.size_px * as_floats(points_px, (2,), "points_px") + [self.x0_px, self.y0_px]
+        return pixels
+
+
+def divisible(model: CameraModel) -> DivisibleModel:
+    """Return a model that has ``binned`` and ``windowed``: itself where it has them, else the part that is all of it.
+
+    Parameters
+    ----------
+    model : CameraModel
+
+    Returns
+    -------
+    DivisibleModel
+    """
+    return model if isinstance(model, DivisibleModel) else PartModel(base=model)
