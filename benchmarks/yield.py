@@ -18,6 +18,7 @@ Terms:
   uncertainty of the truth;
 - *yield*: share of correct and ``ok`` ones among the runs that can be answered; failures and exceptions count;
 - *useful*: the sigma is also at most 1 px or 2 % of the radius;
+- *`ok` of all correct*, and the columns after it as far as the silent errors, count runs that are not demanded as well;
 - *silent*: ``ok``, beyond 5 sigma, and beyond 0.5 px or 0.5 % of range; and every ``ok`` fix of a body that is not
   there. Kinds of the gauntlet whose error no image shows are counted apart;
 - *bits*: log2 of the density of the truth under the fix over that under the prediction (the declared one, else uniform
@@ -467,6 +468,7 @@ def summary(scores: Sequence[Score]) -> dict[str, Any]:
     mean, interval = information(asked)
     said, _ = information(asked, lambda one: one.fix_bits if one.ok or one.correct else 0.0)
     count = max(len(asked), 1)
+    correct = [one for one in scores if one.correct]
     sigmas, radii = [one.sigma_px for one in good], [one.row["radius_px"] for one in good]
     return {
         "answerable": len(asked),
@@ -476,6 +478,8 @@ def summary(scores: Sequence[Score]) -> dict[str, Any]:
         "correct_suspect": sum(one.correct and not one.ok for one in asked),
         "failed": sum(one.status == "failed" for one in asked),
         "raised": sum(one.status == "raised" for one in asked),
+        "correct_anywhere": len(correct),
+        "correct_anywhere_ok": sum(one.ok for one in correct) / max(len(correct), 1),
         "ok": len(present),
         "ok_beyond_3": sum(not one.correct for one in present),
         "ok_beyond_5": sum(not one.sigmas <= WRONG_SIGMAS for one in present),
@@ -516,6 +520,7 @@ HEAD = (
     "useful",
     "correct, suspect",
     "failed (raised)",
+    "`ok` of all correct",
     "`ok`",
     "> 3 sigma",
     "> 5 sigma",
@@ -544,6 +549,7 @@ def table(scores: Sequence[Score]) -> Iterator[str]:
             f"{cell['useful']:.1%}",
             cell["correct_suspect"],
             f"{cell['failed'] + cell['raised']} ({cell['raised']})",
+            f"{cell['correct_anywhere_ok']:.0%} of {cell['correct_anywhere']}",
             cell["ok"],
             cell["ok_beyond_3"],
             cell["ok_beyond_5"],
