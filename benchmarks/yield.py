@@ -23,7 +23,9 @@ Terms:
   there. Kinds of the gauntlet whose error no image shows are counted apart;
 - *bits*: log2 of the density of the truth under the fix over that under the prediction (the declared one, else uniform
   over the search), both widened by the covariance of the truth; in x, y and, where the fix has one, ln range. 0 for a
-  fix that is suspect or failed, at least -500. Mean over the variants of a frame, then over frames.
+  fix that is suspect or failed, at least -500. Mean over the variants of a frame, then over frames. *All bodies*
+  counts runs that are not demanded as well, at most beside a search around the truth: a declared prediction may be
+  wrong there.
 """
 
 from __future__ import annotations
@@ -319,6 +321,8 @@ class Score:
     nees: float = math.nan
     fix_bits: float = 0.0
     """Information of the fix, whatever its status."""
+    search_bits: float = 0.0
+    """Information beside a uniform search around the truth, whatever was declared."""
 
     @property
     def status(self) -> str:
@@ -402,6 +406,7 @@ def _score(row: Row, answerable: bool) -> Score:
     covariance, known = covariance[:size, :size], truth["covariance"][:size, :size]
     total = covariance + known + 1e-12 * np.eye(size)
     square = _squared(error, total)
+    density = _log2_density(square, total)
     return Score(
         row=row,
         answerable=answerable,
@@ -411,7 +416,8 @@ def _score(row: Row, answerable: bool) -> Score:
         range_error=float(error[2]) if ranged else math.nan,
         sigma_px=math.sqrt(0.5 * float(np.trace(covariance[:2, :2]))),
         nees=square / size,
-        fix_bits=max(_log2_density(square, total) - _prior_log2(row, truth, known), LEAST_BITS),
+        fix_bits=max(density - _prior_log2(row, truth, known), LEAST_BITS),
+        search_bits=max(density + float(np.sum(np.log2(2.0 * _search(row, size)))), LEAST_BITS),
     )
 
 
@@ -440,10 +446,15 @@ def _prior_log2(row: Row, truth: Mapping[str, Float], known: Float) -> float:
     if prediction["covariance"] is not None:
         covariance = np.asarray(prediction["covariance"], dtype=float)[:size, :size] + known
         return _log2_density(_squared(error, covariance), covariance)
-    half = np.array([row["search"][0], row["search"][0], row["search"][1]])[:size]
+    half = _search(row, size)
     sigma = np.sqrt(np.diag(known)) + 1e-12
     share = ndtr((half - error) / sigma) - ndtr((-half - error) / sigma)
     return float(np.sum(np.log2(np.maximum(share, 1e-300) / (2.0 * half))))
+
+
+def _search(row: Row, size: int) -> Float:
+    """Half widths of the search in x, y and ln range."""
+    return np.array([row["search"][0], row["search"][0], row["search"][1]])[:size]
 
 
 def information(scores: Iterable[Score], bits: Callable[[Score], float] = lambda one: one.bits) -> tuple[float, Float]:
@@ -467,6 +478,8 @@ def summary(scores: Sequence[Score]) -> dict[str, Any]:
     silent = [one for one in scores if one.ok and one.wrong]
     mean, interval = information(asked)
     said, _ = information(asked, lambda one: one.fix_bits if one.ok or one.correct else 0.0)
+    seen = [one for one in scores if one.present and one.row.get("observable", True)]
+    everywhere, _ = information(seen, lambda one: min(one.bits, one.search_bits) if one.ok else 0.0)
     count = max(len(asked), 1)
     correct = [one for one in scores if one.correct]
     sigmas, radii = [one.sigma_px for one in good], [one.row["radius_px"] for one in good]
@@ -490,6 +503,7 @@ def summary(scores: Sequence[Score]) -> dict[str, Any]:
         "bits": mean,
         "bits_95": interval.tolist(),
         "bits_if_correct_were_ok": said,
+        "bits_everywhere": everywhere,
         "not_demanded_ok": sum(one.ok for one in scores if one.present and not one.answerable),
         "negatives": len(negatives),
         "negatives_ok": sum(one.ok for one in negatives),
@@ -529,6 +543,7 @@ HEAD = (
     "NEES",
     "bits [95 %]",
     "bits, all correct `ok`",
+    "bits, all bodies",
     "negatives `ok`",
 )
 
@@ -558,6 +573,7 @@ def table(scores: Sequence[Score]) -> Iterator[str]:
             "" if nees is None else f"{nees:.2f}",
             f"{cell['bits']:.1f} [{low:.1f}, {high:.1f}]",
             f"{cell['bits_if_correct_were_ok']:.1f}",
+            f"{cell['bits_everywhere']:.1f}",
             f"{cell['negatives_ok']} of {cell['negatives']}",
         ]
         yield "| " + " | ".join(str(value) for value in values) + " |"
