@@ -100,9 +100,7 @@ class MarkingModes(Value):
         """Weighted sums (modes, modes) over the pixels of the products of modes."""
         size = len(self.along_x)
         weighted = weights * self.light**2
-        pairs_x, pairs_y = (
-            (one[:, None] * one[None]).reshape(size * size, -1) for one in (self.along_x, self.along_y)
-        )
+        pairs_x, pairs_y = ((one[:, None] * one[None]).reshape(size * size, -1) for one in (self.along_x, self.along_y))
         sums = (pairs_y @ weighted @ pairs_x.T).reshape(size, size, size, size)  # y, y', x, x'
         return np.ascontiguousarray(sums.transpose(0, 2, 1, 3)).reshape(self.count, self.count)
 
