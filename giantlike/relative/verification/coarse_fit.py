@@ -416,7 +416,11 @@ def _omitted(fitted: _Fitted, images: Float) -> Omitted:
 
 
 def _influence(solution: Solution, effect: str, images: Float) -> tuple[Float, Float]:
-    """How shares of images (a, n, n) left out, each alone, change with the cells; and the information on them (a,)."""
+    """How shares of images (a, n, n) left out, each alone, change with the cells; and the information on them (a,).
+
+    Applied to residuals, as here, it counts what is known before of the other unknowns twice: shares are up to 0.15 of
+    their standard deviations from those of ``Score.alone``.
+    """
     prior = Prior.of_sigmas([math.inf] * len(images))
     score = solution.score_omitted(Block(effect=effect, cause=Cause.NOISE, matrix=images, prior=prior))
     return score.gain_alone, np.maximum(np.diag(score.information), 1e-300)
