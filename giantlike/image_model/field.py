@@ -77,7 +77,7 @@ class MarkingModes(Value):
             for size, middle in zip(light.shape[::-1], center_px, strict=True)
         ]
         along_x, along_y = (norm * np.cos(np.pi * order[:, None] * np.clip(phase, 0.0, 1.0)) for phase in phases)
-        frequencies = np.pi * order / (2.0 * HALF_WIDTH)
+        frequencies: Float = np.pi / (2.0 * HALF_WIDTH) * order.astype(np.float64)
         return cls(light=light, along_x=along_x, along_y=along_y, frequencies=frequencies)
 
     @property

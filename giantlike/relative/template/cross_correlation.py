@@ -15,7 +15,7 @@ from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Re
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
 from giantlike.processing.correlate import CorrelationOptions, CorrelationPeak, locate_template
-from giantlike.ray_tracing import Template, trace_silhouette
+from giantlike.ray_tracing import Template, Trace, trace_silhouette
 from giantlike.ray_tracing.silhouette import outline_points_px
 from giantlike.relative.estimator import BodyEstimator
 from giantlike.relative.inputs import EstimatorInputs
@@ -360,7 +360,7 @@ def match_template(
     state = replace(start, center_px=start.center_px + peak.offset_px)
     if radius_px >= _ALIGN_RADIUS_PX:
         rendered = replace(state, center_px=template.center_px + shift)
-        other = located.traced.trace.with_reflectance(contrasting_laws(renderer.target.reflectance)[0]).template()
+        other = located.trace.with_reflectance(contrasting_laws(renderer.target.reflectance)[0]).template()
         lights = [light] if isinstance(other, Failure) else [light, placed(other, box, shift)]
         state = align_template(pixels, lights, rendered, state, radius_px=radius_px)
         scale = math.exp(rendered.log_range - state.log_range)
@@ -396,6 +396,7 @@ def match_template(
 class _Located(Value):
     """A template rendered of a traced body, and its place in the image."""
 
+    trace: Trace
     traced: MovedBody
     template: Template
     peak: CorrelationPeak
@@ -438,7 +439,7 @@ def _correlated(
     return (
         peak
         if isinstance(peak, Failure)
-        else _Located(traced=MovedBody(trace=trace, state=state), template=template, peak=peak)
+        else _Located(trace=trace, traced=MovedBody(trace=trace, state=state), template=template, peak=peak)
     )
 
 

@@ -22,7 +22,7 @@ from giantlike.core.findings import Response, Smear
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
-from giantlike.image_model.columns import Block, Columns, Prior, Use, split_noise
+from giantlike.image_model.columns import Block, Prior, Use, split_noise
 from giantlike.processing.limb.altitude import lifted
 from giantlike.relative.template.asked import Asked, asked_beside
 from giantlike.relative.template.covariance import LinearFit, RobustFit, excess

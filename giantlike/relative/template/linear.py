@@ -212,9 +212,9 @@ class Problem:
         return float(np.sum((values - found @ basis) ** 2)) / max(int(np.count_nonzero(self.offered)), 1)
 
     def objective(self, markings: MarkingModes, sigma_dn: float) -> float:
-        """Squared residuals over a variance, with the brightness, shares and markings that fit best beside their priors.
+        """Squared residuals over a variance, with brightness, laws and markings that fit best beside their priors.
 
-        Of steps in the approach to a solution, the one with the least is the best.
+        Steps of the approach to a solution are compared by it.
         """
         first, last = "gain", "wings"
         span, prior = self.layout.span(first, last), self.prior({}, {})
@@ -254,7 +254,7 @@ class Problem:
         markings: MarkingModes | None = None,
         approach: bool = False,
     ) -> RobustFit | Failure:
-        """Weighted least squares with the model-error variances that fit the residuals best, or those of an approach."""
+        """Weighted least squares, with the variances of model errors by the residuals or, in an approach, as given."""
         pixels, signal = self.pixels, self.signal.ravel()
         shapes = np.stack([np.ones(signal.size), self._slope2.ravel(), signal**2])
         offered = self.offered.ravel()
