@@ -287,7 +287,7 @@ class Solution(Value):
 
     @property
     def penalized_squares(self) -> float:
-        """Squared residuals over their variances and squared unknowns over those of their prior: the least there are."""
+        """Squared residuals and squared unknowns, each over its variance, which the solution minimizes."""
         columns, prior = self.columns, self.columns.prior
         squares = float(np.sum(columns.weights * self.residuals**2))
         squares += float(prior.information @ (self.values - prior.mean) ** 2)

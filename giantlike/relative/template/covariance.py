@@ -261,7 +261,7 @@ class LinearFit(Solution):
         return np.sqrt(np.diag(np.linalg.inv(self.columns.information))[self.columns.layout.span(effect)])
 
     def noise_covariance(self, noise: Float) -> Float:
-        """Covariance (k, k) of the parameters from independent noise of given variance (h, w), markings and the prior."""
+        """Covariance (k, k) of the parameters from independent noise of variance (h, w), markings and the prior."""
         columns = self.columns
         rows = columns.rows * (columns.weights * np.sqrt(noise)).ravel()
         scatter = rows @ rows.T + np.diag(columns.prior.information)
