@@ -246,7 +246,7 @@ class Findings(_Stated):
     terrain_misfit : float or None
         Residuals of the limb over what noise and the errors of the height map let expect.
     checks : mapping of str to float
-        Numbers of the checks behind every fix, see :class:`~giantlike.relative.quality.QualityChecks`.
+        Numbers of the tests behind every fix, see :class:`~giantlike.relative.judge.Judgement`, and their tension.
     chosen, because : str
         Estimator that ``auto`` took, and why.
     checked_by : str

@@ -235,6 +235,12 @@ class Columns(Value):
             return None
         return Solution(self, np.asarray(np.linalg.solve(scaled, self.right / scale) / scale))
 
+    @property
+    def field_scatter(self) -> Float:
+        """Covariance (k, k) of the scores of the unknowns by the field; zero without one."""
+        none = np.zeros_like(self.information)
+        return none if self.eliminated is None else self.eliminated.scatter
+
     def propagate(self, scatter: Float) -> Float:
         """Return the covariance (k, k) of the unknowns from that of their scores."""
         inverse = np.linalg.inv(self.information)
@@ -291,10 +297,16 @@ class Solution(Value):
         columns, prior = self.columns, self.columns.prior
         squares = float(np.sum(columns.weights * self.residuals**2))
         squares += float(prior.information @ (self.values - prior.mean) ** 2)
-        if columns.eliminated is not None:
-            free = columns.eliminated.variances > 0.0
-            squares += float(np.sum(self.modes[free] ** 2 / columns.eliminated.variances[free]))
-        return squares
+        return squares + self.mode_squares
+
+    @property
+    def mode_squares(self) -> float:
+        """Squared modes of the field over their variances."""
+        if self.columns.eliminated is None:
+            return 0.0
+        variances = self.columns.eliminated.variances
+        free = variances > 0.0
+        return float(np.sum(self.modes[free] ** 2 / variances[free]))
 
     @cached_property
     def residuals(self) -> Float:

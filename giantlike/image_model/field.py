@@ -13,7 +13,7 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -79,6 +79,10 @@ class MarkingModes(Value):
         along_x, along_y = (norm * np.cos(np.pi * order[:, None] * np.clip(phase, 0.0, 1.0)) for phase in phases)
         frequencies: Float = np.pi / (2.0 * HALF_WIDTH) * order.astype(np.float64)
         return cls(light=light, along_x=along_x, along_y=along_y, frequencies=frequencies)
+
+    def brighter(self, factor: float) -> MarkingModes:
+        """Return the modes on light that is brighter by a factor."""
+        return replace(self, light=factor * self.light)
 
     @property
     def count(self) -> int:

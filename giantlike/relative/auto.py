@@ -17,7 +17,7 @@ from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.threads import at_once
 from giantlike.ray_tracing import trace_silhouette
-from giantlike.relative.consensus import fused, verdict
+from giantlike.relative.consensus import agreement_of, confirming, fused
 from giantlike.relative.estimator import BodyEstimator, Estimator
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.inputs import EstimatorInputs
@@ -191,14 +191,10 @@ def choose(
 class Auto(BodyEstimator[AutoOptions, CenterFix]):
     """Chooses an estimator by apparent size, shape and limb in view, and checks it by an independent one.
 
-    The estimators of the choice are tried in order; the first fix to which none of its own checks objects is taken,
-    else the first fix. Second estimators that use something else (the limb instead of the light), or the light in
-    another way, check it (:func:`verdict`). Any second fix that is certain enough has a say against it, suspect or not:
-    where the two differ by more than their covariances explain, the fix is flagged ``DISAGREEMENT``, and where the
-    second finds another figure than the one that both were told, ``WRONG_FIGURE``. Only one that is not suspect
-    confirms it. Where there are second fixes, but none confirms it, it is flagged ``UNCONFIRMED``. All make it suspect.
-    Where no second estimator finds the body at all, a fix of the first choice is flagged ``UNCHECKED``; a fix of a
-    later choice, or of an irregular body whose limb is in view, is ``UNCONFIRMED`` then.
+    The estimators of the choice are tried in order; the first fix that is not suspect is taken, else the first fix. The
+    first of other fixes that is not suspect and certain enough confirms it: those that use something else (the limb
+    instead of the light) are asked before those that use the light in another way. Where the two differ by more than
+    their covariances explain, these grow. A fix that none confirms is flagged ``UNCHECKED``.
 
     The fix is that of the estimator taken, a :class:`~giantlike.core.outcomes.PositionFix` where that estimates the
     range, under the name ``auto``, fused with the one that confirms it (:func:`~giantlike.relative.consensus.fused`);
@@ -269,16 +265,13 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
             fix = outcome(taken)
             assert isinstance(fix, CenterFix)
             seconds = ((name, outcome(name)) for name in choice.checks_of(taken))
-            later = taken != choice.estimators[0]
-            alone = Quality.UNCONFIRMED if later or choice.needs_check else Quality.UNCHECKED
-            found = verdict(fix, seconds, alone=alone, false_alarm=self.options.false_alarm)
+            confirmed = None if fix.flags.suspect else confirming(fix, seconds)
         findings = replace(fix.findings, chosen=taken, because=choice.because)
-        if found.checked_by:
-            findings = replace(findings, checked_by=found.checked_by, agreement=found.agreement)
-        fix = replace(fix, estimator=self.name, flags=fix.flags | found.flag, findings=findings)
-        second = outcomes.get(found.checked_by)
-        if fix.flags.suspect or not isinstance(second, CenterFix) or second.flags.suspect:
-            return fix
+        if confirmed is None:
+            return replace(fix, estimator=self.name, flags=fix.flags | Quality.UNCHECKED, findings=findings)
+        name, second = confirmed
+        findings = replace(findings, checked_by=name, agreement=agreement_of(fix, second))
+        fix = replace(fix, estimator=self.name, findings=findings)
         return _with_turn(fused(fix, second, inputs.camera.model), second)
 
     def _choice(self, inputs: EstimatorInputs) -> Choice:

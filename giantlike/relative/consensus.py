@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import chdtrc
@@ -12,7 +12,7 @@ from scipy.special import chdtrc
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float
 from giantlike.core.causes import IN_IMAGE, Cause, summed
-from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality
+from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.statistics import nearest_covariance
 from giantlike.relative.budget import position_covariance
 
@@ -24,65 +24,24 @@ _WEIGHTS = np.linspace(0.0, 1.0, 21)
 """Shares of the first of two fixes that are tried: a share that is off by 0.025 costs less than a percent of sigma."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
-    """What other fixes of the same body say of a fix.
-
-    Parameters
-    ----------
-    flag : Quality
-        ``NONE`` for a fix that is confirmed, ``DISAGREEMENT``, ``WRONG_FIGURE``, ``UNCONFIRMED`` or ``UNCHECKED``.
-    checked_by : str
-        Name of the estimator that decided; empty where none did.
-    agreement : float
-        Probability that right fixes differ by as much.
-    """
-
-    flag: Quality
-    checked_by: str = ""
-    agreement: float = 1.0
-
-
-def verdict(
-    fix: CenterFix,
-    seconds: Iterable[tuple[str, CenterFix | Failure]],
-    *,
-    alone: Quality = Quality.UNCHECKED,
-    false_alarm: float = 1e-3,
-) -> Verdict:
-    """Compare a fix with second fixes of the same body, in order, until one that is trusted decides.
-
-    A second one that finds another figure than the one told decides too: both were told the same.
+def confirming(fix: CenterFix, seconds: Iterable[tuple[str, CenterFix | Failure]]) -> tuple[str, CenterFix] | None:
+    """Return the first of other fixes of the same body that can check one, in order.
 
     Parameters
     ----------
     fix : CenterFix
     seconds : iterable of (str, CenterFix or Failure)
         Name and outcome of other estimators, the most independent first. No more are taken than are needed.
-    alone : Quality
-        Flag of a fix where no other estimator gives one.
-    false_alarm : float
-        Probability that two right fixes are called a disagreement.
 
     Returns
     -------
-    Verdict
+    (str, CenterFix) or None
+        None where none is both certain enough and not suspect: a suspect one tells nothing of the first.
     """
-    found = False
     for name, second in seconds:
-        if isinstance(second, Failure):
-            continue
-        found = True
-        if not _certain_enough(second, fix):
-            continue
-        agreement = agreement_of(fix, second)
-        if agreement < false_alarm:
-            return Verdict(flag=Quality.DISAGREEMENT, checked_by=name, agreement=agreement)
-        if Quality.WRONG_FIGURE in second.flags:
-            return Verdict(flag=Quality.WRONG_FIGURE, checked_by=name, agreement=agreement)
-        if not second.flags.suspect:
-            return Verdict(flag=Quality.NONE, checked_by=name, agreement=agreement)
-    return Verdict(flag=Quality.UNCONFIRMED if found else alone)
+        if not isinstance(second, Failure) and not second.flags.suspect and _certain_enough(second, fix):
+            return name, second
+    return None
 
 
 def _certain_enough(second: CenterFix, fix: CenterFix) -> bool:

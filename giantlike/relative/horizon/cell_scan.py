@@ -31,6 +31,7 @@ from giantlike.relative.horizon.geometry import Figure
 from giantlike.relative.horizon.good_cells import CellRules, NoCells, good_cells
 from giantlike.relative.horizon.options import HorizonScan
 from giantlike.relative.horizon.profile import HorizonArc, blur_width_px, brightness_inside, horizon_arc, profile_table
+from giantlike.relative.judge import LEAST_USED_SHARE
 from giantlike.relative.limb.fix import (
     PATIENCE,
     EdgeModel,
@@ -40,7 +41,6 @@ from giantlike.relative.limb.fix import (
     agreeing_step,
     settle_limb,
 )
-from giantlike.relative.quality import LEAST_USED_SHARE
 from giantlike.rings import Rings
 
 _COARSE_POINTS = 120

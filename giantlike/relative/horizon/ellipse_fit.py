@@ -29,10 +29,10 @@ from giantlike.relative.horizon.clipped_disk import measure_clipped
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidStandIn
 from giantlike.relative.horizon.geometry import Altitude, Figure, christian_robinson, fit_horizon, horizon_residuals
 from giantlike.relative.inputs import EstimatorInputs
+from giantlike.relative.judge import LEAST_USED_SHARE
 from giantlike.relative.light.phase_correction import sunlight_px
 from giantlike.relative.limb.fix import IteratedSearch, LimbSearch, LimbSolution, ScanOptions, limb_fix, limb_view
 from giantlike.relative.limb.terrain import with_terrain
-from giantlike.relative.quality import LEAST_USED_SHARE
 
 __all__ = ["EllipseFit", "EllipseFitOptions"]
 

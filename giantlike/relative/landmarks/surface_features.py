@@ -19,22 +19,18 @@ from giantlike.processing.geometry.pnp import PnpFix, PnpOptions, solve_pnp
 from giantlike.ray_tracing import Body
 from giantlike.relative.estimator import BodyEstimator
 from giantlike.relative.inputs import EstimatorInputs
+from giantlike.relative.judge import Facts
 from giantlike.relative.landmarks.cells import in_cells
 from giantlike.relative.landmarks.matching import LandmarkMatch, common_shift, correlation_surface, fit_patch, peak_near
 from giantlike.relative.landmarks.rendering import LandmarkRenderer, Patch, TracedGround, rays_for
 from giantlike.relative.landmarks.selection import landmarks_of
 from giantlike.relative.landmarks.visibility import SeenLandmarks, VisibilityOptions, viewer_for
 from giantlike.relative.place import center_of_position
-from giantlike.relative.quality import QualityChecks
 from giantlike.shapes import LevelsOfDetail, TriangleMesh
 from giantlike.shapes.landmarks import LandmarkCatalog, load_landmarks
 
 _NEAR_PX = 3  # px, search once a pose is known
 _FREE_TURN_RAD = 0.03  # rad, error of a free attitude that the first search allows for, at most
-_LOW_SCORE = 0.6
-"""Mean correlation of the landmarks below which a fix is flagged. Half and double: benchmarks/sensitivity.md."""
-_LARGE_RESIDUALS_PX = 0.5
-"""Root mean square of the residuals, px, above which a fix is flagged. Half and double: benchmarks/sensitivity.md."""
 _SETTLED_SIGMA = 0.3  # of the standard deviation of the position: a last step so small adds 5 % to it
 _DAMPED_AFTER = 3  # renders: steps that have not settled by then come from the sampling of the renders, and are halved
 _LOOSE = 3.0  # times the limit of agreement, while templates are rendered for a pose that is off
@@ -450,17 +446,15 @@ class _Search:
         )
 
     def _flags(self, found: _Found, observed_px: Float, score: float) -> Quality:
-        inputs, residuals_px = self.inputs, found.pose.residuals_px[found.pose.inliers]
+        inputs = self.inputs
         area = np.zeros_like(inputs.usable)
         columns, rows = np.rint(observed_px).astype(np.int64).T
         area[np.clip(rows, 0, area.shape[0] - 1), np.clip(columns, 0, area.shape[1] - 1)] = True
-        checks = QualityChecks(
+        checks = Facts(
             off_px=inputs.camera.model.project(found.pose.position_camera_km) - inputs.predicted_px,
             search_px=self.options.search_px,
             bounded=True,
             n_used=len(observed_px),
             n_offered=len(found.tried),
-            residuals=math.sqrt(float(np.mean(residuals_px**2))) / _LARGE_RESIDUALS_PX,
-            weakness=_LOW_SCORE / score,
         )
         return inputs.flags_at(area) | checks.flags

@@ -26,6 +26,7 @@ from giantlike.ray_tracing import (
 from giantlike.ray_tracing.block_templates import BlockedPlane, block_templates
 from giantlike.relative.estimator import BodyEstimator
 from giantlike.relative.inputs import EstimatorInputs
+from giantlike.relative.judge import Facts
 from giantlike.relative.light.averaged import averaged, on_pixels
 from giantlike.relative.light.law_mixture import LawMixture, fit_law
 from giantlike.relative.light.lit_size import first_scale, measured_size
@@ -33,20 +34,14 @@ from giantlike.relative.light.phase_correction import Correction, phase_correcti
 from giantlike.relative.light.separation import MIN_AREA_PX, TRACE, BodyLight, Prediction, light_of
 from giantlike.relative.light.wings import WING_UNKNOWN, wing_share, with_wings
 from giantlike.relative.place import apparent_radius_px
-from giantlike.relative.quality import QualityChecks
 from giantlike.scene import TargetGeometry
 
 _LOWER_THRESHOLD = 0.5
 """Factor of the threshold whose effect on the center enters the covariance as one sigma."""
 _SAMPLING_PX = 0.02  # px, error by the rays of the template on a large body
-_MAX_STRAY = 0.05  # of the bright pixels outside the expected area: above, it is not the light of the body alone
 _FILL_UNKNOWN = 0.25
 """Part of the effect of filled pixels on the center that is one sigma: the template that tells it lies within half a
 pixel and some percent of the range."""
-_MOST_UNEXPLAINED = 0.4
-"""Part of the light, as a norm, that differs from the template: exact models leave 0.01-0.08, another law 0.11, albedo
-of 15 % and relief of 1 % 0.05-0.65, unmasked columns of a body of 30 px 0.23-0.32. The covariance holds up to here: of
-17 fixes of these with 0.25-0.5 squared errors per degree of freedom came to 0.05-1.7."""
 _LEAST_LIT = 0.05  # of the disk, as of ``unresolved``
 _RAYS_ACROSS, _RAYS_SIZE_PX = (96, 300), 40.0
 """Rays across a full disk, and its size up to which the least number will do: what they leave of its light grows with
@@ -216,12 +211,11 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: M
         + WING_UNKNOWN**2 * np.outer(by_wings, by_wings),
     }
     bright = light.bright
-    n_used, stray = int(np.count_nonzero(bright)), int(np.count_nonzero(bright & ~light.expected))
-    checks = QualityChecks(
+    n_used = int(np.count_nonzero(bright))
+    checks = Facts(
         off_px=np.array([np.linalg.norm(center_px + rendered - template.center_px), 0.0]),
         search_px=options.search_px,
         bounded=True,
-        residuals=max(size.excess, stray / n_used / _MAX_STRAY, law.unexplained / _MOST_UNEXPLAINED),
     )
     identity = inputs.identity
     identity["corrections"] |= Corrections(seen_size=size.scale)

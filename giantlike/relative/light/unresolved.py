@@ -20,8 +20,8 @@ from giantlike.processing.limb.segmentation import background_of
 from giantlike.ray_tracing import Template
 from giantlike.relative.estimator import BodyEstimator
 from giantlike.relative.inputs import EstimatorInputs
+from giantlike.relative.judge import Facts
 from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
-from giantlike.relative.quality import QualityChecks
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
 from giantlike.relative.template.moved_body import MovedBody
 from giantlike.relative.template.rendering import KNOWN_BLUR_SIGMA_PX2, UNKNOWN_BLUR_SIGMA_PX2, TemplateRenderer
@@ -41,7 +41,6 @@ _LEAST_LIT, _MOST_RAYS = 0.05, 720
 _RAYS_THROUGH_PER_PIXEL, _RAYS_THROUGH = 12, 48
 """Rays through the lit part of a disk: to a pixel of the diameter, and at most. At 150 degrees a crescent of 4 px is
 0.3 px thick, and 96, 372 and 720 rays across move its center by 0.02, 0.005 and 0.003 px."""
-_LARGE_DISAGREEMENT = 1.0  # of the width of the light, between windowed centroid and fit: then one sees something else
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,12 +160,10 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
         systematic = np.outer(shift_px, shift_px) + np.outer(scaled_px, scaled_px)
         noise_px2 = fit.noise_covariance[:2, :2]
         parts = {Cause.NOISE: noise_px2, Cause.REFLECTANCE: _excess(fit.covariance[:2, :2], noise_px2) + systematic}
-        disagreement_px = float(np.linalg.norm(fit.state.center_px - start_px))
-        checks = QualityChecks(
+        checks = Facts(
             off_px=np.array([np.linalg.norm(measured.point_px - template.photocenter_px), 0.0]),
             search_px=options.search_px,
             bounded=True,
-            residuals=disagreement_px / (_LARGE_DISAGREEMENT * width_px),
             ambiguous=rivals,
         )
         core, corner_px = _disk(image, measured.point_px, _CORE_SIGMAS * width_px)

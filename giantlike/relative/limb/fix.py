@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol, TypeVar
 
@@ -21,8 +21,8 @@ from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.inputs import EstimatorInputs
+from giantlike.relative.judge import LEAST_USED_SHARE, Alternative, Facts, Judgement
 from giantlike.relative.place import center_of_position, place_covariance
-from giantlike.relative.quality import LEAST_USED_SHARE, QualityChecks
 
 _LOG = logging.getLogger("giantlike.relative")
 
@@ -363,7 +363,6 @@ def limb_fix(
     search: LimbSearch,
     *,
     allowed_rms_px: float = math.inf,
-    strain_chance: float = 1.0,
 ) -> PositionFix | Failure:
     """Judge a position from a limb and put it into a :class:`PositionFix`.
 
@@ -375,8 +374,6 @@ def limb_fix(
     search : LimbSearch
     allowed_rms_px : float, px
         Larger residuals are a failure.
-    strain_chance : float
-        Probability that the limb of a right body looks strained by as much.
 
     Returns
     -------
@@ -389,23 +386,24 @@ def limb_fix(
     refused = _refused(place, inputs, measured, search, allowed_rms_px)
     if refused is not None:
         return refused
-    checks = replace(_checks(place, inputs, measured, search), strain_chance=strain_chance)
-    if checks.far_from_prediction and measured.n_used < LEAST_USED_SHARE * measured.n_offered:
+    facts = _facts(place, inputs, measured, search)
+    if facts.far_from_prediction and measured.n_used < LEAST_USED_SHARE * measured.n_offered:
         return Failure(
             Reason.NO_LIMB,
-            f"the outline was found {np.max(np.abs(checks.off_px)):.0f} px and {checks.range_ratio - 1.0:+.1%} of size "
+            f"the outline was found {np.max(np.abs(facts.off_px)):.0f} px and {facts.range_ratio - 1.0:+.1%} of size "
             f"from the predicted one, beyond the search of {search.search_px:g} px and {search.search_range:.1%}, and "
             f"{measured.n_used} of {measured.n_offered} points there are like a limb: a terminator, or another edge",
         )
     replaced = Quality.SHAPE_APPROXIMATED if measured.relief_px > 0.0 else Quality.NONE
     identity = inputs.identity
     identity["corrections"] |= solution.corrections | Corrections(limb_blur_px2=measured.wider_px2)
-    terrain, findings = measured.terrain, Findings()
+    terrain, findings, judgement = measured.terrain, Findings(), Judgement()
     if terrain is not None:
         identity["provenance"] = {**inputs.provenance, "terrain": terrain.name, "terrain_sha256": terrain.sha256}
         findings = Findings(
             terrain_mean_km=terrain.mean_km, terrain_log_odds=-terrain.log_odds, terrain_misfit=terrain.misfit
         )
+        judgement = Judgement(alternatives={Alternative.SMOOTH_LIMB: terrain.log_odds})
     model, position_km = inputs.camera.model, solution.position_camera_km
     return PositionFix(
         **identity,
@@ -415,7 +413,7 @@ def limb_fix(
         n_used=measured.n_used,
         n_rejected=measured.n_offered + measured.n_elsewhere - measured.n_used,
         score=place.rms_px,
-        flags=inputs.flags_at(measured.area) | checks.flags | replaced,
+        flags=inputs.flags_at(measured.area) | facts.flags | judgement.flags | replaced,
         parts={cause: place_covariance(model, position_km, part) for cause, part in solution.covariances_km2.items()},
         position_camera_km=position_km,
         covariance_camera_km2=solution.covariance_camera_km2,
@@ -481,20 +479,17 @@ def _refused(
     return None
 
 
-def _checks(place: _Place, inputs: EstimatorInputs, measured: LimbMeasurement, search: LimbSearch) -> QualityChecks:
-    """Numbers by which the flags of a solution are decided."""
-    return QualityChecks(
+def _facts(place: _Place, inputs: EstimatorInputs, measured: LimbMeasurement, search: LimbSearch) -> Facts:
+    """Facts of a solution."""
+    return Facts(
         off_px=place.center_px - inputs.predicted_px,
         search_px=search.search_px,
         range_ratio=inputs.geometry.range_km / place.range_km,
         search_range=search.search_range,
         n_used=measured.n_used,
         n_offered=measured.n_offered,
-        residuals=place.rms_px / (search.large_rms_px + _RELIEF_LARGE_RMS * measured.relief_px),
         outline_share=measured.outline_share,
         cut_by_frame=measured.cut_by_frame,
-        terrain_log_odds=-math.inf if measured.terrain is None else measured.terrain.log_odds,
-        terrain_misfit=0.0 if measured.terrain is None else measured.terrain.misfit,
     )
 
 

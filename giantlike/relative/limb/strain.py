@@ -3,54 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.outcomes import Failure, PositionFix
-from giantlike.core.values import Value
 from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.processing.outline_errors import averages, outline_errors
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, limb_fix
-from giantlike.relative.quality import UNLIKELY
 
 _LEAST_FREEDOM = 3
 """Least degrees of freedom that residuals must have beside place and strain: errors are estimated from them."""
 _STRAINS = 2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Strain(Value):
-    """How the limb of a body looks strained.
-
-    Parameters
-    ----------
-    chance : float
-        Probability that the limb of a right body looks strained by as much.
-    tension : float
-        Squared strain over what the errors of the limb let expect, as Birge's ratio; 1 where it is not unlikely.
-    """
-
-    chance: float = 1.0
-    tension: float = 1.0
-
-    def grown(self, solution: LimbSolution) -> LimbSolution:
-        """Return a solution whose own errors explain the strain.
-
-        Parameters
-        ----------
-        solution : LimbSolution
-
-        Returns
-        -------
-        LimbSolution
-        """
-        parts = dict(solution.covariances_km2)
-        own = {cause: self.tension * parts[cause] for cause in (Cause.NOISE, Cause.RELIEF) if cause in parts}
-        return replace(solution, covariances_km2=parts | own)
 
 
 def fix_of_strained(
@@ -70,13 +37,14 @@ def fix_of_strained(
     -------
     PositionFix or Failure
     """
-    strain, allowed_px = strain_of(measured, inputs), search.allowed_rms_px(measured)
-    grown = strain.grown(solution)
-    return limb_fix(inputs, measured, grown, search, allowed_rms_px=allowed_px, strain_chance=strain.chance)
+    tension, parts = strain_tension(measured, inputs), dict(solution.covariances_km2)
+    own = {cause: tension * parts[cause] for cause in (Cause.NOISE, Cause.RELIEF) if cause in parts}
+    grown = replace(solution, covariances_km2=parts | own)
+    return limb_fix(inputs, measured, grown, search, allowed_rms_px=search.allowed_rms_px(measured))
 
 
-def strain_of(measured: LimbMeasurement, inputs: EstimatorInputs) -> Strain:
-    """Compare the strain of a limb with its errors.
+def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
+    """Factor by which the variances of a limb are too small for its strain, as Birge's ratio; at least 1.
 
     A pole, a roll or axes that are told wrong, and a smear of the image, stretch an outline along one direction. So do
     the longest waves of relief, but these come with shorter ones, which the strain leaves among the residuals: how much
@@ -92,31 +60,28 @@ def strain_of(measured: LimbMeasurement, inputs: EstimatorInputs) -> Strain:
 
     Returns
     -------
-    Strain
-        None to speak of where too few points tell, where the outline is not that of the body (a stand-in, or one whose
-        relief a height map tells), and where only the place is asked for.
+    float
+        1 where too few points tell, where the outline is not that of the body (a stand-in, or one with a height map),
+        and where only the place is wanted.
 
     Notes
     -----
-    The strain s (2,) of no area is fitted beside the place by generalized least squares, and ``s.C^-1.s / 2`` compared
-    with the F distribution: the scale of C is estimated from as many averages as there are, less those parameters.
-    Where noise alone explains the strain, other errors are not looked for. What contradicts a limb makes it suspect,
-    what is merely unlikely makes it less certain.
+    The strain s (2,) of no area is fitted beside the place by generalized least squares; the ratio is ``s.C^-1.s / 2``.
+    Where noise alone explains the strain, other errors are not looked for.
     """
     if inputs.place_alone or measured.relief is not None or measured.terrain is not None:
-        return Strain()
+        return 1.0
     keep, (_, altitude_km) = measured.keep, inputs.geometry.limb_altitude_km
     known = math.hypot(inputs.turn_rad, altitude_km / inputs.geometry.target.shape.mean_radius_km)
     means = averages(measured.predicted_px[keep], measured.sigma_px[keep])
     freedom = len(means) - measured.design.shape[1] - _STRAINS
     if freedom < _LEAST_FREEDOM:
-        return Strain()
+        return 1.0
     shift_px, sigma_px, points = measured.shift_px[keep], measured.sigma_px[keep], measured.predicted_px[keep]
     design = np.concatenate([measured.design[keep], _strained(points, measured.normals_px[keep])], axis=1)
     by_noise = means**2 @ sigma_px**2
-    by_noise_alone = _strain(means @ shift_px, means @ design, np.diag(by_noise), known, freedom)
-    if by_noise_alone.chance > UNLIKELY:
-        return by_noise_alone
+    if _ratio(means @ shift_px, means @ design, np.diag(by_noise), known) <= 1.0:
+        return 1.0
     radius_px = measured.perimeter_px / (2.0 * np.pi)
     errors = outline_errors(shift_px, design, sigma_px, points, radius=radius_px, least_length=measured.spacing_px)
     own = errors.covariances(np.sqrt(by_noise), means @ points)
@@ -126,7 +91,7 @@ def strain_of(measured: LimbMeasurement, inputs: EstimatorInputs) -> Strain:
         covariance = covariance + shared_px @ shared_px.T
     for error in measured.smooth_errors:
         covariance = covariance + error.covariance_px2(means @ points)
-    return _strain(means @ shift_px, means @ design, covariance, known, freedom)
+    return max(_ratio(means @ shift_px, means @ design, covariance, known), 1.0)
 
 
 def _strained(points_px: Float, normals_px: Float) -> Float:
@@ -139,19 +104,15 @@ def _strained(points_px: Float, normals_px: Float) -> Float:
     return np.stack([x * by_x - y * by_y, x * by_y + y * by_x], axis=-1)
 
 
-def _strain(shift_px: Float, design: Float, covariance: Float, known: float, freedom: int) -> Strain:
-    """The last two parameters of a fit of shifts (b,), compared with their errors by a covariance (b, b).
+def _ratio(shift_px: Float, design: Float, covariance: Float, known: float) -> float:
+    """Squared strain over its covariance, per parameter, in a fit of shifts (b,) with a covariance (b, b).
 
     ``known`` is the standard deviation of a strain that a right body may have.
     """
-    from scipy.special import fdtrc
-
     scale = np.linalg.norm(design, axis=0)
     x = design / scale
     weighted = np.linalg.solve(covariance, x)
     inverse = np.linalg.inv(x.T @ weighted) / np.outer(scale, scale)
     strain = (inverse @ (scale * (weighted.T @ shift_px)))[-_STRAINS:]
     of_strain = inverse[-_STRAINS:, -_STRAINS:] + known**2 * np.eye(_STRAINS)
-    ratio = float(strain @ np.linalg.solve(of_strain, strain)) / _STRAINS
-    chance = float(fdtrc(_STRAINS, freedom, ratio))
-    return Strain(chance=chance, tension=ratio if chance < UNLIKELY else 1.0)
+    return float(strain @ np.linalg.solve(of_strain, strain)) / _STRAINS

@@ -10,11 +10,11 @@ from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.values import Value
 from giantlike.image_model.columns import Block, Prior
-from giantlike.relative.quality import UNLIKELY
 from giantlike.relative.template.covariance import LinearFit
 from giantlike.relative.verification.checks import chance_of
 
 _STRAINS = 3
+UNLIKELY = 0.01
 _NOTHING = np.zeros(3)  # center and logarithm of the range
 _STRAINED = 0.3
 """Strain a priori, and smear over the square of the radius of the light: far beyond what is linear."""

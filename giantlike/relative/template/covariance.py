@@ -264,8 +264,7 @@ class LinearFit(Solution):
         """Covariance (k, k) of the parameters from independent noise of variance (h, w), markings and the prior."""
         columns = self.columns
         rows = columns.rows * (columns.weights * np.sqrt(noise)).ravel()
-        scatter = rows @ rows.T + np.diag(columns.prior.information)
-        return columns.propagate(scatter if columns.eliminated is None else scatter + columns.eliminated.scatter)
+        return columns.propagate(rows @ rows.T + np.diag(columns.prior.information) + columns.field_scatter)
 
     def error_covariance(self, error: Float, *, length_px: float) -> Float:
         """Covariance of the parameters from an error of the model of known size.

@@ -19,8 +19,8 @@ from giantlike.ray_tracing import Template, Trace, trace_silhouette
 from giantlike.ray_tracing.silhouette import outline_points_px
 from giantlike.relative.estimator import BodyEstimator
 from giantlike.relative.inputs import EstimatorInputs
+from giantlike.relative.judge import SHORT_ARC_SHARE, Facts
 from giantlike.relative.place import limb_in_frame, position_of_center
-from giantlike.relative.quality import SHORT_ARC_SHARE, QualityChecks
 from giantlike.relative.response import LEAST_BEND, settled
 from giantlike.relative.template.align import align_template
 from giantlike.relative.template.asked import known_strain
@@ -46,36 +46,10 @@ _EDGE_LIGHT = 1e-3  # of the brightest pixel: a box may end where the light is f
 _LIT = 0.02  # of the brightest pixel: fainter ones are not counted as the light of the body
 _MAX_UNUSABLE_LIGHT = 0.5
 """Light on saturated or bad pixels above which there is no fit. Half and double: benchmarks/sensitivity.md."""
-_LOW_SCORE = 0.7
-"""Correlation of the fitted template below which it is flagged. Half and double: benchmarks/sensitivity.md."""
-_LARGE_CHI, _LARGE_RESIDUAL = 2.0, 0.125 / 0.15
-"""Residuals over noise, and those beyond noise over the light and its declared albedo, that are large where both are
-exceeded: bright bodies
-exceed their noise wherever the model is not exact, and faint ones differ by much from noise alone. Exact models leave
-0.02-0.03 of the light, albedo of 15 % 0.06-0.13, unlisted relief of 1 % 0.07-0.08 up to 90 deg of phase, and the
-covariance holds; relief at 125 deg leaves 0.13-0.18."""
-_EDGE_RADIUS = 0.01
-"""Error of a limb or a terminator, radii, from which on it changes light by more than markings do: there is an edge. As
-of the checks by a coarse render."""
-_LARGE_AT_EDGES, _LARGE_OF_MARKINGS = 0.08 / 0.15, 0.25 / 0.15
-"""Residuals, over the light and its declared albedo, up to which they are markings: at edges, which these leave where
-they are, and in all. With albedo of 15 % (41 fixes) edges leave 0.01-0.06 of the light, and all of it up to 0.17; with
-relief of 1 % (12 fixes with large residuals) 0.11-0.23, a double exposure 0.12. The limit in all is half as much again
-as markings of 15 % leave, without a study of its own."""
-_OF_RELIEF = 2.0
-"""Residuals over those that relief of 1 % makes by moving all light at edges, up to which they may be relief: 0.8 to
-2.0 with such relief at 90 and 125 deg of phase (views 402 to 443 of ``benchmarks/stress.py``), where it moves more of
-the light than the limits above. The covariance holds: squared errors of 0.5 and 0.7 of it (views 600 to 624), and of
-444 verdicts on wrong poles, shapes, axes and rotations, double exposures, crescents and markings of the gauntlet (seed
-9550) none is silently wrong.
-"""
 _SEARCHED_WIDER = (Reason.LOW_CORRELATION, Reason.PEAK_AT_EDGE)  # failures that a body outside the search explains
 _WIDER, _WIDEST_PX = 2.5, 400  # times the declared search, and px: memory and time grow with the square
 _WIDER_LOG_RANGES = (0.0, -0.08, 0.08)
 """Ranges tried in the wider search, as logarithms over the predicted one: the alignment reaches 5 % from each."""
-_MOST_OVEREXPOSED = 2.0
-"""Signal over saturation above which a match is weak: half of the light of a sharp limb falls beyond it, so that all of
-the limb is saturated and only the wings of the point spread function are left, which no Gaussian describes."""
 _LEAST_LIMB_PX = 60.0
 """Length of lit limb in the frame below which an ellipsoid without markings is not placed, as ``auto`` needs it: flat
 fields, laws and templates are right to some parts in a thousand, with which squared errors by the fall of light alone
@@ -523,9 +497,8 @@ def _flags(
     within = box.cut(np.ones_like(blocks.good))
     rows, columns = np.nonzero(lit & within)
     area[rows + box.y, columns + box.x] = True
-    seen = lit & fit.used
     n_used = int(fit.used.sum())
-    checks = QualityChecks(
+    checks = Facts(
         off_px=fit.state.center_px - inputs.predicted_px,
         search_px=options.search_px,
         range_ratio=math.exp(-fit.state.log_range),
@@ -533,30 +506,9 @@ def _flags(
         bounded=True,
         n_used=n_used,
         n_offered=n_used + fit.n_rejected,
-        residuals=min(fit.chi / _LARGE_CHI, _unexplained(fit, seen, inputs, blocks.size)),
-        weakness=max(_LOW_SCORE / fit.score, _overexposure(blocks, match, lit & within) / _MOST_OVEREXPOSED),
         cut_by_frame=bool((lit & ~within).any()),
-        template_chance=fit.asked.strain_chance(_known_strain(inputs)),
-        blur_chance=1.0
-        if inputs.psf_sigma_px is None
-        else fit.asked.smear_chance(KNOWN_BLUR_SIGMA_PX2, inputs.radius_px),
     )
     return inputs.flags_at(blocks.area(area, inputs.usable.shape)) | checks.flags
-
-
-def _unexplained(fit: TemplateFit, seen: Mask, inputs: EstimatorInputs, block_px: int) -> float:
-    """Residuals of the blocks ``seen`` (h, w), beyond noise, over the largest that small errors or markings leave."""
-    albedo, signal = inputs.geometry.target.uncertainty.albedo, fit.signal_dn
-    slope = np.hypot(*np.gradient(signal))
-    edge = _EDGE_RADIUS * inputs.radius_px / block_px * slope > albedo * signal
-    beyond = math.sqrt(max(1.0 - 1.0 / max(fit.chi, 1e-12) ** 2, 0.0))
-    light = float(np.linalg.norm(signal[seen])) * albedo
-    everywhere, at_edges = (beyond * float(np.linalg.norm(fit.residuals_dn[at])) / light for at in (seen, seen & edge))
-    relief = _OF_RELIEF * _EDGE_RADIUS * inputs.radius_px / block_px * float(np.linalg.norm(slope[seen & edge])) / light
-    large, large_at_edges, large_of_markings = (
-        max(limit, relief) for limit in (_LARGE_RESIDUAL, _LARGE_AT_EDGES, _LARGE_OF_MARKINGS)
-    )
-    return min(everywhere / large, max(at_edges / large_at_edges, everywhere / large_of_markings))
 
 
 def _known_strain(inputs: EstimatorInputs) -> Float:
@@ -568,16 +520,6 @@ def _known_strain(inputs: EstimatorInputs) -> Float:
     altitude_km = inputs.geometry.limb_altitude_km[1] if found_km is None else found_km
     strain = math.hypot(inputs.turn_rad, altitude_km / inputs.geometry.target.shape.mean_radius_km)
     return known_strain(strain, attitude_known=inputs.image.attitude_covariance_rad2 is not None)
-
-
-def _overexposure(blocks: Blocks, match: TemplateMatch, lit: Mask) -> float:
-    """Largest signal of the model over the level at which its pixels saturate; 0 where none does."""
-    pixels = blocks.pixels.cut(match.box)
-    clipped = None if pixels.censored is None else lit & pixels.censored
-    if clipped is None or not clipped.any():
-        return 0.0
-    limit_dn = float(pixels.values_dn[clipped].min()) - match.fit.offset_dn
-    return float(match.fit.signal_dn.max()) / max(limit_dn, 1e-12)
 
 
 def _lit_part(template: Template) -> tuple[Float, Float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol, TypedDict, TypeVar, cast, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 import cv2
 import numpy as np
@@ -18,14 +18,13 @@ from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
 from giantlike.relative.budget import camera_response, with_error, with_larger_errors
 from giantlike.relative.inputs import EstimatorInputs
-from giantlike.relative.quality import LEAST_CHANCE, LEAST_PREDICTION_CHANCE, UNLIKELY, QualityChecks
+from giantlike.relative.judge import Alternative, Judgement
 from giantlike.relative.verification.cells import CELLS_PER_RADIUS, Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
 from giantlike.relative.verification.haze import HAZE_CELLS_PER_RADIUS, hint_of_haze, in_haze, may_be_hazy, veils
 from giantlike.relative.verification.light_side import light_side
 from giantlike.relative.verification.proportion import in_proportion, looks_bent
 from giantlike.relative.verification.rival import rival_log_odds
-from giantlike.relative.verification.turn import fit_turned
 from giantlike.rings import Rings
 from giantlike.shapes import Ellipsoid
 
@@ -40,35 +39,10 @@ like a blur, is within half of the standard deviation that known optics leave to
 the limb of a body of 300 px by 1.5 px."""
 _BELIEVED = 0.5
 """Motion over the radius, and change of the range, beyond which the coarse fit has not found the body."""
-_TURN_MISFIT = 0.2
-"""Residuals, as in ``QualityChecks.misfit``, from which on it is asked whether the face is turned: smaller ones leave
-no turn of more than a degree, and are those of most right fixes, which should not pay for four more renders."""
 _SMEAR = np.array([[1.0, 0.0, -1.0], [0.0, 2.0, 0.0]])
 """What of a blur (xx, xy, yy) is more along one direction than across it."""
-_NOT_BY_CHANCE = 1e-3
-"""Probability below which errors of a fix are not those of all axes alike: the rate of false alarms of the prediction.
-
-Of 2,324 ``ok`` fixes of the gauntlet (seed 9500) 27 are so off in place or figure, none of which had to be ``ok``."""
 _OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause is not Cause.SHAPE_SCALE)
 """Causes of errors that a fix and the coarse fit of the same shape do not have in common."""
-
-
-class _Numbers(TypedDict, total=False):
-    """Numbers of a fix that its flags follow from: keywords of :class:`~giantlike.relative.quality.QualityChecks`."""
-
-    light_log_odds: float
-    rival_log_odds: float
-    misfit: float
-    unexplained: float
-    unevenness: float
-    step: float
-    place_chance: float
-    figure_chance: float
-    blur_chance: float
-    turn_chance: float
-    turn_share: float
-    prediction_chance: float
-    growth: float
 
 
 def verified(
@@ -111,21 +85,17 @@ def verified(
         hazy = in_haze(fix, fine, inputs, again, lambda one, its: _coarse(one, its, search_px))
         if hazy is not None:
             fix, coarse, inputs = hazy
-    numbers = _Numbers() if coarse is None else _image_numbers(fix, coarse, inputs, search_px)
-    known, fit = inputs.psf_sigma_px is not None, None if coarse is None else coarse.fit
+    fit = None if coarse is None else coarse.fit
     off = _off_prediction(fix, fit, inputs)
-    if off is not None:
-        numbers["prediction_chance"] = chance_of(*off)
-    if by_light and fit is not None:
-        numbers["growth"] = _growth(fix, fit.figure_px2)
-    if not numbers:
-        return fix
-    checks = QualityChecks(off_px=np.zeros(2), search_px=math.inf, **numbers)
-    tension = 1.0 if fit is None else tension_of(fix, fit, psf_known=known)
-    if off is not None and LEAST_PREDICTION_CHANCE <= numbers["prediction_chance"] < UNLIKELY:
-        tension = max(tension, _ratio(*off))
-    findings = replace(fix.findings, checks={**cast("dict[str, float]", numbers), "tension": tension})
-    fix = replace(fix, flags=fix.flags | checks.flags, findings=findings)
+    alternatives, other_place = ({}, -math.inf) if coarse is None else _odds(coarse, inputs, search_px)
+    judgement = Judgement(
+        alternatives=alternatives,
+        other_place=other_place,
+        prediction_chance=1.0 if off is None else chance_of(*off),
+    )
+    tension = 1.0 if fit is None else tension_of(fix, fit, psf_known=inputs.psf_sigma_px is not None)
+    findings = replace(fix.findings, checks={**judgement.numbers, "tension": tension})
+    fix = replace(fix, flags=fix.flags | judgement.flags, findings=findings)
     if tension > 1.0:
         fix = with_larger_errors(fix, inputs.camera.model, tension, _OF_ITS_OWN)
     if not by_light or fit is None:
@@ -136,13 +106,8 @@ def verified(
 def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
     """Factor by which the variances of a fix are too small for what a coarse fit asks for beyond it.
 
-    What contradicts a fix makes it suspect; what is merely unlikely makes it less certain. The factor is the ratio by
-    which Birge makes measurements consistent: the largest of squared motion, strain and, where the point spread
-    function was told, blur beyond it, per degree of freedom, and at least 1. Of right fixes on right models none has
-    more. A blur that contradicts the fix says nothing of its errors: it may be rings, or another exposure.
-
-    Per degree of freedom, a difference that lies along one axis stays larger than its sigma. Where it is too large for
-    chance, it is not one of all axes alike, and counts whole.
+    The factor is the ratio by which Birge makes measurements consistent: the largest of squared motion, strain and,
+    where the point spread function is declared, smear, per degree of freedom, and at least 1.
 
     Parameters
     ----------
@@ -167,21 +132,13 @@ def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
     figure = _ratio(fit.strain.values, fit.strain.covariance)
     # A fix that is less certain than the coarse one has errors of the figure in its covariance already.
     room = min(float(np.trace(fit.place.covariance[:2, :2]) / max(np.trace(own[:2, :2]), 1e-300)), 1.0)
-    blurred = psf_known and chance_of(fit.blur.values, fit.blur.covariance) > LEAST_CHANCE  # beyond, the fix is refused
-    smear = _ratio(_SMEAR @ fit.blur.values, _SMEAR @ fit.blur.covariance @ _SMEAR.T) if blurred else 0.0
+    smear = _ratio(_SMEAR @ fit.blur.values, _SMEAR @ fit.blur.covariance @ _SMEAR.T) if psf_known else 0.0
     return max(1.0, place, 1.0 + room * (figure - 1.0), 1.0 + room * (smear - 1.0))
 
 
 def _ratio(difference: Float, covariance: Float) -> float:
-    """Squared length of a difference (k,) over its covariance (k, k): per axis, but whole where it is not by chance."""
-    squared, size = _squared(difference, covariance), len(difference)
-    return squared / (1 if _chance(squared, size) < _NOT_BY_CHANCE else size)
-
-
-def _growth(fix: CenterFix, figure_px2: Float) -> float:
-    """Factor by which errors of the figure (2, 2) make the sigma of a center larger than those of its own."""
-    own_px2 = float(np.trace(_own(fix)[:2, :2]))
-    return math.sqrt(1.0 + float(np.trace(figure_px2)) / max(own_px2, 1e-300))
+    """Squared length of a difference (k,) over its covariance (k, k), per degree of freedom."""
+    return _squared(difference, covariance) / len(difference)
 
 
 def _own(fix: CenterFix) -> Float:
@@ -250,50 +207,17 @@ def _size_variance(fix: CenterFix, inputs: EstimatorInputs) -> float:
     return declared + float(by_camera @ camera.uncertainty.covariance @ by_camera)
 
 
-def _image_numbers(fix: CenterFix, coarse: _Coarse, inputs: EstimatorInputs, search_px: float) -> _Numbers:
-    """Numbers of the coarse render at the place found; none where the body has no face."""
-    cells, trace, own = coarse.cells, coarse.trace, coarse.own
-    numbers = _Numbers()
-    side = light_side(cells, trace, own, inputs.geometry.sun_direction_camera) if cells.has_face else None
+def _odds(coarse: _Coarse, inputs: EstimatorInputs, search_px: float) -> tuple[dict[Alternative, float], float]:
+    """Logarithms of the odds of other models of the image, and of another place in the search region."""
+    cells, own, geometry = coarse.cells, coarse.own, inputs.geometry
+    alternatives: dict[Alternative, float] = {} if coarse.fit is None else dict(coarse.fit.alternatives)
+    side = light_side(cells, coarse.trace, own, geometry.sun_direction_camera) if cells.has_face else None
     if side is not None:
-        numbers["light_log_odds"] = side.log_odds
-    if side is not None or not cells.has_face:
-        numbers["rival_log_odds"] = rival_log_odds(
-            cells, own, inputs.predicted_px, search_px, inputs.geometry.target.uncertainty.albedo
-        )
-    if coarse.fit is not None:
-        numbers.update(_fit_numbers(fix, coarse.fit, psf_known=inputs.psf_sigma_px is not None))
-        numbers.update(_turn_numbers(coarse, coarse.fit, inputs))
-    return numbers
-
-
-def _fit_numbers(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> _Numbers:
-    """Residuals of a coarse fit, and chances that what it asks for beyond the fix are errors of its own."""
-    own = _own(fix)
-    size = len(own)
-    return _Numbers(
-        misfit=fit.residuals.misfit,
-        unexplained=fit.residuals.unexplained,
-        unevenness=fit.residuals.unevenness,
-        step=fit.residuals.step,
-        place_chance=chance_of(fit.place.values[:size], fit.place.covariance[:size, :size] + own),
-        figure_chance=chance_of(fit.strain.values, fit.strain.covariance),
-        blur_chance=chance_of(fit.blur.values, fit.blur.covariance) if psf_known else 1.0,
-    )
-
-
-def _turn_numbers(coarse: _Coarse, fit: CoarseFit, inputs: EstimatorInputs) -> _Numbers:
-    """What a turn of the face explains of the residuals, and its chance; none where there is little to explain."""
-    if isinstance(inputs.geometry.target.shape, Ellipsoid) or not _TURN_MISFIT < fit.residuals.misfit < math.inf:
-        return _Numbers()
-    sun, turn_rad = inputs.geometry.sun_direction_camera, inputs.turn_rad
-    albedo = inputs.geometry.target.uncertainty.albedo
-    turned = fit_turned(coarse.cells, coarse.trace, coarse.own, sun, albedo=albedo, turn_rad=turn_rad)
-    if turned is None or not len(turned.further.values):
-        return _Numbers()
-    covariance = turned.further.covariance + turn_rad**2 * np.eye(len(turned.further.values))
-    share = 1.0 - (turned.residuals.misfit / fit.residuals.misfit) ** 2
-    return _Numbers(turn_chance=chance_of(turned.further.values, covariance), turn_share=share)
+        alternatives[Alternative.OTHER_SUN] = side.log_odds
+    elif cells.has_face:
+        return alternatives, -math.inf
+    albedo = geometry.target.uncertainty.albedo
+    return alternatives, rival_log_odds(cells, own, inputs.predicted_px, search_px, albedo)
 
 
 @runtime_checkable
@@ -339,7 +263,7 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
         return coarse
     position_km = range_km * math.exp(found[2]) * model.unproject(fix.center_px + found[:2])
     again = _at(replace(body, position_camera_km=position_km), inputs, search_px, fix)
-    if again is None or again.fit is None or not again.fit.residuals.misfit < first.fit.residuals.misfit:
+    if again is None or again.fit is None or not again.fit.log_evidence > first.fit.log_evidence:
         return coarse
     return replace(again, fit=again.fit.at(found + again.fit.place.values))
 
@@ -369,14 +293,12 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float | None, fix: Cente
     own = None if cells is None or trace is None else cells.render(trace)
     if cells is None or trace is None or own is None:
         return None
-    albedo = inputs.geometry.target.uncertainty.albedo
     fit = None
     if cells.has_face:
         fit = fit_cells(
             cells,
             trace,
             own,
-            albedo=albedo,
             turn_rad=inputs.turn_rad,
             response=fix.corrections.response,
             smear=fix.corrections.smear,

@@ -15,9 +15,12 @@ from giantlike.core.causes import Cause
 from giantlike.core.findings import Response, Smear
 from giantlike.core.values import Value
 from giantlike.image_model.columns import Block, Columns, Layout, Prior, Solution
+from giantlike.image_model.field import MarkingModes
 from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Template, Trace
-from giantlike.relative.response import LEAST_BEND
-from giantlike.relative.verification.cell_loops import design_of, unevenness_of
+from giantlike.relative.judge import Alternative
+from giantlike.relative.response import DISPLAY_BEND_SIGMA
+from giantlike.relative.verification.alternatives import CellScores, second_light, shifted_lines
+from giantlike.relative.verification.cell_loops import design_of
 from giantlike.relative.verification.cells import BLOCK, Cells
 
 _EDGE_RADIUS, _EDGE_PX = 0.01, 0.3
@@ -25,9 +28,8 @@ _EDGE_RADIUS, _EDGE_PX = 0.01, 0.3
 point spread function."""
 _WINGS, _WING_RADIUS = 0.01, 0.35
 """Light scattered around a body, over its own, and how far from it, radii: wings of a point spread function."""
-_AROUND, _FLOOR = 0.08, 0.02
-"""Radii over which markings and errors of the law reach, so that the cells along a terminator and a limb have them too,
-and the least error over the brightest cell. Without the floor bright images (20,000 DN) of right fixes contradict them
+_FLOOR = 0.02
+"""Least error of the model over the brightest cell. Without it bright images (20,000 DN) of right fixes contradict them
 by up to 9 standard deviations where the law is another one; with 1 and 2 % by up to 5."""
 _LAW_SIGMA = 1.0
 """Share of another law in the light, a priori: anything from the law that was told to the other one."""
@@ -45,7 +47,6 @@ _SIGMAS: Mapping[str, float | Sequence[float]] = {
     "place": (_MOVED, _MOVED, _GROWN),
     "strain": _STRAINED,
     "blur": _BLURRED,
-    "further": 1.0,
 }
 """Standard deviations of the unknowns a priori, over the gain; nothing is known of the others."""
 _PSF_PX2 = 0.3
@@ -59,16 +60,8 @@ _ISOLATED = 3
 """Side, cells, of the median that takes stars, cosmic rays and single rows out of what is not explained."""
 _KERNEL_SIGMAS = 4.0
 """Reach of a Gaussian, standard deviations: less than 1e-4 of it lies beyond."""
-_DARK = 1e-30
-"""Sum of the light of cells below which a law leaves a body dark."""
 _LIT = 0.05
 """Of the brightest cell: fainter ones are not counted as lit."""
-_TELLING, _LINES = 0.05, 4
-"""Information of a row or column on its place, over that of the one that tells most, from which on it counts, and pairs
-of neighbors that are needed."""
-_BESIDE = 3
-"""Lines on each side of a gap whose places are compared. With one, the spikes that cosmic rays and ghosts leave in
-single lines are as large as some steps of shifted rows; with six, steps of markings are."""
 _LONG_WAVES = 1.3
 """Effect of relief over that of errors of the same scatter that are alike over parts of a face. With 1.0 the variances
 of eight right limbs with relief of 1 % that no shape holds grew threefold, with 1.7 by a half, but rows that are two
@@ -100,34 +93,6 @@ class Estimate(Value):
     covariance: Float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CellResiduals:
-    """What a body fitted to cells leaves.
-
-    Parameters
-    ----------
-    misfit : float
-        Root mean square, over the lit cells, of the residuals over what noise and known errors of models come to.
-    unexplained : float
-        Area of the cells with light that neither explains, or that lack it, over the area that is lit.
-    structure : float
-        Mean product of residuals of neighboring lit cells over their errors: noise comes to zero.
-    unevenness : float
-        Mean squared difference of the places of neighboring rows, or columns, over its variance: where one of them ends
-        light tells where it is. Errors of figures, laws and markings reach over many, so that 1 is far too much.
-    step : float
-        The largest squared difference of the places of :data:`_BESIDE` rows and as many below them, or columns, over
-        its variance, or over what is usual beside other rows: where all lines from one on are shifted. A single line
-        that is off counts little.
-    """
-
-    misfit: float
-    unexplained: float
-    structure: float
-    unevenness: float = 0.0
-    step: float = 0.0
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Omitted(Value):
     """Images that were left out of a fit of cells, each alone; none by default.
@@ -155,7 +120,10 @@ class CoarseFit(Value):
     ----------
     gain_dn : float, DN
         Light of a surface seen and lit along its normal.
-    residuals : CellResiduals
+    log_evidence : float
+        Logarithm of the likelihood of the cells, tempered, but for a constant.
+    alternatives : mapping of Alternative to float
+        Logarithms of the odds of other models of the cells.
     place : Estimate
         Motion: x and y in px, and of the logarithm of the range.
     strain : Estimate
@@ -163,8 +131,6 @@ class CoarseFit(Value):
         other axis, and growth along rows with shrinking along columns; relative.
     blur : Estimate
         Covariance of light about its place beyond that of the point spread function: xx, xy and yy, px^2.
-    further : Estimate
-        Unknowns that were fitted besides.
     figure_px2 : (2, 2) float64, px^2
         Covariance of the center of all light by a figure that is not that of the body, as far as edges and strain show
         it; zero where they are those of a right one.
@@ -172,19 +138,22 @@ class CoarseFit(Value):
         The one by which the values were made proportional to light, if they were, with the bend that the residuals
         show beside all else.
     bend_sigma : float
-        Standard deviation of its bend; infinite where it is too small to be looked at.
+        Standard deviation of its bend.
+    bend_log_odds : float
+        Logarithm of the odds of another bend than that.
     omitted : Omitted
     """
 
     gain_dn: float
-    residuals: CellResiduals
+    log_evidence: float
+    alternatives: Mapping[Alternative, float]
     place: Estimate
     strain: Estimate
     blur: Estimate
-    further: Estimate
     figure_px2: Float
     response: Response
     bend_sigma: float
+    bend_log_odds: float
     omitted: Omitted
 
     def at(self, moved: Float) -> CoarseFit:
@@ -197,7 +166,8 @@ class _Design(Value):
     """What the light of cells may be a sum of.
 
     The unknowns with their derivatives ``matrix`` (k, n, n) and their a priori standard deviations ``sigma`` (k,) over
-    the gain; the light itself, its steepness per cell and what optics scatter of it, (n, n) each.
+    the gain; the light itself, its steepness per cell and what optics scatter of it, (n, n) each; and the modes of
+    undeclared markings of that light.
     """
 
     layout: Layout
@@ -206,10 +176,12 @@ class _Design(Value):
     own: Float
     slope: Float
     scattered: Float
+    markings: MarkingModes
 
     def columns(self, values: Float, weights: Float, gain: float) -> Columns:
-        """Linear look at the values (n, n) of cells."""
-        return Columns(self.layout, self.matrix, Prior.of_sigmas(gain * self.sigma), values, weights)
+        """Linear look at the values (n, n) of cells, with undeclared markings beside the unknowns."""
+        prior = Prior.of_sigmas(gain * self.sigma)
+        return Columns(self.layout, self.matrix, prior, values, weights, self.markings.brighter(gain))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -240,6 +212,11 @@ class _Fitted(Value):
         return self.fresh & _lit(self.design.own)
 
     @cached_property
+    def scores(self) -> CellScores:
+        """Scores of what the fit leaves out."""
+        return CellScores(solution=self.solution, temper=1.0 / max((BLOCK * self.cells.radius) ** 2, 1.0))
+
+    @cached_property
     def normalized(self) -> Float:
         """Residuals (n, n) over their standard deviations; 0 where a cell does not count."""
         return np.asarray(self.solution.residuals * np.sqrt(self.solution.columns.weights))
@@ -258,9 +235,7 @@ def fit_cells(
     trace: Trace,
     own: Template,
     *,
-    albedo: float,
     turn_rad: float = 0.0,
-    further: Float | None = None,
     response: Response | None = None,
     smear: Smear | None = None,
     asked: Float | None = None,
@@ -274,12 +249,8 @@ def fit_cells(
         Of the body at the place found.
     own : Template
         The body under its law.
-    albedo : float
-        Standard deviation of the brightness of its surface about its law.
     turn_rad : float, rad
         Standard deviation of the orientation of the body, about any axis.
-    further : (k, n, n) float64, optional
-        Changes of the light in :attr:`Cells.inner` that are fitted besides, by unknowns of the order of 1 at most.
     response : Response, optional
         By which the values were made proportional to light.
     smear : Smear, optional
@@ -292,27 +263,28 @@ def fit_cells(
     CoarseFit or None
         None where too few cells hold the body.
     """
-    fresh, design = cells.cropped(cells.fresh), _design(cells, trace, own, smear, further)
+    fresh, design = cells.cropped(cells.fresh), _design(cells, trace, own, smear)
     if np.count_nonzero(fresh & _lit(design.own)) <= design.layout.count:
         return None
-    sigma, edge = _model_sigma(design, albedo, turn_rad, cells)
+    sigma, edge = _model_sigma(design, turn_rad, cells)
     fitted = _fitted(cells, design, sigma, edge, cells.place(own.coverage, own))
     if fitted is None:
         return _nothing_alike()
     if not fitted.lit.any():
         return None
-    place, strain, blur, besides = _geometry(fitted, turn_rad)
-    bent, bend_sigma = _response(fitted, response)
+    place, strain, blur = _geometry(fitted, turn_rad)
+    bent, bend_sigma, bend_log_odds = _response(fitted, response)
     return CoarseFit(
         gain_dn=fitted.gain,
-        residuals=_residuals(fitted),
+        log_evidence=fitted.scores.log_evidence,
+        alternatives=_alternatives(fitted),
         place=place,
         strain=strain,
         blur=blur,
-        further=besides,
         figure_px2=_by_figure(fitted, strain),
         response=bent,
         bend_sigma=bend_sigma,
+        bend_log_odds=bend_log_odds,
         omitted=Omitted() if asked is None else _omitted(fitted, fitted.gain * asked),
     )
 
@@ -355,29 +327,27 @@ def _fitted(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: F
     )
 
 
-def _residuals(fitted: _Fitted) -> CellResiduals:
-    """What a fit leaves in the cells."""
-    normalized, lit, columns = fitted.normalized, fitted.lit, fitted.solution.columns
-    by_x, by_y, _ = columns["place"]
-    weights = columns.weights.copy()  # values are read-only, for which loops are compiled anew
-    unevenness, step = unevenness_of(by_x, by_y, weights, normalized, _TELLING, _LINES, _BESIDE)
-    return CellResiduals(
-        misfit=float(np.sqrt(np.mean(normalized[lit] ** 2))),
-        unexplained=_unexplained_area(normalized, fitted.fresh) / float(np.count_nonzero(lit)),
-        structure=_structure(normalized, lit),
-        unevenness=unevenness,
-        step=step,
-    )
+def _alternatives(fitted: _Fitted) -> dict[Alternative, float]:
+    """Logarithms of the odds of other models of the cells."""
+    by_x, by_y, _ = fitted.gain * fitted.solution.columns["place"]
+    cells, light, scores = fitted.cells, fitted.gain * fitted.design.own, fitted.scores
+    return {
+        Alternative.SECOND_LIGHT: second_light(scores, light, cells.radius, cells.blur),
+        Alternative.SHIFTED_ROWS: shifted_lines(scores, by_x, axis=0),
+        Alternative.SHIFTED_COLUMNS: shifted_lines(scores, by_y, axis=1),
+    }
 
 
-def _geometry(fitted: _Fitted, turn_rad: float) -> tuple[Estimate, Estimate, Estimate, Estimate]:
-    """Place, strain, blur, and what was fitted besides."""
+def _geometry(fitted: _Fitted, turn_rad: float) -> tuple[Estimate, Estimate, Estimate]:
+    """Place, strain and blur."""
     solution, gain, cells = fitted.solution, fitted.gain, fitted.cells
-    layout = solution.columns.layout.between("place", "further")
+    layout = solution.columns.layout.between("place", "blur")
     by_law = _OTHER_LAW * (solution.values - _without_laws(solution.columns))
-    by_law = by_law[solution.columns.layout.span("place", "further")]
-    covariance = fitted.covariance(solution.columns.gain("place", "further")) + np.outer(by_law, by_law)
-    place, strain, blur, further = (
+    by_law = by_law[solution.columns.layout.span("place", "blur")]
+    span = solution.columns.layout.span("place", "blur")
+    marks = solution.columns.propagate(solution.columns.field_scatter)[span, span]
+    covariance = fitted.covariance(solution.columns.gain("place", "blur")) + marks + np.outer(by_law, by_law)
+    place, strain, blur = (
         Estimate(solution[name] / gain, covariance[layout.span(name), layout.span(name)] / gain**2)
         for name, _, _ in layout.effects
     )
@@ -388,20 +358,20 @@ def _geometry(fitted: _Fitted, turn_rad: float) -> tuple[Estimate, Estimate, Est
         Estimate(
             cells.size**2 * blur.values, cells.size**4 * blur.covariance + _PSF_PX2**2 * np.diag([1.0, 0.25, 1.0])
         ),
-        further,
     )
 
 
-def _response(fitted: _Fitted, known: Response | None) -> tuple[Response, float]:
-    """The known response, or a linear one, with the bend that the residuals show, and its standard deviation."""
+def _response(fitted: _Fitted, known: Response | None) -> tuple[Response, float, float]:
+    """The known response, or a linear one, with the bend that the residuals show, its standard deviation and odds."""
     solution = fitted.solution
     if known is None:
         dark_dn, bright_dn = float(solution["background"][0]), float(solution.model[fitted.lit].max())
         known = Response(bend=0.0, dark_dn=dark_dn, bright_dn=bright_dn)
-    influence = _influence(solution, "bend", -known.changes_dn(solution.model)[:1])[0]
+    image = -known.changes_dn(solution.model)[:1]
+    influence = _influence(solution, "bend", image)[0]
     bend = known.bend + float(np.vdot(influence, solution.residuals))
-    sigma = math.sqrt(float(fitted.covariance(influence)[0, 0])) if bend > LEAST_BEND else math.inf
-    return replace(known, bend=bend), sigma
+    sigma = math.sqrt(float(fitted.covariance(influence)[0, 0]))
+    return replace(known, bend=bend), sigma, float(fitted.scores.log_odds(image, DISPLAY_BEND_SIGMA)[0])
 
 
 def _omitted(fitted: _Fitted, images: Float) -> Omitted:
@@ -426,14 +396,7 @@ def _influence(solution: Solution, effect: str, images: Float) -> tuple[Float, F
     return score.gain_alone, np.maximum(np.diag(score.information), 1e-300)
 
 
-def _structure(normalized: Float, lit: Mask) -> float:
-    """Mean product of neighboring residuals of lit cells."""
-    left = np.where(lit, normalized, 0.0)
-    products = 0.5 * float(np.vdot(left[1:], left[:-1]) + np.vdot(left[:, 1:], left[:, :-1]))
-    return products / float(np.count_nonzero(lit))
-
-
-def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None, further: Float | None) -> _Design:
+def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None) -> _Design:
     """The light of the body under its law and others, a plane, and derivatives by place and size."""
     in_cells = None if smear is None else smear.on_blocks(cells.size)
     light = cells.place(own.brightness, own)
@@ -445,7 +408,6 @@ def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None, furt
     x, y = own.center_px[0] - cells.inner.x, own.center_px[1] - cells.inner.y
     scattered = _blurred(light, _WING_RADIUS * cells.radius)
     laws, background, stray, place, strain, blur, slope = design_of(light, others, scattered, x, y, cells.radius)
-    besides = light[:0].reshape(0, *light.shape) if further is None else further
     blocks = (
         ("gain", Cause.REFLECTANCE, light[None]),
         ("laws", Cause.REFLECTANCE, laws),
@@ -454,7 +416,6 @@ def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None, furt
         ("place", Cause.NOISE, place),
         ("strain", Cause.RELIEF, strain),
         ("blur", Cause.PSF, blur),
-        ("further", Cause.POLE, besides),
     )
     layout = Layout(tuple((effect, cause, len(images)) for effect, cause, images in blocks))
     return _Design(
@@ -464,6 +425,7 @@ def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None, furt
         own=light,
         slope=slope,
         scattered=scattered,
+        markings=MarkingModes.across(light, np.array([x, y]), cells.radius),
     )
 
 
@@ -471,8 +433,7 @@ def _without_laws(columns: Columns) -> Float:
     """Solution (k,) with the law as it was told."""
     kept = columns.layout.without("laws")
     solution = np.zeros(columns.layout.count)
-    pull = columns.rows[kept] @ (columns.weights * columns.data).ravel()
-    solution[kept] = np.linalg.solve(columns.information[np.ix_(kept, kept)], pull)
+    solution[kept] = np.linalg.solve(columns.information[np.ix_(kept, kept)], columns.right[kept])
     return solution
 
 
@@ -509,12 +470,11 @@ def _scale(normalized: Float, lit: Mask, edge: Mask, *, least: float, noise: Flo
     return np.where(edge, _LONG_WAVES * rim, face)
 
 
-def _model_sigma(design: _Design, albedo: float, turn_rad: float, cells: Cells) -> tuple[Float, Mask]:
+def _model_sigma(design: _Design, turn_rad: float, cells: Cells) -> tuple[Float, Mask]:
     """Standard deviation (n, n) of the errors of the model over the gain by cell, and where edges are most of it."""
-    markings = albedo * _blurred(design.own, _AROUND * cells.radius)
     edges = (math.hypot(_EDGE_RADIUS, turn_rad) * cells.radius + _EDGE_PX / cells.size) * design.slope
     wings, floor = _WINGS * design.scattered, _FLOOR * float(design.own.max())
-    face = markings**2 + wings**2 + floor**2
+    face = wings**2 + floor**2
     return np.asarray(np.sqrt(face + edges**2)), np.asarray(edges**2 > face)
 
 
@@ -523,14 +483,15 @@ def _nothing_alike() -> CoarseFit:
     nothing = Estimate(np.zeros(3), np.eye(3))
     return CoarseFit(
         gain_dn=0.0,
-        residuals=CellResiduals(misfit=math.inf, unexplained=1.0, structure=math.inf),
+        log_evidence=-math.inf,
+        alternatives={},
         place=nothing,
         strain=nothing,
         blur=nothing,
-        further=Estimate(np.zeros(0), np.zeros((0, 0))),
         figure_px2=np.zeros((2, 2)),
         response=Response(bend=0.0, dark_dn=0.0, bright_dn=1.0),
         bend_sigma=math.inf,
+        bend_log_odds=-math.inf,
         omitted=Omitted(),
     )
 

@@ -16,7 +16,6 @@ from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import CenterFix, Failure
 from giantlike.ray_tracing import Trace
 from giantlike.relative.inputs import EstimatorInputs
-from giantlike.relative.quality import MISFIT, UNEXPLAINED
 from giantlike.relative.template.haze import VEIL_DEPTH, haze_laws
 from giantlike.relative.verification.cells import Cells
 from giantlike.relative.verification.coarse_fit import CoarseFit
@@ -188,9 +187,7 @@ def _clearest_depth(fit: CoarseFit, sigmas: Float) -> float:
 
 
 def _sigmas(fit: CoarseFit) -> Float:
-    """Shares of haze over their standard deviations; zero where there is light of something else."""
-    if fit.residuals.misfit > MISFIT or fit.residuals.unexplained > UNEXPLAINED:
-        return np.zeros_like(fit.omitted.values)
+    """Shares of haze over their standard deviations."""
     return np.asarray(fit.omitted.values / np.maximum(fit.omitted.sigma, 1e-300))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 
@@ -12,20 +13,9 @@ from giantlike.core.findings import Response
 from giantlike.core.outcomes import CenterFix, Failure
 from giantlike.relative.budget import place_difference, with_error
 from giantlike.relative.inputs import EstimatorInputs
-from giantlike.relative.quality import MISFIT
+from giantlike.relative.judge import FALSE_ALARM
 from giantlike.relative.response import LEAST_BEND, settled
 from giantlike.relative.verification.coarse_fit import CoarseFit
-
-_BENT_SIGMAS = 4.0
-"""Bend that a coarse render asks for, over its standard deviation, from which on it is tried where residuals are no
-larger than others may be. Of the gauntlet (seed 9500) 60 nominal and otherwise right fixes ask for 0.13 +- 0.05 at
-most, tables of square roots for 0.39 to 0.80 with 5 standard deviations and more."""
-
-
-_STRAIGHTENED = 0.3
-"""Structure of the residuals of straightened values over that of the values as they are, at most. Of 32 fixes of the
-gauntlet (seeds 9500 and 9531) on tables of square roots it is 0.17 at most, of others that ask for a bend (spheres told
-for rocks, other targets, blooming) 1 at least."""
 
 
 class Looked(Protocol):
@@ -41,7 +31,7 @@ Coarse = TypeVar("Coarse", bound=Looked)
 
 
 def looks_bent(coarse: Looked | None) -> bool:
-    """Return True where a coarse render asks for values in another proportion.
+    """Return True where a coarse render speaks for values in another proportion.
 
     Parameters
     ----------
@@ -52,9 +42,7 @@ def looks_bent(coarse: Looked | None) -> bool:
     bool
     """
     fit = None if coarse is None else coarse.fit
-    if fit is None or fit.residuals.misfit > MISFIT:
-        return False
-    return fit.response.bend > max(LEAST_BEND, _BENT_SIGMAS * fit.bend_sigma)
+    return fit is not None and fit.response.bend > LEAST_BEND and fit.bend_log_odds > -math.log(FALSE_ALARM)
 
 
 def in_proportion(
@@ -101,11 +89,7 @@ def in_proportion(
         return fit_of(trial).response, fit_of(trial).bend_sigma
 
     trial = None if before is None else settled(before.response, tried, asked)
-    if (
-        before is None
-        or trial is None
-        or fit_of(trial).residuals.structure > _STRAIGHTENED * before.residuals.structure
-    ):
+    if before is None or trial is None or fit_of(trial).log_evidence < before.log_evidence - math.log(FALSE_ALARM):
         return None
     found, seen, straight = trial
     per_bend = place_difference(found, fix) / fit_of(trial).response.bend

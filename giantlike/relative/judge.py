@@ -1,0 +1,186 @@
+"""The judge of fixes: facts of a solution, and two tests at one rate of false alarms.
+
+A fix is suspect where a named alternative explains the image better, where another place is not excluded, or where it
+lies beyond what was declared of its prediction. The remedy for imprecision is a larger sigma.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from giantlike.core.arrays import Float, require
+from giantlike.core.outcomes import Quality
+from giantlike.core.values import Value
+
+FALSE_ALARM = 1e-3
+"""Rate of false alarms of each test of a fix."""
+SHORT_ARC_SHARE = 0.25
+"""Share of the outline below which an arc is short; the documented meaning of ``Quality.SHORT_ARC``.
+
+Over a quarter of a circle center and radius are still told apart: the sagitta of such an arc is 29 % of the radius.
+"""
+LEAST_USED_SHARE = 0.5
+"""Share of the observations that must be used; the documented meaning of ``Quality.MANY_REJECTED``.
+
+The median absolute deviation, by which outliers are found, breaks down where half of the observations are wrong.
+"""
+BORDER_SHARE = 0.9
+"""Share of a bounded search beyond which a fix lies at its border: the body may lie outside."""
+
+
+class Alternative(StrEnum):
+    """Another model of an image."""
+
+    OTHER_SUN = "other_sun"
+    """Light comes from another side than the Sun's."""
+    SECOND_LIGHT = "second_light"
+    """A second image of the body lies beside the first: another exposure, a ghost, a second body."""
+    SHIFTED_ROWS = "shifted_rows"
+    """All rows from one on are shifted."""
+    SHIFTED_COLUMNS = "shifted_columns"
+    """All columns from one on are shifted."""
+    SMOOTH_LIMB = "smooth_limb"
+    """The limb is that of the smooth body and not that of its height map."""
+
+
+_FLAGS = {
+    Alternative.OTHER_SUN: Quality.WRONG_LIGHT,
+    Alternative.SECOND_LIGHT: Quality.UNEXPLAINED_LIGHT,
+    Alternative.SHIFTED_ROWS: Quality.WRONG_FIGURE,
+    Alternative.SHIFTED_COLUMNS: Quality.WRONG_FIGURE,
+    Alternative.SMOOTH_LIMB: Quality.WRONG_FIGURE,
+}
+_WEIGHT = 1.0 / len(Alternative)
+"""A priori weight of each alternative against the others, of which nothing is known."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Facts(Value):
+    """Facts of a solution that no statistics decide; the defaults raise no flag.
+
+    Parameters
+    ----------
+    off_px : (2,) float64, px
+        Place found less place predicted, of the point for which the search was declared.
+    search_px : float, px
+        Declared search: largest error of the prediction, in both coordinates.
+    range_ratio : float
+        Range predicted over range found: 1 + the relative error of the prediction.
+    search_range : float
+        Declared search: largest relative error of the predicted range; infinite for estimators that keep the range.
+    bounded : bool
+        True for estimators that cannot leave ``search_px``: a fix at its border may be the flank of a body outside.
+    n_used : int
+        Observations used.
+    n_offered : int
+        Observations that were to be used: those, and the ones rejected.
+    outline_share : float
+        Length of outline used over that of the whole outline.
+    cut_by_frame : bool
+        The body reaches over the edge of the image.
+    ambiguous : bool
+        Another source as good lies in the search region.
+    """
+
+    off_px: Float
+    search_px: float
+    range_ratio: float = 1.0
+    search_range: float = math.inf
+    bounded: bool = False
+    n_used: int = 1
+    n_offered: int = 1
+    outline_share: float = 1.0
+    cut_by_frame: bool = False
+    ambiguous: bool = False
+
+    def __post_init__(self) -> None:
+        require(0 <= self.n_used <= self.n_offered, f"needed n_used in [0, {self.n_offered}], got {self.n_used}")
+        Value.__post_init__(self)
+
+    @property
+    def far_from_prediction(self) -> bool:
+        """True if the fix lies beyond the declared search, or at the border of a bounded one.
+
+        The limits are those of the options and nothing else. They do not grow with the uncertainty of the fix: what
+        is uncertain and far away is not confirmed by being uncertain.
+        """
+        limit_px = self.search_px * (BORDER_SHARE if self.bounded else 1.0)
+        return float(np.max(np.abs(self.off_px))) > limit_px or abs(self.range_ratio - 1.0) > self.search_range
+
+    @property
+    def flags(self) -> Quality:
+        """The flags that the facts raise."""
+        return _raised(
+            {
+                Quality.CUT_BY_FRAME: self.cut_by_frame,
+                Quality.SHORT_ARC: self.outline_share < SHORT_ARC_SHARE,
+                Quality.MANY_REJECTED: self.n_used < LEAST_USED_SHARE * self.n_offered,
+                Quality.FAR_FROM_PREDICTION: self.far_from_prediction,
+                Quality.AMBIGUOUS: self.ambiguous,
+            }
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judgement:
+    """What speaks against a fix.
+
+    Parameters
+    ----------
+    alternatives : mapping of Alternative to float
+        Logarithms of the odds of other models of the image, each integrated over its parameters.
+    other_place : float
+        Logarithm of the odds that the body is at the best other place in the search region.
+    prediction_chance : float
+        Probability that a right prediction is off by as much as the fix.
+    false_alarm : float
+        Rate of false alarms of each test.
+
+    Notes
+    -----
+    The mean of the odds of the alternatives, weighted a priori, exceeds ``1 / false_alarm`` at most at the rate
+    ``false_alarm`` where the fix is right, by Markov's inequality. The alternative with the largest share gives the
+    flag. Another place must be as much less likely than the fix; a right prediction contradicts it at the same rate.
+    """
+
+    alternatives: Mapping[Alternative, float] = field(default_factory=dict)
+    other_place: float = -math.inf
+    prediction_chance: float = 1.0
+    false_alarm: float = FALSE_ALARM
+
+    @property
+    def flags(self) -> Quality:
+        """The flags that the tests raise."""
+        flags, limit = Quality.NONE, -math.log(self.false_alarm)
+        if self.alternatives:
+            likeliest = max(self.alternatives, key=lambda one: self.alternatives[one])
+            total = float(np.logaddexp.reduce([*self.alternatives.values()])) + math.log(_WEIGHT)
+            flags |= _raised({_FLAGS[likeliest]: total > limit})
+        return flags | _raised(
+            {
+                Quality.AMBIGUOUS: self.other_place > -limit,
+                Quality.FAR_FROM_PREDICTION: self.prediction_chance < self.false_alarm,
+            }
+        )
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """What was tested, by name."""
+        odds = {f"{name}_log_odds": number for name, number in self.alternatives.items()}
+        known = {"other_place_log_odds": self.other_place} if self.other_place > -math.inf else {}
+        chance = {"prediction_chance": self.prediction_chance} if self.prediction_chance < 1.0 else {}
+        return odds | known | chance
+
+
+def _raised(checks: Mapping[Quality, bool]) -> Quality:
+    """The flags whose checks are true."""
+    flags = Quality.NONE
+    for flag, raised in checks.items():
+        if raised:
+            flags |= flag
+    return flags

@@ -1,0 +1,160 @@
+"""Named alternatives to a fix, each with its odds: a second light in the image, rows or columns shifted from one on.
+
+An alternative is an image that the fit of a body to cells left out. Its odds are those of two Student-t likelihoods of
+the cells it reaches, with it and without, at an unknown scale of the errors: what a real image leaves of a model is not
+noise, and markings, clouds and laws are alike over a good part of a radius. So as many residuals count as there are
+such parts, which is that likelihood to the power of parts over cells (a tempered, or power, likelihood). The amplitude
+of an alternative is integrated over its prior, and its place over all places that it may have.
+
+References
+----------
+.. [1] Gelman et al. (2013), Bayesian Data Analysis, 3rd ed., section 3.2 (Student-t marginal likelihoods).
+.. [2] Grunwald and van Ommen (2017), Inconsistency of Bayesian inference for misspecified linear models, and a proposal
+   for repairing it, Bayesian Analysis 12, 1069 (likelihoods to a power below 1).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.core.causes import Cause
+from giantlike.image_model.columns import Block, Prior, Solution
+
+_LIGHT_SIGMA = 0.5
+"""A priori standard deviation of a second light over the first: exposures of about the same length, and ghosts."""
+_SHIFT_SIGMA = 0.1
+"""A priori standard deviation of a shift of rows, radii."""
+_APART = 0.1
+"""Least distance of a second light, radii: nearer ones are a blur or a motion of the first."""
+_CANDIDATES = 6
+"""Places of a second light whose odds are computed exactly; those of all others are taken to be none."""
+_REACHED = 0.05
+"""Of its largest value: where an alternative changes less it reaches no cell."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellScores:
+    """Scores of alternatives in cells.
+
+    Parameters
+    ----------
+    solution : Solution
+        The fit of the body to the cells (n, n), around its place.
+    temper : float
+        Independent parts of a body over cells.
+    """
+
+    solution: Solution
+    temper: float
+
+    @property
+    def log_evidence(self) -> float:
+        """Logarithm of the likelihood of the cells under the fit, but for a constant."""
+        parts = self.temper * float(np.count_nonzero(self.solution.columns.weights))
+        return -parts * math.log(1.0 + self.temper * self.solution.penalized_squares / max(parts, 1e-300))
+
+    def log_odds(self, images: Float, sigma: float) -> Float:
+        """Logarithms (a,) of the odds of images (a, n, n) in the data beside the fit, each alone.
+
+        ``sigma`` is the a priori standard deviation of their shares. Shares that take light away count as those that
+        add some.
+        """
+        prior = Prior.of_sigmas([sigma] * len(images))
+        score = self.solution.score_omitted(Block(effect="alternative", cause=Cause.NOISE, matrix=images, prior=prior))
+        weights = self.solution.columns.weights
+        information = np.maximum(np.diag(score.information), 0.0)
+        explained = score.gradient**2 / (information + sigma**-2.0)
+        size = np.abs(images)
+        reached = (size > _REACHED * size.max(axis=(1, 2), keepdims=True)) & (weights > 0.0)
+        parts = np.maximum(self.temper * np.count_nonzero(reached, axis=(1, 2)), 1e-300)
+        squares = weights * self.solution.residuals**2
+        left = np.tensordot(reached, squares, 2) + self.solution.mode_squares
+        before = parts + self.temper * left
+        after = np.maximum(before - self.temper * explained, parts)
+        scale = before / (2.0 * parts)
+        return np.asarray(parts * np.log(before / after) - 0.5 * np.log1p(self.temper * information * sigma**2 / scale))
+
+
+def second_light(scores: CellScores, light: Float, radius: float, blur: float) -> float:
+    """Logarithm of the odds of a second image of the body beside the first: another exposure, a ghost or a second body.
+
+    Parameters
+    ----------
+    scores : CellScores
+    light : (n, n) float64
+        Of the body in the cells, in their unit.
+    radius, blur : float, cells
+        Of the body, and standard deviation of the point spread function.
+
+    Returns
+    -------
+    float
+    """
+    from scipy.fft import irfft2, rfft2
+
+    solution, size = scores.solution, len(light)
+    weights = solution.columns.weights
+    shape = (2 * size, 2 * size)
+    spectra = np.conj(rfft2(np.stack([light, light**2]), shape))
+    score, own = irfft2(rfft2(np.stack([weights * solution.residuals, weights]), shape) * spectra, shape)
+    steps = np.fft.fftfreq(2 * size, 1.0 / (2 * size)).round().astype(int)
+    rows, columns = np.meshgrid(steps, steps, indexing="ij")
+    distance = np.hypot(rows, columns)
+    allowed = (distance >= max(_APART * radius, 3.0 * blur, 1.5)) & (np.abs(rows) < size) & (np.abs(columns) < size)
+    allowed &= own > 0.1 * float(own[0, 0])
+    gain = np.where(allowed & (score > 0.0), score**2 / np.maximum(own, 1e-300), 0.0)
+    images = list[Float]()
+    for _ in range(_CANDIDATES):
+        row, column = np.unravel_index(int(np.argmax(gain)), gain.shape)
+        if not gain[row, column] > 0.0:
+            break
+        at = rows[row, column], columns[row, column]
+        images.append(_shifted(light, *at))
+        gain[np.hypot(rows - at[0], columns - at[1]) < 2.0] = 0.0
+    return _averaged(scores, images, _LIGHT_SIGMA, np.count_nonzero(allowed) / (math.pi * 2.0**2))
+
+
+def shifted_lines(scores: CellScores, motion: Float, axis: int) -> float:
+    """Logarithm of the odds that all rows (axis 0), or columns (1), from one on are shifted along themselves.
+
+    Parameters
+    ----------
+    scores : CellScores
+    motion : (n, n) float64
+        Derivative of the data by a motion along the lines, per radius.
+    axis : int
+
+    Returns
+    -------
+    float
+    """
+    size = len(motion)
+    told = np.flatnonzero(np.abs(motion).sum(axis=1 - axis) > _REACHED * float(np.abs(motion).sum(axis=1 - axis).max()))
+    if len(told) < 3:
+        return -math.inf
+    beyond = np.arange(size) >= np.arange(told[0] + 1, told[-1] + 1)[:, None]
+    images = motion * (beyond[:, :, None] if axis == 0 else beyond[:, None])
+    return _averaged(scores, images, _SHIFT_SIGMA, len(images))
+
+
+def _averaged(scores: CellScores, images: Sequence[Float] | Float, sigma: float, count: float) -> float:
+    """Logarithm of the mean of the odds of images, of ``count`` of which all others have none."""
+    if not len(images):
+        return -math.inf
+    odds = scores.log_odds(np.asarray(images), sigma)
+    most = float(odds.max())
+    return most + math.log(float(np.sum(np.exp(odds - most))) / max(count, len(odds)))
+
+
+def _shifted(light: Float, rows: int, columns: int) -> Float:
+    """Light (n, n) moved by whole cells, dark where it comes from outside."""
+    moved, size = np.zeros_like(light), len(light)
+    to = [slice(max(step, 0), min(size + step, size)) for step in (rows, columns)]
+    come = [slice(max(-step, 0), min(size - step, size)) for step in (rows, columns)]
+    moved[to[0], to[1]] = light[come[0], come[1]]
+    return moved
