@@ -3,7 +3,8 @@
 ``run`` writes a row of JSON for each image, variant and estimator, with all numbers of the fix and of the truth, so
 that every way of scoring can be applied to it later; ``score`` prints a table of rows. A check that refuses more fixes
 shows in the yield, one that lets more pass in the silent errors. What can be answered is in ``answerable.csv``, which
-``answerable`` writes by truth and picture alone; of made-up images ``giantlike.gauntlet.rule.solvable`` says it.
+``answerable`` writes by truth and picture alone (frames that it lacks are run by the same rule); of made-up images
+``giantlike.gauntlet.rule.solvable`` says it.
 
     python benchmarks/yield.py run --set real2 --output real2.jsonl.gz [--processes 2] [--frames PART,..]
         [--variants NAME;..] [--estimators NAME,..] [--fresh-auto]
@@ -42,7 +43,8 @@ import warnings
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, ClassVar
@@ -257,7 +259,11 @@ def _run_job(job: _Job) -> list[Row]:
     except Exception as error:  # noqa: BLE001 - one image must not end the run
         row: Row = {"set": job.given.set, "frame": job.frame, "variant": job.variant, **_raised(error), "cpu_s": 0.0}
         return [{**row, "estimator": name} for name in NAMES if not names or name in names]
-    return [] if trial is None else rows_of(trial, names, fresh_auto=job.given.fresh_auto)
+    if trial is None:
+        return []
+    if trial.answerable is None and (trial.collection, trial.frame, trial.variant) not in read_list():
+        trial = replace(trial, answerable=images.demanded(trial).names)
+    return rows_of(trial, names, fresh_auto=job.given.fresh_auto)
 
 
 def run(given: argparse.Namespace) -> None:
@@ -295,6 +301,7 @@ def write_list(given: argparse.Namespace) -> None:
             lines.writerow([trial.collection, trial.frame, trial.variant, " ".join(demand.names), why])
 
 
+@lru_cache(maxsize=1)
 def read_list() -> dict[tuple[str, str, str], tuple[str, ...]]:
     """Estimators of which an answer is demanded, by set, frame and variant."""
     with LIST.open(encoding="utf-8") as lines:
@@ -382,12 +389,12 @@ class Score:
 
 
 def scored(rows: Iterable[Row], listed: Mapping[tuple[str, str, str], tuple[str, ...]]) -> list[Score]:
-    """Judge rows."""
+    """Judge rows; where the inputs of a frame that is not listed were refused, everything was demanded."""
     found = []
     for row in rows:
         names = row.get("answerable")
         if names is None:
-            names = listed[row["set"], row["frame"], row["variant"]]
+            names = listed.get((row["set"], row["frame"], row["variant"]), NAMES)
         found.append(_score(row, row["estimator"] in names))
     return found
 
@@ -673,6 +680,8 @@ def score(given: argparse.Namespace) -> None:
     """Print what was asked for of rows."""
     listed = read_list()
     if given.compare:
+        if len(given.files) != 2:
+            sys.exit("--compare takes two files")
         print("\n".join(compare(given.files[0], given.files[1], listed)))
         return
     scores = scored((row for path in given.files for row in read_rows(path)), listed)
