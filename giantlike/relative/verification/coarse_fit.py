@@ -42,7 +42,11 @@ _OTHER_LAW = 0.5
 """Error that laws beyond those leave, over what they change: half of it."""
 _BLURRED = 10.0
 """Standard deviation of the blur a priori, squares of a cell: far beyond what is linear."""
+_GAIN_SIGMA = 0.1
+"""Standard deviation of the brightness a priori, over that of the image, where markings would take all of it: then it is
+the brightness that is known, and what the body leaves is another thing."""
 _SIGMAS: Mapping[str, float | Sequence[float]] = {
+    "gain": 0.0,
     "laws": _LAW_SIGMA,
     "place": (_MOVED, _MOVED, _GROWN),
     "strain": _STRAINED,
@@ -178,9 +182,13 @@ class _Design(Value):
     scattered: Float
     markings: MarkingModes
 
-    def columns(self, values: Float, weights: Float, gain: float) -> Columns:
-        """Linear look at the values (n, n) of cells, with undeclared markings beside the unknowns."""
-        prior = Prior.of_sigmas(gain * self.sigma)
+    def columns(self, values: Float, weights: Float, gain: float, *, gain_sigma: float = 1.0) -> Columns:
+        """Linear look at the values (n, n) of cells, with undeclared markings beside the unknowns.
+
+        Markings could take the place of all light: what the body is as bright as in the image is known before.
+        """
+        sigma = self.layout.vector({"gain": gain_sigma}) + self.sigma
+        prior = Prior.of_sigmas(gain * sigma, self.layout.vector({"gain": gain}))
         return Columns(self.layout, self.matrix, prior, values, weights, self.markings.brighter(gain))
 
 
@@ -306,6 +314,8 @@ def _fitted(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: F
         model_sigma = gain * sigma
         weights = np.where(fresh, 1.0 / (noise + model_sigma**2), 0.0)
         found = design.columns(values, weights, gain).solve()
+        if found is not None and not found["gain"][0] > 0.0:
+            found = design.columns(values, weights, gain, gain_sigma=_GAIN_SIGMA).solve()
         if found is None or not found["gain"][0] > 0.0:
             return None
         solution = found
