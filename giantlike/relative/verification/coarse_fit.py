@@ -569,11 +569,6 @@ def _isolated(normalized: Float, fresh: Mask) -> Mask:
     return np.asarray(odd & ~_in_patches(odd))
 
 
-def _unexplained_area(normalized: Float, fresh: Mask) -> float:
-    """Number of cells that nothing explains, isolated ones left out."""
-    return float(np.count_nonzero(_in_patches(fresh & (np.abs(normalized) > _UNLIKELY))))
-
-
 def _in_patches(odd: Mask) -> Mask:
     """Cells most of whose neighbors are odd too."""
     from scipy.ndimage import median_filter
