@@ -15,7 +15,7 @@ from giantlike.ephemeris import ApparentGeometry
 from giantlike.gauntlet.stage import stage_of
 from giantlike.image_model.columns import Block, Columns, Prior
 from giantlike.relative import CrossCorrelation
-from giantlike.relative.template.asked import asked_beside
+
 from giantlike.relative.template.covariance import LinearFit
 from giantlike.scene import Scene, TargetUncertainty
 from tests.relative.test_light_truth import Shot, shot
