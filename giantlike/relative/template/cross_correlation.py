@@ -307,15 +307,15 @@ class TemplateMatch(Value):
     synthesis : callable
         Renders the template into the box.
     options : TemplateFitOptions
-    psf_variance_px2 : float, px^2
-        Of the camera.
+    start : TemplateState
+        Where fits begin, without blur beyond that of the camera.
     """
 
     fit: TemplateFit
     box: PixelBox
     synthesis: Synthesis
     options: TemplateFitOptions
-    psf_variance_px2: float
+    start: TemplateState
 
     def fitted(
         self, image: BoxPixels, *, response: Response | None = None, smear: Smear | None = None
@@ -329,15 +329,14 @@ class TemplateMatch(Value):
         response : Response, optional
             None is that of the options.
         smear : Smear, optional
-            To start from; None is that of the state.
+            To start from; None is that of the fit.
 
         Returns
         -------
         TemplateMatch or Failure
         """
         options = replace(self.options, response=response or self.options.response)
-        state = self.fit.state
-        start = replace(state, psf_variance_px2=self.psf_variance_px2, smear=smear or state.smear)
+        start = replace(self.start, smear=smear or self.fit.state.smear)
         fit = fit_template(image.cut(self.box), self.synthesis, start, options=options)
         return fit if isinstance(fit, Failure) else replace(self, fit=fit, options=options)
 
@@ -428,8 +427,7 @@ def match_template(
     if fit.gain_dn <= 0.0 or not fit.score >= options.min_score:
         detail = f"the fitted template has a correlation of {fit.score:.3g}, needed {options.min_score:g}"
         return Failure(Reason.LOW_CORRELATION, detail)
-    psf_variance_px2 = start.psf_variance_px2
-    return TemplateMatch(fit=fit, box=box, synthesis=synthesis, options=fit_options, psf_variance_px2=psf_variance_px2)
+    return TemplateMatch(fit=fit, box=box, synthesis=synthesis, options=fit_options, start=state)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

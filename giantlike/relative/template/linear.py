@@ -34,8 +34,8 @@ _WING_SIGMA, _WING_WIDTHS = 0.1, (2.0, 6.0)
 of its core: two, as for horizons, so that those between are spanned."""
 BEND_SIGMA = 1.0
 """A priori standard deviation of the bend of a response about none: tables of square roots come to nearly 1."""
-SMEAR_SIGMA_PX2 = 100.0 / 24.0
-"""A priori standard deviation, px^2, of the variances of a smear: of a motion by 10 px during the exposure."""
+SMEAR_SIGMA_PX2 = 1.0
+"""A priori standard deviation, px^2, of the variances of a smear: of a motion by 5 px during the exposure."""
 _CUBE_SIGMA = 0.2
 """A priori standard deviation of the share of a cube in the response: of powers of 0.45, 0.6 it is 0.11, -0.13."""
 
