@@ -251,7 +251,7 @@ class Columns(Value):
         float
             Up to a constant of the data, of their weights and of unknowns of which nothing is known beforehand.
         """
-        share, known, sums = parts / max(np.count_nonzero(self.weights), 1), self.prior, self.sums
+        share, known, sums = parts / max(int(np.count_nonzero(self.weights)), 1), self.prior, self.sums
         of_prior = known.information * known.mean
         tempered = FieldSums(
             gram=share * sums.gram,

@@ -200,7 +200,8 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             return match
         if not inputs.place_alone:
             inputs, blocks, match = self._completed(inputs, blocks, match)
-        if match.fit.altitude_sigma > 0.0:
+        declared = inputs.geometry.limb_altitude_km[1] > 0.0
+        if declared or match.fit.chance("haze") > 0.5:
             sigma_km = match.fit.altitude_sigma * inputs.geometry.seen_body().shape.mean_radius_km
             inputs = replace(inputs, corrections=inputs.corrections | Corrections(altitude_sigma_km=sigma_km))
         return _fix(inputs, blocks, replace(match, fit=blocks.unbinned(match.fit)), self.options)

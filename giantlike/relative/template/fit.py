@@ -424,7 +424,7 @@ class _Solved:
         fit = LinearFit(solution.solution.columns, solution.parameters)
         columns, values, noise, error = fit.columns, fit.columns.data, solution.noise, solution.error
         signal = fit.model - np.tensordot(fit["background"], columns["background"], 1)
-        independent = IndependentParts.of(np.count_nonzero(used), options.radius_px, self._blur_px)
+        independent = IndependentParts.of(int(np.count_nonzero(used)), options.radius_px, self._blur_px)
         response = self._response(fit, options.response)
         left_out = undeclared_effects(fit, self._left_out(fit, response, independent, options))
         smear = state.smear
@@ -438,7 +438,7 @@ class _Solved:
         parts = self._parts(fit, (noise, error), left_out, options)
         parts[Cause.NOISE] = parts[Cause.NOISE] + np.outer(last_step, last_step)
         n_rejected = int(np.count_nonzero(problem.offered & ~solution.kept))
-        clipped = n_rejected / max(np.count_nonzero(problem.offered), 1)
+        clipped = n_rejected / max(int(np.count_nonzero(problem.offered)), 1)
         log_variance = float(np.mean(np.log((noise + error)[problem.offered]))) + options.clip_sigma**2 * clipped
         if options.response is not None:
             slopes = options.response.slope_at(fit.model[problem.offered])
@@ -492,7 +492,7 @@ class _Solved:
             blocks[_block("bend", Cause.REFLECTANCE, bend, [BEND_SIGMA])] = surface
         veils = self.problem.veils() if self._wrong_edges and not options.altitude_sigma else None
         if veils is not None:
-            blocks[haze_block(problem.gain_dn * veils)] = surface
+            blocks[haze_block(problem.gain_dn * veils)] = edges
         return blocks
 
     def _estimates(self, left_out: Mapping[str, Undeclared], effect: str) -> list[float]:

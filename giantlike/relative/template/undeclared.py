@@ -57,7 +57,9 @@ def undeclared_effects(fit: Solution, blocks: Mapping[Block, float]) -> dict[str
         By the name of the effect.
     """
     columns = fit.columns
-    log_odds = [np.log(UNDECLARED / (1.0 - UNDECLARED)) + columns.odds_of([block], parts) for block, parts in blocks.items()]
+    log_odds = [
+        np.log(UNDECLARED / (1.0 - UNDECLARED)) + columns.odds_of([block], parts) for block, parts in blocks.items()
+    ]
     chances = np.exp(np.array(log_odds) - np.logaddexp.reduce([0.0, *log_odds]))
     return {
         block.effect: Undeclared(block, float(chance), fit.score_omitted(block))
