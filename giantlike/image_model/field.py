@@ -46,12 +46,14 @@ class MarkingModes(Value):
         Cosines along each axis.
     frequencies : (m,) float64
         Angular frequencies of the cosines, in units of 1 over the radius.
+    radius_px : float, px
     """
 
     light: Float
     along_x: Float
     along_y: Float
     frequencies: Float
+    radius_px: float
 
     @classmethod
     def across(cls, light: Float, center_px: Float, radius_px: float, modes: int = _MODES) -> MarkingModes:
@@ -78,7 +80,7 @@ class MarkingModes(Value):
         ]
         along_x, along_y = (norm * np.cos(np.pi * order[:, None] * np.clip(phase, 0.0, 1.0)) for phase in phases)
         frequencies: Float = np.pi / (2.0 * HALF_WIDTH) * order.astype(np.float64)
-        return cls(light=light, along_x=along_x, along_y=along_y, frequencies=frequencies)
+        return cls(light=light, along_x=along_x, along_y=along_y, frequencies=frequencies, radius_px=radius_px)
 
     @property
     def count(self) -> int:
@@ -251,6 +253,26 @@ class FieldSolution(Value):
     scatter: Float
     variances: Float
     whitened: Float
+
+    def absorbed(self, modes: MarkingModes, weights: Float, length_px: float) -> float:
+        """Return the weighted squares that the field takes out of errors correlated like ``exp(-d^2 / (4 length^2))``.
+
+        Parameters
+        ----------
+        modes : MarkingModes
+        weights : (h, w) float64
+            Squared weights of the pixels times the variances of the errors.
+        length_px : float, px
+
+        Returns
+        -------
+        float
+            By the spectral density of the errors at the frequency of each mode, as of errors everywhere alike.
+        """
+        along = np.exp(-0.5 * (length_px / modes.radius_px * modes.frequencies) ** 2)
+        root = np.sqrt(self.variances) * np.outer(along, along).ravel()
+        scores = root[:, None] * modes.gram(weights) * root
+        return max(4.0 * math.pi * length_px**2, 1.0) * float(np.vdot(np.linalg.inv(self.whitened), scores))
 
     def taken(self, products: Float) -> Float:
         """Information (j, j) that the field takes from columns with weighted products (j, m) with its modes."""

@@ -244,7 +244,7 @@ class Problem:
         return np.asarray(step * min(1.0, longest_px / length_px))
 
     def prior(self, mean: Mapping[str, float | Sequence[float]], sigma: Mapping[str, float]) -> Prior:
-        """Prior of all parameters from that of geometry, blur and response; shares of laws and wings, and a cube, get their own."""
+        """Prior of all parameters from that of geometry, blur and response; shares and a cube get their own."""
         shares = {"laws": self.mixing_sigma_dn, "wings": _WING_SIGMA * self.mixing_sigma_dn / _MIXING_SIGMA}
         sigmas = self.layout.vector({**sigma, **shares, "cube": _CUBE_SIGMA}, other=math.inf)
         return Prior.of_sigmas(sigmas, self.layout.vector(mean))
