@@ -30,8 +30,8 @@ _LIGHT_SIGMA = 0.5
 _SHIFT_SIGMA = 0.1
 """A priori standard deviation of a shift of rows, radii."""
 _WAVES, _OUTLINE_SIGMA = (3, 4, 5, 6), 0.1
-"""Waves along the outline of another body, and a priori standard deviation of their amplitudes, radii: rocks differ from
-ellipsoids by so much in each."""
+"""Waves along the outline of another body, and a priori standard deviation of their amplitudes, radii: rocks differ
+from ellipsoids by so much in each."""
 _APART = 0.1
 """Least distance of a second light, radii: nearer ones are a blur or a motion of the first."""
 _CANDIDATES = 6

@@ -43,8 +43,8 @@ _OTHER_LAW = 0.5
 _BLURRED = 10.0
 """Standard deviation of the blur a priori, squares of a cell: far beyond what is linear."""
 _GAIN_SIGMAS = (0.1, 0.01)
-"""Standard deviations of the brightness a priori, over that of the image, where markings would take all of it or the image
-is darker where the body is: then it is as bright as the image, and what it leaves is another thing."""
+"""Standard deviations of the brightness a priori, over that of the image, where markings would take all of it or the
+image is darker where the body is: then it is as bright as the image, and what it leaves is another thing."""
 _SIGMAS: Mapping[str, float | Sequence[float]] = {
     "gain": 0.0,
     "laws": _LAW_SIGMA,
@@ -197,7 +197,7 @@ class _Design(Value):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Fitted(Value):
-    """A design fitted to cells: the solution, the one that may be dark, gain and sigma (n, n) of the errors of the model.
+    """A design fitted to cells: the solution, the one that may be dark, gain and model errors (n, n).
 
     ``edge`` (n, n) are the cells whose errors are mostly those of edges, ``least`` the least scatter that the residuals
     are taken to show; ``noise`` (n, n) is the variance of the noise.
