@@ -183,9 +183,9 @@ class TemplateRenderer(Value):
     ) -> Synthesis:
         """Return the function that renders states into a box, optionally under other reflectance laws as well.
 
-        All laws are shaded on the same rays: what differs between two of their images is the law and nothing else. Under
-        air, one of the others is black ground, which leaves the light of the air; it is mixed in from the first. The
-        body is traced once roughly and once finely, and anew only where it is seen from elsewhere. How brightness
+        All laws are shaded on the same rays: what differs between two of their images is the law and nothing else.
+        Under air, one of the others is black ground, which leaves the light of the air; it is mixed in from the first.
+        The body is traced once roughly and once finely, and anew only where it is seen from elsewhere. How brightness
         changes with the phase angle over the disk is mixed in last, in fine renders, which alone can tell.
 
         Parameters
