@@ -345,7 +345,7 @@ CASES: tuple[Case, ...] = (
     replace(_BASE, name="haze not told", haze=HAZE),
     replace(
         _BASE,
-        name="twilight, haze told",
+        name="haze told with twilight",
         haze=replace(HAZE, twilight=True),
         told_haze_sigma_km=0.5 * HAZE.scale_height_km,
     ),
