@@ -236,6 +236,11 @@ class Columns(Value):
         return Solution(self, np.asarray(np.linalg.solve(scaled, self.right / scale) / scale))
 
     @property
+    def mode_variances(self) -> Float | None:
+        """Variances (m,) of the modes of the field; None without one."""
+        return None if self.eliminated is None else self.eliminated.variances
+
+    @property
     def field_scatter(self) -> Float:
         """Covariance (k, k) of the scores of the unknowns by the field; zero without one."""
         none = np.zeros_like(self.information)
@@ -302,9 +307,9 @@ class Solution(Value):
     @property
     def mode_squares(self) -> float:
         """Squared modes of the field over their variances."""
-        if self.columns.eliminated is None:
+        variances = self.columns.mode_variances
+        if variances is None:
             return 0.0
-        variances = self.columns.eliminated.variances
         free = variances > 0.0
         return float(np.sum(self.modes[free] ** 2 / variances[free]))
 

@@ -26,8 +26,9 @@ _MODES = 9
 """Cosines along each axis: a wavelength of 0.6 radii is the shortest."""
 LENGTHS = (0.25, 0.5, 1.0)
 """Correlation lengths over the radius that are averaged."""
-AMPLITUDES = np.concatenate([[0.0], np.geomspace(0.004, 0.8, 9)])
-"""Standard deviations, over the light, that are averaged."""
+AMPLITUDES = np.concatenate([[0.0], np.geomspace(0.004, 3.0**-0.5, 9)])
+"""Standard deviations, over the light, that are averaged: up to that of albedos that are uniform from none to twice their
+mean."""
 MEDIAN_AMPLITUDE, AMPLITUDE_FACTOR = 0.10, 2.5
 """Median and geometric standard deviation of the prior of the amplitude."""
 UNMARKED = 0.1

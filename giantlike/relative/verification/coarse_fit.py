@@ -42,7 +42,11 @@ _OTHER_LAW = 0.5
 """Error that laws beyond those leave, over what they change: half of it."""
 _BLURRED = 10.0
 """Standard deviation of the blur a priori, squares of a cell: far beyond what is linear."""
+_GAIN_SIGMA = 0.1
+"""Standard deviation of the brightness a priori, over that of the image, where markings would take all of it: then it is
+the brightness that is known, and what the body leaves is another thing."""
 _SIGMAS: Mapping[str, float | Sequence[float]] = {
+    "gain": 0.0,
     "laws": _LAW_SIGMA,
     "place": (_MOVED, _MOVED, _GROWN),
     "strain": _STRAINED,
@@ -178,10 +182,16 @@ class _Design(Value):
     scattered: Float
     markings: MarkingModes
 
-    def columns(self, values: Float, weights: Float, gain: float) -> Columns:
-        """Linear look at the values (n, n) of cells, with undeclared markings beside the unknowns."""
-        prior = Prior.of_sigmas(gain * self.sigma)
-        return Columns(self.layout, self.matrix, prior, values, weights, self.markings.brighter(gain))
+    def columns(
+        self, values: Float, weights: Float, gain: float, variances: Float | None, *, gain_sigma: float = 1.0
+    ) -> Columns:
+        """Linear look at the values (n, n) of cells, with undeclared markings beside the unknowns.
+
+        Markings could take the place of all light: what the body is as bright as in the image is known before.
+        """
+        sigma = self.layout.vector({"gain": gain_sigma}) + self.sigma
+        prior = Prior.of_sigmas(gain * sigma, self.layout.vector({"gain": gain}))
+        return Columns(self.layout, self.matrix, prior, values, weights, self.markings.brighter(gain), variances)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -301,14 +311,16 @@ def _fitted(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: F
     covers. None where the image fits a dark body better than a bright one.
     """
     values, noise, fresh = cells.cropped(cells.values), cells.cropped(cells.variance), cells.cropped(cells.fresh)
-    gain = _first_gain(values, design.own, fresh)
+    gain, variances = _first_gain(values, design.own, fresh), None
     for _ in range(_ITERATIONS):
         model_sigma = gain * sigma
         weights = np.where(fresh, 1.0 / (noise + model_sigma**2), 0.0)
-        found = design.columns(values, weights, gain).solve()
+        found = design.columns(values, weights, gain, variances).solve()
+        if found is not None and not found["gain"][0] > 0.0:
+            found = design.columns(values, weights, gain, variances, gain_sigma=_GAIN_SIGMA).solve()
         if found is None or not found["gain"][0] > 0.0:
             return None
-        solution = found
+        solution, variances = found, found.columns.mode_variances
         change, gain = abs(float(solution["gain"][0]) / gain - 1.0), float(solution["gain"][0])
         isolated = _isolated(solution.residuals * np.sqrt(weights), fresh)
         used, fresh = fresh, fresh & ~isolated
