@@ -433,10 +433,10 @@ def surface_features() -> Drawing:
 
 def auto() -> Drawing:
     """Choice, check and fusion."""
-    d = Drawing(720, 240, "auto: choose, check by another, fuse")
+    d = Drawing(720, 210, "auto: choose, check by another, fuse")
     boxes = (
         (24, 88, "size, shape,", "limb in view", INK),
-        (186, 88, "first choice", "that no check objects to", BLUE),
+        (186, 88, "first choice", "that is not suspect", BLUE),
         (404, 30, "a second estimator", "that uses something else", GREEN),
     )
     for x, y, first, second, color in boxes:
@@ -448,13 +448,40 @@ def auto() -> Drawing:
     d.line((368, 104), (402, 66), arrow=True)
     for y, words, color in (
         (120, "agree: fused, one covariance", GREEN),
-        (152, "differ: disagreement, suspect", RED),
-        (184, "none confirms: unconfirmed, suspect", RED),
-        (216, "none finds the body: unchecked", GOLD),
+        (152, "differ: fused, larger sigmas", BLUE),
+        (184, "none confirms it: unchecked", GOLD),
     ):
         d.line((476, y - 4), (488, y - 4), color, width=2)
         d.text((494, y), words, color, size=12)
-    d.line((476, 88), (476, 212), FAINT)
+    d.line((476, 88), (476, 180), FAINT)
+    return d
+
+
+def judged() -> Drawing:
+    """From an estimate to flags and a sigma."""
+    d = Drawing(720, 250, "How a fix is judged: two tests raise flags, imprecision makes the sigma larger")
+    for x, y, width, first, second, color in (
+        (24, 96, 130, "estimator", "place and sigma", BLUE),
+        (206, 96, 150, "coarse render", "at the place found", INK),
+        (414, 24, 130, "another model?", "Sun, 2nd light, rows", RED),
+        (414, 96, 130, "another place?", "search, prediction", RED),
+        (414, 168, 130, "moved, strained,", "smeared: tension", GREEN),
+    ):
+        d.rect((x, y), (width, 56), stroke=color, width=2)
+        d.text((x + width / 2, y + 24), first, color, anchor="middle")
+        d.text((x + width / 2, y + 44), second, color, anchor="middle", size=12)
+    d.line((154, 116), (204, 116), arrow=True)
+    d.line((206, 136), (156, 136), GREEN, arrow=True)
+    d.text((180, 172), "response, haze: again", GREEN, size=12, anchor="middle")
+    for y in (52, 124, 196):
+        d.line((356, 124), (412, y), arrow=True)
+    d.text((562, 42), "wrong_light", RED, size=12)
+    d.text((562, 58), "unexplained_light", RED, size=12)
+    d.text((562, 74), "wrong_figure", RED, size=12)
+    d.text((562, 121), "ambiguous", RED, size=12)
+    d.text((562, 137), "far_from_prediction", RED, size=12)
+    d.text((562, 193), "larger sigma,", GREEN, size=12)
+    d.text((562, 209), "no flag", GREEN, size=12)
     return d
 
 
@@ -462,7 +489,7 @@ DRAWINGS: dict[str, Callable[[], Drawing]] = {
     each.__name__: each
     for each in (
         frames, mirrored, light_time, covariance, stars, unresolved, moment, cross_correlation, limb_matching,
-        ellipse_fit, ellipsoid_cra, sigmoid_limb, surface_features, auto,
+        ellipse_fit, ellipsoid_cra, sigmoid_limb, surface_features, auto, judged,
     )
 }  # fmt: skip
 """Drawings by the name of their file."""

@@ -16,6 +16,7 @@ from giantlike.core.attribute_docs import attribute_docs
 from giantlike.core.causes import Cause
 from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, Quality, Reason
 from giantlike.core.units import ARCSEC_PER_RAD
+from giantlike.relative.judge import FALSE_ALARM, Alternative
 
 _SOURCES = {
     "stars": "from its own stars",
@@ -41,9 +42,8 @@ def explain(answer: SeenImage | AttitudeFix | CenterFix | Failure) -> str:
     if isinstance(answer, Failure):
         return _problem(answer)
     lines = [repr(answer), f"Observations used: {answer.n_used}, {answer.n_rejected} rejected."]
-    lines += [*_causes(answer.parts), *_flags(answer.flags.names())]
-    if "checks" in answer.provenance:
-        lines.append(f"Numbers of its checks: {answer.provenance['checks']}.")
+    checks = answer.findings.checks if isinstance(answer, CenterFix) else {}
+    lines += [*_causes(answer.parts, checks), *_flags(answer.flags.names()), *_tests(checks)]
     return "\n".join(lines)
 
 
@@ -134,9 +134,10 @@ def _observation(one: ObservationRecord) -> Iterator[str]:
     if one.n_used is not None:
         rejected = "" if not one.n_rejected else f", {one.n_rejected} rejected"
         yield f"Observations used: {one.n_used}{rejected}."
-    yield from _causes(one.parts or {})
+    yield from _causes(one.parts or {}, one.checks)
     yield from _flags(one.flags)
-    if "checks" in one.provenance:
+    yield from _tests(one.checks)
+    if not one.checks and "checks" in one.provenance:  # a run of an earlier version
         yield f"Numbers of its checks: {one.provenance['checks']}."
     if "checked_by" in one.provenance:
         yield f"Checked by {one.provenance['checked_by']}."
@@ -166,14 +167,44 @@ def _digits(value: float, digits: int, sign: str = "") -> str:
     return f"{float(f'{value:.{digits}g}'):{sign}.0f}"
 
 
-def _causes(parts: Mapping[Cause, Any]) -> Iterator[str]:
-    """Shares of the causes in the variance of the place, or of the two axes across the boresight, largest first."""
+def _causes(parts: Mapping[Cause, Any], checks: Mapping[str, float]) -> Iterator[str]:
+    """Shares of the causes in the variance of the place, or of the two axes across the boresight, largest first.
+
+    And by how much the variance was increased because a coarse render at the fix does not match the image.
+    """
     sizes = {str(cause): float(np.trace(np.array(part)[:2, :2])) for cause, part in parts.items()}
     total = sum(sizes.values())
     if total > 0:
         ranked = sorted(sizes.items(), key=lambda item: -item[1])
         shares = [f"{cause} {size / total:.0%}" for cause, size in ranked if size >= 0.01 * total]
         yield f"Variance by cause: {', '.join(shares)}."
+    tension = checks.get("tension", 1.0)
+    if tension > 1.0:
+        yield (
+            f"The parts that only this fix has were multiplied by {tension:.3g} (tension): rendered at the fix, the "
+            "body matches the image better when it is moved, strained or smeared."
+        )
+
+
+def _tests(checks: Mapping[str, float]) -> Iterator[str]:
+    """Odds of other models of the image and of another place, and how likely the distance from the prediction is."""
+    odds = {one: checks[f"{one}_log_odds"] for one in Alternative if f"{one}_log_odds" in checks}
+    if odds:
+        ranked = sorted(odds.items(), key=lambda item: -item[1])
+        limit = _power(math.log(len(Alternative) / FALSE_ALARM))
+        listed = ", ".join(f"{one} {_power(number)}" for one, number in ranked)
+        yield f"Odds of other models of the image: {listed} (suspect where their sum exceeds {limit})."
+    if "other_place_log_odds" in checks:
+        place, limit = _power(checks["other_place_log_odds"]), _power(math.log(FALSE_ALARM))
+        yield f"Odds of another place in the search region: {place} (suspect above {limit})."
+    if "prediction_chance" in checks:
+        chance = checks["prediction_chance"]
+        yield f"Probability that a right prediction is off by as much: {chance:.2g} (suspect below {FALSE_ALARM:g})."
+
+
+def _power(logarithm: float) -> str:
+    """A number of which the natural logarithm is known, as a power of ten."""
+    return f"10^{logarithm / math.log(10.0):.1f}"
 
 
 def _flags(flags: Sequence[str]) -> Iterator[str]:

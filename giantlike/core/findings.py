@@ -250,11 +250,12 @@ class Findings(_Stated):
     terrain_misfit : float or None
         Residuals of the limb over what noise and the errors of the height map let expect.
     checks : mapping of str to float
-        Numbers of the tests behind every fix, see :class:`~giantlike.relative.judge.Judgement`, and their tension.
+        Numbers of the tests behind every fix, see :class:`~giantlike.relative.judge.Judgement`, and the factor by which
+        they made variances larger (``tension``).
     chosen, because : str
         Estimator that ``auto`` took, and why.
     checked_by : str
-        Estimator whose fix decided on that one.
+        Estimator whose fix confirms that one.
     agreement : float or None
         Probability that right fixes of these two differ by as much.
     weight : float or None

@@ -183,7 +183,7 @@ class Quality(enum.Flag):
     LOW_SCORE = enum.auto()
     """The match is weak.
 
-    Check shape, orientation and the direction of the Sun.
+    Nothing raises it any more; it occurs in runs of earlier versions.
     """
     MANY_REJECTED = enum.auto()
     """More than half of the observations were rejected.
@@ -191,20 +191,22 @@ class Quality(enum.Flag):
     Look at the rejected ones: a wrong shape, clouds, relief or a second body.
     """
     FAR_FROM_PREDICTION = enum.auto()
-    """The estimate lies at or beyond the border of the search region, or beyond declared errors of the prediction, also
-    by the size of the body in the image.
+    """The estimate lies at or beyond the border of the declared search, or beyond declared errors of the prediction,
+    also by the size of the body in the image.
 
     Check that it is the right target, and the errors declared of ephemeris and attitude.
     """
     LARGE_RESIDUALS = enum.auto()
-    """Residuals are several times what noise explains.
+    """Residuals of stars, or of a triangulation, are several times what noise explains.
 
-    Look at the residuals: shape, distortion or blur may be wrong.
+    Look at the residuals: distortion or blur may be wrong. No fix of a body has it: there such residuals make the
+    sigma larger.
     """
     AMBIGUOUS = enum.auto()
-    """Another source as good lies in the search region, or another place where the body explains the image as well.
+    """Another source as good lies in the search region, or the body at another place is not a thousand times less
+    likely; of stars: many bright sources are no star, and many bright stars have no source.
 
-    Look which of them is the target, or narrow the search.
+    Look which of them is the target, or narrow the search; of stars, look for a second exposure.
     """
     OBSERVER_UNKNOWN = enum.auto()
     """The velocity of the observer is not known: the attitude holds stellar aberration, up to 20 arcsec at 1 au.
@@ -220,41 +222,40 @@ class Quality(enum.Flag):
     DISAGREEMENT = enum.auto()
     """Two independent estimators differ by more than their covariances explain.
 
-    One of them may be the coarse render behind every estimate: rendered where it was found, the body would match the
-    image better elsewhere, or at another range; or two of its place, its figure and its prediction are unlikely at
-    once. Look at both outlines over the image.
+    Nothing raises it any more: the sigmas grow until they explain the difference. It occurs in runs of earlier
+    versions.
     """
     UNCHECKED = enum.auto()
-    """No independent estimator found the body, so nothing confirms the fix.
+    """No other estimator confirms the fix: none that is not suspect found the body with a sufficiently small sigma.
 
-    Look at the image before you rely on it.
+    It does not make the fix suspect. Look at the image before you rely on it.
     """
     UNCONFIRMED = enum.auto()
     """No estimator that is not suspect itself confirms the fix, where one should.
 
-    Look at the image, and at the reasons of the others.
+    Nothing raises it any more: such a fix is `unchecked`. It occurs in runs of earlier versions.
     """
     WRONG_LIGHT = enum.auto()
-    """Light lies on another side of the body than the Sun: its direction, or the order of rows, is wrong.
+    """The image fits a Sun on another side of the body better, by odds of more than a thousand to one.
 
     Check `bottom_up`, the axes of the camera and the direction of the Sun.
     """
     UNEXPLAINED_LIGHT = enum.auto()
-    """The image around the body holds light that a body there does not explain, or lacks light that it should have.
+    """A second image of the body lies beside the first, by odds of more than a thousand to one.
 
-    A second exposure, another body, rings, clouds, an eclipse, stray light or another shape: look at the image, mask
-    what is not the body, tell `rings` of the target and `uncertainty.albedo` of a face with clouds.
+    Another exposure, a ghost or a second body: look at the image, and mask what is not the body.
     """
     WRONG_FIGURE = enum.auto()
-    """Parts of the body ask for different places, here or by an estimator that checks it: wrong shape, orientation or
-    roll, rows that are shifted, a smear that strains the limb, or a height map that is not that of the limb.
+    """Rows or columns are shifted against each other, or the limb is smooth where a height map has relief, by odds of
+    more than a thousand to one.
 
-    Check pole, rotation and epoch, and look at the image for shifted rows.
+    Look at the image for shifted rows; check the height map, pole, rotation and epoch.
     """
     BLURRED = enum.auto()
-    """The image is blurred by another amount than the camera's optics: motion, defocus, two exposures, a wrong psf.
+    """The stars are wider along one direction than the camera's optics make them, or narrower in all.
 
-    Check the psf of the camera, and the motion during the exposure.
+    Check the motion during the exposure, and the psf of the camera. No fix of a body has it: there a blur makes the
+    sigma larger.
     """
     DEFOCUSED = enum.auto()
     """The stars are much wider than the camera's optics make them, in all directions alike: no focus, or a wrong psf.

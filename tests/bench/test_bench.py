@@ -1,7 +1,9 @@
 """Looking into a run at the shell: layers, words, pictures, backplanes."""
 
 import json
+import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -22,6 +24,7 @@ from giantlike.bench.session import chosen_fix
 from giantlike.cli.app import app
 from giantlike.core.attribute_docs import attribute_docs
 from giantlike.core.errors import InputError
+from giantlike.core.findings import Findings
 from giantlike.core.frames import direction_from_radec, rotate
 from giantlike.core.outcomes import Quality, Reason
 from tests.bench.conftest import RockRun
@@ -66,6 +69,7 @@ def test_an_image_is_explained_in_words(run: Path, made: tuple[Path, dict[str, T
     range_km = float(np.linalg.norm(made[1][SHORT].position_camera_km + APRIORI_OFFSET_KM))
     diameter_px = 2.0 * np.arcsin(np.cbrt(np.prod(RADII_KM)) / range_km) * CAMERA.model.focal_length_px
     assert float(size[1]) == pytest.approx(diameter_px, abs=0.2)  # the scale a few degrees off the axis
+    assert "Odds of other models of the image: " in body_words
     assert "Smallest sigma of the fixes to trust" in body_words
 
 
@@ -98,6 +102,35 @@ def test_a_fix_and_a_failure_outside_of_a_run_are_explained_too() -> None:
     assert "Suspect because: wrong_figure. " in words
     assert "Note: saturated. " in words
     assert explain(gl.Failure(gl.Reason.NO_LIMB, "too small.")).startswith("no_limb: too small. There is no limb")
+
+
+def test_the_odds_of_other_models_and_the_larger_sigma_are_explained() -> None:
+    checks = {
+        "other_sun_log_odds": -20.0 * math.log(10.0),
+        "second_light_log_odds": 4.0 * math.log(10.0),
+        "other_place_log_odds": -5.0 * math.log(10.0),
+        "prediction_chance": 0.25,
+        "tension": 2.5,
+    }
+    fix = gl.CenterFix(
+        estimator="moment",
+        target="ROCK",
+        center_px=np.array([10.0, 20.0]),
+        covariance_px2=0.04 * np.eye(2),
+        predicted_px=np.array([11.0, 20.0]),
+        residuals=np.zeros(0),
+        n_used=90,
+        n_rejected=3,
+        score=1.0,
+        parts={gl.Cause.NOISE: 0.04 * np.eye(2)},
+        findings=Findings(checks=checks),
+    )
+    words = explain(fix)
+    assert "second_light 10^4.0, other_sun 10^-20.0 (suspect where their sum exceeds 10^3.7)." in words
+    assert "Odds of another place in the search region: 10^-5.0 (suspect above 10^-3.0)." in words
+    assert "Probability that a right prediction is off by as much: 0.25 (suspect below 0.001)." in words
+    assert "multiplied by 2.5 (tension)" in words
+    assert "tension" not in explain(replace(fix, findings=Findings()))
 
 
 def test_every_reason_and_flag_has_a_meaning_and_a_remedy() -> None:

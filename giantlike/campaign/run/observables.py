@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 
 import numpy as np
@@ -290,6 +291,7 @@ def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry
         n_rejected=fix.n_rejected,
         flags=list(fix.flags.names()),
         provenance=dict(fix.provenance),
+        checks={name: number for name, number in fix.findings.checks.items() if math.isfinite(number)},
         parts={cause: part.tolist() for cause, part in fix.parts.items()},
         partials={cause: partial.tolist() for cause, partial in fix.partials.items()},
         landmarks=_landmarks(fix) if isinstance(fix, LandmarkFix) else None,

@@ -352,6 +352,9 @@ class ObservationRecord(_TriedRecord):
         As in the tables; None where unknown.
     flags : list of str
     provenance : dict of str to str
+    checks : dict of str to float
+        Finite numbers of the tests of the fix, as in :class:`~giantlike.core.findings.Findings`; empty in runs made
+        before they were kept.
     parts : mapping of Cause to (k, k) list of float
         Covariance by cause, as in :class:`~giantlike.core.outcomes.CenterFix`.
     partials : mapping of Cause to (k, m) list of float
@@ -392,6 +395,7 @@ class ObservationRecord(_TriedRecord):
     n_rejected: int | None = None
     flags: list[str] = Field(default_factory=list)
     provenance: dict[str, str] = Field(default_factory=dict)
+    checks: dict[str, float] = Field(default_factory=dict)
     parts: dict[Cause, Rows] = Field(default_factory=dict)
     partials: dict[Cause, Rows] = Field(default_factory=dict)
     turn: TurnRecord | None = None
