@@ -166,12 +166,12 @@ class FieldSums(Value):
     right: Float
     squares: float = 0.0
 
-    def variances(self, spectra: Float, declared: float = 0.0) -> Float:
+    def variances(self, spectra: Float) -> Float:
         """Return the variances (m,) of the modes, averaged over amplitudes and lengths by their likelihood.
 
         The likelihood is that of the values with the columns integrated out (restricted likelihood).
         """
-        variances = np.hypot(AMPLITUDES, declared) ** 2
+        variances = AMPLITUDES**2
         explained, log_volumes = self._restricted(spectra, variances)
         log_likelihood = 0.5 * (explained - log_volumes) + np.log(prior_of_amplitudes())
         chances = np.exp(log_likelihood - log_likelihood.max())
