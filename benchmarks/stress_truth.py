@@ -343,6 +343,12 @@ CASES: tuple[Case, ...] = (
     replace(_BASE, name="facets of 6 px rock", body="rock", estimators=ROCK, mesh_cells=16),
     replace(_BASE, name="haze told", haze=HAZE, told_haze_sigma_km=0.5 * HAZE.scale_height_km),
     replace(_BASE, name="haze not told", haze=HAZE),
+    replace(
+        _BASE,
+        name="haze told with twilight",
+        haze=replace(HAZE, twilight=True),
+        told_haze_sigma_km=0.5 * HAZE.scale_height_km,
+    ),
     replace(_BASE, name="edges step", estimators=LIMBS[:1], options="step"),
     replace(_BASE, name="edges step, law lambert", estimators=LIMBS[:1], options="step", law="lambert"),
 )

@@ -115,6 +115,11 @@ class Atmosphere:
         """Return the same atmosphere as it is seen at another wavelength, nm."""
         return replace(self, wavelength_nm=wavelength_nm)
 
+    @property
+    def vertical_depth(self) -> float:
+        """Vertical optical depth at the wavelength at which the body is seen."""
+        return float(self.optical_depth * (self.reference_nm / self.wavelength_nm) ** self.exponent)
+
     def slant_depth(self, radius_km: float) -> float:
         """Optical depth along a ray that grazes the base.
 
@@ -127,9 +132,8 @@ class Atmosphere:
         -------
         float
         """
-        vertical = self.optical_depth * (self.reference_nm / self.wavelength_nm) ** self.exponent
         curve_km = radius_km + self.base_km
-        return float(vertical * math.sqrt(2.0 * math.pi * curve_km / max(self.scale_height_km, 1e-9 * curve_km)))
+        return self.vertical_depth * math.sqrt(2.0 * math.pi * curve_km / max(self.scale_height_km, 1e-9 * curve_km))
 
     def brightness(self, altitude_km: ArrayLike, radius_km: float) -> Float:
         """Brightness of the limb over that of haze without end, by single scattering.

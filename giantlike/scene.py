@@ -22,7 +22,7 @@ from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 from giantlike.core.values import Value
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, DistantLight, Ephemeris, light_path
 from giantlike.image import Image
-from giantlike.ray_tracing import Body, McEwen, Reflectance, trace_silhouette
+from giantlike.ray_tracing import Air, Body, McEwen, Reflectance, trace_silhouette
 from giantlike.rings import Rings
 from giantlike.shapes import Ellipsoid, Shape
 from giantlike.terrain import HeightMap
@@ -181,6 +181,15 @@ class TargetGeometry(Value):
         return atmosphere.limb_altitude_km(self.target.shape.mean_radius_km), atmosphere.sigma_km
 
     @property
+    def air(self) -> Air | None:
+        """Air by an atmosphere whose scale height is known; None without."""
+        atmosphere = self.target.atmosphere
+        if atmosphere is None or atmosphere.scale_height_km == 0.0:
+            return None
+        radius_km = self.target.shape.mean_radius_km + self.limb_altitude_km[0]
+        return Air(scale_height=atmosphere.scale_height_km / radius_km, optical_depth=atmosphere.vertical_depth)
+
+    @property
     def range_km(self) -> float:
         """Distance from camera to body center, km."""
         return float(np.linalg.norm(self.position_camera_km))
@@ -212,7 +221,7 @@ class TargetGeometry(Value):
         )
 
     def seen_body(self, position_camera_km: Float | None = None) -> Body:
-        """Return :meth:`body` as its limb shows it: an ellipsoid with the altitude of its atmosphere on the radii.
+        """Return :meth:`body` as it is seen: an ellipsoid under air, with the altitude of its atmosphere on the radii.
 
         Parameters
         ----------
@@ -226,7 +235,7 @@ class TargetGeometry(Value):
         body, altitude_km = self.body(position_camera_km), self.limb_altitude_km[0]
         if altitude_km == 0.0 or not isinstance(body.shape, Ellipsoid):
             return body
-        return replace(body, shape=replace(body.shape, radii_km=body.shape.radii_km + altitude_km))
+        return replace(body, shape=replace(body.shape, radii_km=body.shape.radii_km + altitude_km), air=self.air)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

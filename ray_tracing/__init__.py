@@ -3,6 +3,7 @@
 ``render`` makes a template of a ``Body`` and ``trace_silhouette`` finds its limb.
 """
 
+from giantlike.ray_tracing.air import Air, Black
 from giantlike.ray_tracing.backplanes import Backplanes, trace_backplanes
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.cached_trace import Trace, trace_body
@@ -31,8 +32,10 @@ from giantlike.ray_tracing.trace import surface_albedo
 
 __all__ = [
     "REFLECTANCES",
+    "Air",
     "Akimov",
     "Backplanes",
+    "Black",
     "Body",
     "FocalPlane",
     "Hapke",

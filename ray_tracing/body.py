@@ -13,6 +13,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, as_floats, require, unit
 from giantlike.core.frames import rotate
 from giantlike.core.values import Value
+from giantlike.ray_tracing.air import Air
 from giantlike.ray_tracing.reflectance import McEwen, Reflectance
 from giantlike.ray_tracing.tracer import Tracer, tracer_for
 from giantlike.shapes import LevelsOfDetail, Point, Shape, sphere
@@ -33,6 +34,8 @@ class Body(Value):
     position_camera_km : (3,) float64, km, camera axes
         From the camera to the origin of the shape, apparent.
     reflectance : Reflectance
+    air : Air, optional
+        Over an ellipsoid, which casts no shadow on itself.
 
     Raises
     ------
@@ -44,6 +47,7 @@ class Body(Value):
     camera_from_body: Rotation
     position_camera_km: Float
     reflectance: Reflectance = field(default_factory=McEwen)
+    air: Air | None = None
 
     def __post_init__(self) -> None:
         position = as_finite(self.position_camera_km, (3,), "position_camera_km")

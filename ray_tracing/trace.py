@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, unit
 from giantlike.core.values import Value
+from giantlike.ray_tracing.air import Air
 from giantlike.ray_tracing.body import Body, sun_in_body
 from giantlike.ray_tracing.embree import Float32, dot, rows_of
 from giantlike.ray_tracing.neighbors import Neighbor
@@ -82,7 +83,7 @@ def view_of(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sunlight(Value):
-    """Points of the surface on which one point of the Sun shines.
+    """Points of the surface, or of the air over it, on which one point of the Sun shines.
 
     Parameters
     ----------
@@ -111,12 +112,15 @@ class TracedRays(Value):
         One for each point of the Sun that rays are bounced to.
     albedo : (k,) float64, optional
         Relative albedo at the points of ``sight``; None where it is 1 throughout.
+    air : Air, optional
+        Over the surface.
     """
 
     sight: Sight
     directions: Float
     light: tuple[Sunlight, ...]
     albedo: Float | None
+    air: Air | None = None
 
     @property
     def lit(self) -> int:
@@ -158,7 +162,8 @@ class TracedRays(Value):
         """Brightness (n,) of all rays under a reflectance law; 0 for those that meet nothing lit."""
         brightness = np.zeros(len(self.directions))
         for light in self.light:
-            value = law(light.cos_incidence, self.sight.cos_emission.take(light.seen), light.phase_rad)
+            angles = light.cos_incidence, self.sight.cos_emission.take(light.seen), light.phase_rad
+            value = law(*angles) if self.air is None else self.air.brightness(law, *angles)
             if self.albedo is not None:
                 value = value * self.albedo.take(light.seen)
             rays = self.sight.rays.take(light.seen)
@@ -197,7 +202,7 @@ def trace_rays(view: View, directions: Float, *, stratum: int = 0, lit: Mask | N
     if body.shape.albedo is not None:
         albedo = surface_albedo(body.shape, sight.points_km[:, :3].astype(np.float64), sight.facets.astype(np.int64))
     light = sunlight(view, sight, directions, stratum=stratum, lit=lit)
-    return TracedRays(sight=sight, directions=directions, light=light, albedo=albedo)
+    return TracedRays(sight=sight, directions=directions, light=light, albedo=albedo, air=body.air)
 
 
 def sunlight(
@@ -216,7 +221,8 @@ def sunlight(
 def _sunlight(view: View, sight: Sight, directions: Float, sun: Float, lit: Mask | None) -> Sunlight:
     """Points of a sight that see a point of the Sun, towards (4,) or (k, 4)."""
     cos_incidence = dot(sight.normals, sun.astype(np.float32))
-    seen = np.flatnonzero(cos_incidence > 0.0)
+    air = view.body.air
+    seen = np.flatnonzero(cos_incidence > (0.0 if air is None else air.least_cosine))
     toward = sun if sun.ndim == 1 else sun.take(seen, axis=0)
     if view.options.shadows and seen.size:
         clear = np.flatnonzero(_clear(view, sight, seen, toward, lit))

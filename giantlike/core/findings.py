@@ -86,6 +86,11 @@ class Response(_Stated):
         above = np.maximum(values_dn - self.dark_dn, lowest_dn)
         return np.asarray(self.dark_dn + above + self.bend * above * (above / span_dn - 1.0))
 
+    def slope_at(self, light_dn: Float) -> Float:
+        """Return the derivative (...) of :meth:`light_dn` by the values that stand for a light (...), DN."""
+        share = (light_dn - self.dark_dn) / (self.bright_dn - self.dark_dn)
+        return np.sqrt(np.maximum((1.0 - self.bend) ** 2 + 4.0 * self.bend * share, 0.0))
+
     def changes_dn(self, light_dn: Float) -> Float:
         """Return the derivatives of :meth:`light_dn` by the bend, and by the share of a cube that vanishes half way.
 
@@ -100,8 +105,7 @@ class Response(_Stated):
         """
         span_dn, straight = self.bright_dn - self.dark_dn, 1.0 - self.bend
         light = light_dn - self.dark_dn
-        root = np.sqrt(np.maximum(straight**2 + 4.0 * self.bend * light / span_dn, 0.0))
-        above = 2.0 * light / np.maximum(straight + root, 1e-9)
+        above = 2.0 * light / np.maximum(straight + self.slope_at(light_dn), 1e-9)
         square = above * (above / span_dn - 1.0)
         return np.stack([square, square * (2.0 * above / span_dn - 1.0)])
 

@@ -15,6 +15,8 @@ from giantlike.core.causes import Cause
 from giantlike.core.values import Value
 from giantlike.image_model.field import FieldSolution, FieldSums, MarkingModes
 
+UNDECLARED = 0.1
+"""Prior probability of each effect that nobody declared, as of a surface without markings."""
 _CONDITION_LIMIT = 1e12  # of the scaled normal matrix: four digits of float64 are left
 
 
@@ -164,6 +166,8 @@ class Columns(Value):
         Right-hand side of the normal equations.
     eliminated : FieldSolution or None
         What the field takes up.
+    sums : FieldSums
+        From which these follow.
     """
 
     layout: Layout
@@ -177,30 +181,29 @@ class Columns(Value):
     information: Float = field(init=False)
     right: Float = field(init=False)
     eliminated: FieldSolution | None = field(init=False)
+    sums: FieldSums = field(init=False)
 
     def __post_init__(self) -> None:
         matrix, prior = self.matrix.reshape(len(self.matrix), -1), self.prior
-        scaled = matrix * np.sqrt(self.weights).ravel()
-        # of an array with itself: half of the products
-        information = scaled @ scaled.T + np.diag(prior.information)
-        right = matrix @ (self.weights * self.data).ravel() + prior.information * prior.mean
-        projected, solved = self.matrix, None
-        if self.markings is not None:
-            modes, weighted = self.markings, self.weights * self.data
-            sums = FieldSums(
-                gram=modes.gram(self.weights),
-                cross=modes.products(self.matrix * self.weights),
-                scores=modes.products(weighted),
-                information=information,
-                right=right,
-            )
-            variances = sums.variances(modes.spectra) if self.variances is None else self.variances
-            solved = sums.solve(variances)
+        scaled, weighted = matrix * np.sqrt(self.weights).ravel(), self.weights * self.data
+        modes = self.markings
+        sums = FieldSums(
+            gram=np.zeros((0, 0)) if modes is None else modes.gram(self.weights),
+            cross=np.zeros((len(matrix), 0)) if modes is None else modes.products(self.matrix * self.weights),
+            scores=np.zeros(0) if modes is None else modes.products(weighted),
+            # of an array with itself: half of the products
+            information=scaled @ scaled.T + np.diag(prior.information),
+            right=matrix @ weighted.ravel() + prior.information * prior.mean,
+            squares=float(np.vdot(weighted, self.data) + prior.information @ prior.mean**2),
+        )
+        information, right, projected, solved = sums.information, sums.right, self.matrix, None
+        if modes is not None:
+            solved = sums.solve(sums.variances(modes.spectra) if self.variances is None else self.variances)
             information, right = solved.information, solved.right
             projected = self.matrix - modes.image(solved.steps.T)
-        for name, value in (("projected", projected), ("information", information), ("right", right)):
+        found = {"sums": sums, "projected": projected, "information": information, "right": right, "eliminated": solved}
+        for name, value in found.items():
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "eliminated", solved)
         Value.__post_init__(self)
 
     @classmethod
@@ -245,6 +248,49 @@ class Columns(Value):
         """Covariance (k, k) of the scores of the unknowns by the field; zero without one."""
         none = np.zeros_like(self.information)
         return none if self.eliminated is None else self.eliminated.scatter
+
+    def log_evidence(self, parts: float) -> float:
+        """Return the logarithm of the likelihood of the data, unknowns and field integrated out.
+
+        Parameters
+        ----------
+        parts : float
+            Number of independent values that the data stand for: errors of a model are alike over whole regions.
+
+        Returns
+        -------
+        float
+            Up to a constant of the data, of their weights and of unknowns of which nothing is known beforehand.
+        """
+        share, known, sums = parts / max(int(np.count_nonzero(self.weights)), 1), self.prior, self.sums
+        of_prior = known.information * known.mean
+        tempered = FieldSums(
+            gram=share * sums.gram,
+            cross=share * sums.cross,
+            scores=share * sums.scores,
+            information=share * sums.information + (1.0 - share) * np.diag(known.information),
+            right=share * sums.right + (1.0 - share) * of_prior,
+            squares=share * sums.squares + (1.0 - share) * float(of_prior @ known.mean),
+        )
+        spectra = np.zeros((1, 0)) if self.markings is None else self.markings.spectra
+        log_prior = 0.5 * float(np.sum(np.log(known.information[known.information > 0.0])))
+        return tempered.log_evidence(spectra, parts) + log_prior
+
+    def odds_of(self, blocks: Sequence[Block], parts: float) -> float:
+        """Return the logarithm of the odds of the model with further blocks against the one without.
+
+        Parameters
+        ----------
+        blocks : sequence of Block
+            With priors of finite width.
+        parts : float
+            As of :meth:`log_evidence`.
+
+        Returns
+        -------
+        float
+        """
+        return self.extended(blocks).log_evidence(parts) - self.log_evidence(parts)
 
     def propagate(self, scatter: Float) -> Float:
         """Return the covariance (k, k) of the unknowns from that of their scores."""
@@ -419,18 +465,13 @@ class Score(Value):
         information = np.maximum(np.diag(self.information), 1e-300)
         return np.asarray((self.columns.weights * free).T / information).T
 
-    @property
-    def omission_covariance(self) -> Float:
-        """Covariance (k, k) of the unknowns of the model from the omission of the block.
+    def omission_covariance(self, chance: float) -> Float:
+        """Return the covariance (k, k) of the unknowns of the model by effects that are there with a probability.
 
-        Notes
-        -----
-        With the block in the model they change by ``d``. Of the chi-square ``q`` that the block takes away, noise alone
-        makes m on average; the rest, ``d d^T (1 - m / q)``, is an error of the model. (This is Hausman's comparison of
-        two estimates.)
+        It is the mean square of the change of the unknowns with the block in the model.
         """
-        step, count = self.step, len(self.gradient)
-        return np.outer(step, step) * max(1.0 - count / max(self.chi_square, count), 0.0)
+        values = self.values
+        return np.asarray(chance * self.moves @ (self.covariance + np.outer(values, values)) @ self.moves.T)
 
     @property
     def _pull(self) -> Float:
@@ -449,6 +490,11 @@ def _stacked(blocks: Sequence[Block]) -> tuple[Layout, Float, Prior]:
 def _condition(scaled: Float) -> float:
     """Condition number of a scaled normal matrix; infinite where it is not finite."""
     return float(np.linalg.cond(scaled)) if np.isfinite(scaled).all() else np.inf
+
+
+def chance_of_odds(log_odds: float, before: float = UNDECLARED) -> float:
+    """Probability of an effect from the logarithm of its odds by the data, and its probability before."""
+    return float(0.5 * (1.0 + np.tanh(0.5 * (log_odds + np.log(before / (1.0 - before))))))
 
 
 def split_noise(covariance: Float, layout: Layout, causes: Iterable[Cause]) -> dict[Cause, Float]:

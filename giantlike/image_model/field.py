@@ -47,12 +47,14 @@ class MarkingModes(Value):
         Cosines along each axis.
     frequencies : (m,) float64
         Angular frequencies of the cosines, in units of 1 over the radius.
+    radius_px : float, px
     """
 
     light: Float
     along_x: Float
     along_y: Float
     frequencies: Float
+    radius_px: float
 
     @classmethod
     def across(cls, light: Float, center_px: Float, radius_px: float, modes: int = _MODES) -> MarkingModes:
@@ -79,7 +81,7 @@ class MarkingModes(Value):
         ]
         along_x, along_y = (norm * np.cos(np.pi * order[:, None] * np.clip(phase, 0.0, 1.0)) for phase in phases)
         frequencies: Float = np.pi / (2.0 * HALF_WIDTH) * order.astype(np.float64)
-        return cls(light=light, along_x=along_x, along_y=along_y, frequencies=frequencies)
+        return cls(light=light, along_x=along_x, along_y=along_y, frequencies=frequencies, radius_px=radius_px)
 
     def brighter(self, factor: float) -> MarkingModes:
         """Return the modes on light that is brighter by a factor."""
@@ -153,6 +155,8 @@ class FieldSums(Value):
         Of the columns, with their prior.
     right : (k,) float64
         Of the columns and the values, with the mean of the prior.
+    squares : float
+        Of the values, and of the mean of the prior over its standard deviation.
     """
 
     gram: Float
@@ -160,25 +164,54 @@ class FieldSums(Value):
     scores: Float
     information: Float
     right: Float
+    squares: float = 0.0
 
     def variances(self, spectra: Float, declared: float = 0.0) -> Float:
         """Return the variances (m,) of the modes, averaged over amplitudes and lengths by their likelihood.
 
         The likelihood is that of the values with the columns integrated out (restricted likelihood).
         """
+        variances = np.hypot(AMPLITUDES, declared) ** 2
+        explained, log_volumes = self._restricted(spectra, variances)
+        log_likelihood = 0.5 * (explained - log_volumes) + np.log(prior_of_amplitudes())
+        chances = np.exp(log_likelihood - log_likelihood.max())
+        return np.asarray(np.einsum("la,a,lm->m", chances / chances.sum(), variances, spectra))
+
+    def log_evidence(self, spectra: Float, parts: float) -> float:
+        """Return the logarithm of the restricted likelihood, averaged over amplitudes, lengths and the scale of noise.
+
+        Parameters
+        ----------
+        spectra : (n, m) float64
+            Variances of the modes under fields of unit variance.
+        parts : float
+            Number of independent values that the sums stand for.
+
+        Returns
+        -------
+        float
+            Up to a constant of the values and of columns of which nothing is known beforehand.
+        """
+        explained, log_volumes = self._restricted(spectra, AMPLITUDES**2)
+        left = self.squares - float(self.right @ np.linalg.solve(self.information, self.right)) - explained
+        chances = prior_of_amplitudes() / len(spectra)
+        misfit = parts * (np.log(np.maximum(left, 1e-300) / parts) + 1.0)
+        log_likelihood = -0.5 * (misfit + log_volumes) + np.log(chances)
+        return float(np.logaddexp.reduce(log_likelihood, axis=None) - 0.5 * np.linalg.slogdet(self.information)[1])
+
+    def _restricted(self, spectra: Float, variances: Float) -> tuple[Float, Float]:
+        """Squares that fields explain, and logarithms of what they add to the determinant: (lengths, amplitudes)."""
         solved = np.linalg.solve(self.information, np.column_stack([self.cross, self.right]))
         gram, scores = self.gram - self.cross.T @ solved[:, :-1], self.scores - self.cross.T @ solved[:, -1]
-        variances = np.hypot(AMPLITUDES, declared) ** 2
-        log_likelihood = np.empty((len(spectra), len(variances)))
+        explained, log_volumes = np.empty((2, len(spectra), len(variances)))
         for number, spectrum in enumerate(spectra):
             root = np.sqrt(spectrum)
             values, vectors = np.linalg.eigh(root[:, None] * gram * root)
             shares = variances[:, None] * np.maximum(values, 0.0)
             gains = variances[:, None] * (vectors.T @ (root * scores)) ** 2
-            log_likelihood[number] = 0.5 * np.sum(gains / (1.0 + shares) - np.log1p(shares), axis=1)
-        log_likelihood += np.log(prior_of_amplitudes())
-        chances = np.exp(log_likelihood - log_likelihood.max())
-        return np.asarray(np.einsum("la,a,lm->m", chances / chances.sum(), variances, spectra))
+            explained[number] = np.sum(gains / (1.0 + shares), axis=1)
+            log_volumes[number] = np.sum(np.log1p(shares), axis=1)
+        return explained, log_volumes
 
     def solve(self, variances: Float) -> FieldSolution:
         """Solve for the columns and the modes under given variances (m,) of the modes."""
@@ -225,6 +258,26 @@ class FieldSolution(Value):
     scatter: Float
     variances: Float
     whitened: Float
+
+    def absorbed(self, modes: MarkingModes, weights: Float, length_px: float) -> float:
+        """Return the weighted squares that the field takes out of errors correlated like ``exp(-d^2 / (4 length^2))``.
+
+        Parameters
+        ----------
+        modes : MarkingModes
+        weights : (h, w) float64
+            Squared weights of the pixels times the variances of the errors.
+        length_px : float, px
+
+        Returns
+        -------
+        float
+            By the spectral density of the errors at the frequency of each mode, as of errors everywhere alike.
+        """
+        along = np.exp(-0.5 * (length_px / modes.radius_px * modes.frequencies) ** 2)
+        root = np.sqrt(self.variances) * np.outer(along, along).ravel()
+        scores = root[:, None] * modes.gram(weights) * root
+        return max(4.0 * math.pi * length_px**2, 1.0) * float(np.vdot(np.linalg.inv(self.whitened), scores))
 
     def taken(self, products: Float) -> Float:
         """Information (j, j) that the field takes from columns with weighted products (j, m) with its modes."""

@@ -23,6 +23,56 @@ CELLS = 3
 RAYS_AT_ONCE = 40_000
 """Rays in one call."""
 
+HEIGHTS, COSINES, TO_SUN = 81, 241, 200
+"""Heights and cosines of incidence at which sunlight is tabulated, and steps along each ray to the Sun."""
+
+
+@dataclass(frozen=True)
+class Sunlight:
+    """Share of sunlight that reaches places in haze, tabulated over height and cosine of incidence.
+
+    Parameters
+    ----------
+    high_km : float, km
+        Height of the top of the haze.
+    width : float
+        Cosines are tabulated at ``width sinh(v)``, for v in even steps up to ``end`` either way.
+    end : float
+    table : (HEIGHTS, COSINES) float64
+    """
+
+    high_km: float
+    width: float
+    end: float
+    table: Float
+
+    @classmethod
+    def through(cls, radius_km: float, haze: Haze, high_km: float) -> Sunlight:
+        """Sum the haze up along straight rays to the Sun; 0 where they meet the sphere."""
+        width = float(np.sqrt(2.0 * haze.scale_height_km / radius_km))
+        end = float(np.arcsinh(1.0 / width))
+        cosines = width * np.sinh(np.linspace(-end, end, COSINES))
+        away = radius_km + np.linspace(0.0, high_km, HEIGHTS)[:, None]
+        lowest2, first = away**2 * (1.0 - cosines**2), away * cosines
+        length = np.sqrt(np.maximum((radius_km + high_km) ** 2 - lowest2, 0.0)) - first
+        depth = np.zeros_like(length)
+        for step in range(TO_SUN):
+            height = np.sqrt(lowest2 + (first + (step + 0.5) / TO_SUN * length) ** 2) - radius_km
+            depth += np.exp(-np.maximum(height, 0.0) / haze.scale_height_km) * length / TO_SUN
+        dark = (cosines < 0.0) & (lowest2 < radius_km**2)
+        share = np.exp(-haze.vertical_depth / haze.scale_height_km * depth)
+        return cls(high_km, width, end, np.where(dark, 0.0, share))
+
+    def at(self, height_km: Float, cosine: Float) -> Float:
+        """Interpolate the table, linearly in both directions."""
+        row = np.clip(height_km / self.high_km, 0.0, 1.0) * (HEIGHTS - 1)
+        column = (np.arcsinh(np.clip(cosine, -1.0, 1.0) / self.width) / self.end + 1.0) / 2.0 * (COSINES - 1)
+        i, j = np.minimum(row.astype(int), HEIGHTS - 2), np.clip(column.astype(int), 0, COSINES - 2)
+        up, across = row - i, column - j
+        below = (1.0 - across) * self.table[i, j] + across * self.table[i, j + 1]
+        above = (1.0 - across) * self.table[i + 1, j] + across * self.table[i + 1, j + 1]
+        return np.asarray((1.0 - up) * below + up * above, dtype=float)
+
 
 @dataclass(frozen=True)
 class Haze:
@@ -36,11 +86,14 @@ class Haze:
     albedo : float
         Share of the light that is scattered, alike in all directions, over the brightness of the ground at normal
         incidence and emission.
+    twilight : bool
+        Haze is lit wherever the sphere does not stand before the Sun; else only where the ground below is.
     """
 
     scale_height_km: float
     vertical_depth: float
     albedo: float = 0.25
+    twilight: bool = False
 
 
 def hazy_sphere(
@@ -107,15 +160,21 @@ def _brightness(radius_km: float, haze: Haze, rays: Float, pose: Pose, law: str)
     points = (middle[:, None] + along)[..., None] * rays[:, None] - center
     incidence = points @ sun / np.linalg.norm(points, axis=-1)
     above = haze.vertical_depth * np.exp(-np.maximum(height, 0.0) / haze.scale_height_km)
-    lit = np.where(incidence > 0.0, np.exp(-above / np.maximum(incidence, 0.03)), 0.0)
+    sunlight = Sunlight.through(radius_km, haze, high) if haze.twilight else None
+    if sunlight is None:
+        lit = np.where(incidence > 0.0, np.exp(-above / np.maximum(incidence, 0.03)), 0.0)
+    else:
+        lit = sunlight.at(height, incidence)
     sent = haze.albedo * np.sum(lit * np.exp(steps - passed) * -np.expm1(-steps), axis=1)
     hit = (middle + end)[ground, None] * rays[ground] - center
     normals = hit / radius_km
     towards = np.maximum(normals @ sun, 0.0)
     emission = np.maximum(np.einsum("ij,ij->i", -rays[ground], normals), 1e-9)
     seen = LAWS[law](towards, emission, -(rays[ground] @ sun))
-    sent[ground] += np.where(towards > 0.0, seen, 0.0) * np.exp(
-        -passed[ground, -1] - haze.vertical_depth / np.maximum(towards, 0.03)
-    )
+    if sunlight is None:
+        down = np.exp(-haze.vertical_depth / np.maximum(towards, 0.03))
+    else:
+        down = sunlight.at(np.zeros_like(towards), towards)
+    sent[ground] += np.where(towards > 0.0, seen, 0.0) * down * np.exp(-passed[ground, -1])
     light[meets] = sent
     return light

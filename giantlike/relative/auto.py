@@ -104,15 +104,11 @@ class Choice:
         Names of those to check with, in order.
     because : str
         Reason of the choice, for the provenance.
-    needs_check : bool
-        True where a check that fails speaks against the fix: the shape model of an irregular body tells what its face
-        looks like, that of an ellipsoid knows nothing of markings, clouds and rings.
     """
 
     estimators: tuple[str, ...]
     checks: tuple[str, ...]
     because: str
-    needs_check: bool = False
 
     def checks_of(self, taken: str) -> list[str]:
         """Names of the estimators that check one that was taken, in order.
@@ -183,9 +179,9 @@ def choose(
         return Choice((EllipsoidCRA.name, limb, template), (template, light, EllipsoidCRA.name), because)
     if in_frame < 1.0:
         because = f"{seen}, cut by it: its limb"
-        return Choice((limb, template, SurfaceFeatures.name), (template, limb), because, needs_check=True)
+        return Choice((limb, template, SurfaceFeatures.name), (template, limb), because)
     because = f"{seen}, of irregular shape: all of its light"
-    return Choice((template, limb, light), (limb, light, template), because, needs_check=True)
+    return Choice((template, limb, light), (limb, light, template), because)
 
 
 class Auto(BodyEstimator[AutoOptions, CenterFix]):

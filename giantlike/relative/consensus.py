@@ -14,7 +14,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.causes import IN_IMAGE, Cause, summed
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.statistics import nearest_covariance
-from giantlike.relative.budget import position_covariance
+from giantlike.relative.budget import position_covariance, with_larger_errors
 
 _WEAK_PX, _WEAK_SIGMAS = 1.0, 20.0
 """Standard deviation, px and over that of the fix, above both of which a check is too weak to confirm anything."""
@@ -109,20 +109,20 @@ def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     Returns
     -------
     CenterFix
-        The first one, at the fused place; unchanged where the second has nothing to add: no parts, other coordinates,
+        The first one, at the fused place; at its own where the second has nothing to add: no parts, other coordinates,
         or so large errors that its best weight is zero.
     """
+    squared, size = _squared_difference(first, second)
+    grown = max(squared / size, 1.0)
     if not first.parts or not second.parts or isinstance(first, PositionFix) != isinstance(second, PositionFix):
-        return first
+        return with_larger_errors(first, model, grown, _OWN)
     fusions = [_fused_parts(first, second, float(weight)) for weight in _WEIGHTS]
     sizes = [float(np.linalg.slogdet(summed(parts))[1]) for parts in fusions]
     best = int(np.argmin(sizes))
     weight, parts = float(_WEIGHTS[best]), fusions[best]
-    squared, size = _squared_difference(first, second)
-    grown = max(squared / size, 1.0)
-    parts = {cause: grown * part if cause in _OWN else part for cause, part in parts.items()}
     if weight == 1.0:
-        return first
+        return with_larger_errors(first, model, grown, _OWN)
+    parts = {cause: grown * part if cause in _OWN else part for cause, part in parts.items()}
     center_px = weight * first.center_px + (1.0 - weight) * second.center_px
     changes: dict[str, object] = {
         "center_px": center_px,

@@ -40,6 +40,10 @@ class Alternative(StrEnum):
     """Light comes from another side than the Sun's."""
     SECOND_LIGHT = "second_light"
     """A second image of the body lies beside the first: another exposure, a ghost, a second body."""
+    DARK_BODY = "dark_body"
+    """The image is darker where the body should be: it is not there."""
+    OTHER_OUTLINE = "other_outline"
+    """The outline is that of another body."""
     SHIFTED_ROWS = "shifted_rows"
     """All rows from one on are shifted."""
     SHIFTED_COLUMNS = "shifted_columns"
@@ -51,6 +55,8 @@ class Alternative(StrEnum):
 _FLAGS = {
     Alternative.OTHER_SUN: Quality.WRONG_LIGHT,
     Alternative.SECOND_LIGHT: Quality.UNEXPLAINED_LIGHT,
+    Alternative.DARK_BODY: Quality.UNEXPLAINED_LIGHT,
+    Alternative.OTHER_OUTLINE: Quality.WRONG_FIGURE,
     Alternative.SHIFTED_ROWS: Quality.WRONG_FIGURE,
     Alternative.SHIFTED_COLUMNS: Quality.WRONG_FIGURE,
     Alternative.SMOOTH_LIMB: Quality.WRONG_FIGURE,
@@ -171,7 +177,7 @@ class Judgement:
     @property
     def numbers(self) -> dict[str, float]:
         """What was tested, by name."""
-        odds = {f"{name}_log_odds": number for name, number in self.alternatives.items()}
+        odds = {f"{name}_log_odds": odds for name, odds in self.alternatives.items() if odds > -math.inf}
         known = {"other_place_log_odds": self.other_place} if self.other_place > -math.inf else {}
         chance = {"prediction_chance": self.prediction_chance} if self.prediction_chance < 1.0 else {}
         return odds | known | chance

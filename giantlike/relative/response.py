@@ -17,7 +17,7 @@ gamma and no noise: they may be proportional to light (0), or coded for display,
 (nearly 1, which is the square)."""
 BEND_STEP = 0.1
 """Bend by which values are changed to see how a fix follows."""
-_MOST_BEND = 0.98
+MOST_BEND = 0.98
 _BENDINGS, _SETTLED_BEND = 6, 0.02
 """Trials of a response, at most, and the change of its bend, if not its standard deviation, below which it is found:
 what remains is estimated."""
@@ -46,7 +46,7 @@ def settled(
     """
     response = first
     for _ in range(_BENDINGS):
-        response = replace(response, bend=min(max(response.bend, 0.0), _MOST_BEND))
+        response = replace(response, bend=min(max(response.bend, 0.0), MOST_BEND))
         trial = tried(response)
         if trial is None:
             return None

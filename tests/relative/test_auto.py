@@ -193,15 +193,17 @@ def _told(rock: TriangleMesh, **outcomes: CenterFix | Failure) -> CenterFix | Fa
     return _Told(**outcomes).estimate(case.image, case.camera, case.scene)
 
 
-def test_a_disagreement_beyond_the_covariances_makes_the_fix_suspect(rock: TriangleMesh) -> None:
+def test_a_disagreement_beyond_the_covariances_makes_the_fix_less_certain(rock: TriangleMesh) -> None:
     agreed = _told(rock, cross_correlation=_fix((10.0, 10.0)), limb_matching=_fix((10.2, 10.0)))
     assert isinstance(agreed, CenterFix)
     assert not agreed.flags.suspect
+    assert_allclose(agreed.covariance_px2, 0.01 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
     apart = _told(rock, cross_correlation=_fix((10.0, 10.0)), limb_matching=_fix((11.0, 10.0)))
     assert isinstance(apart, CenterFix)
-    assert apart.flags & Quality.DISAGREEMENT
-    assert apart.flags.suspect
+    assert not apart.flags.suspect
     assert apart.center_px.tolist() == [10.0, 10.0]
+    ratio = 1.0**2 / 0.02 / 2.0  # squared difference over its covariance and two degrees of freedom
+    assert_allclose(apart.covariance_px2, ratio * 0.01 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
 
 
 def test_what_rests_on_something_else_checks_before_what_rests_on_the_same(rock: TriangleMesh) -> None:
@@ -213,26 +215,27 @@ def test_what_rests_on_something_else_checks_before_what_rests_on_the_same(rock:
     assert second_best.findings.checked_by == "moment"
 
 
-def test_an_irregular_body_that_one_estimator_alone_finds_is_suspect(rock: TriangleMesh) -> None:
+def test_an_irregular_body_that_one_estimator_alone_finds_is_unchecked(rock: TriangleMesh) -> None:
     fix = _told(rock, cross_correlation=_fix((0, 0)))
     assert isinstance(fix, CenterFix)
-    assert fix.flags == Quality.UNCONFIRMED
+    assert fix.flags == Quality.UNCHECKED
     assert not fix.findings.checked_by
 
 
-def test_an_ellipsoid_that_its_limb_alone_finds_is_unchecked_but_not_suspect() -> None:
+@pytest.mark.parametrize("name", ["ellipsoid_cra", "cross_correlation"])
+def test_an_ellipsoid_that_one_estimator_alone_finds_is_unchecked(name: str) -> None:
     case = body_image(MOON, 8, phase_deg=50.0)
-    for name, flag in (("ellipsoid_cra", Quality.UNCHECKED), ("cross_correlation", Quality.UNCONFIRMED)):
-        fix = _Told(**{name: _fix((0, 0))}).estimate(case.image, case.camera, case.scene)
-        assert isinstance(fix, CenterFix)
-        assert fix.flags == flag
+    fix = _Told(**{name: _fix((0, 0))}).estimate(case.image, case.camera, case.scene)
+    assert isinstance(fix, CenterFix)
+    assert fix.flags == Quality.UNCHECKED
+    assert not fix.findings.checked_by
 
 
 def test_a_fix_to_which_its_own_checks_object_gives_way_to_the_next(rock: TriangleMesh) -> None:
-    fix = _told(rock, cross_correlation=_fix((0, 0), Quality.LOW_SCORE), limb_matching=_fix((0.1, 0)))
+    fix = _told(rock, cross_correlation=_fix((0, 0), Quality.WRONG_LIGHT), limb_matching=_fix((0.1, 0)))
     assert isinstance(fix, CenterFix)
     assert fix.findings.chosen == "limb_matching"
-    only = _told(rock, cross_correlation=_fix((0, 0), Quality.LOW_SCORE))
+    only = _told(rock, cross_correlation=_fix((0, 0), Quality.WRONG_LIGHT))
     assert isinstance(only, CenterFix)
     assert only.findings.chosen == "cross_correlation"
 
@@ -270,25 +273,23 @@ def test_the_command_lists_every_estimator_with_its_options() -> None:
     assert CliRunner().invoke(app, ["estimators", "magic"]).exit_code == 2
 
 
-def test_a_fix_that_only_suspect_or_vague_fixes_speak_for_is_suspect(rock: TriangleMesh) -> None:
+def test_a_fix_that_only_suspect_or_vague_fixes_speak_for_is_unchecked(rock: TriangleMesh) -> None:
     vague = replace(_fix((5, 5)), covariance_px2=np.diag([400.0, 400.0]))
-    for second in (vague, _fix((0, 0), Quality.LARGE_RESIDUALS)):
+    for second in (vague, _fix((0, 0), Quality.WRONG_LIGHT)):
         fix = _told(rock, cross_correlation=_fix((0, 0)), limb_matching=second)
         assert isinstance(fix, CenterFix)
-        assert fix.flags == Quality.UNCONFIRMED
-        assert fix.flags.suspect
+        assert fix.flags == Quality.UNCHECKED
+        assert not fix.findings.checked_by
 
 
-def test_a_suspect_check_that_is_certain_has_a_say_against_a_fix_but_none_for_it(rock: TriangleMesh) -> None:
-    suspect = Quality.LARGE_RESIDUALS
-    against = _told(rock, cross_correlation=_fix((0, 0)), limb_matching=_fix((5, 5), suspect), moment=_fix((0, 0)))
-    assert isinstance(against, CenterFix)
-    assert against.flags == Quality.DISAGREEMENT
-    assert against.findings.checked_by == "limb_matching"
-    confirmed = _told(rock, cross_correlation=_fix((0, 0)), limb_matching=_fix((0, 0), suspect), moment=_fix((0, 0)))
-    assert isinstance(confirmed, CenterFix)
-    assert confirmed.flags == Quality.NONE
-    assert confirmed.findings.checked_by == "moment"
+@pytest.mark.parametrize("center_px", [(0, 0), (5, 5)])
+def test_a_suspect_check_has_no_say(rock: TriangleMesh, center_px: tuple[float, float]) -> None:
+    suspect = _fix(center_px, Quality.WRONG_LIGHT)
+    fix = _told(rock, cross_correlation=_fix((0, 0)), limb_matching=suspect, moment=_fix((0, 0)))
+    assert isinstance(fix, CenterFix)
+    assert fix.flags == Quality.NONE
+    assert fix.findings.checked_by == "moment"
+    assert_allclose(fix.covariance_px2, 0.01 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
 
 
 def _with_parts(center_px: tuple[float, float], **variances: float) -> CenterFix:
@@ -324,6 +325,18 @@ def test_fixes_that_differ_by_more_than_their_errors_are_less_certain_together()
     apart = fused(_with_parts((10.0, 10.0), albedo=0.01), _with_parts((10.5, 10.0), edge=0.01), model)
     ratio = 0.5**2 / 0.02 / 2.0  # squared difference over its covariance and two degrees of freedom
     assert_allclose(apart.covariance_px2, ratio * 0.005 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
+
+
+def test_a_vague_second_fix_that_differs_by_more_than_its_errors_makes_the_first_less_certain() -> None:
+    """Its best weight is zero; the difference tells all the same that errors are larger than they say."""
+    model = body_image(MOON, 1, phase_deg=50.0).camera.model
+    first, vague = _with_parts((10.0, 10.0), noise=0.01), _with_parts((16.0, 10.0), noise=1.0)
+    apart = fused(first, vague, model)
+    ratio = 6.0**2 / 1.01 / 2.0
+    assert_allclose(apart.covariance_px2, ratio * 0.01 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
+    assert_allclose(apart.center_px, first.center_px, rtol=0, atol=0)
+    near = fused(first, _with_parts((11.0, 10.0), noise=1.0), model)
+    assert_allclose(near.covariance_px2, first.covariance_px2, rtol=0, atol=FLOAT64_SUM)
 
 
 def test_an_ellipsoid_is_fused_from_its_horizon_and_its_light_and_its_position_agrees_with_its_center() -> None:

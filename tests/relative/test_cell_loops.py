@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float
-from giantlike.relative.verification.cell_loops import design_of, least_unexplained, unevenness_of
+from giantlike.relative.verification.cell_loops import design_of, least_unexplained
 
 ROUNDING = 1e-9
 STEPS = 0.03  # of the largest: derivatives by steps of a cell, of a bell seven cells wide
@@ -76,54 +73,3 @@ def test_what_bodies_leave_at_their_best_shift_is_what_least_squares_leave(maske
     expected = [_left(values, good, light) for light in lights]
     assert expected[0] < 0.9 * min(expected[1:])
     assert_allclose(least_unexplained(values, good, lights), expected, rtol=0, atol=ROUNDING)
-
-
-def test_lines_that_slip_are_uneven_and_lines_shifted_from_one_on_are_a_step() -> None:
-    light, x, y = _bell()
-    by_x, by_y = x * light / WIDTH, y * light / WIDTH
-    weights = np.full(light.shape, 1e4)
-
-    def found(moves: NDArray[Any]) -> tuple[float, float]:
-        return unevenness_of(by_x, by_y, weights, 100.0 * by_x * moves[:, None], 0.05, 4, 3)
-
-    rows = np.arange(SIZE, dtype=np.float64)
-    even, slipping, stepped = 1e-3 + 0.0 * rows, 0.3 * (-1.0) ** rows, np.where(rows < 30, -0.15, 0.15)
-    assert found(even) == pytest.approx((0.0, 0.0), abs=ROUNDING)
-    uneven, _ = found(slipping)
-    # neighbors are 0.6 cells apart, known to one over the root of 1e4 times the sum of squared slopes of their row
-    known = 1e4 * np.sum(by_x**2, axis=1)
-    known = known[known > 0.05 * known.max()]
-    assert uneven == pytest.approx(np.mean(0.36 / (1.0 / known[1:] + 1.0 / known[:-1])), rel=ROUNDING)
-    uneven, step = found(stepped)
-    assert step == pytest.approx(0.09 / (1.0 / _sum(by_x, 27, 30) + 1.0 / _sum(by_x, 30, 33)), rel=ROUNDING)
-    assert step > 10.0 * uneven
-
-
-def test_a_step_where_lines_step_everywhere_counts_over_the_others() -> None:
-    """Of relief the places of lines wander, of rows that are shifted from one on they do so at one gap alone."""
-    light, x, y = _bell()
-    by_x, by_y = x * light / WIDTH, y * light / WIDTH
-    weights = np.full(light.shape, 1e4)
-
-    def step_of(moves: NDArray[Any]) -> float:
-        return unevenness_of(by_x, by_y, weights, 100.0 * by_x * moves[:, None], 0.05, 4, 3)[1]
-
-    rows = np.arange(SIZE, dtype=np.float64)
-    shifted, wandering = np.where(rows < 30, -0.15, 0.15), 0.15 * np.sign(np.sin(0.9 * rows))
-    known = [float(1e4 * np.sum(by_x[row] ** 2)) for row in range(SIZE)]
-    telling = [row for row in range(SIZE) if known[row] > 0.05 * max(known)]
-    squares = np.zeros(len(telling))
-    for gap in range(1, len(telling)):
-        sides = telling[max(gap - 3, 0) : gap], telling[gap : gap + 3]
-        weight = [np.array([known[row] for row in side]) for side in sides]
-        place = [float(np.average(wandering[side], weights=each)) for side, each in zip(sides, weight, strict=True)]
-        squares[gap] = (place[1] - place[0]) ** 2 / sum(1.0 / each.sum() for each in weight)
-    gaps = np.arange(len(telling))
-    far = [squares[(np.abs(gaps - gap) >= 3) & (gaps > 0)].mean() for gap in gaps]
-    assert min(far) > 1.0
-    assert step_of(wandering) == pytest.approx(max(squares[1:] / np.array(far[1:])), rel=ROUNDING)
-    assert step_of(shifted) > 5.0 * step_of(wandering)
-
-
-def _sum(by_x: NDArray[Any], first: int, last: int) -> float:
-    return float(1e4 * np.sum(by_x[first:last] ** 2))

@@ -21,12 +21,14 @@ from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, SphereF
 from giantlike.independent.record import Recorder
 from giantlike.ray_tracing import Body
 from giantlike.relative import CrossCorrelation, EllipsoidCRA, LimbMatching
-from giantlike.relative.quality import LIGHT_LOG_ODDS
+from giantlike.relative.judge import FALSE_ALARM, Alternative
 from giantlike.relative.verification.cells import cells_around
 from giantlike.relative.verification.light_side import light_side
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
 
+LIGHT_LOG_ODDS = math.log(len(Alternative) / FALSE_ALARM)
+"""Log odds from which on another Sun alone makes a fix suspect."""
 RADII_KM = np.array([1.1, 1.0, 0.95])
 SIZE, FOCAL_PX, RANGE_KM = 200, 4000.0, 100.0  # a radius of 40 px
 CENTER_PX = (103.0, 97.0)

@@ -24,7 +24,7 @@ from giantlike.processing.limb.measurement import (
 from giantlike.processing.limb.scan import PIXEL_VARIANCE_PX2
 from giantlike.processing.limb.search import find_limb
 from giantlike.processing.limb.view import LimbView, PredictedLimb
-from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Reflectance
+from giantlike.ray_tracing import Black, Lambert, LommelSeeliger, Minnaert, Reflectance
 from giantlike.relative.horizon.cells import CellFits
 from giantlike.relative.horizon.clipped_disk import measure_clipped
 from giantlike.relative.horizon.geometry import Figure
@@ -263,6 +263,11 @@ class CellScan(Value):
         return (UNKNOWN_PSF_SIGMA_PX if sigma_px is None else sigma_px) ** 2
 
     @property
+    def other_laws(self) -> tuple[Reflectance, ...]:
+        """Laws that the surface may have instead; under air, also none of its own."""
+        return OTHER_LAWS if self.figure.air is None else (*OTHER_LAWS, Black())
+
+    @property
     def cell_px(self) -> float:
         """Length of the cells, px."""
         return max(min(self.options.cell_px, _CELL_RADII * self.view.radius_px), _LEAST_CELL_PX)
@@ -332,7 +337,7 @@ class CellScan(Value):
             width_px=blur_width_px(psf_px2),
             window_px=options.window_px,
             powers=2 if first else options.powers + 1,
-            others=() if first else OTHER_LAWS,
+            others=() if first else self.other_laws,
             wings_px=() if first else tuple(blur_width_px(ratio**2 * psf_px2) for ratio in _WING_RATIOS),
         )
         across = np.arange(-options.window_px, options.window_px + 0.5, 0.5)
@@ -434,7 +439,7 @@ class CellScan(Value):
             (
                 ("blur", Cause.PSF, 1),
                 ("law", Cause.REFLECTANCE, 1),
-                ("laws", Cause.REFLECTANCE, 0 if first else len(OTHER_LAWS)),
+                ("laws", Cause.REFLECTANCE, 0 if first else len(self.other_laws)),
                 ("wings", Cause.REFLECTANCE, 0 if first else len(_WING_RATIOS)),
             )
         )

@@ -39,6 +39,7 @@ def measure_clipped(
         reflectance=law,
         camera_from_body=figure.camera_from_axes,
         position_camera_km=position_km,
+        air=figure.air,
     )
     lines = LimbScanOptions(
         edges=options.edges, window_px=options.window_px, min_contrast=options.min_contrast, psf_error=options.psf_error

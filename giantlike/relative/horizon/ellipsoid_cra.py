@@ -163,7 +163,11 @@ class EllipsoidStandIn(Value):
             relief = SmoothError(cause=Cause.RELIEF, sigma_px=relief_px, length_px=RELIEF_LENGTH * inputs.radius_px)
         offset: Float = rotate(turn, placed.center_body_km)
         return cls(
-            figure=Figure(radii_km=placed.ellipsoid.radii_km, camera_from_axes=turn * placed.body_from_axes),
+            figure=Figure(
+                radii_km=placed.ellipsoid.radii_km,
+                camera_from_axes=turn * placed.body_from_axes,
+                air=geometry.air,
+            ),
             offset_camera_km=offset,
             position_camera_km=geometry.position_camera_km + offset,
             relief=relief,

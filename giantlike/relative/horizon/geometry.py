@@ -21,6 +21,7 @@ from giantlike.processing.correlated_fit import solution_gain
 from giantlike.processing.limb.altitude import lifted
 from giantlike.processing.limb.measurement import LimbMeasurement, smooth_parts
 from giantlike.processing.outline_errors import outline_errors
+from giantlike.ray_tracing import Air
 from giantlike.relative.horizon.ray_loops import distances
 from giantlike.relative.limb.fix import LimbSolution
 from giantlike.scene import TargetGeometry
@@ -55,10 +56,13 @@ class Figure(Value):
         Semi-axes.
     camera_from_axes : Rotation
         Takes vectors along the principal axes to camera axes.
+    air : Air, optional
+        Over the ellipsoid.
     """
 
     radii_km: Float
     camera_from_axes: Rotation
+    air: Air | None = None
     to_sphere: Float = field(init=False, repr=False)
     """The matrix B (3, 3), 1/km, that takes camera vectors to where the body is the unit sphere."""
     shape_matrix: Float = field(init=False, repr=False)
@@ -129,7 +133,7 @@ class Altitude:
 
     def above(self, figure: Figure) -> Figure:
         """Return the ellipsoid that is seen in place of a body."""
-        return Figure(radii_km=figure.radii_km + self.altitude_km, camera_from_axes=figure.camera_from_axes)
+        return replace(figure, radii_km=figure.radii_km + self.altitude_km)
 
     def after(self, left: Float, design: Float, covariance: Float, lift: Float) -> Altitude:
         """Estimate the altitude from a fit of the position; it stays as before where the range takes up all of it.

@@ -379,4 +379,4 @@ def _surface(arc: HorizonArc, depths_px: Float, sun: Float) -> Surface:
     meets, incidence, emission, phase_rad = traced(
         arc.directions, arc.inward, depths_px, position_km, figure.shape_matrix, conic, sun
     )
-    return Surface(meets=meets, incidence=incidence, emission=emission, phase_rad=phase_rad)
+    return Surface(meets=meets, incidence=incidence, emission=emission, phase_rad=phase_rad, air=figure.air)

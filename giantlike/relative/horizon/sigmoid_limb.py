@@ -95,7 +95,8 @@ class SigmoidLimb(BodyEstimator[SigmoidLimbOptions, PositionFix]):
             )
         view, geometry = limb_view(inputs), inputs.geometry
         altitude = self.options.altitude(geometry)
-        figure = altitude.above(Figure(radii_km=shape.radii_km, camera_from_axes=geometry.camera_from_body))
+        axes = geometry.camera_from_body
+        figure = altitude.above(Figure(radii_km=shape.radii_km, camera_from_axes=axes, air=geometry.air))
         law, start_km = geometry.target.reflectance, geometry.position_camera_km
         measured = measure_by_cells(
             view, figure, law, start_km, self.options, self.options.scan.about(inputs.geometry.target)

@@ -10,7 +10,7 @@ import numpy as np
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.compiled import compiled
 from giantlike.core.values import Value
-from giantlike.ray_tracing import Reflectance
+from giantlike.ray_tracing import Air, Reflectance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -24,12 +24,15 @@ class Surface(Value):
     incidence, emission : (k, q) float64
         Cosines of the angles to the Sun and to the camera.
     phase_rad : (k, q) float64, rad
+    air : Air, optional
+        Over it.
     """
 
     meets: Mask
     incidence: Float
     emission: Float
     phase_rad: Float
+    air: Air | None = None
 
     def brightness(self, law: Reflectance | None) -> Float:
         """Brightness of the surface.
@@ -46,7 +49,9 @@ class Surface(Value):
         """
         if law is None:
             return self.meets.astype(np.float64)
-        return np.where(self.meets, law(self.incidence, self.emission, self.phase_rad), 0.0)
+        angles = self.incidence, self.emission, self.phase_rad
+        light = law(*angles) if self.air is None else self.air.brightness(law, *angles)
+        return np.where(self.meets, light, 0.0)
 
     def to_depth(self, count: int) -> Surface:
         """Return the first so many of the depths."""
@@ -55,6 +60,7 @@ class Surface(Value):
             incidence=self.incidence[:, :count],
             emission=self.emission[:, :count],
             phase_rad=self.phase_rad[:, :count],
+            air=self.air,
         )
 
 

@@ -28,6 +28,7 @@ from giantlike.processing.limb.scan import (
 from giantlike.processing.limb.shared import SharedEstimate, estimate_shared, smooth_places
 from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import Body, NearRender, render_near
+from giantlike.ray_tracing.air import Black
 from giantlike.ray_tracing.reflectance import Lambert, LommelSeeliger, Minnaert, Reflectance
 from giantlike.relative.limb.clipped import (
     EXTRAPOLATION_ERROR,
@@ -217,6 +218,8 @@ def expected_profiles(
     if options.edges is EdgeModel.STEP:
         return _alone(np.tile(_step_profile(scans, psf_px2), (len(scans.points_px), 1)))
     others = () if first else tuple(law for law in other_laws if law != body.reflectance)
+    if others and body.air is not None:
+        others = (*others, Black())
     rays = _FIRST_RAYS if first else options.rays_per_pixel_side
     rendered = _rendered(view, body, scans, psf_px2, options, others, rays=rays)
     if isinstance(rendered, Failure):

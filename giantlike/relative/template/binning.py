@@ -54,7 +54,7 @@ class Blocks(Value):
             psf_variance_px2=self.size**2 * state.psf_variance_px2,
         )
         parts = {cause: scale @ part @ scale for cause, part in fit.parts.items()}
-        return replace(fit, state=native, parts=parts, asked=fit.asked.on_pixels(self.size))
+        return replace(fit, state=native, parts=parts)
 
     def area(self, blocks: Mask, shape: tuple[int, ...]) -> Mask:
         """Return the pixels, in an image of a shape, of the True ones of all blocks (rows, columns)."""

@@ -29,9 +29,8 @@ _VARIANCE_STEPS = 25
 """Multiplicative updates of the sizes in each round; they settle over the rounds and iterations of the fit."""
 _SIGNIFICANT = 2.0
 """Standard deviations of a sample autocorrelation, 1 / sqrt(n): a smaller one counts as noise."""
-_MOST_ABSORBED = 0.75
-"""Part of a correlated error that parameters can take out of the residuals, at most, so that the scaled variance stays
-finite. Half and double: benchmarks/sensitivity.md."""
+_LEAST_LEFT = 1e-3
+"""Share of a correlated error that is left in the residuals, at least, against rounding of its sums over blocks."""
 _INSIDE_PIXEL_PX = 0.3
 """Correlation lengths below this are none: exp(-d^2 / (4 b^2)) is then less than 0.07 between neighboring pixels."""
 _FINE_LENGTH_PX = 4.0
@@ -284,12 +283,6 @@ class LinearFit(Solution):
         scores = columns.projected * (columns.weights * error)
         return columns.propagate(_correlated(scores, length_px / math.sqrt(2.0)))
 
-    @property
-    def _free_modes(self) -> float:
-        """Number of modes of the markings that the pixels determine, rather than their prior."""
-        solved = self.columns.eliminated
-        return 0.0 if solved is None else len(solved.own) - float(np.trace(np.linalg.inv(solved.whitened)))
-
     def full_covariance(self, error: Float, *, of_noise: Float, blur_px: float, block_px: int) -> Float:
         """Covariance of the parameters from noise and from correlated errors of the model.
 
@@ -312,16 +305,20 @@ class LinearFit(Solution):
         -----
         The sandwich ``H^-1 (N + E + P) H^-1`` has the scores of the noise, of the model error, correlated between
         pixels at distance d like ``exp(-d^2 / (4 b^2))``, and of the prior; b is ``blur_px``, or more where the
-        residuals are correlated over longer distances. E is scaled up for the part of the model error that the
-        parameters absorb, their number over that of independent patches. Where a delete-one jackknife over blocks of
-        pixels finds more, in any direction of parameter space, its variance is taken: it includes any correlation
-        over the size of a block.
+        residuals are correlated over longer distances. E is scaled up for the part of the model error that parameters
+        and field absorb: with the residual operator R it is ``tr W E`` over ``tr W R E``. Where a delete-one jackknife
+        over blocks of pixels finds more, in any direction of parameter space, its variance is taken: it includes any
+        correlation over the size of a block.
         """
         columns, weights = self.columns, self.columns.weights
         length_px = _correlation_length_px(self.residuals, weights, error, blur_px, block_px)
-        absorbed = _absorbed(weights * error, length_px, len(columns.matrix) + self._free_modes)
-        correlated = _correlated(columns.projected * (weights * np.sqrt(error)), length_px) / (1.0 - absorbed)
-        sandwich = of_noise + columns.propagate(correlated)
+        correlated = _correlated(columns.projected * (weights * np.sqrt(error)), length_px)
+        absorbed = float(np.vdot(np.linalg.inv(columns.information), correlated))
+        if columns.eliminated is not None and columns.markings is not None:
+            absorbed += columns.eliminated.absorbed(columns.markings, weights**2 * error, length_px)
+        whole = float(np.vdot(weights, error))
+        scale = whole / max(whole - absorbed, _LEAST_LEFT * whole, 1e-300)
+        sandwich = of_noise + columns.propagate(scale * correlated)
         found = self.jackknife(block_px)
         if found is None:
             return sandwich
@@ -392,15 +389,6 @@ def _correlation_length_px(residuals: Float, weights: Float, error: Float, least
             break
         total += correlation / max(share, 1e-12)
     return float(np.clip((total + 0.5) / math.sqrt(math.pi), least_px, max(most_px, least_px)))
-
-
-def _absorbed(share: Float, length_px: float, count: float) -> float:
-    """Part of the variance of a correlated error that ``count`` parameters take out of the residuals."""
-    square = float(np.vdot(share, share))
-    if square <= 0.0:
-        return 0.0
-    patches = float(share.sum()) ** 2 / square / max(4.0 * math.pi * length_px**2, 1.0)
-    return min(count / max(patches, 1e-12), _MOST_ABSORBED)
 
 
 def _correlated(scores: Float, length_px: float) -> Float:

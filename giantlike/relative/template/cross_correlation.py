@@ -14,6 +14,7 @@ from giantlike.core.findings import Corrections, Response, Smear
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
+from giantlike.image_model.columns import chance_of_odds
 from giantlike.processing.correlate import CorrelationOptions, CorrelationPeak, locate_template
 from giantlike.ray_tracing import Template, Trace, trace_silhouette
 from giantlike.ray_tracing.silhouette import outline_points_px
@@ -21,9 +22,8 @@ from giantlike.relative.estimator import BodyEstimator
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.judge import SHORT_ARC_SHARE, Facts
 from giantlike.relative.place import limb_in_frame, position_of_center
-from giantlike.relative.response import LEAST_BEND, settled
+from giantlike.relative.response import MOST_BEND
 from giantlike.relative.template.align import align_template
-from giantlike.relative.template.asked import known_strain
 from giantlike.relative.template.binning import Blocks, blocks_of
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
 from giantlike.relative.template.moved_body import MovedBody
@@ -35,7 +35,7 @@ from giantlike.relative.template.rendering import (
     contrasting_laws,
     placed,
 )
-from giantlike.relative.template.state import TemplateState
+from giantlike.relative.template.state import Synthesis, TemplateState
 from giantlike.shapes import Ellipsoid
 
 _ALIGN_RADIUS_PX = 12.0  # px, below which the peak of the correlation is close enough to start the fit from
@@ -54,21 +54,8 @@ _LEAST_LIMB_PX = 60.0
 """Length of lit limb in the frame below which an ellipsoid without markings is not placed, as ``auto`` needs it: flat
 fields, laws and templates are right to some parts in a thousand, with which squared errors by the fall of light alone
 were 6 per degree of freedom (484 px, six draws of noise)."""
-_BENT_SIGMAS = 10.0
-"""Bend of the response that residuals ask for, over its standard deviation, from which on it is tried."""
-_EXPLAINED = 0.1
-"""Structure of the residuals with a response or a smear over that without, at most. By a table of square roots it is
-0.02 at most, by a motion 0.04; of markings, eclipses, wrong poles and other shapes, where a bend takes on what is
-wrong, 0.3 at least."""
-_PROMISING = 0.5
-"""The same of the first smear that residuals ask for: of motion up to 22 px it is 0.2 at most, of poles, shapes, comets
-and double exposures 0.54 at least, and further ones are not tried."""
-_EXACT = 2e-5
-"""The same, over the light, that exact templates leave: 1.3e-5 at most of 12 bodies of 90 px, 0.4 % of the light."""
-_SMEARED_SIGMAS, _LEAST_SMEAR_PX = 6.0, 1.0
-"""Smear that residuals ask for, over its standard deviation, and its length, px, from which on it is tried."""
-_SMEARINGS, _SETTLED_SMEAR = 8, 0.01
-"""Matches with a smear, at most, and its relative change below which it is found: what remains is estimated."""
+_ROUNDS, _SETTLED_BEND = 3, 0.02
+"""Fits with a response, at most, and the change of its bend below which it is found: what remains is estimated."""
 _OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)  # rad, directions of the outline points of a fix
 
 
@@ -185,21 +172,35 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         blocks, match = self._matched(inputs, response, smear)
         if isinstance(match, Failure):
             return match
-        fit, found = match.fit, None
-        bent = fit.bend_sigmas > _BENT_SIGMAS and fit.response.bend > LEAST_BEND
-        smeared = fit.smear_sigmas > _SMEARED_SIGMAS and fit.smear.length_px * blocks.size > _LEAST_SMEAR_PX
-        if bent and not inputs.place_alone:
-            found = self._straightened(inputs, blocks, match)
-        if found is None and smeared and not inputs.place_alone:
-            found = self._followed(inputs, blocks, match)
-        inputs, blocks, match = (inputs, blocks, match) if found is None else found
-        if match.fit.altitude_sigma > 0.0:
+        if not inputs.place_alone:
+            inputs, blocks, match = self._completed(inputs, blocks, match)
+        declared = inputs.geometry.limb_altitude_km[1] > 0.0
+        if declared or match.fit.chance("haze") > 0.5:
             sigma_km = match.fit.altitude_sigma * inputs.geometry.seen_body().shape.mean_radius_km
             inputs = replace(inputs, corrections=inputs.corrections | Corrections(altitude_sigma_km=sigma_km))
-        fit = blocks.unbinned(match.fit)
-        parts = dict(fit.parts)
-        parts[Cause.RELIEF] = parts.get(Cause.RELIEF, np.zeros((3, 3))) + fit.asked.error(_known_strain(inputs))
-        return _fix(inputs, blocks, replace(match, fit=replace(fit, parts=parts)), self.options)
+        return _fix(inputs, blocks, replace(match, fit=blocks.unbinned(match.fit)), self.options)
+
+    def _completed(
+        self, inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch
+    ) -> tuple[EstimatorInputs, Blocks, TemplateMatch]:
+        """Put effects that are more probable than not into the model, as long as that makes the pixels more probable.
+
+        How far the place moves with an effect, times the probability of the model that is not taken, is an error.
+        """
+        independent = match.fit.independent
+        tries = (self._straightened, independent.of_surface), (self._smeared, independent.of_edges)
+        for with_effect, parts in tries:
+            again = with_effect(inputs, blocks, match)
+            if again is None:
+                continue
+            chance = chance_of_odds(again[2].fit.log_evidence(parts) - match.fit.log_evidence(parts))
+            moved = again[2].fit.place - match.fit.place
+            if chance > 0.5:
+                inputs, blocks, match = again
+            error = min(chance, 1.0 - chance) * np.outer(moved, moved)
+            total = match.fit.parts.get(Cause.REFLECTANCE, 0.0) + error
+            match = replace(match, fit=replace(match.fit, parts={**match.fit.parts, Cause.REFLECTANCE: total}))
+        return inputs, blocks, match
 
     def _matched(
         self, inputs: EstimatorInputs, response: Response | None = None, smear: Smear | None = None
@@ -214,7 +215,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             airless=inputs.geometry.target.airless,
         )
         match = match_template(
-            blocks.pixels,
+            blocks.pixels if response is None else _straight(blocks.pixels, response),
             blocks.good,
             renderer,
             psf_known=inputs.psf_sigma_px is not None,
@@ -229,37 +230,44 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
     def _straightened(
         self, inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch
     ) -> tuple[EstimatorInputs, Blocks, TemplateMatch] | None:
-        """Match again with values bent into proportion to light; None where that explains little more."""
-
-        def tried(response: Response) -> tuple[EstimatorInputs, Blocks, TemplateMatch] | None:
+        """Fit with values bent into proportion to light; None where a response is improbable."""
+        straight = inputs
+        if match.fit.chance("bend") < 0.5:
+            return None
+        for _ in range(_ROUNDS):
+            response = match.fit.response
+            response = replace(response, bend=min(max(response.bend, 0.0), MOST_BEND))
             straight = inputs.linearized(response)
-            again_blocks, again = self._matched(straight, response)
-            return None if isinstance(again, Failure) else (straight, again_blocks, again)
+            blocks = blocks_of(straight)
+            again = match.fitted(_straight(blocks.pixels, response), response=response)
+            if isinstance(again, Failure):
+                return None
+            match = again
+            if abs(match.fit.response.bend - response.bend) < _SETTLED_BEND:
+                break
+        return straight, blocks, match
 
-        def asked(trial: tuple[EstimatorInputs, Blocks, TemplateMatch]) -> tuple[Response, float]:
-            response, sigmas = trial[2].fit.response, trial[2].fit.bend_sigmas
-            return response, abs(response.bend) / max(abs(sigmas), 1e-12)
-
-        found = settled(match.fit.response, tried, asked)
-        straight = found is not None and found[2].fit.structure < _EXPLAINED * match.fit.structure
-        return found if straight else None
-
-    def _followed(
+    def _smeared(
         self, inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch
     ) -> tuple[EstimatorInputs, Blocks, TemplateMatch] | None:
-        """Match again with a template smeared as the residuals ask; None where that explains little more."""
-        smear, structure = match.fit.smear, match.fit.structure
-        for _ in range(_SMEARINGS):
-            again = self._matched(inputs, smear=smear.on_blocks(1.0 / blocks.size))[1]
-            if isinstance(again, Failure) or again.fit.structure > max(_PROMISING * structure, _EXACT):
-                return None
-            found = again.fit.smear
-            if found.less(smear).size_px2 < _SETTLED_SMEAR * smear.size_px2:
-                moved = Corrections(smear=found.on_blocks(1.0 / blocks.size))
-                known = replace(inputs, corrections=inputs.corrections | moved)
-                return (known, blocks, again) if again.fit.structure < max(_EXPLAINED * structure, _EXACT) else None
-            smear = found
-        return None
+        """Fit with a smeared template; None where a smear is improbable."""
+        if match.fit.chance("smear") < 0.5:
+            return None
+        again = match.fitted(blocks.pixels, smear=match.fit.smear)
+        if isinstance(again, Failure):
+            return None
+        moved = Corrections(smear=again.fit.smear.on_blocks(1.0 / blocks.size))
+        return replace(inputs, corrections=inputs.corrections | moved), blocks, again
+
+
+def _straight(pixels: BoxPixels, response: Response) -> BoxPixels:
+    """Pixels in proportion to light, with the noise that they had before."""
+    noise = pixels.noise_variance_dn2
+
+    def of_light(signal: Float) -> Float:
+        return noise(signal) * response.slope_at(response.dark_dn + signal) ** 2
+
+    return replace(pixels, noise_variance_dn2=of_light)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -271,10 +279,41 @@ class TemplateMatch(Value):
     fit : TemplateFit
     box : PixelBox
         Pixels that were fitted; it may reach over the frame.
+    synthesis : callable
+        Renders the template into the box.
+    options : TemplateFitOptions
+    start : TemplateState
+        Where fits begin, without blur beyond that of the camera.
     """
 
     fit: TemplateFit
     box: PixelBox
+    synthesis: Synthesis
+    options: TemplateFitOptions
+    start: TemplateState
+
+    def fitted(
+        self, image: BoxPixels, *, response: Response | None = None, smear: Smear | None = None
+    ) -> TemplateMatch | Failure:
+        """Return the match with a response or a smear estimated beside the rest.
+
+        Parameters
+        ----------
+        image : BoxPixels
+            The whole image, in proportion to light by the response.
+        response : Response, optional
+            None is that of the options.
+        smear : Smear, optional
+            To start from; None is that of the fit.
+
+        Returns
+        -------
+        TemplateMatch or Failure
+        """
+        options = replace(self.options, response=response or self.options.response)
+        start = replace(self.start, smear=smear or self.fit.state.smear)
+        fit = fit_template(image.cut(self.box), self.synthesis, start, options=options)
+        return fit if isinstance(fit, Failure) else replace(self, fit=fit, options=options)
 
 
 def match_template(
@@ -331,7 +370,7 @@ def match_template(
     if float(light[known].sum()) < (1.0 - _MAX_UNUSABLE_LIGHT) * float(light[within].sum()):
         detail = "most of the light of the body falls on bad pixels: check the mask"
         return Failure(Reason.MASKED, detail)
-    state = replace(start, center_px=start.center_px + peak.offset_px)
+    state = replace(start, center_px=start.center_px + peak.offset_px, smear=smear)
     if radius_px >= _ALIGN_RADIUS_PX:
         rendered = replace(state, center_px=template.center_px + shift)
         other = located.trace.with_reflectance(contrasting_laws(renderer.target.reflectance)[0]).template()
@@ -345,10 +384,10 @@ def match_template(
     fit_options = replace(
         of_body,
         response=response,
-        smear=smear,
+        smear_sigma_px2=of_body.smear_sigma_px2 / block_px**2,
         altitude_sigma=altitude_sigma,
         sun_direction=renderer.sun_across(state),
-        ask=True,
+        complete=False,
     )
     fit: TemplateFit | Failure = Failure(Reason.NOT_CONVERGED, "")
     for most_laws in (None, 1, 0) if options.free_reflectance else (0,):
@@ -363,7 +402,7 @@ def match_template(
     if fit.gain_dn <= 0.0 or not fit.score >= options.min_score:
         detail = f"the fitted template has a correlation of {fit.score:.3g}, needed {options.min_score:g}"
         return Failure(Reason.LOW_CORRELATION, detail)
-    return TemplateMatch(fit=fit, box=box)
+    return TemplateMatch(fit=fit, box=box, synthesis=synthesis, options=fit_options, start=state)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -511,15 +550,6 @@ def _flags(
     return inputs.flags_at(blocks.area(area, inputs.usable.shape)) | checks.flags
 
 
-def _known_strain(inputs: EstimatorInputs) -> Float:
-    """Covariance (3, 3) of the strain of a right body by its orientation and the attitude as declared, and by haze.
-
-    Haze may stand higher over some of the limb than over the rest by as much as its altitude is uncertain.
-    """
-    found_km = inputs.corrections.altitude_sigma_km
-    altitude_km = inputs.geometry.limb_altitude_km[1] if found_km is None else found_km
-    strain = math.hypot(inputs.turn_rad, altitude_km / inputs.geometry.target.shape.mean_radius_km)
-    return known_strain(strain, attitude_known=inputs.image.attitude_covariance_rad2 is not None)
 
 
 def _lit_part(template: Template) -> tuple[Float, Float]:

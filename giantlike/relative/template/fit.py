@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,15 +22,15 @@ from giantlike.core.findings import Response, Smear
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.values import Value
-from giantlike.image_model.columns import Block, Prior, Use, split_noise
+from giantlike.image_model.columns import Block, Columns, Prior, Use, split_noise
 from giantlike.processing.limb.altitude import lifted
-from giantlike.relative.template.asked import Asked, asked_beside
 from giantlike.relative.template.covariance import LinearFit, RobustFit, excess
-from giantlike.relative.template.haze import haze_altitude
-from giantlike.relative.template.linear import PIXEL_VARIANCE_PX2, Problem
+from giantlike.relative.template.haze import haze_altitude, haze_block
+from giantlike.relative.template.linear import BEND_SIGMA, PIXEL_VARIANCE_PX2, SMEAR_SIGMA_PX2, Problem
 from giantlike.relative.template.relief import relief_covariance
 from giantlike.relative.template.smear import smeared_renders
 from giantlike.relative.template.state import Synthesis, TemplateState
+from giantlike.relative.template.undeclared import IndependentParts, Undeclared, undeclared_effects
 
 _LOG = logging.getLogger("giantlike.relative")
 
@@ -50,6 +50,9 @@ _ROUGH_STEP_PX = 0.5  # px: from so near, one linear step ends where the next ha
 _WRONG_EDGE_PX = 0.015
 """Error of the model at edges, px, from which on haze and relief are looked for: 0.02 to 0.3 with haze of 0.2 to 0.6 px
 of scale height around 120 px, at most 0.017 without and with right models."""
+_STRAIN_SIGMA = 0.01
+"""A priori standard deviation of a strain that nobody declared: relief of 1 % of the radius, the mean square of relief
+with a median of 0.4 % and a geometric standard deviation of 2.5."""
 _BLOCK = 0.35
 """Side of the blocks of the jackknife over the rms radius of the light. Half and double: benchmarks/sensitivity.md."""
 _OF_NOISE = (Cause.NOISE, Cause.BACKGROUND, Cause.REFLECTANCE, Cause.PSF)
@@ -87,10 +90,10 @@ class TemplateFitOptions:
         where the start is within ``tolerance_px``.
     response : Response, optional
         By which the pixels were made proportional to light; its bend is estimated along with the rest.
-    smear : Smear, optional
-        By which the template is smeared; what is left of it is estimated along with the rest.
-    ask : bool
-        Ask the residuals for a strain of the body and, without ``smear``, for one.
+    smear_sigma_px2 : float, px^2
+        A priori standard deviation of the variances of a smear.
+    complete : bool
+        Leave out no effect that nobody declared: none is looked for in the residuals.
 
     Raises
     ------
@@ -110,8 +113,8 @@ class TemplateFitOptions:
     radius_px: float = math.inf
     fine_at_once: bool = False
     response: Response | None = None
-    smear: Smear | None = None
-    ask: bool = False
+    smear_sigma_px2: float = SMEAR_SIGMA_PX2
+    complete: bool = True
 
     def __post_init__(self) -> None:
         require(self.max_iterations >= 1, f"max_iterations must be >= 1, got {self.max_iterations}")
@@ -151,19 +154,17 @@ class TemplateFit(Value):
     iterations : int
     corner_px : (int, int), px
         Column and row of the first element of the box.
-    response : Response
-        What the residuals ask for: the one of the options with its bend as it was estimated, or, without one, a rough
-        one that starts from values proportional to light.
-    bend_sigmas : float
-        Its bend over its standard deviation by the weights of the pixels.
-    smear : Smear
-        What the residuals ask for: the one of the options as it was estimated, or, without one, a rough one.
-    smear_sigmas : float
-        Its size over its standard deviation by the weights of the pixels.
+    columns : Columns
+        Of the last step.
+    log_variance : float
+        Mean logarithm of the variances of the pixels that were offered, with squared residuals of those rejected.
+    response, smear : Response and Smear
+        As they were estimated or, where the model has none, a linear estimate from the residuals.
+    undeclared : mapping of str to Undeclared
+        Effects that nobody declared and the model leaves out, by name.
+    independent : IndependentParts
     altitude_sigma : float
-        Standard deviation over the radius of the altitude of the limb, as told or by haze that the residuals show.
-    asked : Asked
-        What residuals ask for besides; nothing unless the options want to know.
+        Standard deviation over the radius of the altitude of the limb, as declared or by haze that the residuals show.
     """
 
     state: TemplateState
@@ -178,12 +179,13 @@ class TemplateFit(Value):
     n_rejected: int
     chi: float
     iterations: int
+    columns: Columns
+    log_variance: float
     response: Response
-    bend_sigmas: float
     smear: Smear
-    smear_sigmas: float
+    undeclared: Mapping[str, Undeclared]
+    independent: IndependentParts
     altitude_sigma: float = 0.0
-    asked: Asked = field(default_factory=Asked)
     corner_px: tuple[int, int] = (0, 0)
 
     def used_at_px(self, block_px: int = 1) -> Float:
@@ -203,12 +205,30 @@ class TemplateFit(Value):
         places = np.column_stack([columns, rows]) + np.array(self.corner_px)
         return np.asarray(block_px * places + 0.5 * (block_px - 1), dtype=np.float64)
 
+    def chance(self, effect: str) -> float:
+        """Return the probability of an effect that the model leaves out; 0 where it was not looked for."""
+        return self.undeclared[effect].chance if effect in self.undeclared else 0.0
+
+    def log_evidence(self, parts: float) -> float:
+        """Return the logarithm of the likelihood of the pixels.
+
+        Parameters
+        ----------
+        parts : float
+            Number of independent values that the pixels stand for, the same for fits that are compared.
+
+        Returns
+        -------
+        float
+        """
+        n_used = np.count_nonzero(self.columns.weights)
+        share = n_used / (n_used + self.n_rejected)
+        return self.columns.log_evidence(share * parts) - 0.5 * parts * self.log_variance
+
     @property
-    def structure(self) -> float:
-        """Mean product of residuals of neighboring pixels over the mean square of the light: noise comes to zero."""
-        left = np.where(self.used, self.residuals_dn, 0.0)
-        products = 0.5 * float(np.vdot(left[1:], left[:-1]) + np.vdot(left[:, 1:], left[:, :-1]))
-        return products / float(np.sum(self.signal_dn[self.used] ** 2))
+    def place(self) -> Float:
+        """Center, px, and logarithm of the range, (3,)."""
+        return np.append(self.state.center_px, self.state.log_range)
 
     @property
     def covariance(self) -> Float:
@@ -259,8 +279,7 @@ def fit_template(
     :func:`~giantlike.relative.template.relief.relief_covariance`. Other effects of relief on the shading are left to
     the residuals.
     """
-    if options.smear is not None:
-        synthesize = smeared_renders(synthesize, options.smear)
+    synthesize = smeared_renders(synthesize)
     trial, fine = start, options.fine_at_once
     last: _Solved | None = None
     for iteration in range(1, options.max_iterations + 1):
@@ -302,8 +321,17 @@ def fit_template(
 
 def _prior(state: TemplateState, start: TemplateState, problem: Problem, options: TemplateFitOptions) -> Prior:
     """Return the prior of the step from ``state``: none of center and background."""
-    mean = {"range": -state.log_range, "blur": start.psf_variance_px2 - state.psf_variance_px2}
-    return problem.prior(mean, {"range": options.log_range_sigma, "blur": options.blur_sigma_px2})
+    mean: dict[str, float | Sequence[float]] = {
+        "range": -state.log_range,
+        "blur": start.psf_variance_px2 - state.psf_variance_px2,
+    }
+    sigma = {"range": options.log_range_sigma, "blur": options.blur_sigma_px2}
+    if options.response is not None:
+        mean, sigma = mean | {"bend": -options.response.bend}, sigma | {"bend": BEND_SIGMA}
+    if state.smear is not None:
+        mean = mean | {"smear": (-state.smear.straight_px2, -state.smear.oblique_px2)}
+        sigma = sigma | {"smear": options.smear_sigma_px2}
+    return problem.prior(mean, sigma)
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,15 +367,29 @@ class _Solved:
         return max(float(np.hypot(x, y)), abs(float(growth)) * self.problem.reach_px, _BLUR_MOVES * self._blurred_px2)
 
     @property
+    def _smeared(self) -> Smear | None:
+        """Smear after the step, which lengthens it by a limited variance or makes it twice as wide."""
+        known = self.state.smear
+        if known is None:
+            return None
+        straight, oblique = (self.share * self["smear", "smear"]).tolist()
+        step = Smear(straight_px2=straight, oblique_px2=oblique)
+        share = min(max(_MAX_STEP_BLUR_PX2, known.size_px2) / max(step.size_px2, 1e-12), 1.0)
+        return Smear(
+            straight_px2=known.straight_px2 + share * straight, oblique_px2=known.oblique_px2 + share * oblique
+        )
+
+    @property
     def motion_px(self) -> float:
         """Motion of the image, px, by the step: less than that of the center where the frame cuts the body."""
         return max(self.problem.motion_px(self._place), _BLUR_MOVES * self._blurred_px2)
 
     @property
     def _blurred_px2(self) -> float:
-        """Change of the variance of the point spread function, px^2."""
-        known = self.state.psf_variance_px2
-        return abs(float(np.clip(known + self._blur_step_px2, 0.0, _MAX_PSF_VARIANCE_PX2)) - known)
+        """Change of the variance of the point spread function or of a smear, px^2."""
+        known, smear, smeared = self.state.psf_variance_px2, self.state.smear, self._smeared
+        blurred_px2 = abs(float(np.clip(known + self._blur_step_px2, 0.0, _MAX_PSF_VARIANCE_PX2)) - known)
+        return blurred_px2 if smear is None or smeared is None else max(blurred_px2, smeared.less(smear).size_px2)
 
     def returns(self, last: _Solved) -> bool:
         """Return True if the step goes back most of the last one: renders flicker, or the step was too long."""
@@ -372,6 +414,7 @@ class _Solved:
             center_px=state.center_px + np.array([x, y]),
             log_range=state.log_range + growth,
             psf_variance_px2=float(np.clip(state.psf_variance_px2 + blur, 0.0, _MAX_PSF_VARIANCE_PX2)),
+            smear=self._smeared,
         )
 
     def result(self, last_step: Float, iterations: int, options: TemplateFitOptions) -> TemplateFit:
@@ -380,64 +423,93 @@ class _Solved:
         used = problem.offered & solution.kept
         fit = LinearFit(solution.solution.columns, solution.parameters)
         columns, values, noise, error = fit.columns, fit.columns.data, solution.noise, solution.error
-        altitude_sigma = options.altitude_sigma or self._untold_altitude(fit, options)
+        signal = fit.model - np.tensordot(fit["background"], columns["background"], 1)
+        independent = IndependentParts.of(int(np.count_nonzero(used)), options.radius_px, self._blur_px)
+        response = self._response(fit, options.response)
+        left_out = undeclared_effects(fit, self._left_out(fit, response, independent, options))
+        smear = state.smear
+        if smear is None:
+            straight_px2, oblique_px2 = self._estimates(left_out, "smear") or (0.0, 0.0)
+            smear = Smear(straight_px2=straight_px2, oblique_px2=oblique_px2)
+        if options.response is None:
+            response = replace(response, bend=sum(self._estimates(left_out, "bend")))
+        altitude_sigma = options.altitude_sigma or self._undeclared_altitude(fit, left_out, options)
         options = replace(options, altitude_sigma=altitude_sigma)
-        parts = self._parts(fit, (noise, error), options)
+        parts = self._parts(fit, (noise, error), left_out, options)
         parts[Cause.NOISE] = parts[Cause.NOISE] + np.outer(last_step, last_step)
-        response, bend_sigmas = self._response(fit, options.response)
-        smear, smear_sigmas = self._smear(fit, options.smear)
+        n_rejected = int(np.count_nonzero(problem.offered & ~solution.kept))
+        clipped = n_rejected / max(int(np.count_nonzero(problem.offered)), 1)
+        log_variance = float(np.mean(np.log((noise + error)[problem.offered]))) + options.clip_sigma**2 * clipped
+        if options.response is not None:
+            slopes = options.response.slope_at(fit.model[problem.offered])
+            log_variance -= 2.0 * float(np.mean(np.log(np.maximum(slopes, 1e-9))))
         return TemplateFit(
             state=state,
             parts=parts,
             gain_dn=float(fit["gain"][0]),
             offset_dn=float(fit["background"][0]),
-            signal_dn=fit.model - np.tensordot(fit["background"], columns["background"], 1),
+            signal_dn=signal,
             score=float(np.corrcoef(problem.light[used], values[used])[0, 1]),
             residuals_dn=fit.residuals,
             model_dn=fit.model,
             used=used,
-            n_rejected=int(np.count_nonzero(problem.offered & ~solution.kept)),
+            n_rejected=n_rejected,
             chi=float(np.sqrt(np.mean(fit.residuals[used] ** 2 / noise[used]))),
             iterations=iterations,
+            columns=columns,
+            log_variance=log_variance,
             response=response,
-            bend_sigmas=bend_sigmas,
             smear=smear,
-            smear_sigmas=smear_sigmas,
+            undeclared=left_out,
+            independent=independent,
             altitude_sigma=altitude_sigma,
-            asked=self._asked(fit, (noise, error), options) if options.ask else Asked(),
             corner_px=problem.pixels.corner_px,
         )
 
-    def _response(self, fit: LinearFit, known: Response | None) -> tuple[Response, float]:
-        """Response as it was estimated, or as the residuals ask for one, and its bend over its standard deviation."""
-        if known is None:
-            dark_dn = float(fit["background"][0])
-            known = Response(bend=0.0, dark_dn=dark_dn, bright_dn=max(float(fit.model.max()), dark_dn + 1e-12))
-            (bend,), (sigma,) = fit.score_omitted(_block("bend", -known.changes_dn(fit.model)[:1])).alone
-        else:
-            bend, (sigma,) = known.bend + float(fit["bend"][0]), fit.sigmas("bend")
-        return replace(known, bend=float(bend)), float(bend / sigma)
+    def _response(self, fit: LinearFit, known: Response | None) -> Response:
+        """Response with the bend as it was estimated, or one of values proportional to light."""
+        if known is not None:
+            return replace(known, bend=known.bend + float(fit["bend"][0]))
+        dark_dn = float(fit["background"][0])
+        return Response(bend=0.0, dark_dn=dark_dn, bright_dn=max(float(fit.model.max()), dark_dn + 1e-12))
 
-    def _smear(self, fit: LinearFit, known: Smear | None) -> tuple[Smear, float]:
-        """Smear as it was estimated, or as the residuals ask for one, and its size over its standard deviation."""
-        if known is None:
-            found, sigmas = fit.score_omitted(_block("smear", np.stack(self.problem.by_smear()))).alone
-        else:
-            found = np.array([known.straight_px2, known.oblique_px2]) + fit["smear"]
-            sigmas = fit.sigmas("smear")
-        straight, oblique = found.tolist()
-        smear = Smear(straight_px2=straight, oblique_px2=oblique)
-        return smear, smear.size_px2 / float(sigmas.max())
+    def _left_out(
+        self, fit: LinearFit, response: Response, independent: IndependentParts, options: TemplateFitOptions
+    ) -> dict[Block, float]:
+        """Effects that nobody declared and the model leaves out, and the independent values that pixels stand for."""
+        problem, blocks = self.problem, dict[Block, float]()
+        surface, edges = independent.of_surface, independent.of_edges
+        if problem.untried is not None:
+            law = _block("untried law", Cause.REFLECTANCE, problem.untried[None], [problem.mixing_sigma_dn])
+            blocks[law] = surface
+        if options.complete:
+            return blocks
+        blocks[_block("strain", Cause.RELIEF, problem.by_strain(self.state), 3 * [_STRAIN_SIGMA])] = surface
+        if self.state.smear is None:
+            blocks[_block("smear", Cause.PSF, np.stack(problem.by_smear()), 2 * [options.smear_sigma_px2])] = edges
+        if options.response is None:
+            bend = -response.changes_dn(fit.model)[:1]
+            blocks[_block("bend", Cause.REFLECTANCE, bend, [BEND_SIGMA])] = surface
+        veils = self.problem.veils() if self._wrong_edges and not options.altitude_sigma else None
+        if veils is not None:
+            blocks[haze_block(problem.gain_dn * veils)] = edges
+        return blocks
 
-    def _untold_altitude(self, fit: LinearFit, options: TemplateFitOptions) -> float:
+    def _estimates(self, left_out: Mapping[str, Undeclared], effect: str) -> list[float]:
+        """Linear estimates of the unknowns of an effect; none where it was not looked for."""
+        return left_out[effect].score.values.tolist() if effect in left_out else []
+
+    def _undeclared_altitude(
+        self, fit: LinearFit, left_out: Mapping[str, Undeclared], options: TemplateFitOptions
+    ) -> float:
         """Standard deviation, over the radius, of the altitude of the limb by haze that the residuals show."""
-        veils, place = self.problem.veils() if self._wrong_edges else None, self.problem.layout.span("center", "range")
-        if veils is None:
+        if "haze" not in left_out:
             return 0.0
+        place = self.problem.layout.span("center", "range")
         lifted_by = fit.columns.consider(self._altitude(options, 1.0))[place, place]
         wider_px2 = float(fit["blur"][0] - self.prior.mean[self.problem.layout.span("blur")][0])
-        blur = math.sqrt(max(wider_px2, 0.0)) / options.radius_px
-        return haze_altitude(fit, veils, self.problem.gain_dn, lifted_by, blur=blur)
+        blur, haze = math.sqrt(max(wider_px2, 0.0)) / options.radius_px, left_out["haze"]
+        return math.sqrt(haze.chance) * haze_altitude(haze.score.step[place], lifted_by, blur=blur)
 
     def _altitude(self, options: TemplateFitOptions, sigma: float) -> Block:
         """Altitudes of the limb, over the radius, along two axes: if they were linear up to the whole radius."""
@@ -452,21 +524,6 @@ class _Solved:
             matrix=lifts.T.reshape(2, *growth.shape),
             prior=Prior.of_sigmas([sigma, sigma]),
             use=Use.CONSIDERED,
-        )
-
-    def _asked(self, fit: LinearFit, variances: tuple[Float, Float], options: TemplateFitOptions) -> Asked:
-        """What the residuals ask for beside the parameters of the fit."""
-        noise, error = variances
-        return asked_beside(
-            fit,
-            strain=self.problem.by_strain(self.state),
-            smear=None if options.smear is not None else np.stack(self.problem.by_smear()),
-            considered=self._altitude(options, options.altitude_sigma) if options.altitude_sigma > 0.0 else None,
-            radius_px=self.problem.reach_px,
-            noise=noise,
-            error=error,
-            blur_px=self._blur_px,
-            block_px=self._block_px,
         )
 
     @property
@@ -491,7 +548,13 @@ class _Solved:
         center_px, sun = self.state.center_px - self.problem.pixels.corner_px, np.array(options.sun_direction)
         return relief_covariance(fit, center_px, sun[:2], radius_px=self.problem.reach_px)
 
-    def _parts(self, fit: LinearFit, variances: tuple[Float, Float], options: TemplateFitOptions) -> dict[Cause, Float]:
+    def _parts(
+        self,
+        fit: LinearFit,
+        variances: tuple[Float, Float],
+        left_out: Mapping[str, Undeclared],
+        options: TemplateFitOptions,
+    ) -> dict[Cause, Float]:
         """Covariance (3, 3) of center and range by cause: of noise, and what residuals show beyond it, as markings."""
         noise, error = variances
         of_noise, of_relief = fit.noise_covariance(noise), self._relief(fit, options)
@@ -511,15 +574,14 @@ class _Solved:
             parts[Cause.ALTITUDE] = fit.columns.consider(self._altitude(options, options.altitude_sigma))
             known = known + parts[Cause.ALTITUDE]
         parts[Cause.ALBEDO] = excess(known, whole)
-        if self.problem.untried is not None:
-            prior = Prior.of_sigmas([self.problem.mixing_sigma_dn])
-            omitted = fit.score_omitted(_block("untried law", self.problem.untried[None], prior)).omission_covariance
-            parts[Cause.REFLECTANCE] = parts.get(Cause.REFLECTANCE, 0.0) + omitted
+        for name, effect in left_out.items():
+            if name != "haze":  # its altitude is a part already
+                cause = effect.block.cause
+                parts[cause] = parts.get(cause, 0.0) + effect.covariance
         place = self.problem.layout.span("center", "range")
         return {cause: 0.5 * (part + part.T)[place, place] for cause, part in parts.items()}
 
 
-def _block(effect: str, matrix: Float, prior: Prior | None = None) -> Block:
-    """Unknowns that the fit leaves out; without a prior nothing is known of them."""
-    prior = Prior.of_sigmas([math.inf] * len(matrix)) if prior is None else prior
-    return Block(effect=effect, cause=Cause.REFLECTANCE, matrix=matrix, prior=prior)
+def _block(effect: str, cause: Cause, matrix: Float, sigmas: list[float]) -> Block:
+    """Unknowns that the fit leaves out."""
+    return Block(effect=effect, cause=cause, matrix=matrix, prior=Prior.of_sigmas(sigmas), use=Use.WHEN_SEEN)

@@ -13,7 +13,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
-from giantlike.image_model.columns import Block, Prior, Solution
+from giantlike.image_model.columns import Block, Prior, Use
 from giantlike.ray_tracing import LommelSeeliger, Reflectance
 from giantlike.ray_tracing.reflectance.law import SurfaceLaw
 
@@ -22,15 +22,8 @@ VEIL_DEPTH = 0.05
 _LEAST_COSINE = 0.03
 """Cosine whose inverse is the most air that a ray meets, in vertical depths: 33; 38 at a thousandth of the radius."""
 _RING = 0.01
-"""A priori standard deviation of the height of light beyond the limb, of the radius; those of the shares are 1."""
-_SHARE_SIGMAS, _SQUARES = 5.0, 100.0
-"""Light taken or sent over its standard deviation, and squared shares over their covariance, from which on there is
-haze.
-
-Of 8 views each of 15 cases without haze (wrong laws, point spread functions, poles, markings and relief of
-``benchmarks/stress.py``) 8 come to both: three of relief of 1 %, where the covariance was 3.1 times too small without,
-three of markings of 15 %, one of Minnaert's law told as McEwen's and one of a pole 2 degrees off.
-"""
+"""A priori standard deviation of the height of light beyond the limb, of the radius. Shares of light taken and sent are
+1 +- 1 of those of :data:`VEIL_DEPTH`: haze takes light from the ground and sends its own."""
 _OF_BLUR = 0.5
 """Standard deviation of the altitude over the blur by haze: with all of it, squared errors of 24 views in six kinds of
 haze (scale heights of 0.1 to 0.6 px, optical depths of 0.02 to 0.3) come to 0.1 to 0.3 of the covariance, with none of
@@ -69,16 +62,29 @@ def haze_laws(ground: Reflectance, *, depth: float = VEIL_DEPTH) -> tuple[Reflec
     return _Veil(ground, depth), _Veil(None, depth), LommelSeeliger()
 
 
-def haze_altitude(fit: Solution, images: Float, gain_dn: float, altitude: Float, *, blur: float) -> float:
-    """Return how uncertain the altitude of the limb is by haze that the residuals show.
+def haze_block(images: Float) -> Block:
+    """Return the unknowns of haze.
 
     Parameters
     ----------
-    fit : Solution
-    images : (3, h, w) float64
+    images : (3, h, w) float64, DN
         What haze takes, what it sends, and the change of a body of even brightness with the logarithm of its range.
-    gain_dn : float, DN
-        Signal of brightness 1.
+
+    Returns
+    -------
+    Block
+    """
+    prior = Prior(np.array([-1.0, 1.0, 0.0]), np.array([1.0, 1.0, _RING**-2]))
+    return Block(effect="haze", cause=Cause.ALTITUDE, matrix=images, prior=prior, use=Use.WHEN_SEEN)
+
+
+def haze_altitude(step: Float, altitude: Float, *, blur: float) -> float:
+    """Return how uncertain the altitude of the limb is by haze.
+
+    Parameters
+    ----------
+    step : (3,) float64
+        Change of center and range with the haze in the model.
     altitude : (3, 3) float64
         Covariance of center and range by an altitude whose standard deviation is the radius.
     blur : float
@@ -87,16 +93,10 @@ def haze_altitude(fit: Solution, images: Float, gain_dn: float, altitude: Float,
     Returns
     -------
     float
-        Standard deviation over the radius, from half of the blur and from the step that center and range take when the
-        haze is put into the model: with it, that is one standard deviation of both errors of the altitude together. 0
-        where the residuals show no haze.
+        Standard deviation over the radius, from half of the blur and from the step: with it, that is one standard
+        deviation of both errors of the altitude together.
     """
-    haze = Block(effect="haze", cause=Cause.ALTITUDE, matrix=gain_dn * images, prior=Prior.of_sigmas([1.0, 1.0, _RING]))
-    score = fit.score_omitted(haze)
-    (taken, sent, _), (of_taken, of_sent, _) = score.values, np.sqrt(np.diag(score.covariance))
-    if score.chi_square < _SQUARES or max(-taken / of_taken, sent / of_sent) < _SHARE_SIGMAS:
-        return 0.0
     unit = np.sqrt(np.diag(altitude))
     values, vectors = np.linalg.eigh(altitude / unit / unit[:, None])
-    along = vectors[:, 1:].T @ (score.step[fit.columns.layout.span("center", "range")] / unit)
+    along = vectors[:, 1:].T @ (step / unit)
     return float(np.hypot(_OF_BLUR * blur, np.sqrt(np.sum(along**2 / values[1:]))))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import cv2
@@ -32,6 +32,10 @@ about between those that are mixed."""
 _WING_SIGMA, _WING_WIDTHS = 0.1, (2.0, 6.0)
 """A priori standard deviation of the shares of light in wings of the point spread function, and their widths over that
 of its core: two, as for horizons, so that those between are spanned."""
+BEND_SIGMA = 1.0
+"""A priori standard deviation of the bend of a response about none: tables of square roots come to nearly 1."""
+SMEAR_SIGMA_PX2 = 1.0
+"""A priori standard deviation, px^2, of the variances of a smear: of a motion by 5 px during the exposure."""
 _CUBE_SIGMA = 0.2
 """A priori standard deviation of the share of a cube in the response: of powers of 0.45, 0.6 it is 0.11, -0.13."""
 
@@ -239,8 +243,8 @@ class Problem:
         length_px = max(float(np.hypot(x, y)), abs(growth) * self.reach_px, 1e-12)
         return np.asarray(step * min(1.0, longest_px / length_px))
 
-    def prior(self, mean: Mapping[str, float], sigma: Mapping[str, float]) -> Prior:
-        """Prior of all parameters from that of range and blur; shares of laws and wings, and a cube, get their own."""
+    def prior(self, mean: Mapping[str, float | Sequence[float]], sigma: Mapping[str, float]) -> Prior:
+        """Prior of all parameters from that of geometry, blur and response; shares and a cube get their own."""
         shares = {"laws": self.mixing_sigma_dn, "wings": _WING_SIGMA * self.mixing_sigma_dn / _MIXING_SIGMA}
         sigmas = self.layout.vector({**sigma, **shares, "cube": _CUBE_SIGMA}, other=math.inf)
         return Prior.of_sigmas(sigmas, self.layout.vector(mean))

@@ -14,6 +14,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import (
+    Black,
     Body,
     FocalPlane,
     Hapke,
@@ -182,8 +183,9 @@ class TemplateRenderer(Value):
     ) -> Synthesis:
         """Return the function that renders states into a box, optionally under other reflectance laws as well.
 
-        All laws are shaded on the same rays: what differs between two of their images is the law and nothing else. The
-        body is traced once roughly and once finely, and anew only where it is seen from elsewhere. How brightness
+        All laws are shaded on the same rays: what differs between two of their images is the law and nothing else.
+        Under air, one of the others is black ground, which leaves the light of the air; it is mixed in from the first.
+        The body is traced once roughly and once finely, and anew only where it is seen from elsewhere. How brightness
         changes with the phase angle over the disk is mixed in last, in fine renders, which alone can tell.
 
         Parameters
@@ -200,11 +202,15 @@ class TemplateRenderer(Value):
         callable
         """
         small = self.radius_px < _SMALL_RADIUS_PX
-        airy = not self.airless and isinstance(self.target.shape, Ellipsoid)
+        air = self.target.air
+        airy = not self.airless and air is None and isinstance(self.target.shape, Ellipsoid)
         others = contrasting_laws(self.target.reflectance)[: 1 if small else most_laws] if other_law else ()
+        if other_law and air is not None:
+            others = (*others[:1], Black(), *others[1:])
         laws = (self.target.reflectance, *others)
         every = (*laws, _law_of_phase(laws[0])) if other_law and most_laws is None and not small else laws
-        few = laws[:2]  # on the way: without the field of markings, which fine renders allow, shares would run away
+        # On the way: without the field of markings, which fine renders allow, shares would run away.
+        few = laws[: 2 if air is None else 3]
         kept: dict[bool, tuple[MovedBody, ShadedRays]] = {}
         if traced is not None:
             kept[False] = traced, traced.shaded(few)

@@ -15,13 +15,12 @@ _STEP = 0.05
 """Relative step of numerical derivatives by the variances: beyond a tenth the fall of light along a line bends."""
 
 
-def smeared_renders(synthesize: Synthesis, smear: Smear) -> Synthesis:
-    """Return a function that renders a body smeared.
+def smeared_renders(synthesize: Synthesis) -> Synthesis:
+    """Return a function that renders a body with the smear of its state.
 
     Parameters
     ----------
     synthesize : callable
-    smear : Smear
 
     Returns
     -------
@@ -29,8 +28,8 @@ def smeared_renders(synthesize: Synthesis, smear: Smear) -> Synthesis:
     """
 
     def images(state: TemplateState, fine: bool) -> TemplateImages | Failure:
-        made = synthesize(state, fine)
-        if isinstance(made, Failure):
+        made, smear = synthesize(state, fine), state.smear
+        if isinstance(made, Failure) or smear is None:
             return made
         seen = [made.light, *made.others, *([] if made.untried is None else [made.untried])]
         light, *rest = smear.smeared(np.stack(seen))

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from giantlike.core.arrays import Float
+from giantlike.core.findings import Smear
 from giantlike.core.outcomes import Failure
 from giantlike.core.values import Value
 
@@ -28,11 +29,14 @@ class TemplateState(Value):
     log_range : float
         Natural logarithm of the range over the a priori range.
     psf_variance_px2 : float, px^2
+    smear : Smear, optional
+        Motion of the body in the image during the exposure.
     """
 
     center_px: Float
     log_range: float = 0.0
     psf_variance_px2: float
+    smear: Smear | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

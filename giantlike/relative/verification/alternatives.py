@@ -29,6 +29,9 @@ _LIGHT_SIGMA = 0.5
 """A priori standard deviation of a second light over the first: exposures of about the same length, and ghosts."""
 _SHIFT_SIGMA = 0.1
 """A priori standard deviation of a shift of rows, radii."""
+_WAVES, _OUTLINE_SIGMA = (3, 4, 5, 6), 0.1
+"""Waves along the outline of another body, and a priori standard deviation of their amplitudes, radii: rocks differ
+from ellipsoids by so much in each."""
 _APART = 0.1
 """Least distance of a second light, radii: nearer ones are a blur or a motion of the first."""
 _CANDIDATES = 6
@@ -58,6 +61,21 @@ class CellScores:
         parts = self.temper * float(np.count_nonzero(self.solution.columns.weights))
         return -parts * math.log(1.0 + self.temper * self.solution.penalized_squares / max(parts, 1e-300))
 
+    def joint_log_odds(self, images: Float, sigma: float) -> float:
+        """Logarithm of the odds of images (a, n, n) in the data beside the fit, all of them together."""
+        prior = Prior.of_sigmas([sigma] * len(images))
+        score = self.solution.score_omitted(Block(effect="alternative", cause=Cause.NOISE, matrix=images, prior=prior))
+        reached = np.any(np.abs(images) > _REACHED * np.abs(images).max(), axis=0)
+        reached &= self.solution.columns.weights > 0.0
+        parts = max(self.temper * float(np.count_nonzero(reached)), 1e-300)
+        squares = (self.solution.columns.weights * self.solution.residuals**2)[
+            reached
+        ].sum() + self.solution.mode_squares
+        before = parts + self.temper * float(squares)
+        after = max(before - self.temper * score.chi_square, parts)
+        scaled = np.eye(len(images)) + self.temper * sigma**2 * score.information * 2.0 * parts / before
+        return parts * math.log(before / after) - 0.5 * float(np.linalg.slogdet(scaled)[1])
+
     def log_odds(self, images: Float, sigma: float) -> Float:
         """Logarithms (a,) of the odds of images (a, n, n) in the data beside the fit, each alone.
 
@@ -78,6 +96,27 @@ class CellScores:
         after = np.maximum(before - self.temper * explained, parts)
         scale = before / (2.0 * parts)
         return np.asarray(parts * np.log(before / after) - 0.5 * np.log1p(self.temper * information * sigma**2 / scale))
+
+
+def other_outline(scores: CellScores, growth: Float, center: Float) -> float:
+    """Logarithm of the odds of another outline: of another body, in a waves along it that no strain has.
+
+    Parameters
+    ----------
+    scores : CellScores
+    growth : (n, n) float64
+        Derivative of the data by the growth of the body, relative.
+    center : (2,) float64, cells
+        Column and row of its center.
+
+    Returns
+    -------
+    float
+    """
+    rows, columns = np.indices(growth.shape)
+    angle = np.arctan2(rows - center[1], columns - center[0])
+    waves = np.stack([wave(order * angle) for order in _WAVES for wave in (np.cos, np.sin)])
+    return scores.joint_log_odds(growth * waves, _OUTLINE_SIGMA)
 
 
 def second_light(scores: CellScores, light: Float, radius: float, blur: float) -> float:

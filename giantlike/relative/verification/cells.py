@@ -15,7 +15,6 @@ from giantlike.core.outcomes import Failure
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, RenderOptions, Template, Trace, trace_body
-from giantlike.ray_tracing.daylight import Daylight
 from giantlike.shapes import Ellipsoid
 
 CELLS_PER_RADIUS = 20
@@ -107,7 +106,7 @@ class Cells(Value):
         within = slice(self.room, self.box.width - self.room)
         return values[within, within]
 
-    def trace(self, body: Body, sun_direction_camera: Float, daylight: Daylight | None = None) -> Trace | None:
+    def trace(self, body: Body, sun_direction_camera: Float) -> Trace | None:
         """Trace a body for renders into the cells.
 
         Rays to the Sun start where one ray in the middle of each cell around meets a shadow; where none does, lone
@@ -117,8 +116,6 @@ class Cells(Value):
         ----------
         body : Body
         sun_direction_camera : (3,) float64, unitless, camera axes
-        daylight : Daylight, optional
-            Where no ray need be sent, or none to the Sun; by default that is found out, for all rays to the body.
 
         Returns
         -------
@@ -126,7 +123,7 @@ class Cells(Value):
             None where nothing of it is seen.
         """
         camera = self.camera
-        shadows_later = daylight is None and self.has_face and not isinstance(body.shape, Ellipsoid)
+        shadows_later = self.has_face and not isinstance(body.shape, Ellipsoid)
         across = math.ceil(_ACROSS * _RAYS_PER_CELL * CELLS_PER_RADIUS) if self.has_face else _RAYS_ACROSS_POINT
         traced = trace_body(
             body,
@@ -141,7 +138,6 @@ class Cells(Value):
                 margin_px=self.box.width,
                 shadows=not shadows_later,
             ),
-            daylight=daylight,
         )
         if isinstance(traced, Failure):
             return None

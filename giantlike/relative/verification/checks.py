@@ -41,6 +41,8 @@ _BELIEVED = 0.5
 """Motion over the radius, and change of the range, beyond which the coarse fit has not found the body."""
 _SMEAR = np.array([[1.0, 0.0, -1.0], [0.0, 2.0, 0.0]])
 """What of a blur (xx, xy, yy) is more along one direction than across it."""
+_NOTHING_THERE = 0.0
+"""Log odds of no body at all where the image fits a dark one better: of those that are not dark it is the best."""
 _OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause is not Cause.SHAPE_SCALE)
 """Causes of errors that a fix and the coarse fit of the same shape do not have in common."""
 
@@ -215,9 +217,15 @@ def _odds(coarse: _Coarse, inputs: EstimatorInputs, search_px: float) -> tuple[d
     if side is not None:
         alternatives[Alternative.OTHER_SUN] = side.log_odds
     elif cells.has_face:
-        return alternatives, -math.inf
+        return alternatives, _NOTHING_THERE if _dark(coarse.fit) else -math.inf
     albedo = geometry.target.uncertainty.albedo
-    return alternatives, rival_log_odds(cells, own, inputs.predicted_px, search_px, albedo)
+    rival = rival_log_odds(cells, own, inputs.predicted_px, search_px, albedo)
+    return alternatives, max(rival, _NOTHING_THERE) if _dark(coarse.fit) else rival
+
+
+def _dark(fit: CoarseFit | None) -> bool:
+    """True where the image fits a dark body better than a bright one."""
+    return fit is not None and not fit.gain_dn > 0.0
 
 
 @runtime_checkable

@@ -19,7 +19,7 @@ from giantlike.image_model.field import MarkingModes
 from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Template, Trace
 from giantlike.relative.judge import Alternative
 from giantlike.relative.response import DISPLAY_BEND_SIGMA
-from giantlike.relative.verification.alternatives import CellScores, second_light, shifted_lines
+from giantlike.relative.verification.alternatives import CellScores, other_outline, second_light, shifted_lines
 from giantlike.relative.verification.cell_loops import design_of
 from giantlike.relative.verification.cells import BLOCK, Cells
 
@@ -42,9 +42,9 @@ _OTHER_LAW = 0.5
 """Error that laws beyond those leave, over what they change: half of it."""
 _BLURRED = 10.0
 """Standard deviation of the blur a priori, squares of a cell: far beyond what is linear."""
-_GAIN_SIGMA = 0.1
-"""Standard deviation of the brightness a priori, over that of the image, where markings would take all of it: then it is
-the brightness that is known, and what the body leaves is another thing."""
+_GAIN_SIGMAS = (0.1, 0.01)
+"""Standard deviations of the brightness a priori, over that of the image, where markings would take all of it or the
+image is darker where the body is: then it is as bright as the image, and what it leaves is another thing."""
 _SIGMAS: Mapping[str, float | Sequence[float]] = {
     "gain": 0.0,
     "laws": _LAW_SIGMA,
@@ -171,7 +171,7 @@ class _Design(Value):
 
     The unknowns with their derivatives ``matrix`` (k, n, n) and their a priori standard deviations ``sigma`` (k,) over
     the gain; the light itself, its steepness per cell and what optics scatter of it, (n, n) each; and the modes of
-    undeclared markings of that light.
+    undeclared markings of that light; the center of the body (2,), cells.
     """
 
     layout: Layout
@@ -181,6 +181,7 @@ class _Design(Value):
     slope: Float
     scattered: Float
     markings: MarkingModes
+    center: Float
 
     def columns(
         self, values: Float, weights: Float, gain: float, variances: Float | None, *, gain_sigma: float = 1.0
@@ -196,7 +197,7 @@ class _Design(Value):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Fitted(Value):
-    """A design fitted to cells: the solution, its gain and the sigma (n, n) of the errors of its model.
+    """A design fitted to cells: the solution, the one that may be dark, gain and model errors (n, n).
 
     ``edge`` (n, n) are the cells whose errors are mostly those of edges, ``least`` the least scatter that the residuals
     are taken to show; ``noise`` (n, n) is the variance of the noise.
@@ -205,6 +206,7 @@ class _Fitted(Value):
     cells: Cells
     design: _Design
     solution: Solution
+    free: Solution
     gain: float
     noise: Float
     model_sigma: Float
@@ -315,12 +317,13 @@ def _fitted(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: F
     for _ in range(_ITERATIONS):
         model_sigma = gain * sigma
         weights = np.where(fresh, 1.0 / (noise + model_sigma**2), 0.0)
-        found = design.columns(values, weights, gain, variances).solve()
-        if found is not None and not found["gain"][0] > 0.0:
-            found = design.columns(values, weights, gain, variances, gain_sigma=_GAIN_SIGMA).solve()
-        if found is None or not found["gain"][0] > 0.0:
+        found = free = design.columns(values, weights, gain, variances).solve()
+        for gain_sigma in _GAIN_SIGMAS:
+            if found is not None and not found["gain"][0] > 0.0:
+                found = design.columns(values, weights, gain, variances, gain_sigma=gain_sigma).solve()
+        if found is None or free is None or not found["gain"][0] > 0.0:
             return None
-        solution, variances = found, found.columns.mode_variances
+        solution, bare, variances = found, free, found.columns.mode_variances
         change, gain = abs(float(solution["gain"][0]) / gain - 1.0), float(solution["gain"][0])
         isolated = _isolated(solution.residuals * np.sqrt(weights), fresh)
         used, fresh = fresh, fresh & ~isolated
@@ -331,6 +334,7 @@ def _fitted(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: F
         cells=cells,
         design=design,
         solution=solution,
+        free=bare,
         gain=gain,
         noise=noise,
         model_sigma=model_sigma,
@@ -341,10 +345,13 @@ def _fitted(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: F
 
 def _alternatives(fitted: _Fitted) -> dict[Alternative, float]:
     """Logarithms of the odds of other models of the cells."""
-    by_x, by_y, _ = fitted.gain * fitted.solution.columns["place"]
+    by_x, by_y, growth = fitted.gain * fitted.solution.columns["place"]
     cells, light, scores = fitted.cells, fitted.gain * fitted.design.own, fitted.scores
+    free = CellScores(solution=fitted.free, temper=scores.temper)
     return {
+        Alternative.DARK_BODY: free.log_evidence - scores.log_evidence if fitted.free["gain"][0] <= 0.0 else -math.inf,
         Alternative.SECOND_LIGHT: second_light(scores, light, cells.radius, cells.blur),
+        Alternative.OTHER_OUTLINE: other_outline(scores, growth, fitted.design.center),
         Alternative.SHIFTED_ROWS: shifted_lines(scores, by_x, axis=0),
         Alternative.SHIFTED_COLUMNS: shifted_lines(scores, by_y, axis=1),
     }
@@ -438,6 +445,7 @@ def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None) -> _
         slope=slope,
         scattered=scattered,
         markings=MarkingModes.across(light, np.array([x, y]), cells.radius),
+        center=np.array([x, y]),
     )
 
 
@@ -559,11 +567,6 @@ def _isolated(normalized: Float, fresh: Mask) -> Mask:
     """Cells that nothing explains, alone or in a single line: stars, cosmic rays, dead columns."""
     odd = fresh & (np.abs(normalized) > _UNLIKELY)
     return np.asarray(odd & ~_in_patches(odd))
-
-
-def _unexplained_area(normalized: Float, fresh: Mask) -> float:
-    """Number of cells that nothing explains, isolated ones left out."""
-    return float(np.count_nonzero(_in_patches(fresh & (np.abs(normalized) > _UNLIKELY))))
 
 
 def _in_patches(odd: Mask) -> Mask:

@@ -1,0 +1,89 @@
+"""Effects that nobody declared: how probable each is by the residuals of a template, and what it does to the place."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from giantlike.core.arrays import Float
+from giantlike.core.values import Value
+from giantlike.image_model.columns import UNDECLARED, Block, Score, Solution
+
+PART_RADII = 0.25
+"""Side of a part of a body, over its radius, whose model errors are independent of those of others: the shortest
+correlation length of markings."""
+_WIDTH = math.sqrt(8.0 * math.log(2.0))
+"""Full width of an edge at half maximum over the standard deviation of its blur."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Undeclared(Value):
+    """An effect that a model leaves out.
+
+    Parameters
+    ----------
+    block : Block
+    chance : float
+        Probability of the effect, against the model without and against all other effects left out.
+    score : Score
+    """
+
+    block: Block
+    chance: float
+    score: Score
+
+    @property
+    def covariance(self) -> Float:
+        """Covariance (k, k) of the unknowns of the model by the omission of the effect."""
+        return self.score.omission_covariance(self.chance)
+
+
+def undeclared_effects(fit: Solution, blocks: Mapping[Block, float]) -> dict[str, Undeclared]:
+    """Return the probabilities of effects of which at most one is there.
+
+    Parameters
+    ----------
+    fit : Solution
+        Of the model without them.
+    blocks : mapping of Block to float
+        Effects with priors of finite width, and the independent values that the pixels stand for beside each.
+
+    Returns
+    -------
+    dict of str to Undeclared
+        By the name of the effect.
+    """
+    columns = fit.columns
+    log_odds = [
+        np.log(UNDECLARED / (1.0 - UNDECLARED)) + columns.odds_of([block], parts) for block, parts in blocks.items()
+    ]
+    chances = np.exp(np.array(log_odds) - np.logaddexp.reduce([0.0, *log_odds]))
+    return {
+        block.effect: Undeclared(block, float(chance), fit.score_omitted(block))
+        for block, chance in zip(blocks, chances, strict=True)
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class IndependentParts:
+    """How many independent values pixels stand for.
+
+    Parameters
+    ----------
+    of_surface : float
+        Where errors of the model are alike over a part of the surface.
+    of_edges : float
+        Where they are alike along a part of an edge, but not beside it.
+    """
+
+    of_surface: float
+    of_edges: float
+
+    @classmethod
+    def of(cls, n_used: int, radius_px: float, blur_px: float) -> IndependentParts:
+        """Return them for a number of pixels, a body of a radius and a blur of a standard deviation."""
+        side_px = max(PART_RADII * radius_px, 1.0) if np.isfinite(radius_px) else 1.0
+        return cls(n_used / side_px**2, n_used / (side_px * min(max(_WIDTH * blur_px, 1.0), side_px)))
