@@ -27,7 +27,7 @@ _MODES = 9
 LENGTHS = (0.25, 0.5, 1.0)
 """Correlation lengths over the radius that are averaged."""
 AMPLITUDES = np.concatenate([[0.0], np.geomspace(0.004, 3.0**-0.5, 9)])
-"""Standard deviations, over the light, that are averaged: up to that of albedos that are uniform from none to twice their
+"""Standard deviations, over the light, that are averaged: up to that of albedos uniform from none to twice their
 mean."""
 MEDIAN_AMPLITUDE, AMPLITUDE_FACTOR = 0.10, 2.5
 """Median and geometric standard deviation of the prior of the amplitude."""

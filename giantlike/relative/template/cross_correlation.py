@@ -550,8 +550,6 @@ def _flags(
     return inputs.flags_at(blocks.area(area, inputs.usable.shape)) | checks.flags
 
 
-
-
 def _lit_part(template: Template) -> tuple[Float, Float]:
     """First pixel (2,) of the lit part of a template, and the one after the last."""
     lit = template.brightness > _EDGE_LIGHT * float(template.brightness.max())
