@@ -59,7 +59,7 @@ class GammaCurve:
     --------
     >>> curve = GammaCurve(gamma="srgb", full_scale_dn=255.0)
     >>> [round(float(light), 2) for light in curve.light_dn([0.0, 10.0, 128.0, 255.0])]
-    [0.0, 0.77, 55.05, 255.0]
+    [0.0, 0.77, 55.04, 255.0]
     """
 
     gamma: Gamma
