@@ -91,6 +91,8 @@ class Facts(Value):
         The body reaches over the edge of the image.
     ambiguous : bool
         Another source as good lies in the search region.
+    overexposed : bool
+        All of the limb is saturated, so that only the wings of the point spread function are left of it.
     """
 
     off_px: Float
@@ -103,6 +105,7 @@ class Facts(Value):
     outline_share: float = 1.0
     cut_by_frame: bool = False
     ambiguous: bool = False
+    overexposed: bool = False
 
     def __post_init__(self) -> None:
         require(0 <= self.n_used <= self.n_offered, f"needed n_used in [0, {self.n_offered}], got {self.n_used}")
@@ -128,6 +131,7 @@ class Facts(Value):
                 Quality.MANY_REJECTED: self.n_used < LEAST_USED_SHARE * self.n_offered,
                 Quality.FAR_FROM_PREDICTION: self.far_from_prediction,
                 Quality.AMBIGUOUS: self.ambiguous,
+                Quality.LOW_SCORE: self.overexposed,
             }
         )
 

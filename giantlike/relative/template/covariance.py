@@ -130,7 +130,8 @@ class Measured(Value):
         is that of a value ``m + sigma / (h + z)`` with weight ``h (h + z) / sigma^2``, with ``h = phi(z) / Phi(z)``.
         It is the limit itself where the model lies far below, and has no weight where it lies far above.
         """
-        weights = (self.offered & (np.abs(self.values - model) <= clip_sigma * np.sqrt(variance))) / variance
+        kept = self.offered & (np.abs(self.values - model) <= clip_sigma * np.sqrt(variance))
+        weights = np.divide(kept, variance, out=np.zeros(kept.size), where=kept)
         if not self.censored.any():
             return self.values, weights
         values, limits = self.values.copy(), self.censored
@@ -192,7 +193,8 @@ def robust_fit(
         return Columns(layout, matrix, prior, *data, markings, None if markings is None else known).solve()
 
     first = np.zeros(len(shapes)) if start is None else start
-    solution = solved(measured.values, certain / variances.total(first), markings if approach else None)
+    weights = np.divide(certain, variances.total(first), out=np.zeros(certain.size), where=certain)
+    solution = solved(measured.values, weights, markings if approach else None)
     if solution is None:
         return None
     sample = measured.certain()

@@ -50,6 +50,9 @@ _SEARCHED_WIDER = (Reason.LOW_CORRELATION, Reason.PEAK_AT_EDGE)  # failures that
 _WIDER, _WIDEST_PX = 2.5, 400  # times the declared search, and px: memory and time grow with the square
 _WIDER_LOG_RANGES = (0.0, -0.08, 0.08)
 """Ranges tried in the wider search, as logarithms over the predicted one: the alignment reaches 5 % from each."""
+_MOST_OVEREXPOSED = 2.0
+"""Signal over saturation above which a limb is lost: half of the light of a sharp limb falls beyond it, so that all of
+the limb is saturated and only the wings of the point spread function are left, which no Gaussian describes."""
 _LEAST_LIMB_PX = 60.0
 """Length of lit limb in the frame below which an ellipsoid without markings is not placed, as ``auto`` needs it: flat
 fields, laws and templates are right to some parts in a thousand, with which squared errors by the fall of light alone
@@ -546,8 +549,19 @@ def _flags(
         n_used=n_used,
         n_offered=n_used + fit.n_rejected,
         cut_by_frame=bool((lit & ~within).any()),
+        overexposed=_overexposure(blocks, match, lit & within) > _MOST_OVEREXPOSED,
     )
     return inputs.flags_at(blocks.area(area, inputs.usable.shape)) | checks.flags
+
+
+def _overexposure(blocks: Blocks, match: TemplateMatch, lit: Mask) -> float:
+    """Largest signal of the model over the level at which its pixels saturate; 0 where none does."""
+    pixels = blocks.pixels.cut(match.box)
+    clipped = None if pixels.censored is None else lit & pixels.censored
+    if clipped is None or not clipped.any():
+        return 0.0
+    limit_dn = float(pixels.values_dn[clipped].min()) - match.fit.offset_dn
+    return float(match.fit.signal_dn.max()) / max(limit_dn, 1e-12)
 
 
 def _lit_part(template: Template) -> tuple[Float, Float]:
