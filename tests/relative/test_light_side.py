@@ -118,7 +118,7 @@ def test_an_image_read_upside_down_gives_no_fix_that_is_ok(
     right = estimator.estimate(upright, CAMERA, scene(sun_at(20.0)))
     assert isinstance(right, PositionFix), right
     assert not right.flags.suspect
-    assert right.findings.checks["light_log_odds"] < 0.0
+    assert right.findings.checks["other_sun_log_odds"] < 0.0
     turned = Image(pixels=np.rot90(picture(20.0), 2), camera_from_inertial=Rotation.identity())
     center = (SIZE - 1.0 - 108.0, SIZE - 1.0 - 93.0)
     wrong = estimator.estimate(turned, CAMERA, scene(sun_at(20.0), center))
