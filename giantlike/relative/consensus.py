@@ -15,6 +15,7 @@ from giantlike.core.causes import IN_IMAGE, Cause, summed
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.statistics import nearest_covariance
 from giantlike.relative.budget import position_covariance, with_larger_errors
+from giantlike.relative.judge import inflation
 
 _WEAK_PX, _WEAK_SIGMAS = 1.0, 20.0
 """Standard deviation, px and over that of the fix, above both of which a check is too weak to confirm anything."""
@@ -98,7 +99,7 @@ def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     pixels, the law, the shape, camera and attitude) is taken to be the same error in both, which does not average out:
     the variance of a mean of two errors is at most the mean of their variances. The weight is the one with the
     smallest determinant of the covariance. Where the two differ by more than their covariances, the parts that they
-    do not share grow by the ratio (Birge's).
+    do not share grow, see :func:`~giantlike.relative.judge.inflation`.
 
     Parameters
     ----------
@@ -113,7 +114,7 @@ def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
         or so large errors that its best weight is zero.
     """
     squared, size = _squared_difference(first, second)
-    grown = max(squared / size, 1.0)
+    grown = inflation(squared, size)
     if not first.parts or not second.parts or isinstance(first, PositionFix) != isinstance(second, PositionFix):
         return with_larger_errors(first, model, grown, _OWN)
     fusions = [_fused_parts(first, second, float(weight)) for weight in _WEIGHTS]

@@ -19,6 +19,7 @@ from giantlike.relative.budget import place_difference, with_budget, with_error
 from giantlike.relative.inputs import EstimatorInputs, gather
 from giantlike.relative.response import BEND_STEP
 from giantlike.relative.verification import verified
+from giantlike.rings import Rings
 from giantlike.scene import Scene
 
 Options = TypeVar("Options")
@@ -126,7 +127,11 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         response = result.corrections.response
         seen = inputs if response is None else inputs.linearized(response)
         again = None if self.finds_response else self._budgeted
-        search_px = getattr(self.options, "search_px", 0.0)
+        search_px, scan = getattr(self.options, "search_px", 0.0), getattr(self.options, "scan", None)
+        rings_km, geometry = getattr(scan, "rings_km", None), seen.geometry
+        if rings_km is not None and geometry.target.rings is None:
+            ringed = replace(geometry.target, rings=Rings(*rings_km))
+            seen = replace(seen, geometry=replace(geometry, target=ringed))
         return verified(result, seen, search_px, by_light=self.by_light, again=again)
 
     def _budgeted(self, inputs: EstimatorInputs) -> Fix | Failure:

@@ -187,6 +187,63 @@ class Judgement:
         return odds | known | chance
 
 
+def inflation(squared: float, freedom: int) -> float:
+    """Factor by which variances are too small for a difference.
+
+    Parameters
+    ----------
+    squared : float
+        Squared difference over its covariance.
+    freedom : int
+        Its degrees of freedom.
+
+    Returns
+    -------
+    float
+        At least 1: the scale of the variances by the difference and, with as many degrees of freedom, as stated.
+
+    References
+    ----------
+    .. [1] Birge (1932), The calculation of errors by the method of least squares, Phys. Rev. 40, 207: the ratio of
+       external to internal consistency, which is ``squared / freedom``.
+    """
+    return max(0.5 * (1.0 + squared / freedom), 1.0)
+
+
+def explaining_inflation(difference: Float, own: Float, other: Float, false_alarm: float = FALSE_ALARM) -> float:
+    """Least factor of a covariance under which a difference to something else is no contradiction.
+
+    Parameters
+    ----------
+    difference : (k,) float64
+    own, other : (k, k) float64
+        Covariances of the two; that of the other stays as it is.
+    false_alarm : float
+
+    Returns
+    -------
+    float
+        At least 1: below the quantile of the false alarms nothing grows.
+    """
+    from scipy.linalg import eigh
+    from scipy.optimize import brentq
+    from scipy.special import chdtri
+
+    scale = np.sqrt(np.maximum(np.diag(own + other), 1e-300))
+    whole = (own + other) / np.outer(scale, scale)
+    shares, axes = eigh(own / np.outer(scale, scale), whole)
+    squares = (axes.T @ (difference / scale)) ** 2
+    most = float(chdtri(len(difference), false_alarm))
+
+    def excess(log_factor: float) -> float:
+        return float(np.sum(squares / (1.0 + (math.exp(log_factor) - 1.0) * np.maximum(shares, 0.0)))) - most
+
+    longest = math.log(1e12)
+    if excess(0.0) <= 0.0:
+        return 1.0
+    return math.exp(longest if excess(longest) > 0.0 else float(brentq(excess, 0.0, longest)))
+
+
 def _raised(checks: Mapping[Quality, bool]) -> Quality:
     """The flags whose checks are true."""
     flags = Quality.NONE

@@ -13,6 +13,7 @@ from giantlike.core.outcomes import Failure, PositionFix
 from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.processing.outline_errors import averages, outline_errors
 from giantlike.relative.inputs import EstimatorInputs
+from giantlike.relative.judge import inflation
 from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, limb_fix
 
 _LEAST_FREEDOM = 3
@@ -44,7 +45,7 @@ def fix_of_strained(
 
 
 def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
-    """Factor by which the variances of a limb are too small for its strain, as Birge's ratio; at least 1.
+    """Factor by which the variances of a limb are too small for its strain; at least 1.
 
     A pole, a roll or axes that are told wrong, and a smear of the image, stretch an outline along one direction. So do
     the longest waves of relief, but these come with shorter ones, which the strain leaves among the residuals: how much
@@ -66,8 +67,9 @@ def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
 
     Notes
     -----
-    The strain s (2,) of no area is fitted beside the place by generalized least squares; the ratio is ``s.C^-1.s / 2``.
-    Where noise alone explains the strain, other errors are not looked for.
+    The strain s (2,) of no area is fitted beside the place by generalized least squares; the factor is that of
+    ``s.C^-1.s``, see :func:`~giantlike.relative.judge.inflation`. Where noise alone explains the strain, other errors
+    are not looked for.
     """
     if inputs.place_alone or measured.relief is not None or measured.terrain is not None:
         return 1.0
@@ -80,7 +82,7 @@ def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
     shift_px, sigma_px, points = measured.shift_px[keep], measured.sigma_px[keep], measured.predicted_px[keep]
     design = np.concatenate([measured.design[keep], _strained(points, measured.normals_px[keep])], axis=1)
     by_noise = means**2 @ sigma_px**2
-    if _ratio(means @ shift_px, means @ design, np.diag(by_noise), known) <= 1.0:
+    if _squared(means @ shift_px, means @ design, np.diag(by_noise), known) <= _STRAINS:
         return 1.0
     radius_px = measured.perimeter_px / (2.0 * np.pi)
     errors = outline_errors(shift_px, design, sigma_px, points, radius=radius_px, least_length=measured.spacing_px)
@@ -91,7 +93,7 @@ def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
         covariance = covariance + shared_px @ shared_px.T
     for error in measured.smooth_errors:
         covariance = covariance + error.covariance_px2(means @ points)
-    return max(_ratio(means @ shift_px, means @ design, covariance, known), 1.0)
+    return inflation(_squared(means @ shift_px, means @ design, covariance, known), _STRAINS)
 
 
 def _strained(points_px: Float, normals_px: Float) -> Float:
@@ -104,8 +106,8 @@ def _strained(points_px: Float, normals_px: Float) -> Float:
     return np.stack([x * by_x - y * by_y, x * by_y + y * by_x], axis=-1)
 
 
-def _ratio(shift_px: Float, design: Float, covariance: Float, known: float) -> float:
-    """Squared strain over its covariance, per parameter, in a fit of shifts (b,) with a covariance (b, b).
+def _squared(shift_px: Float, design: Float, covariance: Float, known: float) -> float:
+    """Squared strain over its covariance in a fit of shifts (b,) with a covariance (b, b).
 
     ``known`` is the standard deviation of a strain that a right body may have.
     """
@@ -115,4 +117,4 @@ def _ratio(shift_px: Float, design: Float, covariance: Float, known: float) -> f
     inverse = np.linalg.inv(x.T @ weighted) / np.outer(scale, scale)
     strain = (inverse @ (scale * (weighted.T @ shift_px)))[-_STRAINS:]
     of_strain = inverse[-_STRAINS:, -_STRAINS:] + known**2 * np.eye(_STRAINS)
-    return float(strain @ np.linalg.solve(of_strain, strain)) / _STRAINS
+    return float(strain @ np.linalg.solve(of_strain, strain))

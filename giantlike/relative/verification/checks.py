@@ -18,7 +18,7 @@ from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
 from giantlike.relative.budget import camera_response, with_error, with_larger_errors
 from giantlike.relative.inputs import EstimatorInputs
-from giantlike.relative.judge import Alternative, Judgement
+from giantlike.relative.judge import Alternative, Judgement, explaining_inflation, inflation
 from giantlike.relative.verification.cells import CELLS_PER_RADIUS, Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
 from giantlike.relative.verification.haze import HAZE_CELLS_PER_RADIUS, hint_of_haze, in_haze, may_be_hazy, veils
@@ -108,8 +108,7 @@ def verified(
 def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
     """Factor by which the variances of a fix are too small for what a coarse fit asks for beyond it.
 
-    The factor is the ratio by which Birge makes measurements consistent: the largest of squared motion, strain and,
-    where the point spread function is declared, smear, per degree of freedom, and at least 1.
+    The largest factor by motion, strain and, where the point spread function is declared, smear, and at least 1.
 
     Parameters
     ----------
@@ -122,25 +121,21 @@ def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
     Returns
     -------
     float
-
-    References
-    ----------
-    .. [1] Birge (1932), The calculation of errors by the method of least squares, Phys. Rev. 40, 207: the ratio of
-       external to internal consistency.
     """
     own = _own(fix)
     size = len(own)
-    place = _ratio(fit.place.values[:size], fit.place.covariance[:size, :size] + own)
-    figure = _ratio(fit.strain.values, fit.strain.covariance)
+    moved, coarse = fit.place.values[:size], fit.place.covariance[:size, :size]
+    place = max(_inflation(moved, coarse + own), explaining_inflation(moved, own, coarse))
+    figure = _inflation(fit.strain.values, fit.strain.covariance)
     # A fix that is less certain than the coarse one has errors of the figure in its covariance already.
-    room = min(float(np.trace(fit.place.covariance[:2, :2]) / max(np.trace(own[:2, :2]), 1e-300)), 1.0)
-    smear = _ratio(_SMEAR @ fit.blur.values, _SMEAR @ fit.blur.covariance @ _SMEAR.T) if psf_known else 0.0
-    return max(1.0, place, 1.0 + room * (figure - 1.0), 1.0 + room * (smear - 1.0))
+    room = min(float(np.trace(coarse[:2, :2]) / max(np.trace(own[:2, :2]), 1e-300)), 1.0)
+    smear = _inflation(_SMEAR @ fit.blur.values, _SMEAR @ fit.blur.covariance @ _SMEAR.T) if psf_known else 1.0
+    return max(place, 1.0 + room * (max(figure, smear) - 1.0))
 
 
-def _ratio(difference: Float, covariance: Float) -> float:
-    """Squared length of a difference (k,) over its covariance (k, k), per degree of freedom."""
-    return _squared(difference, covariance) / len(difference)
+def _inflation(difference: Float, covariance: Float) -> float:
+    """Factor by which a covariance (k, k) is too small for a difference (k,)."""
+    return inflation(_squared(difference, covariance), len(difference))
 
 
 def _own(fix: CenterFix) -> Float:
