@@ -200,14 +200,14 @@ def inflation(squared: float, freedom: int) -> float:
     Returns
     -------
     float
-        At least 1: the scale of the variances by the difference and, with as many degrees of freedom, as stated.
+        At least 1.
 
     References
     ----------
     .. [1] Birge (1932), The calculation of errors by the method of least squares, Phys. Rev. 40, 207: the ratio of
-       external to internal consistency, which is ``squared / freedom``.
+       external to internal consistency.
     """
-    return max(0.5 * (1.0 + squared / freedom), 1.0)
+    return max(squared / freedom, 1.0)
 
 
 def explaining_inflation(difference: Float, own: Float, other: Float, false_alarm: float = FALSE_ALARM) -> float:

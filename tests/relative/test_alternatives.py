@@ -67,7 +67,7 @@ def fitted(signal: Float, phase_deg: float) -> CoarseFit:
     assert trace is not None
     own = cells.render(trace)
     assert own is not None
-    fit = fit_cells(cells, trace, own)
+    fit = fit_cells(cells, trace, own, albedo=0.15)
     assert fit is not None
     return fit
 

@@ -171,7 +171,7 @@ def test_few_rays_to_the_sun_light_a_rock_as_all_do(
 
 def fitted(pixels_dn: Float, off_px: tuple[float, float] = (0.0, 0.0)) -> CoarseFit:
     cells, trace, own = looked_at(pixels_dn, sun_at(60.0), off_px=off_px)
-    fit = fit_cells(cells, trace, own)
+    fit = fit_cells(cells, trace, own, albedo=0.15)
     assert fit is not None
     return fit
 
@@ -199,5 +199,5 @@ def test_a_fit_does_not_end_before_cells_that_nothing_explains_are_left_out() ->
     hit = fitted(struck)
     sigma = np.sqrt(np.diag(clean.place.covariance))
     assert np.all(np.abs(hit.place.values - clean.place.values) < sigma)
-    assert hit.alternatives == pytest.approx(clean.alternatives, abs=1.0)
+    assert hit.alternatives == pytest.approx(clean.alternatives, abs=1.0, rel=0.15)
     assert hit.log_evidence == pytest.approx(clean.log_evidence, abs=1.0)

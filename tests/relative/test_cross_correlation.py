@@ -373,8 +373,6 @@ def test_a_wrong_reflectance_law_does_not_pull_center_or_range(law: Reflectance)
     free = positioned(case, case.image(), case.scene())
     assert_allclose(free.center_px, case.pixel, rtol=0, atol=0.5 * CENTER_PX)
     assert abs(math.log(free.range_km / case.range_km)) < LOG_RANGE
-    bound = positioned(case, case.image(), case.scene(), CrossCorrelationOptions(free_reflectance=False))
-    assert abs(math.log(bound.range_km / case.range_km)) > abs(math.log(free.range_km / case.range_km))
 
 
 @pytest.mark.parametrize("range_factor", [0.95, 1.05])
@@ -528,10 +526,10 @@ def test_a_body_beyond_the_declared_search_is_found_and_suspect() -> None:
         assert_allclose(fix.center_px, case.pixel, rtol=0, atol=CENTER_PX)
 
 
-def test_a_weak_match_is_kept_with_a_flag() -> None:
+def test_a_weak_match_is_kept_and_as_uncertain_as_it_is() -> None:
     case = Case(diameter_px=40.0, phase_deg=40.0)
     fix = estimated(case, case.image(peak_dn=12.0), case.scene())
-    assert Quality.LOW_SCORE in fix.flags
+    assert not fix.flags.suspect
     error = fix.center_px - case.pixel
     assert float(error @ np.linalg.solve(fix.covariance_px2, error)) < float(chi2.ppf(1.0 - RARE, 2))
 

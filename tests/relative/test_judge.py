@@ -92,7 +92,7 @@ def test_numbers_name_what_was_tested_and_nothing_else() -> None:
 @pytest.mark.parametrize("false_alarm", [1e-3, 1e-2, 0.1])
 def test_right_models_raise_false_alarms_at_most_at_the_rate(false_alarm: float) -> None:
     """Markov's inequality: data are noise, alternatives add signals whose amplitudes are a priori normal."""
-    rng, count, sigma = np.random.default_rng(3), 20_000, np.array([0.5, 1.0, 2.0, 4.0, 8.0])
+    rng, count, sigma = np.random.default_rng(3), 20_000, np.geomspace(0.5, 8.0, len(Alternative))
     scores = rng.normal(size=(count, len(Alternative)))  # of unit signals in unit noise
     log_odds = 0.5 * scores**2 * sigma**2 / (1.0 + sigma**2) - 0.5 * np.log1p(sigma**2)
     assert float(np.exp(log_odds[:, 0]).mean()) == pytest.approx(1.0, rel=0.02)  # odds, whose mean is 1

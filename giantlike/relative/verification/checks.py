@@ -249,7 +249,8 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
     """
     geometry, model = inputs.geometry, inputs.camera.model
     range_km = fix.range_km if isinstance(fix, PositionFix) else geometry.range_km
-    range_km /= 1.0 + (fix.corrections.limb_altitude_km or 0.0) / geometry.target.shape.mean_radius_km
+    if fix.corrections.limb_altitude_km:
+        range_km /= 1.0 + fix.corrections.limb_altitude_km / geometry.target.shape.mean_radius_km
     nearer = np.array([0.0, 0.0, -math.log(fix.corrections.seen_size or 1.0)])
     known = geometry.body(range_km * math.exp(nearer[2]) * model.unproject(fix.center_px))
     body = replace(known, camera_from_body=fix.camera_from_body) if isinstance(fix, _Oriented) else known
@@ -302,6 +303,7 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float | None, fix: Cente
             cells,
             trace,
             own,
+            albedo=inputs.geometry.target.uncertainty.albedo,
             turn_rad=inputs.turn_rad,
             response=fix.corrections.response,
             smear=fix.corrections.smear,

@@ -28,8 +28,9 @@ _EDGE_RADIUS, _EDGE_PX = 0.01, 0.3
 point spread function."""
 _WINGS, _WING_RADIUS = 0.01, 0.35
 """Light scattered around a body, over its own, and how far from it, radii: wings of a point spread function."""
-_FLOOR = 0.02
-"""Least error of the model over the brightest cell. Without it bright images (20,000 DN) of right fixes contradict them
+_AROUND, _FLOOR = 0.08, 0.02
+"""Radii over which markings reach, so that cells along a limb have them too; and least error of the model over the
+brightest cell. Without it bright images (20,000 DN) of right fixes contradict them
 by up to 9 standard deviations where the law is another one; with 1 and 2 % by up to 5."""
 _LAW_SIGMA = 1.0
 """Share of another law in the light, a priori: anything from the law that was told to the other one."""
@@ -171,7 +172,7 @@ class _Design(Value):
 
     The unknowns with their derivatives ``matrix`` (k, n, n) and their a priori standard deviations ``sigma`` (k,) over
     the gain; the light itself, its steepness per cell and what optics scatter of it, (n, n) each; and the modes of
-    undeclared markings of that light; the center of the body (2,), cells.
+    undeclared markings of that light, if they are; the light ``around`` (n, n), and the center of the body (2,), cells.
     """
 
     layout: Layout
@@ -180,8 +181,14 @@ class _Design(Value):
     own: Float
     slope: Float
     scattered: Float
-    markings: MarkingModes
+    around: Float
+    markings: MarkingModes | None
     center: Float
+
+    @property
+    def plain(self) -> _Design:
+        """The same without markings."""
+        return replace(self, markings=None)
 
     def columns(
         self, values: Float, weights: Float, gain: float, variances: Float | None, *, gain_sigma: float = 1.0
@@ -191,8 +198,9 @@ class _Design(Value):
         Markings could take the place of all light: what the body is as bright as in the image is known before.
         """
         sigma = self.layout.vector({"gain": gain_sigma}) + self.sigma
+        markings = None if self.markings is None else self.markings.brighter(gain)
         prior = Prior.of_sigmas(gain * sigma, self.layout.vector({"gain": gain}))
-        return Columns(self.layout, self.matrix, prior, values, weights, self.markings.brighter(gain), variances)
+        return Columns(self.layout, self.matrix, prior, values, weights, markings, variances)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -247,6 +255,7 @@ def fit_cells(
     trace: Trace,
     own: Template,
     *,
+    albedo: float,
     turn_rad: float = 0.0,
     response: Response | None = None,
     smear: Smear | None = None,
@@ -261,6 +270,9 @@ def fit_cells(
         Of the body at the place found.
     own : Template
         The body under its law.
+    albedo : float
+        Standard deviation of the brightness of its surface about its law, where effects are looked for that a field of
+        markings could take up: a response, and those that residuals are asked about.
     turn_rad : float, rad
         Standard deviation of the orientation of the body, about any axis.
     response : Response, optional
@@ -285,10 +297,12 @@ def fit_cells(
     if not fitted.lit.any():
         return None
     place, strain, blur = _geometry(fitted, turn_rad)
-    bent, bend_sigma, bend_log_odds = _response(fitted, response)
+    plain = _fitted(cells, design.plain, np.hypot(sigma, albedo * design.around), edge, cells.place(own.coverage, own))
+    plain = fitted if plain is None or not plain.lit.any() else plain
+    bent, bend_sigma, bend_log_odds = _response(plain, response)
     return CoarseFit(
         gain_dn=fitted.gain,
-        log_evidence=fitted.scores.log_evidence,
+        log_evidence=plain.scores.log_evidence,
         alternatives=_alternatives(fitted),
         place=place,
         strain=strain,
@@ -297,7 +311,7 @@ def fit_cells(
         response=bent,
         bend_sigma=bend_sigma,
         bend_log_odds=bend_log_odds,
-        omitted=Omitted() if asked is None else _omitted(fitted, fitted.gain * asked),
+        omitted=Omitted() if asked is None else _omitted(plain, plain.gain * asked),
     )
 
 
@@ -444,6 +458,7 @@ def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None) -> _
         own=light,
         slope=slope,
         scattered=scattered,
+        around=_blurred(light, _AROUND * cells.radius),
         markings=MarkingModes.across(light, np.array([x, y]), cells.radius),
         center=np.array([x, y]),
     )
