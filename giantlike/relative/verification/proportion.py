@@ -11,9 +11,9 @@ import numpy as np
 from giantlike.core.causes import Cause
 from giantlike.core.findings import Response
 from giantlike.core.outcomes import CenterFix, Failure
+from giantlike.image_model.columns import UNDECLARED
 from giantlike.relative.budget import place_difference, with_error
 from giantlike.relative.inputs import EstimatorInputs
-from giantlike.relative.judge import FALSE_ALARM
 from giantlike.relative.response import LEAST_BEND, settled
 from giantlike.relative.verification.coarse_fit import CoarseFit
 
@@ -42,7 +42,7 @@ def looks_bent(coarse: Looked | None) -> bool:
     bool
     """
     fit = None if coarse is None else coarse.fit
-    return fit is not None and fit.response.bend > LEAST_BEND and fit.bend_log_odds > -math.log(FALSE_ALARM)
+    return fit is not None and fit.response.bend > LEAST_BEND and fit.bend_log_odds > 0.0
 
 
 def in_proportion(
@@ -89,7 +89,9 @@ def in_proportion(
         return fit_of(trial).response, fit_of(trial).bend_sigma
 
     trial = None if before is None else settled(before.response, tried, asked)
-    if before is None or trial is None or fit_of(trial).log_evidence < before.log_evidence - math.log(FALSE_ALARM):
+    if before is None or trial is None:
+        return None
+    if fit_of(trial).log_evidence < before.log_evidence + math.log(1.0 / UNDECLARED - 1.0):
         return None
     found, seen, straight = trial
     per_bend = place_difference(found, fix) / fit_of(trial).response.bend
