@@ -193,7 +193,8 @@ def robust_fit(
         return Columns(layout, matrix, prior, *data, markings, None if markings is None else known).solve()
 
     first = np.zeros(len(shapes)) if start is None else start
-    weights = np.divide(certain, variances.total(first), out=np.zeros(certain.size), where=certain)
+    total = variances.total(first)
+    weights = np.divide(certain, total, out=np.zeros(certain.size), where=certain & (total > 0.0))
     solution = solved(measured.values, weights, markings if approach else None)
     if solution is None:
         return None

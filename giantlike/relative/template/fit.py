@@ -295,7 +295,11 @@ def fit_template(
         if markings is None:
             objective = problem.misfit_dn2()
         elif approach:
-            sigma_dn = _ROUGH_ERROR * float(np.abs(markings.light).max()) if errors is None else math.sqrt(errors[0])
+            sigma_dn = (
+                _ROUGH_ERROR * (float(np.abs(markings.light).max()) or float(problem.light.max()))
+                if errors is None
+                else math.sqrt(errors[0])
+            )
             errors, objective = np.array([sigma_dn**2, 0.0, 0.0]), problem.objective(markings, sigma_dn)
         if last is not None and last.motion_px > _ROUGH_STEP_PX and objective > last.objective:
             last = last.shortened(_RETREAT)
