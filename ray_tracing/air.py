@@ -43,15 +43,11 @@ class Air:
 
     Notes
     -----
-    Along a ray that meets a layer of vertical depth 1 under the angle of cosine c lies the depth of Chapman's function,
-    for thin layers over a sphere ``sqrt(pi X / 2) erfcx(sqrt(X / 2) c)`` with ``X = R / H``; 1/c far from the horizon.
-    Its inverse takes the place of the cosine here: positive at the horizon, falling as ``exp(-d^2 / (2 H / R))`` at the
-    angle d below.
-
-    References
-    ----------
-    .. [1] Smith and Smith (1972), Numerical evaluation of Chapman's grazing incidence integral ch(X, chi), Journal of
-       Geophysical Research 77, 3592-3597.
+    A ray that leaves the ground under the angle of cosine c stands at the altitude ``c s + s^2 / (2 R)`` after a length
+    s, as long as that is much less than R. The integral of ``exp(-altitude / H) / H`` along it, the depth over the
+    vertical one (Chapman's function of a thin layer), is ``sqrt(pi X / 2) erfcx(sqrt(X / 2) c)`` with ``X = R / H``; 1/c
+    far from the horizon. Its inverse takes the place of the cosine here: positive at the horizon, falling as
+    ``exp(-d^2 / (2 H / R))`` at the angle d below.
     """
 
     scale_height: float

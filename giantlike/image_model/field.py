@@ -7,7 +7,8 @@ sums over pixels for all pairs of modes follow from one small transform of the i
 References
 ----------
 .. [1] Solin and Sarkka (2020), Hilbert space methods for reduced-rank Gaussian process regression, Statistics and
-   Computing 30, 419, eqs. 19-21 and 56 (here with Neumann boundaries, whose eigenfunctions are cosines).
+   Computing 30, 419, abstract: eigenfunctions of the Laplacian with variances by the spectral density. Here they are
+   cosines, whose slope vanishes at the edge of the square, and their variances add up to 1.
 """
 
 from __future__ import annotations
@@ -21,18 +22,18 @@ from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 
 HALF_WIDTH = 1.25
-"""Half width of the square over the radius of the body."""
+"""Half width of the square over the radius of the body: numerics, so that the edge lies outside of a body off center."""
 _MODES = 9
 """Cosines along each axis: a wavelength of 0.6 radii is the shortest."""
 LENGTHS = (0.25, 0.5, 1.0)
-"""Correlation lengths over the radius that are averaged."""
+"""Correlation lengths over the radius that are averaged: a prior, up to markings as large as the body."""
 AMPLITUDES = np.concatenate([[0.0], np.geomspace(0.004, 3.0**-0.5, 9)])
 """Standard deviations, over the light, that are averaged: up to that of albedos uniform from none to twice their
 mean."""
 MEDIAN_AMPLITUDE, AMPLITUDE_FACTOR = 0.10, 2.5
-"""Median and geometric standard deviation of the prior of the amplitude."""
+"""Median and geometric standard deviation of the prior of the amplitude: a first guess, of no study of published maps."""
 UNMARKED = 0.1
-"""Prior probability of a surface without undeclared markings."""
+"""Prior probability of a surface without undeclared markings: a guess, as the amplitude."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -3,14 +3,9 @@
 An alternative is an image that the fit of a body to cells left out. Its odds are those of two Student-t likelihoods of
 the cells it reaches, with it and without, at an unknown scale of the errors: what a real image leaves of a model is not
 noise, and markings, clouds and laws are alike over a good part of a radius. So as many residuals count as there are
-such parts, which is that likelihood to the power of parts over cells (a tempered, or power, likelihood). The amplitude
-of an alternative is integrated over its prior, and its place over all places that it may have.
-
-References
-----------
-.. [1] Gelman et al. (2013), Bayesian Data Analysis, 3rd ed., section 3.2 (Student-t marginal likelihoods).
-.. [2] Grunwald and van Ommen (2017), Inconsistency of Bayesian inference for misspecified linear models, and a proposal
-   for repairing it, Bayesian Analysis 12, 1069 (likelihoods to a power below 1).
+such parts, which is that likelihood to the power of parts over cells (a tempered, or power, likelihood). The scale has
+a prior of as many parts at the stated errors, so that n parts with squares Q have a likelihood of ``(n + Q)^-n``. The
+amplitude of an alternative is integrated over its prior, and its place over all places that it may have.
 """
 
 from __future__ import annotations
@@ -30,8 +25,8 @@ _LIGHT_SIGMA = 0.5
 _SHIFT_SIGMA = 0.1
 """A priori standard deviation of a shift of rows, radii."""
 _WAVES, _OUTLINE_SIGMA = (3, 4, 5, 6), 0.1
-"""Waves along the outline of another body, and a priori standard deviation of their amplitudes, radii: rocks differ
-from ellipsoids by so much in each."""
+"""Waves along the outline of another body, beyond those of a strain, and a priori standard deviation of their
+amplitudes, radii: a guess of how much the outlines of two bodies differ in each."""
 _APART = 0.1
 """Least distance of a second light, radii: nearer ones are a blur or a motion of the first."""
 _CANDIDATES = 6
