@@ -45,8 +45,8 @@ class Air:
     -----
     A ray that leaves the ground under the angle of cosine c stands at the altitude ``c s + s^2 / (2 R)`` after a length
     s, as long as that is much less than R. The integral of ``exp(-altitude / H) / H`` along it, the depth over the
-    vertical one (Chapman's function of a thin layer), is ``sqrt(pi X / 2) erfcx(sqrt(X / 2) c)`` with ``X = R / H``; 1/c
-    far from the horizon. Its inverse takes the place of the cosine here: positive at the horizon, falling as
+    vertical one (Chapman's function of a thin layer), is ``sqrt(pi X / 2) erfcx(sqrt(X / 2) c)`` with ``X = R / H``;
+    far from the horizon it is 1/c. Its inverse takes the place of the cosine here: positive at the horizon, falling as
     ``exp(-d^2 / (2 H / R))`` at the angle d below.
     """
 

@@ -22,7 +22,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 
 HALF_WIDTH = 1.25
-"""Half width of the square over the radius of the body: numerics, so that the edge lies outside of a body off center."""
+"""Half width of the square over the radius of the body: its edge lies outside of a body off center."""
 _MODES = 9
 """Cosines along each axis: a wavelength of 0.6 radii is the shortest."""
 LENGTHS = (0.25, 0.5, 1.0)
@@ -31,7 +31,7 @@ AMPLITUDES = np.concatenate([[0.0], np.geomspace(0.004, 3.0**-0.5, 9)])
 """Standard deviations, over the light, that are averaged: up to that of albedos uniform from none to twice their
 mean."""
 MEDIAN_AMPLITUDE, AMPLITUDE_FACTOR = 0.10, 2.5
-"""Median and geometric standard deviation of the prior of the amplitude: a first guess, of no study of published maps."""
+"""Median and geometric standard deviation of the prior of the amplitude: a first guess, not from published maps."""
 UNMARKED = 0.1
 """Prior probability of a surface without undeclared markings: a guess, as the amplitude."""
 
