@@ -181,9 +181,9 @@ class Quality(enum.Flag):
     Range and the direction along the arc are known less; the covariance says how much.
     """
     LOW_SCORE = enum.auto()
-    """The match is weak.
+    """All of the limb is saturated, so that only the wings of the point spread function are left of it.
 
-    Nothing raises it any more; it occurs in runs of earlier versions.
+    Expose shorter, or use an estimator of light that knows saturation.
     """
     MANY_REJECTED = enum.auto()
     """More than half of the observations were rejected.
@@ -241,15 +241,16 @@ class Quality(enum.Flag):
     Check `bottom_up`, the axes of the camera and the direction of the Sun.
     """
     UNEXPLAINED_LIGHT = enum.auto()
-    """A second image of the body lies beside the first, by odds of more than a thousand to one.
+    """A second image of the body lies beside the first, or the body is darker than the sky, by odds of more than a
+    thousand to one.
 
     Another exposure, a ghost or a second body: look at the image, and mask what is not the body.
     """
     WRONG_FIGURE = enum.auto()
-    """Rows or columns are shifted against each other, or the limb is smooth where a height map has relief, by odds of
-    more than a thousand to one.
+    """The outline is that of another body, rows or columns are shifted against each other, or the limb is smooth where
+    a height map has relief, by odds of more than a thousand to one.
 
-    Look at the image for shifted rows; check the height map, pole, rotation and epoch.
+    Look at the image for shifted rows; check the shape, pole, rotation and epoch.
     """
     BLURRED = enum.auto()
     """The stars are wider along one direction than the camera's optics make them, or narrower in all.

@@ -288,7 +288,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
 
     def _estimator(self, name: str) -> Estimator:
         """Return an estimator with its options, which have its name."""
-        return _CHOICES[name][0](getattr(self.options, name))
+        return _CHOICES[name][0](getattr(self.options, name), false_alarm=self.options.false_alarm)
 
 
 def _in_haze(scene: Scene, name: str, sigma_km: float) -> Scene:

@@ -17,6 +17,7 @@ from giantlike.core.processes import one_thread
 from giantlike.image import Image
 from giantlike.relative.budget import place_difference, with_budget, with_error
 from giantlike.relative.inputs import EstimatorInputs, gather
+from giantlike.relative.judge import FALSE_ALARM
 from giantlike.relative.response import BEND_STEP
 from giantlike.relative.verification import verified
 from giantlike.rings import Rings
@@ -68,6 +69,8 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
     ----------
     options : object, optional
         The frozen options dataclass of the estimator; its defaults if left out.
+    false_alarm : float
+        Rate of false alarms of each test of a fix.
     """
 
     name: ClassVar[str]
@@ -79,8 +82,9 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
     finds_response: ClassVar[bool] = False
     """True for an estimator that finds out by itself where values are not in proportion to light."""
 
-    def __init__(self, options: Options | None = None) -> None:
+    def __init__(self, options: Options | None = None, *, false_alarm: float = FALSE_ALARM) -> None:
         self._options: Options = options or self.options_type()
+        self._false_alarm = false_alarm
 
     @property
     def options(self) -> Options:
@@ -132,7 +136,8 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         if rings_km is not None and geometry.target.rings is None:
             ringed = replace(geometry.target, rings=Rings(*rings_km))
             seen = replace(seen, geometry=replace(geometry, target=ringed))
-        return verified(result, seen, search_px, by_light=self.by_light, again=again)
+        alarm = self._false_alarm
+        return verified(result, seen, search_px, by_light=self.by_light, again=again, false_alarm=alarm)
 
     def _budgeted(self, inputs: EstimatorInputs) -> Fix | Failure:
         """Find the body, with all causes of error of its place."""

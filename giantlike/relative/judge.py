@@ -202,12 +202,12 @@ def inflation(squared: float, freedom: int) -> float:
     float
         At least 1.
 
-    References
-    ----------
-    .. [1] Birge (1932), The calculation of errors by the method of least squares, Phys. Rev. 40, 207: the ratio of
-       external to internal consistency.
+    Notes
+    -----
+    The stated variances count as an estimate of ``freedom`` degrees of freedom; the factor is the mean of their scale,
+    1, and of that of the difference, ``squared / freedom``.
     """
-    return max(squared / freedom, 1.0)
+    return max(0.5 * (1.0 + squared / freedom), 1.0)
 
 
 def explaining_inflation(difference: Float, own: Float, other: Float, false_alarm: float = FALSE_ALARM) -> float:

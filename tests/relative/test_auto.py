@@ -202,7 +202,7 @@ def test_a_disagreement_beyond_the_covariances_makes_the_fix_less_certain(rock: 
     assert isinstance(apart, CenterFix)
     assert not apart.flags.suspect
     assert apart.center_px.tolist() == [10.0, 10.0]
-    ratio = 1.0**2 / 0.02 / 2.0  # squared difference over its covariance and two degrees of freedom
+    ratio = 0.5 * (1.0 + 1.0**2 / 0.02 / 2.0)  # squared difference over its covariance, two degrees of freedom
     assert_allclose(apart.covariance_px2, ratio * 0.01 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
 
 
@@ -323,7 +323,7 @@ def test_a_fused_covariance_holds_for_errors_that_are_independent_or_the_same() 
 def test_fixes_that_differ_by_more_than_their_errors_are_less_certain_together() -> None:
     model = body_image(MOON, 1, phase_deg=50.0).camera.model
     apart = fused(_with_parts((10.0, 10.0), albedo=0.01), _with_parts((10.5, 10.0), edge=0.01), model)
-    ratio = 0.5**2 / 0.02 / 2.0  # squared difference over its covariance and two degrees of freedom
+    ratio = 0.5 * (1.0 + 0.5**2 / 0.02 / 2.0)  # squared difference over its covariance, two degrees of freedom
     assert_allclose(apart.covariance_px2, ratio * 0.005 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
 
 
@@ -332,7 +332,7 @@ def test_a_vague_second_fix_that_differs_by_more_than_its_errors_makes_the_first
     model = body_image(MOON, 1, phase_deg=50.0).camera.model
     first, vague = _with_parts((10.0, 10.0), noise=0.01), _with_parts((16.0, 10.0), noise=1.0)
     apart = fused(first, vague, model)
-    ratio = 6.0**2 / 1.01 / 2.0
+    ratio = 0.5 * (1.0 + 6.0**2 / 1.01 / 2.0)
     assert_allclose(apart.covariance_px2, ratio * 0.01 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
     assert_allclose(apart.center_px, first.center_px, rtol=0, atol=0)
     near = fused(first, _with_parts((11.0, 10.0), noise=1.0), model)

@@ -214,7 +214,7 @@ def test_a_smear_makes_a_fix_less_certain_and_wings_of_the_optics_do_not() -> No
         assert not found.flags.suspect
         grown.append(found.covariance_px2[0, 0] / fix_at(inputs).covariance_px2[0, 0])
     assert grown[0] == 1.0
-    assert grown[1] > 1.5
+    assert grown[1] > 1.3
 
 
 def test_a_limb_that_a_told_range_leaves_elsewhere_is_no_blur() -> None:
@@ -285,7 +285,7 @@ def test_a_pole_told_10_degrees_off_makes_a_fix_less_certain(axis: tuple[float, 
     inputs = inputs_of(light(60.0), 60.0, turn=turned)
     fix = verified(fix_at(inputs), inputs, SEARCH_PX)
     assert not fix.flags.suspect
-    assert fix.findings.checks["tension"] > 2.0
+    assert fix.findings.checks["tension"] > 1.5
 
 
 def test_a_rock_whose_face_is_turned_makes_a_fix_less_certain_unless_declared() -> None:

@@ -92,7 +92,7 @@ class EllipseFitOptions(LimbSearch):
     outlier_mad : float
         Edges beyond so many robust sigmas are left out.
     large_rms_px : float, px
-        Larger residuals, beyond what relief explains, get a flag.
+        Kept for files of earlier versions: residuals raise no flag.
     """
 
     search_range: float = 0.05
@@ -138,9 +138,7 @@ class EllipseFit(BodyEstimator[EllipseFitOptions, PositionFix]):
     """
 
     name: ClassVar[str] = "ellipse_fit"
-
-    def __init__(self, options: EllipseFitOptions | None = None) -> None:
-        super().__init__(options or EllipseFitOptions())
+    options_type = EllipseFitOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> PositionFix | Failure:
         stand_in = EllipsoidStandIn.of(inputs, self.options.max_relief)

@@ -54,7 +54,7 @@ class EllipsoidCRAOptions(HorizonSearch):
     max_rms_px : float, px
         Larger residuals, beyond what relief explains, are a failure.
     large_rms_px : float, px
-        Larger residuals, beyond what relief explains, get a flag.
+        Kept for files of earlier versions: residuals raise no flag.
     limb_altitude_km : float, km
         What is seen as the limb stands so high above the shape: haze, an atmosphere. Where this and its sigma are 0,
         that of the target's atmosphere.
@@ -107,9 +107,7 @@ class EllipsoidCRA(BodyEstimator[EllipsoidCRAOptions, PositionFix]):
     """
 
     name: ClassVar[str] = "ellipsoid_cra"
-
-    def __init__(self, options: EllipsoidCRAOptions | None = None) -> None:
-        super().__init__(options or EllipsoidCRAOptions())
+    options_type = EllipsoidCRAOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> PositionFix | Failure:
         stand_in = EllipsoidStandIn.of(inputs, self.options.max_relief)

@@ -36,7 +36,7 @@ class SigmoidLimbOptions(HorizonSearch):
     max_rms_px : float, px
         Larger residuals are a failure.
     large_rms_px : float, px
-        Larger residuals get a flag.
+        Kept for files of earlier versions: residuals raise no flag.
     limb_altitude_km : float, km
         What is seen as the limb stands so high above the shape: haze, an atmosphere. Where this and its sigma are 0,
         that of the target's atmosphere.
@@ -82,9 +82,7 @@ class SigmoidLimb(BodyEstimator[SigmoidLimbOptions, PositionFix]):
     """
 
     name: ClassVar[str] = "sigmoid_limb"
-
-    def __init__(self, options: SigmoidLimbOptions | None = None) -> None:
-        super().__init__(options or SigmoidLimbOptions())
+    options_type = SigmoidLimbOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> PositionFix | Failure:
         shape = inputs.geometry.target.shape

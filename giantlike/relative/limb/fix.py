@@ -39,8 +39,8 @@ _MAX_RANGE_SIGMA = 0.25
 """Standard deviation of the range over the range beyond which a position is none: linear errors end there."""
 LEAST_PSF_PX2 = 0.01
 """Least variance of a point spread function that is estimated, px^2: a tenth of that of a pixel."""
-_RELIEF_RMS, _RELIEF_LARGE_RMS = 2.0, 1.5
-"""Residuals in units of the relief that are allowed, and that are not yet large; no study on bodies with relief yet."""
+_RELIEF_RMS = 2.0
+"""Residuals in units of the relief that are allowed; no study on bodies with relief yet."""
 
 
 class EdgeModel(StrEnum):
@@ -93,7 +93,7 @@ class LimbSearch:
     outlier_mad : float
         Limb points beyond so many robust sigmas are left out.
     large_rms_px : float, px
-        Larger residuals, beyond what relief explains, get a flag.
+        Kept for files of earlier versions: residuals raise no flag.
     """
 
     search_px: float = 40.0

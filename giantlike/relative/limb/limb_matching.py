@@ -50,7 +50,7 @@ class LimbMatchingOptions(IteratedSearch):
     max_rms_px : float, px
         Larger residuals are a failure.
     large_rms_px : float, px
-        Larger residuals get a flag.
+        Kept for files of earlier versions: residuals raise no flag.
     min_diameter_px : float, px
         Smaller bodies (by the predicted size of the sphere of the same volume) are a failure: ``cross_correlation`` and
         ``unresolved``, which use all of the light, do better. Lower it to have such limbs nevertheless. Squared errors
@@ -98,9 +98,7 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
     """
 
     name: ClassVar[str] = "limb_matching"
-
-    def __init__(self, options: LimbMatchingOptions | None = None) -> None:
-        super().__init__(options or LimbMatchingOptions())
+    options_type = LimbMatchingOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> PositionFix | Failure:
         diameter_px, least_px = 2.0 * inputs.radius_px, self.options.min_diameter_px

@@ -67,9 +67,9 @@ def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
 
     Notes
     -----
-    The strain s (2,) of no area is fitted beside the place by generalized least squares; the factor is the mean of
-    that of ``s.C^-1.s`` (:func:`~giantlike.relative.judge.inflation`) and of 1, as residuals scale ``C`` already.
-    Where noise alone explains the strain, other errors are not looked for.
+    The strain s (2,) of no area is fitted beside the place by generalized least squares; the factor is that of
+    ``s.C^-1.s`` (:func:`~giantlike.relative.judge.inflation`). Where noise alone explains the strain, other errors are
+    not looked for.
     """
     if inputs.place_alone or measured.relief is not None or measured.terrain is not None:
         return 1.0
@@ -93,7 +93,7 @@ def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
         covariance = covariance + shared_px @ shared_px.T
     for error in measured.smooth_errors:
         covariance = covariance + error.covariance_px2(means @ points)
-    return 0.5 * (1.0 + inflation(_squared(means @ shift_px, means @ design, covariance, known), _STRAINS))
+    return inflation(_squared(means @ shift_px, means @ design, covariance, known), _STRAINS)
 
 
 def _strained(points_px: Float, normals_px: Float) -> Float:

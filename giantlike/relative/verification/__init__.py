@@ -1,11 +1,10 @@
 """Checks of a fix that no estimator makes of itself: the body rendered coarsely where it was found, against the image.
 
 :func:`~giantlike.relative.verification.checks.verified` stands behind every ``estimate``. It averages the image around
-the body in cells (``cells``), traces the body once into them, and asks whether its light explains that of the image and
-where in it the body and its parts would rather be (``coarse_fit``), whether values are in proportion to light
-(``proportion``), whether another Sun or another place would explain it as well (``light_side``, ``rival``), and whether
-prediction and fix agree within the sigmas that were declared.
-What follows from the numbers is decided in ``relative/quality.py``.
+the body in cells (``cells``), traces the body once into them, and fits its light to that of the image with corrections
+of place and strain (``coarse_fit``). It tests the linearity of the values (``proportion``) and the odds of other models
+of the image (``alternatives``, ``light_side``), of another place (``rival``) and of the prediction within its declared
+errors. :mod:`giantlike.relative.judge` turns the numbers into flags.
 """
 
 from giantlike.relative.verification.checks import verified

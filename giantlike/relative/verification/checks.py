@@ -18,7 +18,7 @@ from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
 from giantlike.relative.budget import camera_response, with_error, with_larger_errors
 from giantlike.relative.inputs import EstimatorInputs
-from giantlike.relative.judge import Alternative, Judgement, explaining_inflation, inflation
+from giantlike.relative.judge import FALSE_ALARM, Alternative, Judgement, explaining_inflation, inflation
 from giantlike.relative.verification.cells import CELLS_PER_RADIUS, Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
 from giantlike.relative.verification.haze import HAZE_CELLS_PER_RADIUS, hint_of_haze, in_haze, may_be_hazy, veils
@@ -54,6 +54,7 @@ def verified(
     *,
     by_light: bool = False,
     again: Callable[[EstimatorInputs], AnyFix | Failure] | None = None,
+    false_alarm: float = FALSE_ALARM,
 ) -> AnyFix:
     """Return a fix with the flags and numbers of its checks; unchanged where it has them already.
 
@@ -69,7 +70,9 @@ def verified(
         templates know errors of relief themselves.
     again : callable, optional
         Runs the estimator on other inputs: a fix that takes values for light is made again where the coarse render
-        shows that they are not in proportion to it, and one of a limb where it shows haze that nobody told.
+        shows that they are not in proportion to it, and one of a limb where it shows undeclared haze.
+    false_alarm : float
+        Rate of false alarms of each test.
 
     Returns
     -------
@@ -94,6 +97,7 @@ def verified(
         alternatives=alternatives,
         other_place=other_place,
         prediction_chance=1.0 if off is None else chance_of(*off),
+        false_alarm=false_alarm,
     )
     tension = 1.0 if fit is None else tension_of(fix, fit, psf_known=inputs.psf_sigma_px is not None)
     findings = replace(fix.findings, checks={**judgement.numbers, "tension": tension})
