@@ -10,7 +10,11 @@ import math
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from giantlike.atmosphere import Atmosphere
@@ -49,6 +53,8 @@ PEAK_DN = 3000.0
 ATTITUDE = Rotation.from_rotvec([0.3, -1.0, 0.4])
 ERROR_PX, RANGE_ERROR = 4.0, 0.01
 MESH_CELLS = 160
+TRAIL_PX = 5.0
+"""Decay length of charge-transfer trails."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +76,13 @@ class Case:
     saturation_dn: float = math.inf
     told_saturation: bool = True
     dead_columns: int = 0
+    oval: float = 1.0
+    """Width of the point spread function along columns over that along rows."""
+    trail_share: float = 0.0
+    """Share of the charge that is left behind along the rows, with a decay length of ``TRAIL_PX``."""
+    jpeg_quality: int = 0
+    """Quality of the 8-bit JPEG that the image is, without a declared detector; 0 where it is none."""
+    undeclared_spin_deg: float = 0.0
     pole_error_deg: float = 0.0
     attitude_error_deg: float = 0.0
     frame_px: int = 0
@@ -166,6 +179,7 @@ def view_of(case: Case, number: int, rendered_dn: Float | None = None) -> Seen:
         else:
             signal = hazy_sphere(MEAN_KM, case.haze, view, Pose(position, turn, sun), law=case.law, psf=case.psf)
             signal *= PEAK_DN / signal.max()
+        signal = trailed(widened(signal, case), case.trail_share)
         signal += background((size, size), constant_dn=case.level_dn, slope_dn=case.slope_dn)
     camera = Camera(
         name="stress",
@@ -173,7 +187,9 @@ def view_of(case: Case, number: int, rendered_dn: Float | None = None) -> Seen:
         rows=size,
         model=PinholeModel(fx_px=FOCAL_PX, fy_px=FOCAL_PX, cx_px=middle[0], cy_px=middle[1]),
         psf=GaussianPsf(sigma_px=case.told_psf_px),
-        detector=Detector(
+        detector=Detector()
+        if case.jpeg_quality
+        else Detector(
             gain_e_per_dn=1.0,
             read_noise_e=READ_NOISE_DN,
             saturation_dn=case.saturation_dn if case.told_saturation else math.inf,
@@ -193,6 +209,27 @@ def view_of(case: Case, number: int, rendered_dn: Float | None = None) -> Seen:
     )
 
 
+def widened(signal_dn: Float, case: Case) -> Float:
+    """Image (h, w) with a point spread function that is oval."""
+    if case.oval == 1.0:
+        return signal_dn
+    return np.asarray(gaussian_filter1d(signal_dn, case.psf.sigma_px * math.sqrt(case.oval**2 - 1.0), axis=1))
+
+
+def trailed(signal_dn: Float, share: float) -> Float:
+    """Image (h, w) of which a share of the charge arrives late, in an exponential trail along the rows."""
+    decay = math.exp(-1.0 / TRAIL_PX)
+    late = lfilter([0.0, 1.0 - decay], [1.0, -decay], signal_dn, axis=1)
+    return np.asarray((1.0 - share) * signal_dn + share * late)
+
+
+def jpeg(pixels_dn: Float, quality: int) -> NDArray[np.uint8]:
+    """Image (h, w) of 8 bits after compression, its peak near 230."""
+    values = np.clip(np.rint(230.0 / PEAK_DN * pixels_dn + 8.0), 0.0, 255.0).astype(np.uint8)
+    _, data = cv2.imencode(".jpg", values, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
+
+
 def draw_of(seen: Seen, seed: int) -> Draw:
     """Expose a view, and make the scene with errors of the prediction; sigmas of what is wrong on purpose are told."""
     case = seen.case
@@ -205,11 +242,12 @@ def draw_of(seen: Seen, seed: int) -> Draw:
     sight = seen.camera.model.unproject(predicted)
     distance = float(np.linalg.norm(seen.position_camera_km)) * (1.0 + rng.uniform(-RANGE_ERROR, RANGE_ERROR))
     wrong = Rotation.from_rotvec(np.radians(case.pole_error_deg) * rng.normal(size=3))
+    wrong = wrong * seen.camera_from_body * Rotation.from_rotvec([0.0, 0.0, math.radians(case.undeclared_spin_deg)])
     turned = Rotation.from_rotvec(np.radians(case.attitude_error_deg) * rng.normal(size=3))
     back = seen.attitude.inv()
     geometry = ApparentGeometry(
         position_inertial_km=back.apply(distance * sight),
-        inertial_from_body=back * wrong * seen.camera_from_body,
+        inertial_from_body=back * wrong,
         sun_direction_inertial=back.apply(seen.sun),
     )
     target = Target(
@@ -229,7 +267,7 @@ def draw_of(seen: Seen, seed: int) -> Draw:
         ),
     )
     image = Image(
-        pixels=shot.pixels.astype(np.float32),
+        pixels=jpeg(shot.pixels, case.jpeg_quality) if case.jpeg_quality else shot.pixels.astype(np.float32),
         camera_from_inertial=turned * seen.attitude,
         attitude_covariance_rad2=np.radians(case.attitude_error_deg) ** 2 * np.eye(3)
         if case.attitude_error_deg
@@ -246,6 +284,8 @@ ROCK = ("cross_correlation", "limb_matching", "moment", "auto")
 """Estimators for meshes."""
 HAZE = Haze(scale_height_km=0.05, vertical_depth=0.05)
 """0.3 px of scale height; along the limb the optical depth is 1.7 at the ground."""
+THICK_HAZE = Haze(scale_height_km=0.15, vertical_depth=0.2)
+"""1 px of scale height, and an optical depth of 4 along the limb at the ground."""
 _BASE = Case(name="exact", estimators=ELLIPSOID)
 
 
@@ -349,6 +389,15 @@ CASES: tuple[Case, ...] = (
         haze=replace(HAZE, twilight=True),
         told_haze_sigma_km=0.5 * HAZE.scale_height_km,
     ),
+    replace(_BASE, name="haze not told, thick", haze=THICK_HAZE),
+    replace(_BASE, name="trails 2 %", trail_share=0.02),
+    replace(_BASE, name="trails 2 %, rock", body="rock", estimators=ROCK, trail_share=0.02),
+    replace(_BASE, name="psf oval 1.3", oval=1.3),
+    replace(_BASE, name="psf oval 1.3, rock", body="rock", estimators=ROCK, oval=1.3),
+    replace(_BASE, name="spin 3 deg off, not told", undeclared_spin_deg=3.0),
+    replace(_BASE, name="spin 3 deg off, not told, rock", body="rock", estimators=ROCK, undeclared_spin_deg=3.0),
+    replace(_BASE, name="jpeg 85", jpeg_quality=85),
+    replace(_BASE, name="saturated, 30 px", diameter_px=30.0, saturation_dn=2000.0),
     replace(_BASE, name="edges step", estimators=LIMBS[:1], options="step"),
     replace(_BASE, name="edges step, law lambert", estimators=LIMBS[:1], options="step", law="lambert"),
 )

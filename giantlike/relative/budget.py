@@ -2,8 +2,8 @@
 
 The camera model, the attitude, the scale of the shape, the orientation of the body and its ephemeris are given to an
 estimator, and each is wrong by its own uncertainty. Every cause adds a part of its own to the fix. Where the response
-has a closed form it is used; else the estimator is run again on the same pixels with the body moved by one sigma, and
-the difference of the two fixes, in which the noise cancels, is the response.
+has a closed form it is used; else the motion of the fix is measured on the same pixels, in which the noise cancels,
+with the body moved by one sigma or by half a pixel, whichever is more.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from giantlike.camera_models import CameraModel, ifov_rad
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause, summed
 from giantlike.core.frames import rotate, skew
-from giantlike.core.outcomes import AttitudeErrors, CenterFix, Failure, PositionFix, Reason
+from giantlike.core.outcomes import AttitudeErrors, CenterFix, Failure, PositionFix
 from giantlike.image import Image
 from giantlike.relative.place import apparent_radius_px, place_jacobian
 from giantlike.scene import TargetGeometry
@@ -39,6 +39,9 @@ Of 44 views of the gauntlet (seed 4000, all three axes) fixes move by 0.16 to 0.
 those of ``moment`` by 0.7 and 1.1, so that a sigma without it is 2 % too small at most; ``moment`` of two crescents
 moves by 6 to 11 times as much. Of 26 fixes of the demonstration none comes to 0.14, with attitudes from stars.
 """
+_LEAST_STEP_PX = 0.5
+"""Least motion of the surface, px, from which derivatives by a rotation are taken: errors of renders and convergence,
+some hundredths of a pixel, are then a few percent of it."""
 _WORST_CONDITION = 100.0
 """Condition number beyond which an arc of an outline does not tell center and radius apart: 30 deg of a circle have
 some 60, and a shorter arc amplifies any distortion of the camera without limit."""
@@ -49,7 +52,7 @@ def with_budget(
     image: Image,
     camera: Camera,
     geometry: TargetGeometry,
-    again: Callable[[TargetGeometry], CenterFix | Failure],
+    motion: Callable[[TargetGeometry], Float | Failure],
 ) -> AnyFix | Failure:
     """Add the causes of error that an estimator cannot see in its image to a fix.
 
@@ -68,8 +71,8 @@ def with_budget(
     camera : Camera
     geometry : TargetGeometry
         A priori geometry that the estimator was given.
-    again : callable
-        Runs the estimator on the same pixels with another geometry.
+    motion : callable
+        Returns the motion (k,) of the place, in px and logarithm of the range, with another geometry.
 
     Returns
     -------
@@ -85,12 +88,14 @@ def with_budget(
     )
     place_per_km = place_jacobian(model, position_km)
     parts = dict(fix.parts) or {Cause.NOISE: _own_covariance(fix, place_per_km)}
-    by_body = _body_partials(fix, geometry, again, missing=set(Cause) - set(parts))
+    radius_px = apparent_radius_px(camera, fix.center_px, geometry.target.shape.mean_radius_km, geometry.range_km)
+    least_rad = _LEAST_STEP_PX / radius_px
+    by_body = _body_partials(fix, geometry, motion, least_rad, missing=set(Cause) - set(parts))
     if isinstance(by_body, Failure):
         return by_body
     body = _body_parts(by_body, geometry)
     if Cause.ORIENTATION not in parts and image.attitude_covariance_rad2 is not None:
-        turned = _orientation_part(fix, image.attitude_covariance_rad2, camera, geometry, again)
+        turned = _orientation_part(fix, image.attitude_covariance_rad2, geometry, motion, radius_px)
         if isinstance(turned, Failure):
             return turned
         body[Cause.ORIENTATION] = turned
@@ -322,7 +327,8 @@ def _attitude_by_camera(image: Image, camera: Camera) -> Float:
 def _body_partials(
     fix: CenterFix,
     geometry: TargetGeometry,
-    again: Callable[[TargetGeometry], CenterFix | Failure],
+    motion: Callable[[TargetGeometry], Float | Failure],
+    least_rad: float,
     *,
     missing: set[Cause],
 ) -> dict[Cause, Float] | Failure:
@@ -335,13 +341,13 @@ def _body_partials(
     if size == 3 and Cause.SHAPE_SCALE in missing:
         # A body that is larger and as much farther away, along all axes, gives the same image.
         columns[Cause.SHAPE_SCALE] = [np.array([0.0, 0.0, -1.0])]
-    for cause, sigma, moved in _moved_bodies(geometry):
+    for cause, step, moved in _moved_bodies(geometry, least_rad):
         if cause not in missing or (cause is Cause.SHAPE_SCALE and size == 3):
             continue
-        shift = _response(fix, moved, again)
+        shift = _response(moved, motion)
         if isinstance(shift, Failure):
             return Failure(shift.reason, f"no fix with the {cause} of the body off by one sigma: {shift.detail}")
-        columns.setdefault(cause, []).append(-shift / sigma)
+        columns.setdefault(cause, []).append(-shift / step)
     return {cause: np.stack(each, axis=1) for cause, each in columns.items()}
 
 
@@ -356,8 +362,10 @@ def _body_parts(partials: Mapping[Cause, Float], geometry: TargetGeometry) -> di
     }
 
 
-def _moved_bodies(geometry: TargetGeometry) -> Iterator[tuple[Cause, float, tuple[TargetGeometry, TargetGeometry]]]:
-    """Yield each independent error of the body, its sigma, and the geometry at plus and minus one sigma."""
+def _moved_bodies(
+    geometry: TargetGeometry, least_rad: float
+) -> Iterator[tuple[Cause, float, tuple[TargetGeometry, TargetGeometry]]]:
+    """Yield each independent error of the body, the step for its derivative, and the geometry at plus and minus it."""
     known = geometry.target.uncertainty
     if known.scale > 0.0:
         nearer, farther = (geometry.position_camera_km / (1.0 + sign * known.scale) for sign in (1, -1))
@@ -369,11 +377,12 @@ def _moved_bodies(geometry: TargetGeometry) -> Iterator[tuple[Cause, float, tupl
     sigmas_rad = ((Cause.POLE, known.pole_rad), (Cause.POLE, known.pole_rad), (Cause.SPIN, known.spin_rad))
     for axis, (cause, sigma_rad) in zip(np.eye(3), sigmas_rad, strict=True):
         if sigma_rad > 0.0:
-            turn = Rotation.from_rotvec(sigma_rad * axis)
+            step_rad = max(sigma_rad, least_rad)
+            turn = Rotation.from_rotvec(step_rad * axis)
             before = geometry.camera_from_body
             yield (
                 cause,
-                sigma_rad,
+                step_rad,
                 (
                     replace(geometry, camera_from_body=before * turn),
                     replace(geometry, camera_from_body=before * turn.inv()),
@@ -384,20 +393,20 @@ def _moved_bodies(geometry: TargetGeometry) -> Iterator[tuple[Cause, float, tupl
 def _orientation_part(
     fix: CenterFix,
     covariance_rad2: Float,
-    camera: Camera,
     geometry: TargetGeometry,
-    again: Callable[[TargetGeometry], CenterFix | Failure],
+    motion: Callable[[TargetGeometry], Float | Failure],
+    radius_px: float,
 ) -> Float | Failure:
     """Covariance of the place by an error of the attitude that turns body and Sun in camera axes, not the place."""
     size = 3 if isinstance(fix, PositionFix) else 2
     part = np.zeros((size, size))
     variances, axes = np.linalg.eigh(covariance_rad2)
-    radius_px = apparent_radius_px(camera, fix.center_px, geometry.target.shape.mean_radius_km, geometry.range_km)
     least_rad = _TURNED * math.sqrt(max(float(np.linalg.eigvalsh(fix.covariance_px2)[0]), 0.0)) / radius_px
     for sigma_rad, axis in zip(np.sqrt(np.clip(variances, 0.0, None)), axes.T, strict=True):
         if sigma_rad < least_rad:
             continue
-        turns = [Rotation.from_rotvec(sign * sigma_rad * axis) for sign in (1.0, -1.0)]
+        step_rad = max(sigma_rad, _LEAST_STEP_PX / radius_px)
+        turns = [Rotation.from_rotvec(sign * step_rad * axis) for sign in (1.0, -1.0)]
         plus, minus = (
             replace(
                 geometry,
@@ -406,31 +415,22 @@ def _orientation_part(
             )
             for turn in turns
         )
-        shift = _response(fix, (plus, minus), again)
+        shift = _response((plus, minus), motion)
         if isinstance(shift, Failure):
             return Failure(shift.reason, f"no fix with the attitude off by one sigma: {shift.detail}")
-        part += np.outer(shift, shift)
+        part += (sigma_rad / step_rad) ** 2 * np.outer(shift, shift)
     return part
 
 
 def _response(
-    fix: CenterFix,
-    moved: tuple[TargetGeometry, TargetGeometry],
-    again: Callable[[TargetGeometry], CenterFix | Failure],
+    moved: tuple[TargetGeometry, TargetGeometry], motion: Callable[[TargetGeometry], Float | Failure]
 ) -> Float | Failure:
-    """Shift of the place of a fix for a body moved by plus one sigma; where that fails, minus that for minus one."""
-    failed = Failure(Reason.NOT_CONVERGED, "the range was not estimated")
-    for sign, geometry in zip((1.0, -1.0), moved, strict=True):
-        other = again(geometry)
-        if isinstance(other, Failure):
-            failed = other
-            continue
-        shift: Float = sign * (other.center_px - fix.center_px)
-        if not isinstance(fix, PositionFix):
-            return shift
-        if isinstance(other, PositionFix):
-            return np.append(shift, sign * math.log(other.range_km / fix.range_km))
-    return failed
+    """Motion of the place with a body moved by plus one step; where that fails, minus that for minus one."""
+    ahead = motion(moved[0])
+    if not isinstance(ahead, Failure):
+        return ahead
+    back = motion(moved[1])
+    return back if isinstance(back, Failure) else -back
 
 
 def _own_covariance(fix: CenterFix, place_per_km: Float) -> Float:

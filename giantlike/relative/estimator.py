@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from giantlike.camera import Camera
+from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.findings import Response
-from giantlike.core.outcomes import CenterFix, Failure, PositionFix
+from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Reason
 from giantlike.core.processes import one_thread
 from giantlike.image import Image
 from giantlike.relative.budget import place_difference, with_budget, with_error
@@ -21,7 +22,7 @@ from giantlike.relative.judge import FALSE_ALARM
 from giantlike.relative.response import BEND_STEP
 from giantlike.relative.verification import verified
 from giantlike.rings import Rings
-from giantlike.scene import Scene
+from giantlike.scene import Scene, TargetGeometry
 
 Options = TypeVar("Options")
 Fix = TypeVar("Fix", bound=CenterFix, covariant=True)
@@ -58,6 +59,22 @@ class Estimator(Protocol):
         CenterFix, PositionFix or Failure
         """
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class Solved(Generic[Fix]):
+    """A fix, and its first-order response to another geometry of the body.
+
+    Parameters
+    ----------
+    fix : CenterFix or PositionFix
+    motion : callable, optional
+        Returns the motion (k,) of the place with a geometry, in px and logarithm of the range; None where it is too
+        far from that of the fix. Without it, the estimator is run again.
+    """
+
+    fix: Fix
+    motion: Callable[[TargetGeometry], Float | None] | None = None
 
 
 class BodyEstimator(ABC, Generic[Options, Fix]):
@@ -141,20 +158,32 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
 
     def _budgeted(self, inputs: EstimatorInputs) -> Fix | Failure:
         """Find the body, with all causes of error of its place."""
-        result = self._estimate(inputs)
-        if isinstance(result, Failure):
-            return result
+        solved = self._solve(inputs)
+        if isinstance(solved, Failure):
+            return solved
+        result, response = solved.fix, solved.motion
         again = replace(inputs, place_alone=True, corrections=result.corrections)
-        budgeted = with_budget(
-            result,
-            inputs.image,
-            inputs.camera,
-            inputs.geometry,
-            lambda moved: self._estimate(replace(again, geometry=moved)),
-        )
+
+        def motion(moved: TargetGeometry) -> Float | Failure:
+            known = None if response is None else response(moved)
+            if known is not None:
+                return known
+            other = self._estimate(replace(again, geometry=moved))
+            if isinstance(other, Failure):
+                return other
+            if isinstance(result, PositionFix) and not isinstance(other, PositionFix):
+                return Failure(Reason.NOT_CONVERGED, "the range was not estimated")
+            return place_difference(other, result)
+
+        budgeted = with_budget(result, inputs.image, inputs.camera, inputs.geometry, motion)
         if self.of_fixes or isinstance(budgeted, Failure):
             return budgeted
         return with_response(budgeted, again, self._estimate)
+
+    def _solve(self, inputs: EstimatorInputs) -> Solved[Fix] | Failure:
+        """Find the body of gathered inputs, with the response of its place if it has a closed form."""
+        fix = self._estimate(inputs)
+        return fix if isinstance(fix, Failure) else Solved(fix)
 
     @abstractmethod
     def _estimate(self, inputs: EstimatorInputs) -> Fix | Failure:

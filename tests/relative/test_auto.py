@@ -131,15 +131,14 @@ def test_two_threads_run_the_choice_and_its_check_at_once(rock: TriangleMesh, mo
     both = threading.Barrier(2)  # broken, which is an error, unless two threads wait at it
 
     def waiting(estimator: type[Any], real: Callable[..., Any]) -> None:
-        def estimate(self: Any, inputs: EstimatorInputs) -> Any:
-            if not inputs.place_alone:
-                both.wait(60.0)
+        def solve(self: Any, inputs: EstimatorInputs) -> Any:
+            both.wait(60.0)
             return real(self, inputs)
 
-        monkeypatch.setattr(estimator, "_estimate", estimate)
+        monkeypatch.setattr(estimator, "_solve", solve)
 
     for estimator in (CrossCorrelation, LimbMatching):
-        waiting(estimator, estimator._estimate)
+        waiting(estimator, estimator._solve)
     with threads(2):
         fix = Auto().estimate(case.image, case.camera, case.scene)
     assert isinstance(fix, CenterFix)

@@ -158,7 +158,7 @@ def _of_a_body(center_px: Float, position_inertial_km: Float, attitude: Attitude
         n_rejected=0,
         score=1.0,
     )
-    return with_budget(fix, image, camera, geometry, lambda _: fix).unwrap()
+    return with_budget(fix, image, camera, geometry, lambda _: np.zeros(2)).unwrap()
 
 
 def test_an_unknown_velocity_of_the_observer_is_in_the_covariance_and_flagged() -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from typing import ClassVar
 
 import numpy as np
@@ -18,7 +20,7 @@ from giantlike.image_model.columns import chance_of_odds
 from giantlike.processing.correlate import CorrelationOptions, CorrelationPeak, locate_template
 from giantlike.ray_tracing import Template, Trace, trace_silhouette
 from giantlike.ray_tracing.silhouette import outline_points_px
-from giantlike.relative.estimator import BodyEstimator
+from giantlike.relative.estimator import BodyEstimator, Solved
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.judge import SHORT_ARC_SHARE, Facts
 from giantlike.relative.place import limb_in_frame, position_of_center
@@ -36,6 +38,7 @@ from giantlike.relative.template.rendering import (
     placed,
 )
 from giantlike.relative.template.state import Synthesis, TemplateState
+from giantlike.scene import TargetGeometry
 from giantlike.shapes import Ellipsoid
 
 _ALIGN_RADIUS_PX = 12.0  # px, below which the peak of the correlation is close enough to start the fit from
@@ -59,6 +62,8 @@ fields, laws and templates are right to some parts in a thousand, with which squ
 were 6 per degree of freedom (484 px, six draws of noise)."""
 _ROUNDS, _SETTLED_BEND = 3, 0.02
 """Fits with a response, at most, and the change of its bend below which it is found: what remains is estimated."""
+_LINEAR_PX = 1.0
+"""Motion of the surface, in pixels of the fit, up to which its place follows by the gain: the width of an edge."""
 _OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)  # rad, directions of the outline points of a fix
 
 
@@ -166,7 +171,12 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
     options_type = CrossCorrelationOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> CenterFix | PositionFix | Failure:
-        """Find the body of gathered inputs: :func:`match_template` and the flags of its result."""
+        """Find the body of gathered inputs."""
+        solved = self._solve(inputs)
+        return solved if isinstance(solved, Failure) else solved.fix
+
+    def _solve(self, inputs: EstimatorInputs) -> Solved[CenterFix] | Failure:
+        """Find the body of gathered inputs: :func:`match_template`, the flags of its result, and its response."""
         altitude_km = inputs.geometry.limb_altitude_km[0]
         if altitude_km:
             inputs = replace(inputs, corrections=inputs.corrections | Corrections(limb_altitude_km=altitude_km))
@@ -181,7 +191,8 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         if declared or match.fit.chance("haze") > 0.5:
             sigma_km = match.fit.altitude_sigma * inputs.geometry.seen_body().shape.mean_radius_km
             inputs = replace(inputs, corrections=inputs.corrections | Corrections(altitude_sigma_km=sigma_km))
-        return _fix(inputs, blocks, replace(match, fit=blocks.unbinned(match.fit)), self.options)
+        fix = _fix(inputs, blocks, replace(match, fit=blocks.unbinned(match.fit)), self.options)
+        return fix if isinstance(fix, Failure) else Solved(fix, _response_of(inputs.geometry, blocks, match, fix))
 
     def _completed(
         self, inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch
@@ -287,6 +298,7 @@ class TemplateMatch(Value):
     options : TemplateFitOptions
     start : TemplateState
         Where fits begin, without blur beyond that of the camera.
+    renderer : TemplateRenderer
     """
 
     fit: TemplateFit
@@ -294,6 +306,13 @@ class TemplateMatch(Value):
     synthesis: Synthesis
     options: TemplateFitOptions
     start: TemplateState
+    renderer: TemplateRenderer
+
+    def motion(self, light: Float, other: Float) -> Float:
+        """Motion (3,) of center and logarithm of the range with another light (h, w) of the body, by the gain."""
+        fit = self.fit
+        change_dn = float(fit.signal_dn.sum()) / max(float(light.sum()), 1e-300) * (other - light)
+        return np.asarray(-np.tensordot(fit.columns.gain("center", "range"), change_dn, 2))
 
     def fitted(
         self, image: BoxPixels, *, response: Response | None = None, smear: Smear | None = None
@@ -405,7 +424,7 @@ def match_template(
     if fit.gain_dn <= 0.0 or not fit.score >= options.min_score:
         detail = f"the fitted template has a correlation of {fit.score:.3g}, needed {options.min_score:g}"
         return Failure(Reason.LOW_CORRELATION, detail)
-    return TemplateMatch(fit=fit, box=box, synthesis=synthesis, options=fit_options, start=state)
+    return TemplateMatch(fit=fit, box=box, synthesis=synthesis, options=fit_options, start=state, renderer=renderer)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -522,6 +541,32 @@ def _fix(
         covariance_camera_km2=covariance,
         limb_px=limb_px[inputs.camera.contains(limb_px)],
     )
+
+
+def _response_of(
+    geometry: TargetGeometry, blocks: Blocks, match: TemplateMatch, fix: CenterFix
+) -> Callable[[TargetGeometry], Float | None]:
+    """Response of the place of a match to the geometry of the body; None where the surface moves too far."""
+    state, scale = match.fit.state, np.array([blocks.size, blocks.size, 1.0])
+
+    @cache
+    def light() -> Float | Failure:
+        return match.renderer.light(match.box, state)
+
+    def motion(moved: TargetGeometry) -> Float | None:
+        turn = (moved.camera_from_body * geometry.camera_from_body.inv()).magnitude()
+        growth = abs(math.log(moved.range_km / geometry.range_km))
+        if (turn + growth) * match.renderer.radius_px > _LINEAR_PX:
+            return None
+        other = replace(
+            match.renderer, target=moved.seen_body(), sun_direction_camera=moved.sun_direction_camera
+        ).light(match.box, state)
+        before = light()
+        if isinstance(before, Failure) or isinstance(other, Failure):
+            return None
+        return (scale * match.motion(before, other))[: 3 if isinstance(fix, PositionFix) else 2]
+
+    return motion
 
 
 def _smooth(inputs: EstimatorInputs) -> bool:

@@ -150,6 +150,12 @@ class TemplateRenderer(Value):
             daylight=daylight,
         )
 
+    def light(self, box: PixelBox, state: TemplateState) -> Float | Failure:
+        """Brightness (h, w) in a box."""
+        law = self.target.reflectance
+        made = self._traced(state, (law,), fine=True, daylight=None)
+        return made if isinstance(made, Failure) else made[0].lights(box, state, made[1])[0][0]
+
     def sampling(self, margin_px: int, *, spacing: float = 1.0, min_rays: int = 1) -> RenderOptions:
         """Return options for renders that reach over the frame.
 
