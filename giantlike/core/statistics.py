@@ -158,6 +158,28 @@ def nearest_covariance(matrix: Float) -> Float:
     return np.asarray((axes * np.maximum(variances, 0.0)) @ axes.T)
 
 
+def excess(first: Float, second: Float) -> Float:
+    """Least covariance to add to one so that the sum exceeds another in every direction of parameter space.
+
+    Parameters
+    ----------
+    first, second : (k, k) float64
+        Positive semi-definite; a direction in which the first has nothing to rounding counts as if it had that.
+
+    Returns
+    -------
+    (k, k) float64
+        Positive semi-definite.
+    """
+    scale = np.sqrt(np.maximum(np.maximum(np.diag(first), np.diag(second)), 1e-300))
+    squares, axes = np.linalg.eigh(first / np.outer(scale, scale))
+    lengths = np.sqrt(np.maximum(squares, np.finfo(float).eps))
+    root, inverse_root = scale[:, None] * axes * lengths, (axes / lengths).T / scale
+    values, vectors = np.linalg.eigh(inverse_root @ second @ inverse_root.T)
+    wide = root @ (vectors * np.sqrt(np.maximum(values - 1.0, 0.0)))
+    return np.asarray(wide @ wide.T)
+
+
 def error_terms(residuals: Float, covariance: Float, *, freedom: int) -> tuple[float, float]:
     """Factor on the standard deviations, and an error floor, that together explain residuals.
 

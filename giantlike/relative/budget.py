@@ -22,6 +22,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause, summed
 from giantlike.core.frames import rotate, skew
 from giantlike.core.outcomes import AttitudeErrors, CenterFix, Failure, PositionFix
+from giantlike.core.statistics import excess
 from giantlike.image import Image
 from giantlike.relative.place import apparent_radius_px, place_jacobian
 from giantlike.scene import TargetGeometry
@@ -39,6 +40,10 @@ Of 44 views of the gauntlet (seed 4000, all three axes) fixes move by 0.16 to 0.
 those of ``moment`` by 0.7 and 1.1, so that a sigma without it is 2 % too small at most; ``moment`` of two crescents
 moves by 6 to 11 times as much. Of 26 fixes of the demonstration none comes to 0.14, with attitudes from stars.
 """
+STRAIN_TENSION = "strain_tension"
+"""Name of the factor by which variances of a limb are too small for a strain of the outline, among the checks."""
+DECLARED = (Cause.POLE, Cause.SPIN, Cause.ORIENTATION)
+"""Causes of what was declared of the orientation of the body."""
 _LEAST_STEP_PX = 0.5
 """Least motion of the surface, px, from which derivatives by a rotation are taken: errors of renders and convergence,
 some hundredths of a pixel, are then a few percent of it."""
@@ -126,7 +131,10 @@ def with_budget(
 
 
 def with_larger_errors(fix: AnyFix, model: CameraModel, factor: float, causes: Iterable[Cause]) -> AnyFix:
-    """Return a fix with the variances by some causes multiplied.
+    """Return a fix with larger errors by some causes, as far as what was declared of its body does not cover them.
+
+    With the covariance ``own`` of the causes, the sum of its parts is at least ``factor * own``, and at least ``own``
+    and the parts of pole, spin and orientation.
 
     Parameters
     ----------
@@ -134,19 +142,29 @@ def with_larger_errors(fix: AnyFix, model: CameraModel, factor: float, causes: I
         With its parts; one that has none is all noise.
     model : CameraModel
     factor : float
-        At least 1.
+        At least 1, found without regard to the errors that were declared.
     causes : iterable of Cause
-        In the image.
+        In the image; the declared ones do not grow.
 
     Returns
     -------
     CenterFix or PositionFix
     """
-    chosen = tuple(causes)
+    if factor == 1.0:
+        return fix
     if not fix.parts:
         return replace(fix, covariance_px2=factor * fix.covariance_px2)
-    parts = {cause: factor * part if cause in chosen else part for cause, part in fix.parts.items()}
-    added = (factor - 1.0) * summed(fix.parts, chosen)
+    own = {cause: fix.parts[cause] for cause in causes if cause in fix.parts and cause not in DECLARED}
+    if not own:
+        return fix
+    total = summed(own, own)
+    declared = summed(fix.parts, DECLARED)
+    if declared.any():
+        added, whole = excess(declared, (factor - 1.0) * total), np.trace(total[:2, :2])
+        grown = {cause: part + np.trace(part[:2, :2]) / whole * added for cause, part in own.items()}
+    else:
+        added, grown = (factor - 1.0) * total, {cause: factor * part for cause, part in own.items()}
+    parts = {**fix.parts, **grown}
     changes: dict[str, object] = {"parts": parts, "covariance_px2": fix.covariance_px2 + added[:2, :2]}
     if isinstance(fix, PositionFix):
         added_km2 = position_covariance(model, fix.position_camera_km, added)

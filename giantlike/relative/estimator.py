@@ -16,7 +16,7 @@ from giantlike.core.findings import Response
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Reason
 from giantlike.core.processes import one_thread
 from giantlike.image import Image
-from giantlike.relative.budget import place_difference, with_budget, with_error
+from giantlike.relative.budget import STRAIN_TENSION, place_difference, with_budget, with_error, with_larger_errors
 from giantlike.relative.inputs import EstimatorInputs, gather
 from giantlike.relative.judge import FALSE_ALARM
 from giantlike.relative.response import BEND_STEP
@@ -178,6 +178,8 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         budgeted = with_budget(result, inputs.image, inputs.camera, inputs.geometry, motion)
         if self.of_fixes or isinstance(budgeted, Failure):
             return budgeted
+        strain, model = budgeted.findings.checks.get(STRAIN_TENSION, 1.0), inputs.camera.model
+        budgeted = with_larger_errors(budgeted, model, strain, (Cause.NOISE, Cause.RELIEF))
         return with_response(budgeted, again, self._estimate)
 
     def _solve(self, inputs: EstimatorInputs) -> Solved[Fix] | Failure:

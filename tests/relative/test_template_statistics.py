@@ -7,8 +7,9 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
 
 from giantlike.core.causes import Cause
+from giantlike.core.statistics import excess
 from giantlike.image_model.columns import Block, Columns, Prior
-from giantlike.relative.template.covariance import LinearFit, excess
+from giantlike.relative.template.covariance import LinearFit
 from tests.tolerances import FLOAT64
 
 SHAPE = (40, 44)

@@ -21,6 +21,7 @@ from giantlike.gauntlet.bodies import rock
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, SphereField, bumps, record, render_body
 from giantlike.relative import Moment
+from giantlike.relative.budget import with_error
 from giantlike.relative.inputs import EstimatorInputs, gather
 from giantlike.relative.place import place_covariance
 from giantlike.relative.verification import verified
@@ -264,19 +265,25 @@ def test_a_single_row_that_is_shifted_is_no_alternative() -> None:
     assert Quality.WRONG_FIGURE not in flags(inputs_of(rows, 60.0))
 
 
-def test_a_roll_makes_a_fix_less_certain_unless_declared() -> None:
+def test_a_roll_makes_a_fix_less_certain_unless_its_part_of_the_covariance_covers_it() -> None:
     rolled = Rotation.from_rotvec([0.0, 0.0, math.radians(25.0)]) * TURN
     long_km = (10.0, 7.5, 7.0)
     signal, shape = light(60.0, radii_km=long_km), np.array(long_km)
-    declared = TargetUncertainty(pole_rad=0.3, spin_rad=0.3)
-    tensions = []
-    for known in (TargetUncertainty(), declared):
-        inputs = inputs_of(signal, 60.0, turn=rolled, told_km=shape, uncertainty=known)
-        fix = verified(fix_at(inputs), inputs, SEARCH_PX)
+    grown = []
+    for sigma_px in (0.0, 0.1, 3.0):
+        inputs = inputs_of(signal, 60.0, turn=rolled, told_km=shape)
+        before = with_error(
+            fix_at(inputs), CAMERA.model, Cause.POLE, np.diag([sigma_px, sigma_px, 0.03 * sigma_px]) ** 2
+        )
+        fix = verified(before, inputs, SEARCH_PX)
         assert not fix.flags.suspect
-        tensions.append(fix.findings.checks["tension"])
-    assert tensions[0] > 9.0
-    assert tensions[1] == 1.0
+        assert fix.findings.checks["tension"] > 9.0
+        np.testing.assert_array_equal(fix.parts[Cause.POLE], before.parts[Cause.POLE])
+        grown.append(float(np.trace(fix.covariance_px2)))
+        if sigma_px > 1.0:
+            np.testing.assert_allclose(fix.covariance_px2, before.covariance_px2, rtol=0.0, atol=1e-3 * grown[-1])
+    assert grown[0] > 9.0 * 2.0 * SIGMA_PX**2
+    assert grown[0] < 1.001 * grown[1] < grown[2]
 
 
 @pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])

@@ -1,17 +1,16 @@
-"""Whether residuals of a limb are those of a strained outline: of a body told with another figure or orientation."""
+"""Strain test of a limb: residuals of an outline of another figure or orientation."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 
 from giantlike.core.arrays import Float
-from giantlike.core.causes import Cause
 from giantlike.core.outcomes import Failure, PositionFix
 from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.processing.outline_errors import averages, outline_errors
+from giantlike.relative.budget import STRAIN_TENSION
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.judge import inflation
 from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, limb_fix
@@ -24,7 +23,7 @@ _STRAINS = 2
 def fix_of_strained(
     inputs: EstimatorInputs, measured: LimbMeasurement, solution: LimbSolution, search: IteratedSearch
 ) -> PositionFix | Failure:
-    """Judge a position from a limb that may look strained, with errors that explain the strain.
+    """Judge a position from a limb, with the factor by which its variances are too small for a strain of the outline.
 
     Parameters
     ----------
@@ -38,10 +37,11 @@ def fix_of_strained(
     -------
     PositionFix or Failure
     """
-    tension, parts = strain_tension(measured, inputs), dict(solution.covariances_km2)
-    own = {cause: tension * parts[cause] for cause in (Cause.NOISE, Cause.RELIEF) if cause in parts}
-    grown = replace(solution, covariances_km2=parts | own)
-    return limb_fix(inputs, measured, grown, search, allowed_rms_px=search.allowed_rms_px(measured))
+    fix = limb_fix(inputs, measured, solution, search, allowed_rms_px=search.allowed_rms_px(measured))
+    tension = strain_tension(measured, inputs)
+    if isinstance(fix, Failure) or tension == 1.0:
+        return fix
+    return replace(fix, findings=replace(fix.findings, checks={**fix.findings.checks, STRAIN_TENSION: tension}))
 
 
 def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
@@ -56,8 +56,7 @@ def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
     measured : LimbMeasurement
         Settled.
     inputs : EstimatorInputs
-        No turn of the body, by its orientation as declared, strains it by more than the turn; haze may stand higher
-        over some of the limb than over the rest by as much as its altitude is uncertain.
+        Haze may stand higher over some of the limb than over the rest by as much as its altitude is uncertain.
 
     Returns
     -------
@@ -74,7 +73,7 @@ def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
     if inputs.place_alone or measured.relief is not None or measured.terrain is not None:
         return 1.0
     keep, (_, altitude_km) = measured.keep, inputs.geometry.limb_altitude_km
-    known = math.hypot(inputs.turn_rad, altitude_km / inputs.geometry.target.shape.mean_radius_km)
+    known = altitude_km / inputs.geometry.target.shape.mean_radius_km
     means = averages(measured.predicted_px[keep], measured.sigma_px[keep])
     freedom = len(means) - measured.design.shape[1] - _STRAINS
     if freedom < _LEAST_FREEDOM:

@@ -14,7 +14,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.compiled import compiled
-from giantlike.core.statistics import robust_sigma
+from giantlike.core.statistics import excess, robust_sigma
 from giantlike.core.values import Value
 from giantlike.image_model.columns import Columns, Layout, Prior, Solution
 from giantlike.image_model.field import MarkingModes
@@ -410,28 +410,6 @@ def _correlated(scores: Float, length_px: float) -> Float:
     flat = images.reshape(len(images), -1)
     covariance: Float = 2.0 * math.pi * sigma**2 * (flat @ blurred.reshape(len(images), -1).T)
     return 0.5 * (covariance + covariance.T)
-
-
-def excess(first: Float, second: Float) -> Float:
-    """Least covariance to add to one so that the sum exceeds another in every direction of parameter space.
-
-    Parameters
-    ----------
-    first, second : (k, k) float64
-        Positive semi-definite; a direction in which the first has nothing to rounding counts as if it had that.
-
-    Returns
-    -------
-    (k, k) float64
-        Positive semi-definite.
-    """
-    scale = np.sqrt(np.maximum(np.maximum(np.diag(first), np.diag(second)), 1e-300))
-    squares, axes = np.linalg.eigh(first / np.outer(scale, scale))
-    lengths = np.sqrt(np.maximum(squares, np.finfo(float).eps))
-    root, inverse_root = scale[:, None] * axes * lengths, (axes / lengths).T / scale
-    values, vectors = np.linalg.eigh(inverse_root @ second @ inverse_root.T)
-    wide = root @ (vectors * np.sqrt(np.maximum(values - 1.0, 0.0)))
-    return np.asarray(wide @ wide.T)
 
 
 def _block_sums(images: Float, block: int) -> Float:

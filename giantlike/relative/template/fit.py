@@ -21,10 +21,11 @@ from giantlike.core.causes import Cause, summed
 from giantlike.core.findings import Response, Smear
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
+from giantlike.core.statistics import excess
 from giantlike.core.values import Value
 from giantlike.image_model.columns import Block, Columns, Prior, Use, split_noise
 from giantlike.processing.limb.altitude import lifted
-from giantlike.relative.template.covariance import LinearFit, RobustFit, excess
+from giantlike.relative.template.covariance import LinearFit, RobustFit
 from giantlike.relative.template.haze import haze_altitude, haze_block
 from giantlike.relative.template.linear import BEND_SIGMA, PIXEL_VARIANCE_PX2, SMEAR_SIGMA_PX2, Problem
 from giantlike.relative.template.relief import relief_covariance

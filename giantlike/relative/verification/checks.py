@@ -16,7 +16,7 @@ from giantlike.core.causes import IN_IMAGE, Cause, summed
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
-from giantlike.relative.budget import camera_response, with_error, with_larger_errors
+from giantlike.relative.budget import DECLARED, camera_response, with_error, with_larger_errors
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.judge import FALSE_ALARM, Alternative, Judgement, explaining_inflation, inflation
 from giantlike.relative.verification.cells import CELLS_PER_RADIUS, Cells, cells_around
@@ -43,7 +43,7 @@ _SMEAR = np.array([[1.0, 0.0, -1.0], [0.0, 2.0, 0.0]])
 """What of a blur (xx, xy, yy) is more along one direction than across it."""
 _NOTHING_THERE = 0.0
 """Log odds of no body at all where the image fits a dark one better: of those that are not dark it is the best."""
-_OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause is not Cause.SHAPE_SCALE)
+_OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause not in (Cause.SHAPE_SCALE, *DECLARED))
 """Causes of errors that a fix and the coarse fit of the same shape do not have in common."""
 
 
@@ -78,7 +78,7 @@ def verified(
     -------
     CenterFix or PositionFix
     """
-    if fix.findings.checks:
+    if "tension" in fix.findings.checks:
         return fix
     coarse = _coarse(fix, inputs, search_px)
     if again is not None and coarse is not None and looks_bent(coarse):
@@ -100,7 +100,7 @@ def verified(
         false_alarm=false_alarm,
     )
     tension = 1.0 if fit is None else tension_of(fix, fit, psf_known=inputs.psf_sigma_px is not None)
-    findings = replace(fix.findings, checks={**judgement.numbers, "tension": tension})
+    findings = replace(fix.findings, checks={**fix.findings.checks, **judgement.numbers, "tension": tension})
     fix = replace(fix, flags=fix.flags | judgement.flags, findings=findings)
     if tension > 1.0:
         fix = with_larger_errors(fix, inputs.camera.model, tension, _OF_ITS_OWN)

@@ -296,7 +296,7 @@ def fit_cells(
         return _nothing_alike()
     if not fitted.lit.any():
         return None
-    place, strain, blur = _geometry(fitted, turn_rad)
+    place, strain, blur = _geometry(fitted)
     plain = _fitted(cells, design.plain, np.hypot(sigma, albedo * design.around), edge, cells.place(own.coverage, own))
     plain = fitted if plain is None or not plain.lit.any() else plain
     bent, bend_sigma, bend_log_odds = _response(plain, response)
@@ -371,7 +371,7 @@ def _alternatives(fitted: _Fitted) -> dict[Alternative, float]:
     }
 
 
-def _geometry(fitted: _Fitted, turn_rad: float) -> tuple[Estimate, Estimate, Estimate]:
+def _geometry(fitted: _Fitted) -> tuple[Estimate, Estimate, Estimate]:
     """Place, strain and blur."""
     solution, gain, cells = fitted.solution, fitted.gain, fitted.cells
     layout = solution.columns.layout.between("place", "blur")
@@ -387,7 +387,7 @@ def _geometry(fitted: _Fitted, turn_rad: float) -> tuple[Estimate, Estimate, Est
     per_radius = np.diag([cells.radius * cells.size, cells.radius * cells.size, -1.0])
     return (
         Estimate(per_radius @ place.values, per_radius @ place.covariance @ per_radius),
-        Estimate(strain.values, strain.covariance + turn_rad**2 * np.eye(3)),
+        strain,
         Estimate(
             cells.size**2 * blur.values, cells.size**4 * blur.covariance + _PSF_PX2**2 * np.diag([1.0, 0.25, 1.0])
         ),
