@@ -90,22 +90,7 @@ def apparent_directions(
 def deflected(directions: Float, from_sun_km: ArrayLike) -> Float:
     """Bend the light of stars in the field of the Sun.
 
-    Parameters
-    ----------
-    directions : (n, 3) float64, unitless
-        Unit vectors to the stars without deflection.
-    from_sun_km : (3,) float64, km
-        The observer's position with respect to the Sun, in the same axes.
-
-    Returns
-    -------
-    (n, 3) float64, unitless
-        Unit vectors. Within about half a degree behind the Sun, seen from 1 au, the deflection is damped to zero.
-
-    Raises
-    ------
-    InputError
-        The position is not finite or that of the Sun itself.
+    ``directions`` (n, 3), unit vectors to the stars without deflection; returns (n, 3), unit vectors.
 
     References
     ----------
@@ -124,13 +109,7 @@ def deflected(directions: Float, from_sun_km: ArrayLike) -> Float:
 def sun_position_km(et: float) -> Float:
     """Position of the Sun with respect to the solar system barycenter.
 
-    Parameters
-    ----------
-    et : float, TDB seconds past J2000
-
-    Returns
-    -------
-    (3,) float64, km, inertial (ICRF)
+    Returns (3,), inertial axes (ICRF).
 
     Notes
     -----
@@ -165,10 +144,7 @@ def _positions(stars: StarTable, years: Float, position_au: Float) -> Float:
 def _true_motion(radial_seen: Float, across_seen: Float) -> tuple[Float, Float]:
     """True motion of stars: stretch of the proper motion, and radial velocity in units of light's speed.
 
-    Parameters
-    ----------
-    radial_seen, across_seen : (n,) float64
-        Radial velocity from the Doppler shift, and proper motion times distance, both over the speed of light.
+    ``radial_seen``, ``across_seen`` (n,).
     """
     stretch, radial = np.ones_like(radial_seen), radial_seen
     for _ in range(_ITERATIONS):

@@ -123,21 +123,7 @@ _OTHER_NAMES = MappingProxyType({"G": "Gaia G", "Johnson V": "V"})
 def band_between(have: str, need: str | Band) -> tuple[Band, ...]:
     """Relations that lead from one band to another.
 
-    Parameters
-    ----------
-    have : str
-        Name of the band to start from.
-    need : str or Band
-
-    Returns
-    -------
-    tuple of Band
-        In the order in which they are to be applied; empty where the bands are the same.
-
-    Raises
-    ------
-    InputError
-        No relation is known.
+    The result is empty where the bands are the same.
     """
     if isinstance(need, Band):
         return (*band_between(have, need.base), need)

@@ -83,17 +83,7 @@ def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
 def blend_leaders(directions: Float, radius_rad: float) -> NDArray[np.intp]:
     """Number of the star that each star is merged into.
 
-    Parameters
-    ----------
-    directions : (n, 3) float64, unitless
-        Unit vectors, those of the brightest stars first.
-    radius_rad : float, rad
-        Stars nearer than this are merged.
-
-    Returns
-    -------
-    (n,) int
-        The star itself if it stays.
+    ``directions`` (n, 3), unit vectors, those of the brightest stars first; returns (n,).
     """
     count = len(directions)
     leader = np.arange(count)

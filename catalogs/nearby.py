@@ -99,32 +99,14 @@ NEARBY: Sequence[NearbyStar] = (
 def radial_velocities(ids: Sequence[int] | np.ndarray[tuple[int], np.dtype[np.int64]]) -> Float:
     """Radial velocities of stars of the default catalog.
 
-    Parameters
-    ----------
-    ids : (n,) int
-        Identifiers.
-
-    Returns
-    -------
-    (n,) float64, km/s
-        0 where :data:`NEARBY` has none.
+    Returns (n,) km/s, 0 where :data:`NEARBY` has none.
     """
     known = {star.star_id: star.radial_velocity_km_s for star in NEARBY}
     return np.array([known.get(int(number), 0.0) for number in ids], dtype=np.float64)
 
 
 def with_nearby(stars: StarTable) -> StarTable:
-    """Replace values of stars by those of :data:`NEARBY`.
-
-    Parameters
-    ----------
-    stars : StarTable
-        Of the default catalog.
-
-    Returns
-    -------
-    StarTable
-    """
+    """Replace values of stars by those of :data:`NEARBY`."""
     columns = stars.columns()
     order = np.argsort(stars.ids)
     for star in NEARBY:

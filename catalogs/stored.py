@@ -101,40 +101,13 @@ class CatalogHeader(TypedDict):
 
 @reads("a star catalog")
 def is_catalog_file(path: Path) -> bool:
-    """Return True if a file begins as a built catalog does.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    bool
-
-    Raises
-    ------
-    DataError
-        The file cannot be read.
-    """
+    """Return True if a file begins as a built catalog does."""
     with path.open("rb") as stream:
         return stream.read(len(_MAGIC)) == _MAGIC
 
 
 def save_catalog(catalog: MemoryCatalog, path: str | Path, *, sources: Sequence[Source] = ()) -> None:
-    """Write a catalog into one file, whole or not at all.
-
-    Parameters
-    ----------
-    catalog : MemoryCatalog
-    path : path-like
-    sources : sequence of Source
-        Files that the catalog was made of.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write a catalog into one file, whole or not at all."""
     arrays, constants = _stored(catalog)
     header: CatalogHeader = {
         "format": FORMAT, "name": catalog.name, "band": catalog.band, "version": catalog.version,
@@ -164,21 +137,7 @@ def save_catalog(catalog: MemoryCatalog, path: str | Path, *, sources: Sequence[
 
 
 def open_catalog(path: str | Path) -> MemoryCatalog:
-    """Open a built catalog; its columns stay in the file until a cone asks for them.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    MemoryCatalog
-
-    Raises
-    ------
-    DataError
-        The file is missing, no such catalog, of another format, or damaged.
-    """
+    """Open a built catalog; its columns stay in the file until a cone asks for them."""
     header, raw = _opened(Path(path))
     arrays = _arrays(Path(path), header, raw)
     columns: dict[str, Column] = {name: arrays[name] for name in COLUMN_TYPES if name in arrays}
@@ -195,23 +154,7 @@ def open_catalog(path: str | Path) -> MemoryCatalog:
 
 
 def catalog_header(path: str | Path, *, check: bool = False) -> CatalogHeader:
-    """Return the header of a built catalog.
-
-    Parameters
-    ----------
-    path : path-like
-    check : bool
-        Read all of the file and compare its hash.
-
-    Returns
-    -------
-    CatalogHeader
-
-    Raises
-    ------
-    DataError
-        As for :func:`open_catalog`, or the content does not have the hash that the header says.
-    """
+    """Return the header of a built catalog."""
     header, raw = _opened(Path(path))
     if check:
         start = _START + int.from_bytes(raw[8:_START].tobytes(), "little")

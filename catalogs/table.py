@@ -133,17 +133,7 @@ COLUMN_TYPES: Mapping[str, type[np.generic]] = MappingProxyType(
 
 
 def joined(tables: Sequence[StarTable]) -> StarTable:
-    """Concatenate star tables.
-
-    Parameters
-    ----------
-    tables : sequence of StarTable
-        At least one.
-
-    Returns
-    -------
-    StarTable
-    """
+    """Concatenate star tables."""
     require(len(tables) > 0, "joined needs at least one star table")
     return StarTable(**{name: np.concatenate([getattr(table, name) for table in tables]) for name in COLUMN_TYPES})
 

@@ -59,23 +59,7 @@ def block_templates(
 ) -> tuple[Template, ...] | Failure:
     """Render a body under several laws, with one ray to a block where its light is even.
 
-    Parameters
-    ----------
-    body : Body
-        Where its light is even follows from its own law.
-    blocked : BlockedPlane
-    laws : tuple of Reflectance
-    sun_direction_camera : (3,) float64, unitless, camera axes
-        Unit vector from body to Sun.
-    options : RenderOptions
-        ``rays_per_pixel_side`` is that of uneven places, and that of a block elsewhere; ``min_rays_across`` is not
-        used.
-
-    Returns
-    -------
-    tuple of Template, or Failure
-        One for each law, on the pixels of the plane; failures are those of :func:`~giantlike.ray_tracing.render`, and
-        ``OUT_OF_FRAME`` also where only dark ground of a body that the frame cuts is seen.
+    ``sun_direction_camera``: unit vector from body to Sun.
     """
     plane, size, rays = blocked.plane, blocked.size_px, options.rays_per_pixel_side
     trace = trace_body(

@@ -179,20 +179,7 @@ class Body(Value):
 def suns_of(bodies: Sequence[Body], sun_direction_camera: ArrayLike) -> Float:
     """Return one Sun direction for each body.
 
-    Parameters
-    ----------
-    bodies : sequence of Body
-        n of them.
-    sun_direction_camera : (3,) or (n, 3), unitless, camera axes
-
-    Returns
-    -------
-    (n, 3) float64
-
-    Raises
-    ------
-    InputError
-        There are more or less than n.
+    ``sun_direction_camera`` (3,) or (n, 3); returns (n, 3).
     """
     suns = as_floats(sun_direction_camera, (3,), "sun_direction_camera")
     fits = suns.shape in ((3,), (len(bodies), 3))
@@ -203,19 +190,7 @@ def suns_of(bodies: Sequence[Body], sun_direction_camera: ArrayLike) -> Float:
 def sun_in_body(body: Body, sun_direction_camera: ArrayLike) -> Float:
     """Return the unit vector from body to Sun in body axes.
 
-    Parameters
-    ----------
-    body : Body
-    sun_direction_camera : (3,), unitless, camera axes
-
-    Returns
-    -------
-    (3,) float64, unitless, body axes
-
-    Raises
-    ------
-    InputError
-        The direction is not finite, or not a unit vector to 1e-6.
+    Returns (3,), body axes.
     """
     sun = as_finite(sun_direction_camera, (3,), "sun_direction_camera")
     norm = float(np.linalg.norm(sun))

@@ -44,15 +44,7 @@ class Daylight(Value):
     def of(self, cells: tuple[Cells, Cells]) -> tuple[Mask, Mask]:
         """Where a finer trace can do without rays.
 
-        Parameters
-        ----------
-        cells : (Cells, Cells)
-            Columns and rows of the finer trace.
-
-        Returns
-        -------
-        dark, lit : (columns, rows) bool
-            No ray of the rough trace around meets light, or all do; both False beyond the rough trace.
+        Returns ``dark``, ``lit`` (columns, rows).
         """
         around, image = np.ones((3, 3), np.uint8), self.lit.astype(np.uint8)
         columns, rows = (self._numbers(axis, one) for axis, one in enumerate(cells))

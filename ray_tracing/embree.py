@@ -26,14 +26,7 @@ _BLAS_ROWS = 2048  # rows of four in a product: few enough that BLAS does not st
 
 
 class EmbreeSurface:
-    """Triangles in an Embree scene; the BVH is built here, so that queries may come from several threads.
-
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-    faces : (m, 3) int64
-        Checked by whoever made the mesh: Embree reads out of bounds without a word.
-    """
+    """Triangles in an Embree scene; the BVH is built here, so that queries may come from several threads."""
 
     def __init__(self, vertices: Float, faces: NDArray[np.int64]) -> None:
         self._scene = EmbreeScene(robust=True)

@@ -23,16 +23,8 @@ _AROUND = np.concatenate([ring * np.column_stack([np.cos(_TURNS), np.sin(_TURNS)
 def facet_distances(corners_km: Float, starts_km: Float, directions: Float) -> Float:
     """Distances along rays to facets.
 
-    Parameters
-    ----------
-    corners_km : (..., 3, 3) float64, km
-    starts_km, directions : (..., 3) float64
-        Leading axes are those of the corners.
-
-    Returns
-    -------
-    (...) float64
-        In lengths of the direction; infinite where a ray misses its facet.
+    ``corners_km`` (..., 3, 3); ``starts_km``, ``directions`` (..., 3); returns (...), infinite where a ray misses its
+    facet.
 
     References
     ----------
@@ -54,21 +46,8 @@ def facets_around(
 ) -> tuple[Indices, Float]:
     """Facets near rays that they meet first, in float64.
 
-    Parameters
-    ----------
-    surface : EmbreeSurface
-    vertices_km : (v, 3) float64, km
-    faces : (f, 3) int64
-    starts_km, directions : (k, 3) float64
-        Directions are unit vectors.
-    radius_km : float, km
-        Of the body.
-
-    Returns
-    -------
-    facets : (k,) int64
-    distances_km : (k,) float64
-        Infinite where no facet nearby is met.
+    ``vertices_km`` (v, 3); ``faces`` (f, 3); ``starts_km``, ``directions`` (k, 3), directions are unit vectors; returns
+    ``facets`` (k,); ``distances_km`` (k,), infinite where no facet nearby is met.
     """
     sideways = unit(np.cross(directions, np.eye(3)[np.abs(directions).argmin(axis=1)]))
     plane = np.stack([sideways, np.cross(directions, sideways)], axis=1)

@@ -157,20 +157,7 @@ class Footprint(Value):
 
 
 def footprint_of(body: Body, plane: FocalPlane, options: RenderOptions) -> Footprint | Failure:
-    """Lay cells over the part of a focal plane, and the margin around it, that light of a body can reach.
-
-    Parameters
-    ----------
-    body : Body
-        As :meth:`~giantlike.ray_tracing.Body.seen_by` the camera.
-    plane : FocalPlane
-    options : RenderOptions
-
-    Returns
-    -------
-    Footprint or Failure
-        ``OUT_OF_FRAME`` when no light of the body can fall there, ``DEGENERATE_GEOMETRY`` for a camera inside the body.
-    """
+    """Lay cells over the part of a focal plane, and the margin around it, that light of a body can reach."""
     size = np.array([plane.columns, plane.rows])
     box = visible_box(body, plane, options.margin_px + plane.halo_px)
     if isinstance(box, Failure):
@@ -217,19 +204,7 @@ def _extent(outline_px: Float, pad_px: float, low_px: Float, high_px: Float) -> 
 
 
 def visible_box(body: Body, plane: FocalPlane, reach_px: int) -> VisibleBox | Failure:
-    """Part of a focal plane, widened by ``reach_px``, that the body can touch.
-
-    Parameters
-    ----------
-    body : Body
-    plane : FocalPlane
-    reach_px : int, px
-
-    Returns
-    -------
-    VisibleBox or Failure
-        ``OUT_OF_FRAME``, and ``DEGENERATE_GEOMETRY`` for a camera inside the body.
-    """
+    """Part of a focal plane, widened by ``reach_px``, that the body can touch."""
     if body.tracer.encloses(body.camera_body_km):
         return Failure(Reason.DEGENERATE_GEOMETRY, "the camera lies inside the body: check position and units")
     hull_px = body.hull_px(plane.model)

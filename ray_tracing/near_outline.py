@@ -256,15 +256,8 @@ def _light(view: View, axes: Float, per_side: int, laws: Sequence[Reflectance]) 
 def _spread(images: Float, corners: NDArray[np.int64], light: Float, share: Float) -> None:
     """Add the light of rays to images.
 
-    Parameters
-    ----------
-    images : (laws, rows, columns) float64
-    corners : (n, 2) int64, px
-        Column and row of the first pixel that light of each of n pixels falls on.
-    light : (laws, n, s s) float64
-        Of the rays of these pixels, row by row.
-    share : (width, s) float64
-        Share of the light of rays that falls on each pixel from the first on: down and across alike.
+    ``images`` (laws, rows, columns); ``corners`` (n, 2) px, column and row of the first pixel that light of each of n
+    pixels falls on; ``light`` (laws, n, s s); ``share`` (width, s).
     """
     width, per_side = share.shape
     shares, down = share.T.copy(), np.empty((per_side, width))

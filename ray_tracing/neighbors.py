@@ -38,16 +38,7 @@ class Neighbor(Value):
     def hidden(self, camera_body_km: Float, directions_body: Float, points_body_km: Float32) -> Mask:
         """Return True for points that the neighbor hides.
 
-        Parameters
-        ----------
-        camera_body_km : (3,) float64, km, body axes
-        directions_body : (k, 4) float64, unitless, body axes
-            From the camera to the points.
-        points_body_km : (k, 4) float32, km, body axes
-
-        Returns
-        -------
-        (k,) bool
+        ``directions_body`` (k, 4), from the camera to the points; ``points_body_km`` (k, 4); returns (k,).
         """
         camera_km = self.neighbor_from_body @ camera_body_km + self.offset_km
         hits = self.tracer.intersect(camera_km, directions_body[:, :3] @ self.neighbor_from_body.T)
@@ -57,14 +48,7 @@ class Neighbor(Value):
     def dark(self, points_body_km: Float32 | Float, to_sun_body: Float) -> Mask:
         """Return True for points in the shadow of the neighbor.
 
-        Parameters
-        ----------
-        points_body_km : (k, 3) or (k, 4), km, body axes
-        to_sun_body : (3,), (4,), (k, 3) or (k, 4), unitless, body axes
-
-        Returns
-        -------
-        (k,) bool
+        ``points_body_km`` (k, 3) or (k, 4); ``to_sun_body`` (3,), (4,), (k, 3) or (k, 4); returns (k,).
         """
         starts = points_body_km[:, :3].astype(np.float64) @ self.neighbor_from_body.T + self.offset_km
         directions = np.broadcast_to(to_sun_body[..., :3] @ self.neighbor_from_body.T, starts.shape)
@@ -74,17 +58,7 @@ class Neighbor(Value):
 def neighbors_of(bodies: Sequence[Body], number: int, sun_camera: Float, sun_radius_rad: float) -> list[Neighbor]:
     """Return the other bodies that can hide or shade body ``number``, by the spheres around them.
 
-    Parameters
-    ----------
-    bodies : sequence of Body
-    number : int
-    sun_camera : (3,) float64, unitless, camera axes
-        Unit vector from that body to the Sun.
-    sun_radius_rad : float, rad
-
-    Returns
-    -------
-    list of Neighbor
+    ``sun_camera``: unit vector from that body to the Sun.
     """
     body = bodies[number]
     found = []

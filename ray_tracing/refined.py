@@ -71,31 +71,14 @@ class RefinedTrace(Value):
     def cell_brightness(self, law: Reflectance) -> Float:
         """Shade the rays of whole cells and leave them as they are.
 
-        Parameters
-        ----------
-        law : Reflectance
-
-        Returns
-        -------
-        (columns, rows) float64
-            Brightness of all cells; 0 in those that are split.
+        Returns (columns, rows), 0 in those that are split.
         """
         whole = self.trace.cell_brightness(law)
         whole[self.columns, self.rows] = 0.0
         return whole
 
     def part_brightness(self, law: Reflectance) -> Float:
-        """Shade the rays of parts.
-
-        Parameters
-        ----------
-        law : Reflectance
-
-        Returns
-        -------
-        (k,) float64
-            Brightness of the parts at ``part_places``.
-        """
+        """Shade the rays of parts."""
         return self.rays.brightness(law)
 
 
@@ -104,17 +87,7 @@ def refined(trace: Trace, factor: int, *, uneven: float = UNEVEN) -> RefinedTrac
 
     Parts of a cell that is lit, as all around it are, are taken to be lit.
 
-    Parameters
-    ----------
-    trace : Trace
-    factor : int
-        Parts along the side of a cell.
-    uneven : float
-        Range of the light of neighboring cells over that of the brightest, from which a cell is split.
-
-    Returns
-    -------
-    RefinedTrace
+    ``uneven``: range of the light of neighboring cells over that of the brightest, from which a cell is split.
     """
     columns, rows = np.nonzero(_uneven(trace.cell_brightness(trace.body.reflectance), uneven))
     (x, y), model = trace.cells, trace.footprint.plane.model

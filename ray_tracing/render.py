@@ -255,21 +255,7 @@ def rendered(
     options: RenderOptions,
     neighbors: tuple[Neighbor, ...] = (),
 ) -> Template | Failure:
-    """Render a body among neighbors; one that is seen in the dark is a black template with a NaN photocenter.
-
-    Parameters
-    ----------
-    body : Body
-    plane : FocalPlane
-    sun_direction_camera : (3,), unitless, camera axes
-    options : RenderOptions
-    neighbors : tuple of Neighbor
-
-    Returns
-    -------
-    Template or Failure
-        Failures are those of :func:`render`; ``NO_SIGNAL`` means hidden by neighbors.
-    """
+    """Render a body among neighbors; one that is seen in the dark is a black template with a NaN photocenter."""
     view = view_of(body, plane.model, sun_direction_camera, options, neighbors)
     footprint = footprint_of(view.body, plane, options)
     if isinstance(footprint, Failure):
@@ -284,17 +270,7 @@ def rendered(
 
 
 def ray_grid(view: View, footprint: Footprint) -> RayGrid:
-    """Directions of the rays through the cells of a footprint, body axes.
-
-    Parameters
-    ----------
-    view : View
-    footprint : Footprint
-
-    Returns
-    -------
-    RayGrid
-    """
+    """Directions of the rays through the cells of a footprint, body axes."""
     rotation = view.body.camera_from_body.as_matrix().T
     return RayGrid(footprint.plane.model, *footprint.cells, rotation, view.options.jitter_seed)
 
@@ -338,20 +314,7 @@ class ShadedTile(Value):
 
 
 def shade_tile(footprint: Footprint, tile: Tile, traced: TracedRays, law: Reflectance) -> ShadedTile:
-    """Light of the cells of a tile under a reflectance law, on the pixel columns of the template.
-
-    Parameters
-    ----------
-    footprint : Footprint
-    tile : Tile
-    traced : TracedRays
-        One ray for each cell of the tile, column after column.
-    law : Reflectance
-
-    Returns
-    -------
-    ShadedTile
-    """
+    """Light of the cells of a tile under a reflectance law, on the pixel columns of the template."""
     brightness = np.zeros((footprint.cells[0].count, tile.rows))
     inside = brightness[tile.left : tile.right]
     inside[:] = traced.brightness(law).reshape(inside.shape)
@@ -369,20 +332,7 @@ def shade_tile(footprint: Footprint, tile: Tile, traced: TracedRays, law: Reflec
 
 
 def gathered(view: View, footprint: Footprint, tiles: Iterable[ShadedTile]) -> Template | Failure:
-    """Template of tiles, added up in their order.
-
-    Parameters
-    ----------
-    view : View
-    footprint : Footprint
-    tiles : iterable of ShadedTile
-
-    Returns
-    -------
-    Template or Failure
-        A body seen in the dark gives a black template with a NaN photocenter; ``NO_SIGNAL`` where neighbors hide it,
-        ``OUT_OF_FRAME`` where no ray meets it.
-    """
+    """Template of tiles, added up in their order."""
     x, y = (cells.centers_px for cells in footprint.cells)
     width, height = footprint.size_px
     light, counts = np.zeros((y.size, width)), np.zeros((height, width), np.int64)

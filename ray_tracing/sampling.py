@@ -60,18 +60,6 @@ class Cells:
 
         The light of a cell is even over the cell, blurred by a Gaussian, and summed over the pixel; all three
         exactly, by the second antiderivative of the Gaussian.
-
-        Parameters
-        ----------
-        first_px, count_px : int
-            First pixel and number of pixels.
-        sigma_px : float, px
-            Standard deviation of the Gaussian.
-
-        Returns
-        -------
-        Spread
-            Shares of a cell sum to its width, px.
         """
         half = 0.5 / self.per_px
         reach = PSF_REACH_SIGMA * sigma_px
@@ -118,15 +106,7 @@ class RayGrid:
     That is checked, and where it fails, or the model has no direction for part of the grid, every point is
     unprojected on its own.
 
-    Parameters
-    ----------
-    model : CameraModel
-    x, y : Cells
-        Columns and rows of the grid.
-    rotation : (3, 3) float64
-        Applied to the directions: ``to_from_camera``.
-    jitter_seed : int, optional
-        Where in its cell each ray goes; None takes the centers.
+    ``rotation`` (3, 3), applied to the directions: ``to_from_camera``.
     """
 
     def __init__(self, model: CameraModel, x: Cells, y: Cells, rotation: Float, jitter_seed: int | None = None) -> None:
@@ -148,14 +128,7 @@ class RayGrid:
     def directions(self, tile: Tile) -> Float:
         """Directions of the rays through some cells.
 
-        Parameters
-        ----------
-        tile : Tile
-
-        Returns
-        -------
-        (n, 4) float64
-            Unit vectors and zeros, column after column of the tile.
+        Returns (n, 4), unit vectors and zeros, column after column of the tile.
         """
         start, stop, left, right = tile.start, tile.stop, tile.left, tile.right
         if self._jitter_seed is None:
@@ -182,14 +155,7 @@ class RayGrid:
 
 
 class Interval:
-    """Chebyshev nodes on an interval, and the Lagrange polynomials through them.
-
-    Parameters
-    ----------
-    low, high : float
-    count : int
-        Number of nodes.
-    """
+    """Chebyshev nodes on an interval, and the Lagrange polynomials through them."""
 
     def __init__(self, low: float, high: float, count: int) -> None:
         self.middle, self.half = 0.5 * (low + high), 0.5 * (high - low)

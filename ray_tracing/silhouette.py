@@ -141,17 +141,8 @@ def trace_silhouette(
 def outline_points_px(body: Body, model: CameraModel, angles_rad: ArrayLike) -> Float:
     """Outermost points of a body's outline, as :func:`trace_silhouette` finds them, without their normals and light.
 
-    Parameters
-    ----------
-    body : Body
-    model : CameraModel
-    angles_rad : (k,), rad
-        Directions from the projection of the body's origin, from +x towards +y.
-
-    Returns
-    -------
-    (k, 2) float64, px
-        NaN where the direction meets no edge that the camera can image.
+    ``angles_rad`` (k,), directions from the projection of the body's origin, from +x towards +y; returns (k, 2), NaN
+    where the direction meets no edge that the camera can image.
     """
     angles = as_floats(angles_rad, (), "angles_rad")
     _, _, points_camera_km = _edge(body.seen_by(model), model, body.center_px(model), angles)
@@ -163,20 +154,8 @@ def lit_outline(
 ) -> tuple[Float, Mask]:
     """Outermost points of a body's outline that the camera can image, and where the Sun shines on them.
 
-    Parameters
-    ----------
-    body : Body
-    model : CameraModel
-    angles_rad : (k,), rad
-        Directions from the projection of the body's origin, from +x towards +y.
-    sun_direction_camera : (3,), unitless, camera axes
-        Unit vector from body to Sun.
-
-    Returns
-    -------
-    points_px : (n, 2) float64, px
-        As :func:`trace_silhouette` finds them, those of directions without any left out.
-    lit : (n,) bool
+    ``angles_rad`` (k,), directions from the projection of the body's origin, from +x towards +y;
+    ``sun_direction_camera``: unit vector from body to Sun; returns ``points_px`` (n, 2) and ``lit`` (n,).
     """
     angles, body = as_floats(angles_rad, (), "angles_rad"), body.seen_by(model)
     _, edge, points_camera_km = _edge(body, model, body.center_px(model), angles)
@@ -427,22 +406,7 @@ class EllipseOutline(Value):
 
 
 def outline_of(body: Body, model: CameraModel) -> EdgeOutline | EllipseOutline:
-    """Return the outline of a body.
-
-    Parameters
-    ----------
-    body : Body
-    model : CameraModel
-
-    Returns
-    -------
-    EdgeOutline or EllipseOutline
-
-    Raises
-    ------
-    InputError
-        The shape is neither a mesh nor an ellipsoid.
-    """
+    """Return the outline of a body."""
     if isinstance(body.shape, TriangleMesh):
         return EdgeOutline.of(body, body.shape, model)
     if isinstance(body.shape, Ellipsoid):
@@ -467,16 +431,7 @@ def _steps(angles_rad: Float) -> Float:
 def projected_normals(model: CameraModel, points_camera_km: Float, normals_camera: Float) -> Float:
     """Unit normals in the image of a surface seen edge-on.
 
-    Parameters
-    ----------
-    model : CameraModel
-    points_camera_km : (k, 3) float64, km, camera axes
-    normals_camera : (k, 3) float64, unitless, camera axes
-
-    Returns
-    -------
-    (k, 2) float64, unitless
-        A displacement along one is seen as a displacement along the normal of the surface.
+    ``points_camera_km``, ``normals_camera`` (k, 3); returns (k, 2).
     """
     jacobian = model.project_jacobian(points_camera_km)
     gram = jacobian @ np.swapaxes(jacobian, -1, -2)

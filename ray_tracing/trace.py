@@ -57,24 +57,7 @@ def view_of(
 ) -> View:
     """View of a body through a camera model.
 
-    Parameters
-    ----------
-    body : Body
-        Its level of detail is chosen for the camera.
-    model : CameraModel
-    sun_direction_camera : (3,), unitless, camera axes
-        Unit vector from body to Sun.
-    options : RenderOptions
-    neighbors : tuple of Neighbor
-
-    Returns
-    -------
-    View
-
-    Raises
-    ------
-    InputError
-        The direction is not a unit vector.
+    ``sun_direction_camera``: unit vector from body to Sun.
     """
     body = body.seen_by(model)
     sun_body = np.append(sun_in_body(body, sun_direction_camera), 0.0)
@@ -132,17 +115,7 @@ class TracedRays(Value):
     def among(self, numbers: Indices, directions: Float) -> TracedRays:
         """Return these rays as some of more.
 
-        Parameters
-        ----------
-        numbers : (n,) int64
-            Of these rays among them.
-        directions : (m, 4) float64, unitless, body axes
-            Of all of them.
-
-        Returns
-        -------
-        TracedRays
-            The others meet nothing.
+        ``numbers`` (n,); ``directions`` (m, 4), body axes, of all of them.
         """
         return replace(self, sight=replace(self.sight, rays=numbers.take(self.sight.rays)), directions=directions)
 
@@ -177,19 +150,7 @@ class TracedRays(Value):
 def trace_rays(view: View, directions: Float, *, stratum: int = 0, lit: Mask | None = None) -> TracedRays:
     """Send rays to the body and on to the Sun.
 
-    Parameters
-    ----------
-    view : View
-    directions : (n, 4) float64, unitless, body axes
-        Unit vectors and zeros.
-    stratum : int
-        Seed, with ``sun_seed``, of the random points of an extended Sun.
-    lit : (n,) bool, optional
-        Rays that end where nothing stands before the Sun; by default that is not known.
-
-    Returns
-    -------
-    TracedRays
+    ``directions`` (n, 4), body axes, unit vectors and zeros; ``lit`` (n,).
     """
     body = view.body
     camera_km = body.camera_body_km
@@ -275,21 +236,8 @@ def surface_albedo(shape: Shape, points_km: Float, facets: NDArray[np.int64]) ->
 def disk_directions(sun: Float, radius_rad: float, samples: int, first: Float, turn: Float) -> list[Float]:
     """Directions to points of an evenly bright disk, as many for each of n rays.
 
-    Parameters
-    ----------
-    sun : (4,) float64, unitless
-        Unit vector to the center of the disk, and a zero.
-    radius_rad : float, rad
-        Angular radius of the disk.
-    samples : int
-        Rings of equal solid angle; each ray gets one point in each, a golden angle apart.
-    first, turn : (n,) float64 in [0, 1)
-        Random radial and angular offsets of the pattern of each ray.
-
-    Returns
-    -------
-    list of (n, 4) float64
-        Unit vectors and zeros, one array for each ring.
+    ``sun`` (4,), unit vector to the center of the disk, and a zero; ``first``, ``turn`` (n,) in [0, 1); returns list of
+    (n, 4), unit vectors and zeros, one array for each ring.
 
     Notes
     -----
@@ -309,19 +257,7 @@ def disk_directions(sun: Float, radius_rad: float, samples: int, first: Float, t
 
 
 def in_order(function: Callable[[Item], Result], items: Iterable[Item], threads: int) -> Iterator[Result]:
-    """Results of a function for all items, in their order, computed on some threads: the same for any number of them.
-
-    Parameters
-    ----------
-    function : callable
-    items : iterable
-    threads : int
-
-    Yields
-    ------
-    object
-        What the function returned for the next item.
-    """
+    """Results of a function for all items, in their order, computed on threads: the same for any number of them."""
     if threads == 1:
         yield from map(function, items)
         return

@@ -103,10 +103,6 @@ class MeshTracer:
 
     It holds the arrays of the mesh and not the mesh, so that a cache can forget it.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-
     Attributes
     ----------
     radius_km : float, km
@@ -136,15 +132,7 @@ class MeshTracer:
 
         Near an edge, where float32 may choose the wrong one of two facets, float64 decides between those around.
 
-        Parameters
-        ----------
-        origins_body_km : (3,) or (n, 3), km, body axes
-        directions_body : (n, 3), body axes
-            Of any length.
-
-        Returns
-        -------
-        Hits
+        ``origins_body_km`` (3,) or (n, 3); ``directions_body`` (n, 3).
         """
         starts, directions = _approached(origins_body_km, directions_body, self.radius_km)
         found, rough, inside = self._surface.first_hit_inside(starts.astype(np.float32), directions.astype(np.float32))
@@ -179,15 +167,7 @@ class MeshTracer:
     def occluded(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Mask:
         """Return True for rays that meet the mesh.
 
-        Parameters
-        ----------
-        origins_body_km : (3,) or (n, 3), km, body axes
-            A little above the surface for rays that leave it.
-        directions_body : (n, 3), body axes
-
-        Returns
-        -------
-        (n,) bool
+        ``origins_body_km`` (3,) or (n, 3); ``directions_body`` (n, 3); returns (n,).
         """
         starts, directions = _approached(origins_body_km, directions_body, self.radius_km)
         return self._surface.occluded(starts.astype(np.float32), directions.astype(np.float32))
@@ -202,15 +182,7 @@ class MeshTracer:
     def shadowed(self, hits: Hits, sun_body: Float) -> Mask:
         """Return True for hits in the dark: none, facing away from the Sun, or with the body in the way.
 
-        Parameters
-        ----------
-        hits : Hits
-        sun_body : (3,) float64, unitless, body axes
-            Unit vector to the Sun.
-
-        Returns
-        -------
-        (n,) bool
+        ``sun_body``: unit vector to the Sun; returns (n,).
         """
         dark = ~(hits.normals @ sun_body > 0.0)
         facing = np.flatnonzero(~dark)
@@ -221,15 +193,7 @@ class MeshTracer:
     def sight(self, origin_body_km: Float, directions_body: Float) -> Sight:
         """Trace the rays of an image; in float32 from the bounding sphere on.
 
-        Parameters
-        ----------
-        origin_body_km : (3,) float64, km, body axes
-        directions_body : (n, 4) float64, body axes
-            Unit vectors and zeros.
-
-        Returns
-        -------
-        Sight
+        ``directions_body`` (n, 4), unit vectors and zeros.
         """
         reach = max(float(np.linalg.norm(origin_body_km)) - _SPHERE_MARGIN * self.radius_km, 0.0)
         directions = directions_body.astype(np.float32)
@@ -246,16 +210,8 @@ class MeshTracer:
     def dark(self, points_km: Float32, normals: Float32, to_sun: Float) -> Mask:
         """Return True for points of the mesh in the shadow of the mesh.
 
-        Parameters
-        ----------
-        points_km, normals : (k, 4) float32, km and unitless, body axes
-            Points of a :class:`Sight` that face the Sun, and the normals there.
-        to_sun : (4,) or (k, 4) float64, unitless, body axes
-            Unit vectors and zeros.
-
-        Returns
-        -------
-        (k,) bool
+        ``points_km``, ``normals`` (k, 4) km and unitless, body axes, points of a :class:`Sight` that face the Sun, and
+        the normals there; ``to_sun`` (4,) or (k, 4), body axes, unit vectors and zeros; returns (k,).
         """
         starts = points_km + np.float32(self._shadow_offset_km) * normals
         directions = np.broadcast_to(to_sun.astype(np.float32), starts.shape)  # one in memory, where there is one
@@ -266,10 +222,6 @@ class EllipsoidTracer:
     """Rays against an ellipsoid about the origin, by algebra in float64; methods are those of :class:`MeshTracer`.
 
     Convex: it never shadows itself.
-
-    Parameters
-    ----------
-    ellipsoid : Ellipsoid
     """
 
     def __init__(self, ellipsoid: Ellipsoid) -> None:
@@ -367,21 +319,7 @@ _TRACERS_LOCK = threading.Lock()
 
 
 def tracer_for(shape: Shape) -> Tracer:
-    """Return the tracer of a shape; that of a mesh is built once and lives as long as the mesh object.
-
-    Parameters
-    ----------
-    shape : Shape
-
-    Returns
-    -------
-    Tracer
-
-    Raises
-    ------
-    InputError
-        The shape is neither a mesh nor an ellipsoid.
-    """
+    """Return the tracer of a shape; that of a mesh is built once and lives as long as the mesh object."""
     if isinstance(shape, Ellipsoid):
         return EllipsoidTracer(shape)
     if not isinstance(shape, TriangleMesh):

@@ -273,24 +273,7 @@ class AlbedoMap(Value):
 def fitted_to_mesh(albedo: Albedo, *, vertices: int, faces: Faces, kept: Mask) -> Albedo:
     """Fit an albedo to the facets that a mesh keeps of those that it was made from.
 
-    Parameters
-    ----------
-    albedo : Albedo
-    vertices : int
-        Number of vertices.
-    faces : (m, 3) int64
-        The facets of the mesh.
-    kept : (k,) bool
-        True for each of the given facets that the mesh keeps.
-
-    Returns
-    -------
-    Albedo
-
-    Raises
-    ------
-    InputError
-        As many values are needed as there are facets or vertices.
+    ``faces`` (m, 3); ``kept`` (k,).
     """
     if isinstance(albedo, FacetAlbedo):
         count = len(albedo.values)
@@ -304,18 +287,7 @@ def fitted_to_mesh(albedo: Albedo, *, vertices: int, faces: Faces, kept: Mask) -
 
 
 def hash_with_albedo(surface_sha256: str, albedo: Albedo | None) -> str:
-    """Combine the hashes of a surface and its albedo.
-
-    Parameters
-    ----------
-    surface_sha256 : str
-    albedo : Albedo or None
-
-    Returns
-    -------
-    str
-        Hexadecimal; that of the surface where there is no albedo.
-    """
+    """Combine the hashes of a surface and its albedo."""
     if albedo is None:
         return surface_sha256
     return hashlib.sha256(f"{surface_sha256} with albedo {albedo.sha256}".encode()).hexdigest()

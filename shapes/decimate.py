@@ -41,22 +41,6 @@ class Deviation:
 def decimated(mesh: TriangleMesh, facets: int) -> TriangleMesh:
     """Merge edges of a mesh, least harm first, until ``facets`` facets are left.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-    facets : int
-        Largest number of facets of the result, which comes as close to it as merging edges allows.
-
-    Returns
-    -------
-    TriangleMesh
-        With the same name, without albedo; see :func:`deviation` for its distance from the original.
-
-    Raises
-    ------
-    InputError
-        ``facets`` is below 4 or not below what the mesh has, or the mesh or the result is no closed surface.
-
     Notes
     -----
     The work is done by the package fast-simplification (MIT license), which wraps the C++ code
@@ -89,23 +73,7 @@ def _closed(found: Defects) -> bool:
 
 
 def deviation(first: TriangleMesh, second: TriangleMesh, *, samples: int = _MAX_SAMPLES) -> Deviation:
-    """Compare two meshes of one body by the distances of their vertices from the other surface.
-
-    Parameters
-    ----------
-    first, second : TriangleMesh
-    samples : int
-        Largest number of vertices that are measured, evenly spread over their order.
-
-    Returns
-    -------
-    Deviation
-
-    Raises
-    ------
-    InputError
-        ``samples`` is below 1.
-    """
+    """Compare two meshes of one body by the distances of their vertices from the other surface."""
     require(samples >= 1, f"samples must be >= 1, got {samples}")
     distances = np.concatenate(
         [
@@ -123,14 +91,7 @@ def deviation(first: TriangleMesh, second: TriangleMesh, *, samples: int = _MAX_
 def surface_distances(mesh: TriangleMesh, points_body_km: Float) -> Float:
     """Distances of points from the surface of a mesh.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-    points_body_km : (n, 3) float64, km, body
-
-    Returns
-    -------
-    (n,) float64, km
+    ``points_body_km`` (n, 3); returns (n,) km.
 
     Notes
     -----

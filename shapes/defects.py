@@ -63,10 +63,7 @@ class Defects:
     def text(self) -> str:
         """List the kinds that are not zero.
 
-        Returns
-        -------
-        str
-            Such as ``3 boundary edges, 1 holes``; empty for a clean surface.
+        The result is empty for a clean surface.
         """
         counts = ((field.name.replace("_", " "), getattr(self, field.name)) for field in fields(self))
         return ", ".join(f"{count} {name}" for name, count in counts if count)
@@ -101,17 +98,7 @@ class Edges(Value):
 
 
 def edges_of(faces: Faces) -> Edges:
-    """Find the edges of facets.
-
-    Parameters
-    ----------
-    faces : (m, 3) int64
-        Three different corners each.
-
-    Returns
-    -------
-    Edges
-    """
+    """Find the edges of facets."""
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     low, high = np.minimum(start, end), np.maximum(start, end)
     base = int(faces.max(initial=0)) + 1
@@ -124,14 +111,7 @@ def edges_of(faces: Faces) -> Edges:
 def defects_of(surface: Surface) -> Defects:
     """Count the defects of a surface; invalid facets and open edges are accepted.
 
-    Parameters
-    ----------
-    surface : Surface
-        As :func:`~giantlike.shapes.load.read_surface` returns it.
-
-    Returns
-    -------
-    Defects
+    ``surface`` as :func:`~giantlike.shapes.load.read_surface` returns it.
     """
     valid = surface.valid_faces
     names = coincident_names(surface.vertices)
@@ -155,18 +135,7 @@ def defects_of(surface: Surface) -> Defects:
 
 
 def flat_facets(vertices: Float, faces: Faces) -> Mask:
-    """Mask of the facets without area.
-
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-    faces : (m, 3) int64
-        Valid ones.
-
-    Returns
-    -------
-    (m,) bool
-    """
+    """Mask of the facets without area."""
     if faces.size == 0:
         return np.zeros(len(faces), dtype=bool)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -178,16 +147,7 @@ def flat_facets(vertices: Float, faces: Faces) -> Mask:
 
 
 def duplicate_facets(faces: Faces) -> Mask:
-    """Mask of the facets with the corners of one before them.
-
-    Parameters
-    ----------
-    faces : (m, 3) int64
-
-    Returns
-    -------
-    (m,) bool
-    """
+    """Mask of the facets with the corners of one before them."""
     corners = np.sort(faces, axis=1)
     order = np.lexsort(corners.T)
     same = np.zeros(len(faces), dtype=bool)

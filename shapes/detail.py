@@ -177,17 +177,7 @@ def _simplified(
 
 
 def facet_size_km(mesh: TriangleMesh) -> float:
-    """Size of the facets of a mesh.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-
-    Returns
-    -------
-    float, km
-        Edge of an equilateral triangle of the mean area of facets, weighted with the area.
-    """
+    """Size of the facets of a mesh."""
     mean_area_km2 = float(np.sum(mesh.areas_km2**2)) / mesh.area_km2
     return math.sqrt(4.0 / math.sqrt(3.0) * mean_area_km2)
 

@@ -146,19 +146,8 @@ def _icosahedron() -> tuple[Float, Faces]:
 def surface_waves(points: Float, random: np.random.Generator, *, wavenumber: float, waves: int) -> Float:
     """Random smooth field on the sphere with unit variance: a sum of plane waves in all directions.
 
-    Parameters
-    ----------
-    points : (n, 3) float64, unitless
-        Unit vectors.
-    random : numpy Generator
-    wavenumber : float, rad
-        Phase per unit of length, within 30 %: features are half of ``2 pi / wavenumber`` rad wide.
-    waves : int
-        Number of waves.
-
-    Returns
-    -------
-    (n,) float64
+    ``points`` (n, 3), unit vectors; ``wavenumber`` in rad, phase per unit of length, within 30 %: features are half of
+    ``2 pi / wavenumber`` rad wide; returns (n,).
     """
     vectors = unit(random.normal(size=(waves, 3))) * wavenumber * random.uniform(0.7, 1.3, size=(waves, 1))
     phases = random.uniform(0.0, 2.0 * np.pi, size=waves)

@@ -76,14 +76,7 @@ class Landmark(Value):
     def grid_body_km(self, count: int) -> Float:
         """Points of the surface, spread over the map.
 
-        Parameters
-        ----------
-        count : int
-            Largest number of points along each side.
-
-        Returns
-        -------
-        (k, 3) float64, km, body
+        Returns (k, 3), body axes.
         """
         rows, columns = (
             np.unique(np.linspace(0, n - 1, min(count, n)).round().astype(np.int64)) for n in self.map.heights_km.shape
@@ -106,11 +99,6 @@ class LandmarkCatalog(Value):
         Name of the body; empty where it is not known.
     shape_sha256 : str
         Hash of the shape that they were taken from; empty for maps from elsewhere.
-
-    Raises
-    ------
-    InputError
-        There is none, or two have one name.
     """
 
     landmarks: tuple[Landmark, ...]
@@ -140,24 +128,7 @@ class LandmarkCatalog(Value):
 
 
 def load_landmarks(path: Path) -> LandmarkCatalog:
-    """Read a catalog of landmarks.
-
-    Parameters
-    ----------
-    path : Path
-        A catalog (.npz) that :func:`save_landmarks` wrote, an SPC maplet (.MAP), or a folder of maplets.
-
-    Returns
-    -------
-    LandmarkCatalog
-
-    Raises
-    ------
-    InputError
-        The file is of another kind.
-    DataError
-        It is missing or damaged.
-    """
+    """Read a catalog of landmarks."""
     path = Path(path)
     if path.is_dir():
         files = sorted(file for file in path.iterdir() if file.suffix.lower() == MAPLET_SUFFIX)
@@ -173,18 +144,6 @@ def load_landmarks(path: Path) -> LandmarkCatalog:
 
 def save_landmarks(catalog: LandmarkCatalog, path: Path, *, overwrite: bool = False) -> None:
     """Write a catalog of landmarks.
-
-    Parameters
-    ----------
-    catalog : LandmarkCatalog
-    path : Path
-        Ends in .npz.
-    overwrite : bool
-
-    Raises
-    ------
-    InputError
-        The file exists, or has another ending.
 
     Notes
     -----
@@ -216,16 +175,7 @@ def save_landmarks(catalog: LandmarkCatalog, path: Path, *, overwrite: bool = Fa
 
 
 def landmark_of(local: LocalMap) -> Landmark:
-    """Make a landmark of a map and measure its texture.
-
-    Parameters
-    ----------
-    local : LocalMap
-
-    Returns
-    -------
-    Landmark
-    """
+    """Make a landmark of a map and measure its texture."""
     tilts = np.arctan(np.stack([np.gradient(local.heights_km, local.spacing_km, axis=axis) for axis in (0, 1)]))
     known = np.isfinite(tilts).all(axis=0)
     rows, columns = np.nonzero(known)

@@ -104,18 +104,7 @@ def limb(shape: Shape, camera_body_km: ArrayLike, directions_body: ArrayLike) ->
 def silhouette_edges(mesh: TriangleMesh, camera_body_km: Float) -> tuple[Indices, Indices]:
     """Edges of a mesh that can be its outline.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-    camera_body_km : (3,) float64, km, body
-
-    Returns
-    -------
-    edges : (e, 2) int64
-        Vertices of the edges between a facet that faces the camera and one that does not, and of those on the border
-        of an open surface.
-    facets : (e,) int64
-        The facet of each edge that faces the camera; any, on a border that none faces.
+    Returns ``edges`` (e, 2) and ``facets`` (e,).
     """
     # A facet of an outline faces the camera C where n . (C - vertex) > 0, and a neighbor with a normal no farther away
     # than the bend does not, so that |n . (C - vertex)| is at most the bend times the distance.
@@ -139,15 +128,8 @@ def silhouette_edges(mesh: TriangleMesh, camera_body_km: Float) -> tuple[Indices
 def limb_ellipse(ellipsoid: Ellipsoid, camera_body_km: Float) -> tuple[Float, Float, Float]:
     """Limb of an ellipsoid as an ellipse in space.
 
-    Parameters
-    ----------
-    ellipsoid : Ellipsoid
-    camera_body_km : (3,) float64, km, body
-
-    Returns
-    -------
-    middle_km, first_km, second_km : (3,) float64, km, body
-        The limb is ``middle + cos(t) first + sin(t) second``, t from 0 to 2 pi; NaN when the camera is inside.
+    Returns ``middle_km``, ``first_km``, ``second_km`` in body axes, the limb is
+    ``middle + cos(t) first + sin(t) second``, t from 0 to 2 pi, NaN when the camera is inside.
     """
     radii = ellipsoid.radii_km
     camera = camera_body_km / radii
@@ -160,17 +142,8 @@ def limb_ellipse(ellipsoid: Ellipsoid, camera_body_km: Float) -> tuple[Float, Fl
 def crossings(starts: Float, stops: Float, angles_rad: Float) -> tuple[Indices, Indices]:
     """Find the crossings of segments in a plane with half-lines from its origin.
 
-    Parameters
-    ----------
-    starts, stops : (e, 2) float64
-        Ends of the segments.
-    angles_rad : (k,) float64, rad
-        Directions of the half-lines, from the first coordinate towards the second.
-
-    Returns
-    -------
-    segments, lines : (p,) int64
-        Numbers of the segments and half-lines of every crossing; one at a common end counts for both segments.
+    ``starts``, ``stops`` (e, 2); ``angles_rad`` (k,), directions of the half-lines, from the first coordinate towards
+    the second; returns ``segments``, ``lines`` (p,).
     """
     turn = 2.0 * np.pi
     order = np.argsort(angles_rad % turn, kind="stable")
@@ -191,17 +164,7 @@ def crossings(starts: Float, stops: Float, angles_rad: Float) -> tuple[Indices, 
 def largest_of_each(groups: Indices, values: Float, count: int) -> Indices:
     """Index of the largest value in each group.
 
-    Parameters
-    ----------
-    groups : (p,) int64
-        Group of each value, 0 to ``count`` - 1.
-    values : (p,) float64
-    count : int
-
-    Returns
-    -------
-    (count,) int64
-        -1 for an empty group.
+    ``groups``, ``values`` (p,); returns (count,), -1 for an empty group.
     """
     order = np.lexsort([values, groups])
     best = np.full(count, -1, dtype=np.int64)

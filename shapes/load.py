@@ -68,24 +68,7 @@ def load_shape(path: str | Path, *, units: str = "km") -> TriangleMesh:
 def read_surface(path: str | Path, *, units: str = "km") -> Surface:
     """Read the surface of a shape file, however broken, in km: for looking at it and for repair.
 
-    Parameters
-    ----------
-    path, units
-        As for :func:`load_shape`.
-
-    Returns
-    -------
-    Surface
-
-    Raises
-    ------
-    InputError, DataError
-        As for :func:`load_shape`, but defects of the surface are not errors.
-
-    Warns
-    -----
-    UnitsWarning
-        ``auto`` took a unit.
+    ``path``, ``units`` as for :func:`load_shape`.
     """
     path = Path(path)
     require(units in ("km", "m", "auto"), f"units must be km, m or auto, got {units!r}")
@@ -100,24 +83,7 @@ def read_surface(path: str | Path, *, units: str = "km") -> Surface:
 
 
 def mesh_of(path: str | Path, surface: Surface) -> TriangleMesh:
-    """Make a closed mesh of a surface that was read from a file.
-
-    Parameters
-    ----------
-    path : path-like
-        The file, for name and hash.
-    surface : Surface
-        In km.
-
-    Returns
-    -------
-    TriangleMesh
-
-    Raises
-    ------
-    DataError
-        It has no facets, facets of vertices that are missing or not finite, or is not closed.
-    """
+    """Make a closed mesh of a surface that was read from a file."""
     path = Path(path)
     largest = float(np.abs(surface.vertices[surface.finite_vertices]).max(initial=0.0))
     if largest > _LARGEST_KM:
@@ -140,22 +106,7 @@ def mesh_of(path: str | Path, surface: Surface) -> TriangleMesh:
 def guessed_units(path: Path, surface: Surface) -> tuple[str, str]:
     """Guess the unit of a file from its largest finite radius.
 
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    surface : Surface
-
-    Returns
-    -------
-    units : {"km", "m"}
-    remark : str
-        Sentence for people that it was guessed.
-
-    Raises
-    ------
-    DataError
-        The radius fits a body in km and one in m.
+    Returns ``units`` and ``remark``.
     """
     radius = float(np.linalg.norm(surface.vertices[surface.finite_vertices], axis=1).max(initial=0.0))
     if _SURELY_KM < radius < _SURELY_M:

@@ -54,19 +54,6 @@ class Measures(Value):
 def measured(mesh: TriangleMesh) -> Measures:
     """Measure a mesh.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-
-    Returns
-    -------
-    Measures
-
-    Raises
-    ------
-    InputError
-        The facets enclose no body: the second moments of the volume are not positive.
-
     Notes
     -----
     A uniform ellipsoid of radii a, b, c has the central second moments a^2 / 5, b^2 / 5, c^2 / 5 per volume, so that

@@ -47,22 +47,6 @@ def repaired(surface: Surface, *, max_hole_width: float = 0.2) -> Repair:
     by the volume that the piece encloses (so that a cavity becomes a body of its own); each hole whose rim is one
     loop that is narrow enough is closed by a fan around the mean of the rim, a hole of three edges by one triangle.
     Edges of more than two facets stay as they are.
-
-    Parameters
-    ----------
-    surface : Surface
-    max_hole_width : float
-        Width of the widest hole to close over the largest extent of the surface; 0 leaves all open but those of
-        three edges. A wider hole is missing surface, not a slip of a program.
-
-    Returns
-    -------
-    Repair
-
-    Raises
-    ------
-    InputError
-        ``max_hole_width`` is negative, or no facet is left.
     """
     require(max_hole_width >= 0.0, f"max_hole_width must be >= 0, got {max_hole_width}")
     before = defects_of(surface)

@@ -50,15 +50,5 @@ def save_shape(
 
 
 def keeps_albedo(mesh: TriangleMesh, path: str | Path) -> bool:
-    """Return True if :func:`save_shape` writes all of the albedo in the format of a file.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-    path : path-like
-
-    Returns
-    -------
-    bool
-    """
+    """Return True if :func:`save_shape` writes all of the albedo in the format of a file."""
     return mesh.albedo is None or isinstance(mesh.albedo, format_of(Path(path)).albedo)

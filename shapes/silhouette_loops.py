@@ -23,22 +23,8 @@ def near_silhouette(
 ) -> tuple[Indices, Mask]:
     """Find facets seen nearly edge-on.
 
-    Parameters
-    ----------
-    camera_body_km : (3,) float64, km, body
-    normals, offsets_km : (m, 3), (m,) float64
-        Planes of the facets.
-    rough_normals, rough_offsets_km : (3, m), (m,) float32
-        The same in single precision.
-    rough_limits_km : (m,) float32, km
-        Height of the camera over a facet beyond which its neighbors face it alike.
-
-    Returns
-    -------
-    near : (k,) int64
-        Facets with the camera within these heights.
-    front : (k,) bool
-        Those that face the camera.
+    ``normals`` (m, 3), ``offsets_km`` (m,); ``rough_normals`` (3, m), ``rough_offsets_km`` (m,), the same in single
+    precision; ``rough_limits_km`` (m,); returns ``near`` (k,) and ``front`` (k,).
     """
     near, front, count = np.empty(len(offsets_km), np.int64), np.empty(len(offsets_km), np.bool_), 0
     x, y, z = np.float32(camera_body_km[0]), np.float32(camera_body_km[1]), np.float32(camera_body_km[2])
@@ -59,22 +45,8 @@ def edges_between(
 ) -> tuple[Indices, Indices, Mask]:
     """List the edges of some facets whose two vertices lie on a border or on facets of either side.
 
-    Parameters
-    ----------
-    faces : (m, 3) int64
-        Vertices of all facets.
-    near, front : (k,) int64, (k,) bool
-        The facets, and those that face the camera.
-    border_vertices : (b,) int64
-    vertex_count : int
-
-    Returns
-    -------
-    edges : (e, 2) int64
-        Vertices, the smaller number first; an edge comes once for each of its facets.
-    facets : (e,) int64
-        Those that face the camera first.
-    front : (e,) bool
+    ``faces`` (m, 3); ``near`` (k,), ``front`` (k,); ``border_vertices`` (b,); returns ``edges`` (e, 2), ``facets`` (e,)
+    and ``front`` (e,).
     """
     sides = np.zeros(vertex_count, np.uint8)
     for i in range(len(near)):

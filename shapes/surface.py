@@ -29,11 +29,6 @@ class Surface(Value):
         True if the vertices are known to be in km.
     albedo : VertexAlbedo or FacetAlbedo, optional
         Relative albedo, where the file has one.
-
-    Raises
-    ------
-    InputError
-        The arrays do not have these shapes.
     """
 
     vertices: Float
@@ -55,16 +50,7 @@ class Surface(Value):
     def kept(self, vertices: Mask, faces: Mask) -> Surface:
         """Return the surface of some of the vertices and facets, renumbered.
 
-        Parameters
-        ----------
-        vertices : (n,) bool
-            Vertices to keep, among them all those of the facets to keep.
-        faces : (m,) bool
-            Facets to keep.
-
-        Returns
-        -------
-        Surface
+        ``vertices`` (n,); ``faces`` (m,).
         """
         number = np.cumsum(vertices) - 1
         chosen = vertices if isinstance(self.albedo, VertexAlbedo) else faces
@@ -74,17 +60,7 @@ class Surface(Value):
         )
 
     def merged(self, distance: float = 0.0) -> Surface:
-        """Merge vertices to the first of each cluster; all faces must be valid.
-
-        Parameters
-        ----------
-        distance : float
-            Vertices nearer to each other than this are merged, and always those with equal coordinates.
-
-        Returns
-        -------
-        Surface
-        """
+        """Merge vertices to the first of each cluster; all faces must be valid."""
         names = coincident_names(self.vertices) if distance == 0.0 else close_names(self.vertices, distance)
         first = names == np.arange(len(names))
         if first.all():
@@ -110,16 +86,8 @@ class Surface(Value):
 def split_polygons(corners: Faces) -> Faces:
     """Split quadrilaterals into triangles.
 
-    Parameters
-    ----------
-    corners : (m, 3) or (m, 4) int64
-        In the four-column form a triangle has -1 in the last column. A quadrilateral a, b, c, d becomes the
-        triangles a, b, c and a, c, d.
-
-    Returns
-    -------
-    (k, 3) int64
-        In the order of the polygons.
+    ``corners`` (m, 3) or (m, 4), in the four-column form a triangle has -1 in the last column; returns (k, 3), in the
+    order of the polygons.
     """
     if corners.shape[1] == 3:
         return corners
@@ -131,14 +99,7 @@ def split_polygons(corners: Faces) -> Faces:
 def coincident_names(vertices: Float) -> Faces:
     """Number of the first vertex with equal coordinates, for each vertex.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-
-    Returns
-    -------
-    (n,) int64
-        NaN equals nothing.
+    ``vertices`` (n, 3); returns (n,), NaN equals nothing.
     """
     order = np.lexsort(vertices.T)  # stable: the first of equals stays first
     ordered = vertices[order]
@@ -150,18 +111,7 @@ def coincident_names(vertices: Float) -> Faces:
 
 
 def close_names(vertices: Float, distance: float) -> Faces:
-    """Number of the first vertex that a chain of short steps reaches, for each vertex.
-
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-    distance : float
-        Longest step.
-
-    Returns
-    -------
-    (n,) int64
-    """
+    """Number of the first vertex that a chain of short steps reaches, for each vertex."""
     pairs = cKDTree(vertices).query_pairs(distance, output_type="ndarray")
     labels = connected_labels(len(vertices), pairs[:, 0], pairs[:, 1])
     first = np.full(labels.max(initial=-1) + 1, len(vertices))
@@ -172,17 +122,7 @@ def close_names(vertices: Float, distance: float) -> Faces:
 def connected_labels(count: int, first: Faces, second: Faces) -> Faces:
     """Label the connected components of a graph.
 
-    Parameters
-    ----------
-    count : int
-        Number of nodes.
-    first, second : (p,) int64
-        Nodes at the ends of each edge.
-
-    Returns
-    -------
-    (count,) int64
-        Number of the component of each node; it rises with the first node of the component.
+    ``first``, ``second`` (p,); returns (count,).
     """
     graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)

@@ -72,23 +72,7 @@ class Lines(Value):
 
 
 def lines_of(path: Path, widths: tuple[int, ...]) -> Lines:
-    """Lines of a file, gzipped or not, whose first and longest line has one of the given widths.
-
-    Parameters
-    ----------
-    path : Path
-    widths : tuple of int
-        Bytes of a line in the forms of the catalog.
-
-    Returns
-    -------
-    Lines
-
-    Raises
-    ------
-    ValueError
-        The file is empty, the first line has another width, or a line is longer than the first.
-    """
+    """Lines of a file, gzipped or not, whose first and longest line has one of the given widths."""
     lines = unzipped(path.read_bytes()).splitlines()
     width = len(lines[0]) if lines else 0
     if width not in widths:
@@ -123,21 +107,6 @@ def read_hipparcos(path: Path, *, max_magnitude: float | None = None) -> ReadSta
     ``hip_main.dat`` has lines of 450 bytes, ICRS positions in degrees at J1991.25 and Johnson V; ``hip2.dat`` has 276
     bytes, radians and Hp. Identifiers are the negative Hipparcos numbers. 263 entries of ``hip_main.dat`` have no
     position and are left out. Stars are double that have several components or a curved or orbital solution.
-
-    Parameters
-    ----------
-    path : Path
-    max_magnitude : float, optional
-        Fainter stars are left out.
-
-    Returns
-    -------
-    ReadStars
-
-    Raises
-    ------
-    DataError
-        The file has other lines, or a column holds no number.
 
     References
     ----------
@@ -199,21 +168,6 @@ def read_tycho2(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
     taken as 0.8; where the supplement has Hp, that stands for V. Identifiers are
     ``TYC1 * 1,000,000 + TYC2 * 10 + TYC3``. Stars are double that Tycho solved as such or whose next entry is within
     5 arcsec. The brightest stars are in the supplement only: give both files.
-
-    Parameters
-    ----------
-    path : Path
-    max_magnitude : float, optional
-        Fainter stars are left out.
-
-    Returns
-    -------
-    ReadStars
-
-    Raises
-    ------
-    DataError
-        The file has other lines, or a column holds no number.
 
     References
     ----------

@@ -75,21 +75,6 @@ def read_gaia(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
     that of DR3), ``pmra``, ``pmdec``, ``parallax``, ``radial_velocity``, ``bp_rp`` or ``phot_bp_mean_mag`` and
     ``phot_rp_mean_mag``, ``ra_error``, ``dec_error``, ``pmra_error``, ``pmdec_error`` and ``non_single_star``.
 
-    Parameters
-    ----------
-    path : Path
-    max_magnitude : float, optional
-        Fainter stars are left out.
-
-    Returns
-    -------
-    ReadStars
-
-    Raises
-    ------
-    DataError
-        The file is damaged, a needed column is missing, or a value is out of its limits.
-
     References
     ----------
     .. [1] Names, units and conventions as in the archive's own files: angles in deg and mas, pmra with cos(dec).
@@ -105,21 +90,6 @@ def read_usno_gnc(path: Path, *, max_magnitude: float | None = None) -> ReadStar
     bright star catalog, proper motions in mas/yr (``pmra`` with cos(dec), ``pmde``), parallax in mas (``plx``), G, BP
     and RP (``gmag``, ``bpmag``, ``rpmag``), errors with ``e_`` before the name, and ``neighbor_distance_arcsec``.
     Identifiers are ``gnc_id``. Stars are double whose neighbor is within 5 arcsec. Empty cells are values not known.
-
-    Parameters
-    ----------
-    path : Path
-    max_magnitude : float, optional
-        Fainter stars are left out.
-
-    Returns
-    -------
-    ReadStars
-
-    Raises
-    ------
-    DataError
-        The file is damaged, a needed column is missing, or a value is out of its limits.
 
     References
     ----------
@@ -230,24 +200,7 @@ def _read_column_map(path: Path) -> ColumnMap:
 
 @reads("a table of stars")
 def read_mapped(path: Path, mapping: ColumnMap, *, max_magnitude: float | None = None) -> ReadStars:
-    """Read any table with a column map.
-
-    Parameters
-    ----------
-    path : Path
-    mapping : ColumnMap
-    max_magnitude : float, optional
-        Fainter stars are left out.
-
-    Returns
-    -------
-    ReadStars
-
-    Raises
-    ------
-    DataError
-        The file is damaged, a column is missing, or a value is out of its limits.
-    """
+    """Read any table with a column map."""
     table = open_table(path)
     terms: dict[str, Term] = {name: name for name in COLUMN_TYPES if name in table.names}
     terms |= mapping.terms

@@ -81,27 +81,8 @@ def stars_of(
 ) -> ReadStars:
     """Make a star table of columns in which NaN stands for values that are not given.
 
-    Parameters
-    ----------
-    columns : mapping of str to (n,) array
-        By the names of :class:`StarTable`; at least ``ids``, ``ra_deg``, ``dec_deg`` and ``magnitude``.
-    band : str
-        Photometric band of the magnitudes.
-    record : callable
-        Name of row k in error messages, such as ``line 12``.
-    defaults : mapping of str to float
-        Values of what is not given.
-    max_magnitude : float, optional
-        Fainter stars are left out.
-
-    Returns
-    -------
-    ReadStars
-
-    Raises
-    ------
-    ValueError
-        A value is out of its limits.
+    ``columns`` mapping of str to (n,), by the names of :class:`StarTable` (at least ``ids``, ``ra_deg``, ``dec_deg``
+    and ``magnitude``).
     """
     given = {name: np.asarray(values) for name, values in columns.items()}
     for name, (low, high) in LIMITS.items():

@@ -52,21 +52,6 @@ def open_table(path: Path) -> Table:
     unless the header line has tabs or semicolons. ECSV [1]_ states its separator in its header. Of FITS files the first
     binary or ASCII table is read, of VOTables the first table.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Table
-
-    Raises
-    ------
-    DataError
-        The extension is of none of these kinds.
-    OSError, ValueError, exceptions of the libraries
-        The file is missing or damaged; see :func:`giantlike.core.reading.reads`.
-
     References
     ----------
     .. [1] Astropy Proposal for Enhancement 6: Enhanced Character Separated Values.
@@ -138,22 +123,7 @@ def _csv_table(path: Path) -> Table:
 
 
 def text_table(content: bytes) -> Table:
-    """Open a table in CSV or ECSV.
-
-    Parameters
-    ----------
-    content : bytes
-        The file, gzipped or not.
-
-    Returns
-    -------
-    Table
-
-    Raises
-    ------
-    ValueError
-        There is no header or no row, two columns have one name, or a row has another number of values.
-    """
+    """Open a table in CSV or ECSV."""
     import pyarrow as pa
     import pyarrow.csv
 

@@ -42,22 +42,6 @@ def read_ucac4(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
     zone file and in a folder ``u4i`` beside its folder. Identifiers are ``zone * 1,000,000 + record``, as in the name
     UCAC4-zzz-rrrrrr. Stars with a double star flag are double.
 
-    Parameters
-    ----------
-    path : Path
-    max_magnitude : float, optional
-        Fainter stars are left out.
-
-    Returns
-    -------
-    ReadStars
-
-    Raises
-    ------
-    DataError
-        The name tells no zone, the size is no number of records, ``u4hpm.dat`` is needed and missing or damaged, or a
-        record is out of its limits.
-
     References
     ----------
     .. [1] Zacharias et al., readme of UCAC4 (CDS I/322A): record format, as reproduced in public readers.
@@ -93,18 +77,7 @@ def read_ucac4(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
 
 
 def zone_files(path: Path) -> list[Path]:
-    """Zone files of a folder.
-
-    Parameters
-    ----------
-    path : Path
-        A folder, or a zone file.
-
-    Returns
-    -------
-    list of Path
-        In the order of the zones; the file itself if it is none.
-    """
+    """Zone files of a folder."""
     if not path.is_dir():
         return [path]
     return sorted(file for file in path.iterdir() if re.fullmatch(r"z\d{3}", file.name.lower()))

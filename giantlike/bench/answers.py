@@ -49,12 +49,7 @@ _DIFFERENCE_PERCENT = 99.5
 
 
 class Answers:
-    """Answers to the requests of the page; from several threads, one at a time.
-
-    Parameters
-    ----------
-    session : Session
-    """
+    """Answers to the requests of the page; from several threads, one at a time."""
 
     def __init__(self, session: Session) -> None:
         self._session = session

@@ -24,23 +24,7 @@ from giantlike.processing.correlate import find_peak
 
 
 def star_chart(session: Session, file: str) -> str:
-    """Residuals of the stars of an image.
-
-    Parameters
-    ----------
-    session : Session
-    file : str
-
-    Returns
-    -------
-    str
-        SVG.
-
-    Raises
-    ------
-    InputError
-        No star of it was identified.
-    """
+    """Residuals of the stars of an image."""
     seen = session.seen(file)
     stars = seen.points.get(seen.record.of, {}).get("stars")
     if stars is None or not len(stars["observed_px"]):
@@ -58,23 +42,7 @@ def star_chart(session: Session, file: str) -> str:
 
 
 def limb_chart(session: Session, file: str, target: str) -> str:
-    """Distances of the limb points of a target from the outlines at their fixes, by angle.
-
-    Parameters
-    ----------
-    session : Session
-    file, target : str
-
-    Returns
-    -------
-    str
-        SVG, a color for each estimator.
-
-    Raises
-    ------
-    InputError
-        No fix of it has limb points.
-    """
+    """Distances of the limb points of a target from the outlines at their fixes, by angle."""
     seen = session.seen(file)
     layers, crosses, values = list[Layer](), list[Layer](), [np.zeros(1)]
     for fix in seen.observations:
@@ -103,23 +71,7 @@ def limb_chart(session: Session, file: str, target: str) -> str:
 
 
 def residual_chart(session: Session, file: str, target: str, estimator: str) -> str:
-    """Image minus template of a fix, as the estimator left it: means over cells.
-
-    Parameters
-    ----------
-    session : Session
-    file, target, estimator : str
-
-    Returns
-    -------
-    str
-        SVG.
-
-    Raises
-    ------
-    InputError
-        The estimator has no such residuals.
-    """
+    """Image minus template of a fix, as the estimator left it: means over cells."""
     residuals = session.seen(file).points.get((target, estimator), {}).get("residuals")
     if residuals is None or not residuals["cell_px"]:
         raise InputError(f"{file}: {estimator} left no map of residuals of {target}")
@@ -133,25 +85,7 @@ def residual_chart(session: Session, file: str, target: str, estimator: str) -> 
 
 
 def correlation_chart(session: Session, file: str, target: str, estimator: str | None = None) -> str:
-    """Correlation of the image with the template at a fix, for shifts around it, and its peak.
-
-    Parameters
-    ----------
-    session : Session
-    file, target : str
-    estimator : str, optional
-        Whose fix; default: the best one, and the prediction where there is none.
-
-    Returns
-    -------
-    str
-        SVG.
-
-    Raises
-    ------
-    InputError
-        The body cannot be rendered there, or the estimator did not run.
-    """
+    """Correlation of the image with the template at a fix, for shifts around it, and its peak."""
     match = match_of(session, file, target, estimator)
     surface = match.correlation()
     peak = find_peak(surface)

@@ -53,15 +53,7 @@ class TemplateMatch(Value):
     def correlation(self, *, half_px: int = 12) -> Float:
         """Normalized correlation of image and template for shifts around the fix.
 
-        Parameters
-        ----------
-        half_px : int
-            Largest shift.
-
-        Returns
-        -------
-        (2 half + 1, 2 half + 1) float64
-            Element [half + dy, half + dx] is of the template moved by (dx, dy); NaN where it is undefined.
+        Returns (2 half + 1, 2 half + 1), NaN where it is undefined.
         """
         height, width = self.template.brightness.shape
         x, y = self.template.corner_px.tolist()
@@ -94,26 +86,7 @@ class LimbResiduals(Value):
 
 
 def match_of(session: Session, file: str, target: str, estimator: str | None = None) -> TemplateMatch:
-    """Render a body where a fix has it, and scale it to the image.
-
-    Parameters
-    ----------
-    session : Session
-    file, target : str
-    estimator : str, optional
-        Whose fix; default: the best one, and the prediction where there is none.
-
-    Returns
-    -------
-    TemplateMatch
-
-    Raises
-    ------
-    InputError
-        The geometry of the target is not known, the estimator did not run, or nothing of the body can be seen.
-    DataError
-        The campaign or the image cannot be read.
-    """
+    """Render a body where a fix has it, and scale it to the image."""
     image = session.image(file)
     fix = chosen_fix(session.seen(file), target, estimator)
     template = _rendered(session, image, file, target, fix)
@@ -133,26 +106,7 @@ def match_of(session: Session, file: str, target: str, estimator: str | None = N
 
 
 def limb_residuals(session: Session, file: str, fix: ObservationRecord, *, rejected: bool = False) -> LimbResiduals:
-    """Distances of the limb points of a fix from the outline of the body at the fix.
-
-    Parameters
-    ----------
-    session : Session
-    file : str
-    fix : ObservationRecord
-        With a center.
-    rejected : bool
-        Of the points that were not used, instead of those used.
-
-    Returns
-    -------
-    LimbResiduals
-
-    Raises
-    ------
-    InputError
-        The fix has no limb points, or the geometry of the target is not known.
-    """
+    """Distances of the limb points of a fix from the outline of the body at the fix."""
     kept = session.seen(file).points.get(fix.of, {}).get("limb_rejected_px" if rejected else "limb_px", [])
     points = np.asarray(kept, dtype=np.float64).reshape(-1, 2)
     known = session.geometry(file).get(fix.target)

@@ -60,29 +60,7 @@ class InputFile:
 
 
 def write_dossier(run: Path, output: Path | None = None, campaign: Path | None = None) -> Path:
-    """Write the dossier of a finished run.
-
-    Parameters
-    ----------
-    run : Path
-        The run folder.
-    output : Path, optional
-        New folder, or one with a dossier, which is replaced; default: ``dossier`` in the run folder.
-    campaign : Path, optional
-        The campaign file, if it is not where the run found it.
-
-    Returns
-    -------
-    Path
-        Of the dossier.
-
-    Raises
-    ------
-    InputError
-        The folder holds something else, or inputs or edits changed since the run: it does not stand for them.
-    DataError
-        It is no finished run, or a file cannot be read or written.
-    """
+    """Write the dossier of a finished run."""
     session = Session(run, campaign)
     output = output or run / "dossier"
     loaded = Campaign.load(session.campaign_file)

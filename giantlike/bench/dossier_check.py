@@ -48,21 +48,7 @@ class DossierCheck:
 
 
 def check_dossier(dossier: Path) -> DossierCheck:
-    """Compare a dossier and the inputs of its run with the hashes that it holds.
-
-    Parameters
-    ----------
-    dossier : Path
-
-    Returns
-    -------
-    DossierCheck
-
-    Raises
-    ------
-    DataError
-        It is no dossier.
-    """
+    """Compare a dossier and the inputs of its run with the hashes that it holds."""
     content = read_dossier(dossier)
     known = [(f"{each['role']} {each['path']}", each["path"], each["sha256"]) for each in content["inputs"]]
     known += [(f"{path} in the dossier", path, digest) for path, digest in content["files"].items()]
@@ -87,25 +73,7 @@ def check_dossier(dossier: Path) -> DossierCheck:
 def reproduce(dossier: Path, output: Path, *, workers: int | None = None) -> list[str]:
     """Run the campaign of a dossier again, with its edits, and compare the tables.
 
-    Parameters
-    ----------
-    dossier : Path
-    output : Path
-        New run folder.
-    workers : int, optional
-        Number of processes; default: one per CPU.
-
-    Returns
-    -------
-    list of str
-        Lines of tables that differ in more than the time that they took; empty if the run came out the same.
-
-    Raises
-    ------
-    InputError
-        The run folder exists and holds something else.
-    DataError
-        It is no dossier, or inputs are damaged.
+    The result is empty if the run came out the same.
     """
     content = read_dossier(dossier)
     campaign = replace(Campaign.load(dossier / content["campaign_file"]), output=output)
@@ -122,21 +90,7 @@ def reproduce(dossier: Path, output: Path, *, workers: int | None = None) -> lis
 
 
 def read_dossier(dossier: Path) -> dict[str, Any]:
-    """Content of ``dossier.json``.
-
-    Parameters
-    ----------
-    dossier : Path
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    DataError
-        There is none, or it is damaged.
-    """
+    """Content of ``dossier.json``."""
     path = dossier / DOSSIER_FILE
     try:
         content = json.loads(path.read_text(encoding="utf-8"))

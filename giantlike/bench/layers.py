@@ -73,16 +73,7 @@ def layers_of(seen: SeenImage, names: Sequence[str] | None = None) -> list[MarkL
 
 
 def center_colors(seen: SeenImage) -> dict[str, str]:
-    """Color of each estimator of an image, by name.
-
-    Parameters
-    ----------
-    seen : SeenImage
-
-    Returns
-    -------
-    dict of str to str
-    """
+    """Color of each estimator of an image, by name."""
     names = dict.fromkeys(one.estimator for one in seen.observations)
     return {name: CENTERS[number % len(CENTERS)] for number, name in enumerate(names)}
 

@@ -30,25 +30,7 @@ def picture_of(
 ) -> Figure:
     """Draw an image with layers, and names beside stars and landmarks.
 
-    Parameters
-    ----------
-    session : Session
-    file : str
-        Name of the image.
-    layers : sequence of MarkLayer
-    box : (4,) tuple of float, px, optional
-        Left, top, right and bottom of the part to show; default: all.
-
-    Returns
-    -------
-    Figure
-
-    Raises
-    ------
-    InputError
-        The box shows nothing of the image.
-    DataError
-        The image file is gone or damaged.
+    ``box`` in px, left, top, right and bottom of the part to show (default: all).
     """
     from matplotlib import patheffects
 

@@ -118,16 +118,7 @@ def with_terminators(session: Session, seen: SeenImage, planes: Backplanes) -> S
 def values_at(planes: Backplanes, pixel: tuple[int, int] | None = None) -> dict[str, Float]:
     """Planes by name, of a pixel or of all.
 
-    Parameters
-    ----------
-    planes : Backplanes
-    pixel : (int, int), optional
-        Row and column; default: all.
-
-    Returns
-    -------
-    dict of str to float64
-        In the order and units of ``PLANES``; NaN off all bodies, where the body is -1.
+    ``pixel``: row and column (default: all); the result has NaN off all bodies, where the body is -1.
     """
     at = ... if pixel is None else pixel
     values = {
@@ -146,14 +137,7 @@ def values_at(planes: Backplanes, pixel: tuple[int, int] | None = None) -> dict[
 def cube_of(planes: Backplanes) -> Float:
     """Planes as one array.
 
-    Parameters
-    ----------
-    planes : Backplanes
-
-    Returns
-    -------
-    (p, rows, columns) float64
-        Those of :func:`values_at`.
+    Returns (p, rows, columns).
     """
     return np.stack(list(values_at(planes).values()))
 

@@ -33,19 +33,7 @@ _POLICY = (
 
 
 def application(session: Session, token: str) -> Starlette:
-    """Make the web application of a run.
-
-    Parameters
-    ----------
-    session : Session
-    token : str
-        Secret that every request must show: in the address of the page, then in a cookie; what changes something
-        also in a header, which other pages cannot send.
-
-    Returns
-    -------
-    Starlette
-    """
+    """Make the web application of a run."""
     answers = Answers(session)
 
     async def page(request: Request) -> Response:
@@ -117,24 +105,7 @@ class _Gate(BaseHTTPMiddleware):
 
 
 def serve(run: Path, *, campaign: Path | None, port: int, announce: Callable[[str], None]) -> None:
-    """Serve the bench of a run until it is interrupted.
-
-    Parameters
-    ----------
-    run : Path
-        The run folder.
-    campaign : Path or None
-        Its campaign file, if it is not where the run found it.
-    port : int
-        0 for one that is free.
-    announce : callable
-        Is given the address with the token.
-
-    Raises
-    ------
-    DataError
-        It is no run folder, or the run is not finished.
-    """
+    """Serve the bench of a run until it is interrupted."""
     import socket
 
     import uvicorn

@@ -317,22 +317,7 @@ class Session:
 def chosen_fix(seen: SeenImage, target: str, estimator: str | None = None) -> ObservationRecord | None:
     """The fix of a target to look at: of an estimator, or the best one.
 
-    Parameters
-    ----------
-    seen : SeenImage
-    target : str
-    estimator : str, optional
-        Default: ``auto`` where it is ok, else the ok (else suspect) fix with the smallest error ellipse.
-
-    Returns
-    -------
-    ObservationRecord or None
-        None where there is no such fix.
-
-    Raises
-    ------
-    InputError
-        The estimator did not run on this target.
+    Returns None where there is no such fix.
     """
     there = [one for one in seen.observations if one.target == target]
     if estimator is not None and estimator not in {one.estimator for one in there}:

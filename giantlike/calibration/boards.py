@@ -28,22 +28,7 @@ _STEPS, _LAST_STEP_PX = 60, 1e-3  # of the refinement: a fiftieth of the scatter
 def board_corners(*, across: int, down: int, square: float = 1.0) -> Float:
     """Inner corners of a checkerboard in its own axes.
 
-    Parameters
-    ----------
-    across, down : int
-        Inner corners along and across the rows: one less than squares.
-    square : float
-        Side of a square, in any unit of length.
-
-    Returns
-    -------
-    (n, 3) float64
-        Row by row, z = 0, in the unit of the side.
-
-    Raises
-    ------
-    InputError
-        Fewer than three corners in a direction, or the side is not positive.
+    ``square``: side of a square, in any unit of length; returns (n, 3), row by row, z = 0, in the unit of the side.
     """
     require(min(across, down) >= 3, f"a board needs at least 3 by 3 inner corners, got {across} by {down}")
     require(square > 0, f"square must be > 0, got {square}")
@@ -54,17 +39,8 @@ def board_corners(*, across: int, down: int, square: float = 1.0) -> Float:
 def find_board(pixels: NDArray[np.float64], *, across: int, down: int) -> Float | Failure:
     """Find the inner corners of a checkerboard: OpenCV's detector by saddle points, then its refinement by gradients.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) float64
-    across, down : int
-        Inner corners of the board.
-
-    Returns
-    -------
-    (n, 2) float64, px, or Failure
-        In the order of :func:`board_corners`, up to a rotation or reflection under which the board looks the same.
-        Reason: no_pattern_match, the board is not visible as a whole.
+    Returns (n, 2) px, in the order of :func:`board_corners`, up to a rotation or reflection under which the board looks
+    the same.
 
     Notes
     -----
@@ -94,19 +70,8 @@ def board_pose(corners: Float, points_px: Float, model: CameraModel) -> tuple[Ro
     The homography from the board to the unit rays of the camera (linear least squares of ``ray x H corner = 0``),
     orthonormalized to a rotation; rays at any angle from the axis are used, also beyond 90 degrees.
 
-    Parameters
-    ----------
-    corners : (n, 3) float64
-        In the board's axes, z = 0.
-    points_px : (n, 2) float64, px
-    model : CameraModel
-        A rough model.
-
-    Returns
-    -------
-    (Rotation, (3,) float64) or Failure
-        ``camera_from_board`` and the origin of the board, camera axes, unit of the corners. Reason:
-        degenerate_geometry, the model gives fewer than four corners a direction.
+    ``corners`` (n, 3); ``points_px`` (n, 2); returns (Rotation, (3,)), ``camera_from_board`` and the origin of the
+    board, camera axes, unit of the corners.
     """
     points_px = as_finite(points_px, (len(corners), 2), "points_px")
     rays = model.unproject(points_px)

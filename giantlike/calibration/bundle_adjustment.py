@@ -158,15 +158,8 @@ def predict(state: State, data: Data) -> Float:
 def linearized(state: State, data: Data) -> tuple[Float, Float, Float]:
     """Pixels (n, 2) and their derivatives by the k estimated parameters and by the pose of the image.
 
-    Parameters
-    ----------
-    state : State
-    data : Data
-
-    Returns
-    -------
-    pixels, by_camera, by_pose : (n, 2), (n, 2, k), (n, 2, pose) float64
-        In px, px per unit of the parameter, and px/rad (px per unit of length for positions).
+    Returns ``pixels`` (n, 2), ``by_camera`` (n, 2, k), ``by_pose`` (n, 2, pose), in px, px per unit of the parameter,
+    and px/rad (px per unit of length for positions).
     """
     vectors = state.vectors(data)
     pixels = np.empty((len(vectors), 2))
@@ -235,13 +228,7 @@ class NormalEquations(Value):
         return by_camera, alone
 
     def shifts_without_image(self) -> Float:
-        """Shift of the camera parameters (m, k) when one image is left out, to first order; inf where that frees one.
-
-        Returns
-        -------
-        (m, k) float64
-            In the units of the parameters.
-        """
+        """Shift of the camera parameters (m, k) when an image is left out, to first order; inf where that frees one."""
         by_camera, alone = self._pose_steps()
         information = self.image_camera - self.coupling @ by_camera  # of each image on the camera alone
         gradient = self.image_gradient - np.einsum("mkp,mp->mk", self.coupling, alone)
@@ -313,21 +300,7 @@ def minimize(
 ) -> Minimum | Failure:
     r"""Levenberg-Marquardt: steps of :math:`(H^T W H + \lambda\,\mathrm{diag}(H^T W H))^{-1} H^T W r`.
 
-    Parameters
-    ----------
-    state : State
-        Start; every target in use can be projected.
-    data : Data
-    used : (n,) bool
-    loss : Loss
-    max_steps : int
-    rough : bool
-        True to stop within a tenth of a sigma, or after ``max_steps``: enough to recognize outliers.
-
-    Returns
-    -------
-    Minimum or Failure
-        Reasons: not_converged, degenerate_geometry.
+    ``used`` (n,).
 
     Notes
     -----
@@ -370,21 +343,7 @@ def minimize(
 def covariance_of(normal: NormalEquations, names: tuple[str, ...]) -> tuple[Float, float] | Failure:
     """Covariance of the camera parameters and condition number of their scaled information.
 
-    Parameters
-    ----------
-    normal : NormalEquations
-        Without damping.
-    names : tuple of str
-        Names of the k estimated parameters.
-
-    Returns
-    -------
-    covariance : (k, k) float64
-    condition_number : float
-        Of the information matrix scaled to a unit diagonal: 1 for independent parameters.
-
-    Or a :class:`~giantlike.core.outcomes.Failure` of reason degenerate_geometry that names the parameters that the
-    observations cannot separate.
+    Returns ``covariance`` (k, k) and ``condition_number``.
     """
     if not names:
         return np.zeros((0, 0)), 1.0

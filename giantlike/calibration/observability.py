@@ -66,23 +66,7 @@ def parameter_support(
 ) -> tuple[ParameterSupport, ...]:
     """Judge every estimated parameter.
 
-    Parameters
-    ----------
-    names : sequence of str
-        The k estimated parameters.
-    values : (k,) float64
-        Estimates, each in the unit of its parameter.
-    data : Data
-        Indices, starting values and a priori sigmas of the parameters.
-    covariance : (k, k) float64
-        Of the estimates.
-    sensitivity : FieldSensitivity
-        Over the detector.
-
-    Returns
-    -------
-    tuple of ParameterSupport
-        One per parameter, in their order.
+    ``values`` (k,), estimates, each in the unit of its parameter; ``covariance`` (k, k).
     """
     start = data.prior
     sigma = np.sqrt(np.diag(covariance))

@@ -210,26 +210,7 @@ def observations_of_fix(
 
 
 def start_model(model: CameraModel, estimate: Sequence[str], type_name: str | None, focal_ratio: float) -> CameraModel:
-    """Starting model of a calibration: of a type with every parameter to estimate, with scaled focal lengths.
-
-    Parameters
-    ----------
-    model : CameraModel
-    estimate : sequence of str
-    type_name : str, optional
-        Type wanted; default: that of ``model`` if it has all parameters, else Brown for a pinhole.
-    focal_ratio : float
-        Factor on ``fx_px`` and ``fy_px`` if these are estimated.
-
-    Returns
-    -------
-    CameraModel
-
-    Raises
-    ------
-    InputError
-        The type is unknown or lacks a parameter, or the model cannot be converted to it.
-    """
+    """Starting model of a calibration: of a type with every parameter to estimate, with scaled focal lengths."""
     have = set(model.parameter_names)
     if type_name is None:
         other = model.type_name == "pinhole" and not set(estimate) <= have

@@ -46,17 +46,7 @@ class ResidualGroup:
 
 
 def residual_statistics(result: CalibrationResult) -> tuple[ResidualGroup, ...]:
-    """Residuals in groups of equal size: by image, magnitude, distance from the image center and temperature.
-
-    Parameters
-    ----------
-    result : CalibrationResult
-
-    Returns
-    -------
-    tuple of ResidualGroup
-        A quantity that is constant or unknown gives no groups.
-    """
+    """Residuals in groups of equal size: by image, magnitude, distance from the image center and temperature."""
     center = (np.array([result.columns, result.rows]) - 1.0) / 2.0
     temperatures = np.array([image.temperature_c for image in result.images])[result.image_index]
     groups = []

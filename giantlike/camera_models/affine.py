@@ -322,18 +322,7 @@ class AffineModel(ABC):
 def blockwise(function: Callable[[Float], Float], values: Float, last: tuple[int, ...]) -> Float:
     """Apply a function from (n, m) to (n, ...) to values (..., m), a block of points at a time.
 
-    Parameters
-    ----------
-    function : callable
-        Vectorized over the first axis.
-    values : (..., m) float64
-        Arguments.
-    last : tuple of int
-        Trailing shape of the result of the function.
-
-    Returns
-    -------
-    (..., *last) float64
+    ``values`` (..., m); returns (..., *last).
     """
     flat = values.reshape(-1, values.shape[-1])
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):

@@ -94,21 +94,7 @@ def solve_increasing(
 ) -> Float:
     """Solve for arguments in [0, limit] by Newton's method from a good start.
 
-    Parameters
-    ----------
-    residual_and_slope : callable
-        Takes arguments and targets; the residual is zero at the solution and grows with the argument.
-    target : (n,) float64
-        Values to solve for.
-    start : (n,) float64
-        First guesses of the arguments.
-    limit : float
-        Largest argument.
-
-    Returns
-    -------
-    (n,) float64
-        NaN where the solution is not inside.
+    ``target``, ``start`` (n,); returns (n,), NaN where the solution is not inside.
     """
     result = start.copy()
     todo = np.arange(result.size)

@@ -60,27 +60,7 @@ class Conversion(Value):
 
 
 def convert(model: CameraModel, type_name: str, *, columns: int, rows: int) -> Conversion | Failure:
-    """Fit a model of another type to a model, over a frame.
-
-    Parameters
-    ----------
-    model : CameraModel
-        The original.
-    type_name : str
-        A key of :data:`~giantlike.camera_models.MODELS`.
-    columns, rows : int
-        Frame over which the two should agree.
-
-    Returns
-    -------
-    Conversion or Failure
-        ``DEGENERATE_GEOMETRY`` when the new type can image too little of the frame to be determined.
-
-    Raises
-    ------
-    InputError
-        The type is unknown or the frame empty.
-    """
+    """Fit a model of another type to a model, over a frame."""
     kind = lens_class(type_name)
     require(columns > 0 and rows > 0, f"the frame must have pixels, got {columns} by {rows}")
     points_px = frame_grid(columns, rows, nodes=_NODES)
@@ -103,16 +83,7 @@ def convert(model: CameraModel, type_name: str, *, columns: int, rows: int) -> C
 def frame_grid(columns: int, rows: int, *, nodes: int) -> Float:
     """Return a regular grid of pixels over a frame, its outer edges included.
 
-    Parameters
-    ----------
-    columns, rows : int
-        Size of the frame.
-    nodes : int
-        Nodes along the longer side.
-
-    Returns
-    -------
-    (m, n, 2) float64, px
+    Returns (m, n, 2) px.
     """
     step = max(columns, rows) / (nodes - 1)
     x = np.linspace(-0.5, columns - 0.5, max(2, round(columns / step) + 1))
@@ -133,18 +104,7 @@ def _start(model: CameraModel, type_name: str) -> AffineModel:
 def fit_lens(model: AffineModel, directions: Float, points_px: Float) -> AffineModel:
     """Fit all parameters but temperature so that directions fall on pixels (Levenberg-Marquardt, equal weights).
 
-    Parameters
-    ----------
-    model : AffineModel
-        Start; it must image every direction. A step that loses one is refused.
-    directions : (n, 3) float64, camera axes
-        Directions to fit.
-    points_px : (n, 2) float64, px
-        Their pixels.
-
-    Returns
-    -------
-    AffineModel
+    ``directions`` (n, 3), camera axes; ``points_px`` (n, 2).
     """
     free = np.array([name not in TEMPERATURE_NAMES for name in model.parameter_names])
     residuals = points_px - model.project(directions)

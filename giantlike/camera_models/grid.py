@@ -344,30 +344,7 @@ def _spline_slope(f: Float) -> list[Float]:
 def fit_grid(
     start: GridCorrectedModel, points_camera: ArrayLike, points_px: ArrayLike, *, smoothing: float = 1e-3
 ) -> GridCorrectedModel | Failure:
-    """Fit the correction that takes the pixels of the base model to measured ones (linear least squares).
-
-    Parameters
-    ----------
-    start : GridCorrectedModel
-        Base model and grid, such as :meth:`GridCorrectedModel.flat` makes; its control values are not used.
-    points_camera : (n, 3) array_like, camera axes
-        Known points or directions.
-    points_px : (n, 2) array_like, px
-        Their measured pixels.
-    smoothing : float
-        Weight of the squared second differences of the control values against the squared residuals; it also
-        continues the correction smoothly over cells without measurements.
-
-    Returns
-    -------
-    GridCorrectedModel or Failure
-        ``TOO_FEW_MATCHES`` with fewer than three measurements that the base model can image.
-
-    Raises
-    ------
-    InputError
-        ``smoothing`` is not positive, or the fitted correction is too steep to be inverted.
-    """
+    """Fit the correction that takes the pixels of the base model to measured ones (linear least squares)."""
     from scipy import sparse
     from scipy.sparse.linalg import spsolve
 

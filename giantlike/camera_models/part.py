@@ -39,11 +39,6 @@ class PartModel:
         Pixel of the model at the center of the first pixel.
     size_px : float, px
         Pixels of the model along one side of a pixel.
-
-    Raises
-    ------
-    InputError
-        The size is not positive.
     """
 
     type_name: ClassVar[str] = "part"
@@ -69,14 +64,7 @@ class PartModel:
     def with_parameters(self, values: ArrayLike) -> Self:
         """Return the same part of a model with other parameter values.
 
-        Parameters
-        ----------
-        values : (k,) array_like
-            Values in the order and units of :attr:`parameter_names`.
-
-        Returns
-        -------
-        model of the same type
+        ``values`` (k,), values in the order and units of :attr:`parameter_names`.
         """
         return replace(self, base=self.base.with_parameters(values))
 
@@ -88,15 +76,8 @@ class PartModel:
     def project(self, points_camera: ArrayLike) -> Float:
         """Project points to pixels.
 
-        Parameters
-        ----------
-        points_camera : (..., 3) array_like, camera axes
-            Points or directions, in any unit of length.
-
-        Returns
-        -------
-        (..., 2) float64, px
-            NaN where the lens images nothing.
+        ``points_camera`` (..., 3), points or directions, in any unit of length; returns (..., 2) px, NaN where the lens
+        images nothing.
         """
         pixels: Float = (self.base.project(points_camera) - [self.x0_px, self.y0_px]) / self.size_px
         return pixels
@@ -104,105 +85,45 @@ class PartModel:
     def unproject(self, points_px: ArrayLike) -> Float:
         """Return the directions of pixels.
 
-        Parameters
-        ----------
-        points_px : (..., 2) array_like, px
-            Pixels.
-
-        Returns
-        -------
-        (..., 3) float64, unitless, camera axes
-            Unit vectors; NaN where no direction maps to the pixel.
+        ``points_px`` (..., 2); returns (..., 3), camera axes, unit vectors, NaN where no direction maps to the pixel.
         """
         return self.base.unproject(self._base_px(points_px))
 
     def project_jacobian(self, points_camera: ArrayLike) -> Float:
         """Derivative of :meth:`project` with respect to the point.
 
-        Parameters
-        ----------
-        points_camera : (..., 3) array_like, camera axes
-            Points or directions, in any unit of length.
-
-        Returns
-        -------
-        (..., 2, 3) float64, px per unit of the points
+        ``points_camera`` (..., 3), points or directions, in any unit of length; returns (..., 2, 3) px per unit of the
+        points.
         """
         return self.base.project_jacobian(points_camera) / self.size_px
 
     def unproject_jacobian(self, points_px: ArrayLike) -> Float:
         """Derivative of :meth:`unproject` with respect to the pixel.
 
-        Parameters
-        ----------
-        points_px : (..., 2) array_like, px
-            Pixels.
-
-        Returns
-        -------
-        (..., 3, 2) float64, 1/px
+        ``points_px`` (..., 2); returns (..., 3, 2) 1/px.
         """
         return self.size_px * self.base.unproject_jacobian(self._base_px(points_px))
 
     def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
         """Derivative of the pixels at a temperature with respect to :attr:`parameters`.
 
-        Parameters
-        ----------
-        points_camera : (..., 3) array_like, camera axes
-            Points or directions, in any unit of length.
-        temperature_c : float, Celsius
-            Temperature of the optics.
-
-        Returns
-        -------
-        (..., 2, k) float64, px per unit of each parameter
-            Columns in the order of :attr:`parameter_names`.
+        ``points_camera`` (..., 3), points or directions, in any unit of length; returns (..., 2, k) px per unit of each
+        parameter, columns in the order of :attr:`parameter_names`.
         """
         return self.base.parameter_jacobian(points_camera, temperature_c) / self.size_px
 
     def at_temperature(self, temperature_c: float) -> Self:
-        """Return the same part of the model at a temperature.
-
-        Parameters
-        ----------
-        temperature_c : float, Celsius
-            Temperature of the optics.
-
-        Returns
-        -------
-        model of the same type
-        """
+        """Return the same part of the model at a temperature."""
         return replace(self, base=self.base.at_temperature(temperature_c))
 
     def binned(self, factor: int) -> Self:
-        """Return the model of an image whose pixels are blocks of ``factor`` by ``factor`` pixels of this one.
-
-        Parameters
-        ----------
-        factor : int
-            Pixels along one side of a block, at least 1.
-
-        Returns
-        -------
-        model of the same type
-        """
+        """Return the model of an image whose pixels are blocks of ``factor`` by ``factor`` pixels of this one."""
         require(factor >= 1, f"a binning factor must be >= 1, got {factor}")
         middle_px = 0.5 * (factor - 1) * self.size_px  # of the first block
         return replace(self, x0_px=self.x0_px + middle_px, y0_px=self.y0_px + middle_px, size_px=factor * self.size_px)
 
     def windowed(self, x0_px: float, y0_px: float) -> Self:
-        """Return the model of a window of the image.
-
-        Parameters
-        ----------
-        x0_px, y0_px : float, px
-            First pixel of the window.
-
-        Returns
-        -------
-        model of the same type
-        """
+        """Return the model of a window of the image."""
         return replace(self, x0_px=self.x0_px + self.size_px * x0_px, y0_px=self.y0_px + self.size_px * y0_px)
 
     def _base_px(self, points_px: ArrayLike) -> Float:
@@ -212,14 +133,5 @@ class PartModel:
 
 
 def divisible(model: CameraModel) -> DivisibleModel:
-    """Return a model that has ``binned`` and ``windowed``: itself where it has them, else the part that is all of it.
-
-    Parameters
-    ----------
-    model : CameraModel
-
-    Returns
-    -------
-    DivisibleModel
-    """
+    """Return a model with ``binned`` and ``windowed``: itself where it has them, else the part that is all of it."""
     return model if isinstance(model, DivisibleModel) else PartModel(base=model)

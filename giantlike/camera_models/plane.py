@@ -156,15 +156,8 @@ def _radial_start(model: PlaneModel, distorted: Float) -> Float:
 def radial_table(kind: type[PlaneModel], coefficients: tuple[float, ...]) -> tuple[Float, Float]:
     """Distorted radii of a lens, averaged over azimuth, and the undistorted radii of them.
 
-    Parameters
-    ----------
-    kind : type
-    coefficients : tuple of float
-        As :attr:`~giantlike.camera_models.affine.AffineModel.lens_coefficients` has them.
-
-    Returns
-    -------
-    mapped, radii : (256,) float64
+    ``coefficients`` as :attr:`~giantlike.camera_models.affine.AffineModel.lens_coefficients` has them; returns
+    ``mapped``, ``radii`` (256,).
     """
     model = kind.unit_lens(coefficients)
     widest = min(np.arctan(model.max_radius), np.radians(80.0)) * (1.0 - 1e-6)  # short of a pole

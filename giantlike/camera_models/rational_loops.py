@@ -20,14 +20,7 @@ Coordinate = TypeVar("Coordinate", float, Float)
 def distorted(x: Coordinate, y: Coordinate, lens: Float) -> tuple[Coordinate, Coordinate]:
     """Distorted coordinates of points of the image plane.
 
-    Parameters
-    ----------
-    x, y : float64 of any shape, or float
-    lens : (17,) float64
-
-    Returns
-    -------
-    u, v : as ``x``
+    ``lens`` (17,); returns ``u``, ``v`` as ``x``.
 
     References
     ----------
@@ -45,14 +38,7 @@ def distorted(x: Coordinate, y: Coordinate, lens: Float) -> tuple[Coordinate, Co
 def slopes(x: Coordinate, y: Coordinate, lens: Float) -> tuple[Coordinate, Coordinate, Coordinate, Coordinate]:
     """Derivative of :func:`distorted`.
 
-    Parameters
-    ----------
-    x, y : float64 of any shape, or float
-    lens : (17,) float64
-
-    Returns
-    -------
-    ux, uy, vx, vy : as ``x``
+    ``lens`` (17,); returns ``ux``, ``uy``, ``vx``, ``vy`` as ``x``.
     """
     k1, k2, k3, k4, k5, k6, p1, p2 = lens[5], lens[6], lens[7], lens[8], lens[9], lens[10], lens[11], lens[12]
     r2 = x * x + y * y
@@ -77,17 +63,7 @@ _distorted, _slopes = compiled(distorted), compiled(slopes)
 def projected(points: Float, lens: Float, limit: float) -> Float:
     """Pixels of points.
 
-    Parameters
-    ----------
-    points : (n, 3) float64, camera axes
-    lens : (17,) float64
-    limit : float
-        Largest radius of the image plane.
-
-    Returns
-    -------
-    (n, 2) float64, px
-        NaN behind the camera and beyond the limit.
+    ``points`` (n, 3), camera axes; ``lens`` (17,); returns (n, 2) px, NaN behind the camera and beyond the limit.
     """
     pixels = np.empty((len(points), 2))
     for i in range(len(points)):
@@ -102,15 +78,7 @@ def projected(points: Float, lens: Float, limit: float) -> Float:
 def projected_slopes(points: Float, lens: Float, limit: float) -> Float:
     """Derivatives of :func:`projected` by the points.
 
-    Parameters
-    ----------
-    points : (n, 3) float64, camera axes
-    lens : (17,) float64
-    limit : float
-
-    Returns
-    -------
-    (n, 2, 3) float64, px per unit of the points
+    ``points`` (n, 3), camera axes; ``lens`` (17,); returns (n, 2, 3) px per unit of the points.
     """
     result = np.empty((len(points), 2, 3))
     for i in range(len(points)):
@@ -122,19 +90,8 @@ def projected_slopes(points: Float, lens: Float, limit: float) -> Float:
 def unprojected(pixels: Float, lens: Float, limit: float, mapped: Float, radii: Float) -> Float:
     """Directions of pixels, by Newton's method from the radial profile.
 
-    Parameters
-    ----------
-    pixels : (n, 2) float64, px
-    lens : (17,) float64
-    limit : float
-        Largest radius of the image plane.
-    mapped, radii : (m,) float64
-        Distorted radii, growing, and the undistorted radii of them.
-
-    Returns
-    -------
-    (n, 3) float64, camera axes
-        Unit vectors; NaN where no point within the limit is imaged there.
+    ``pixels`` (n, 2) px; ``lens`` (17,); ``mapped``, ``radii`` (m,); returns (n, 3), camera axes, unit vectors, NaN
+    where no point within the limit is imaged there.
     """
     directions = np.empty((len(pixels), 3))
     for i in range(len(pixels)):
@@ -150,14 +107,7 @@ def unprojected(pixels: Float, lens: Float, limit: float, mapped: Float, radii: 
 def unprojected_slopes(pixels: Float, lens: Float, limit: float, mapped: Float, radii: Float) -> Float:
     """Derivatives of :func:`unprojected` by the pixels.
 
-    Parameters
-    ----------
-    pixels, lens, limit, mapped, radii
-        As for :func:`unprojected`.
-
-    Returns
-    -------
-    (n, 3, 2) float64, 1/px
+    ``pixels``, ``lens``, ``limit``, ``mapped``, ``radii`` as for :func:`unprojected`; returns (n, 3, 2) 1/px.
     """
     result, by_point = np.empty((len(pixels), 3, 2)), np.empty((2, 3))
     directions = unprojected(pixels, lens, limit, mapped, radii)

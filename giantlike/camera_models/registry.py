@@ -38,24 +38,7 @@ MODELS: Mapping[str, type[AffineModel]] = MappingProxyType(
 
 
 def lens_class(type_name: object, needed: str = "camera model type must be one of") -> type[AffineModel]:
-    """Return the class of a lens model by its type.
-
-    Parameters
-    ----------
-    type_name : str
-        A key of :data:`MODELS`.
-    needed : str
-        Beginning of the message, before the known types.
-
-    Returns
-    -------
-    type
-
-    Raises
-    ------
-    InputError
-        There is no such type.
-    """
+    """Return the class of a lens model by its type."""
     if not isinstance(type_name, str) or type_name not in MODELS:
         raise InputError(f"{needed} {', '.join(sorted(MODELS))}, got {type_name!r}")
     return MODELS[str(type_name)]

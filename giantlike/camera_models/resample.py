@@ -11,16 +11,7 @@ from giantlike.core.arrays import Float, Mask, require
 
 
 def pinhole_of(model: CameraModel) -> PinholeModel:
-    """Return the pinhole with the focal lengths, principal point and shear of a model: the model without distortion.
-
-    Parameters
-    ----------
-    model : CameraModel
-
-    Returns
-    -------
-    PinholeModel
-    """
+    """Return the pinhole with the focal lengths, principal point and shear of a model: the model without distortion."""
     known = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
     return PinholeModel(**{name: known[name] for name in PinholeModel.parameter_names})
 
@@ -28,19 +19,7 @@ def pinhole_of(model: CameraModel) -> PinholeModel:
 def resampling_map(model: CameraModel, target: CameraModel, *, columns: int, rows: int) -> Float:
     """Map of the pixels of a new image to pixels of the old one.
 
-    Parameters
-    ----------
-    model : CameraModel
-        Model of the existing image.
-    target : CameraModel
-        Model of the new image, in the same camera axes.
-    columns, rows : int
-        Size of the new image.
-
-    Returns
-    -------
-    (rows, columns, 2) float64, px
-        Pixels of the old image; NaN for directions that it does not show.
+    Returns (rows, columns, 2) px, NaN for directions that it does not show.
     """
     pixels = np.stack(np.meshgrid(np.arange(columns, dtype=float), np.arange(rows, dtype=float)), axis=-1)
     return model.project(target.unproject(pixels))
@@ -52,26 +31,6 @@ def resample(
     """Resample an image to another camera model by bilinear interpolation.
 
     For measurements use the original image with its model: resampling blurs, and correlates noise.
-
-    Parameters
-    ----------
-    image : (rows, columns) float64
-        Pixels.
-    model : CameraModel
-        Model of the image.
-    target : CameraModel, optional
-        Model of the new image; default: :func:`pinhole_of` the model, an undistorted image.
-    fill : float
-        Value of pixels whose direction the image does not show.
-
-    Returns
-    -------
-    (rows, columns) float64
-
-    Raises
-    ------
-    InputError
-        The image is not a two-dimensional array.
 
     Notes
     -----

@@ -77,16 +77,7 @@ class Mistake:
 def check_campaign(path: Path, *, all_images: bool = False) -> list[Mistake]:
     """Look for mistakes in a campaign file and the files that it names.
 
-    Parameters
-    ----------
-    path : Path
-    all_images : bool
-        Open every image; otherwise the first of each pattern.
-
-    Returns
-    -------
-    list of Mistake
-        In the order of the file; empty if all is well.
+    The result is empty if all is well.
     """
     check = _Check(path)
     try:

@@ -117,22 +117,12 @@ class DemoReport(Value):
     run_s: float
 
     def attitude_scores(self) -> dict[str, Score]:
-        """Attitude scores, by source of the attitude.
-
-        Returns
-        -------
-        dict of str to Score
-        """
+        """Attitude scores, by source of the attitude."""
         by_source = grouped(self.comparison.attitudes, lambda error: error.source)
         return {source or "none": score_attitudes(errors) for source, errors in by_source.items()}
 
     def estimator_scores(self) -> dict[tuple[str, str], Score]:
-        """Scores by target and estimator.
-
-        Returns
-        -------
-        dict of (str, str) to Score
-        """
+        """Scores by target and estimator."""
         by_pair = grouped(self.comparison.observations, lambda error: (error.target, error.estimator))
         return {pair: score_observations(errors) for pair, errors in by_pair.items()}
 
@@ -160,12 +150,7 @@ class DemoReport(Value):
                 )
 
     def text(self) -> str:
-        """Tables for people: every observation, then each estimator, then the goals.
-
-        Returns
-        -------
-        str
-        """
+        """Tables for people: every observation, then each estimator, then the goals."""
         lines = ["Every fix: error against truth +- the sigma that the estimator stated", ""]
         lines += _observation_lines(self.comparison.observations)
         lines += ["", "Attitude: error and stated sigma as a shift of the image", ""]
@@ -184,12 +169,7 @@ class DemoReport(Value):
         return "\n".join(lines) + "\n"
 
     def to_json(self) -> str:
-        """Goals and scores as JSON; numbers that do not exist are null.
-
-        Returns
-        -------
-        str
-        """
+        """Goals and scores as JSON; numbers that do not exist are null."""
         table = {
             "output": str(self.output),
             "met": self.met,
@@ -222,31 +202,7 @@ def run_demo(
     progress: Progress | None = None,
     options: ApproachOptions | None = None,
 ) -> DemoReport:
-    """Simulate an approach and its images, run the campaign and compare the results with the truth.
-
-    Parameters
-    ----------
-    output : Path
-        Folder to write into: empty, new, or that of an earlier demonstration, finished or not, whose files are
-        deleted first. Files of other names stay.
-    workers : int, optional
-        Number of processes; default one per CPU.
-    progress : callable, optional
-        Called with the name of the step, the number of images done, and of all.
-    options : ApproachOptions, optional
-        Default: the approach of ``giantlike demo``.
-
-    Returns
-    -------
-    DemoReport
-
-    Raises
-    ------
-    InputError
-        The folder is not empty and no demonstration made it.
-    DataError
-        A file cannot be written.
-    """
+    """Simulate an approach and its images, run the campaign and compare the results with the truth."""
     start = time.perf_counter()
     _clear(output)
 

@@ -42,12 +42,7 @@ _TYPES: Mapping[Any, str] = types.MappingProxyType(
 
 
 def pages() -> dict[str, str]:
-    """Text of every generated page, by file name.
-
-    Returns
-    -------
-    dict of str to str
-    """
+    """Text of every generated page, by file name."""
     made: Mapping[str, Iterable[str]] = {
         "campaign_file.md": _sections(CampaignFile),
         "scene_file.md": _sections(RenderFile),
@@ -218,12 +213,7 @@ def _default_text(field: FieldInfo) -> str:
 
 
 def write_pages(folder: Path) -> None:
-    """Write every generated page into a folder.
-
-    Parameters
-    ----------
-    folder : Path
-    """
+    """Write every generated page into a folder."""
     for name, text in pages().items():
         (folder / name).write_text(text, encoding="utf-8")
 

@@ -150,28 +150,7 @@ class Exported:
 def export_run(
     folder: Path, output: Path, format_name: ExportFormat, options: ExportOptions = ExportOptions()
 ) -> Exported:
-    """Write the attitudes or observables of a finished run.
-
-    Parameters
-    ----------
-    folder : Path
-        The run folder.
-    output : Path
-        New file (for WCS, a folder).
-    format_name : ExportFormat
-    options : ExportOptions
-
-    Returns
-    -------
-    Exported
-
-    Raises
-    ------
-    InputError
-        There is no attitude to write, or an option is missing or out of range.
-    DataError
-        It is no finished run, or a file cannot be written.
-    """
+    """Write the attitudes or observables of a finished run."""
     result = load_result(folder)
     if format_name is ExportFormat.OBSERVABLES:
         make_folder(output.parent)

@@ -43,30 +43,7 @@ class CameraChoice:
 
 
 def write_campaign_file(images: Path, output: Path, camera: CameraChoice, *, overwrite: bool = False) -> Path:
-    """Look at a folder of images and write a campaign file for them.
-
-    Parameters
-    ----------
-    images : Path
-        Folder; what it holds that is no image is left out by the pattern.
-    output : Path
-        New file.
-    camera : CameraChoice
-    overwrite : bool
-        Replace a file that is there.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        There is no image in the folder, or the file is there.
-    DataError
-        The file cannot be written.
-    """
+    """Look at a folder of images and write a campaign file for them."""
     require(images.is_dir(), f"{images}: is no folder")
     require(overwrite or not output.exists(), f"{output}: is there already; use --overwrite, or --output another file")
     suffix, opened = _looked_at(images)

@@ -55,12 +55,7 @@ class InterlockResult(Value):
     unpaired: int
 
     def summary(self) -> dict[str, Any]:
-        """Content of ``interlock.json``.
-
-        Returns
-        -------
-        dict
-        """
+        """Content of ``interlock.json``."""
         fix = self.alignment
         used = fix.used
         spread = np.std(fix.residuals_rad[used], axis=0, ddof=1) if used.sum() > 1 else np.full(3, np.nan)
@@ -80,28 +75,7 @@ class InterlockResult(Value):
 
 
 def interlock_of(first: Path, second: Path, *, tolerance_s: float = 0.05) -> InterlockResult:
-    """Estimate the interlock of two sensors.
-
-    Parameters
-    ----------
-    first, second : Path
-        Run folders (their star attitudes that are not suspect are taken), or tables of attitudes as
-        :func:`~giantlike.io.attitude_series.read_attitude_table` reads them; rows without an epoch cannot be paired.
-    tolerance_s : float, s
-        Attitudes at most so far apart in time are a pair; the rotation in between is an error.
-        The default was chosen without a study: at 1 arcsec/s it adds 0.05 arcsec.
-
-    Returns
-    -------
-    InterlockResult
-
-    Raises
-    ------
-    InputError
-        Nothing can be paired, or too few pairs agree.
-    DataError
-        A file is damaged, or a covariance is missing.
-    """
+    """Estimate the interlock of two sensors."""
     require(tolerance_s >= 0, f"tolerance_s must be >= 0, got {tolerance_s}")
     (one, untimed), (other, _) = _series(first), _series(second)
     pairs = _pairs(one.et, other.et, tolerance_s)
@@ -133,24 +107,7 @@ def interlock_of(first: Path, second: Path, *, tolerance_s: float = 0.05) -> Int
 
 
 def write_interlock(result: InterlockResult, folder: Path) -> tuple[Path, ...]:
-    """Write ``interlock.json``, ``interlock.csv`` (pair by pair) and ``interlock.svg`` (residuals over time).
-
-    Parameters
-    ----------
-    result : InterlockResult
-    folder : Path
-        Made if it does not exist.
-
-    Returns
-    -------
-    tuple of Path
-        The files.
-
-    Raises
-    ------
-    DataError
-        A file cannot be written.
-    """
+    """Write ``interlock.json``, ``interlock.csv`` (pair by pair) and ``interlock.svg`` (residuals over time)."""
     make_folder(folder)
     files = tuple(folder / f"interlock.{suffix}" for suffix in ("json", "csv", "svg"))
     write_text_atomic(files[0], json.dumps(result.summary(), indent=1, allow_nan=False) + "\n")

@@ -36,24 +36,6 @@ def merge_runs(runs: Sequence[Path], output: Path) -> RunResult:
     Nothing is computed again. The runs must be of the same camera, catalog, kernels, targets, options and version, and
     of different images, or of the same files where a name is in two: then the result of the first counts. Edit lists
     are joined. A campaign file for all images, whose output is the new folder, goes on with it.
-
-    Parameters
-    ----------
-    runs : sequence of Path
-        Two or more finished runs, in the order of the tables.
-    output : Path
-        New folder.
-
-    Returns
-    -------
-    RunResult
-
-    Raises
-    ------
-    InputError
-        The runs do not belong together, or the folder is not empty.
-    DataError
-        One is no finished run, or the folder cannot be written.
     """
     require(len(runs) > 1, "give two or more runs to merge")
     require(not output.exists() or not any(output.iterdir()), f"{output}: is not empty; choose another output")

@@ -70,21 +70,7 @@ class RunStatus:
 
 
 def status_of_run(path: Path) -> RunStatus:
-    """Look at a run folder; a run may be at work in it.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    RunStatus
-
-    Raises
-    ------
-    DataError
-        There is no run in it.
-    """
+    """Look at a run folder; a run may be at work in it."""
     folder = RunFolder.open(path)
     provenance = folder.provenance()
     files = provenance.get("inputs", {}).get("image_files", [])

@@ -24,19 +24,6 @@ def watch_campaign(
 
     Mistakes, such as a pattern that matches no file yet, are told once and waited out. An image that is still being
     written is unreadable, and tried again by the next run.
-
-    Parameters
-    ----------
-    path : Path
-        The campaign file.
-    run : callable
-        Runs a campaign.
-    every_s : float, s
-        Time between two looks.
-    announce : callable
-        Called with lines for people.
-    wait : callable
-        Sleeps; in tests, another.
     """
     seen, told = "", ""
     while True:

@@ -89,13 +89,7 @@ class DetectRequest:
         return Detector() if self.camera is None else self.camera.detector
 
     def search(self, image: Image, pattern: FixedPattern | Failure | None = None) -> Found | Failure:
-        """Sources of one image, after the pattern of its sequence is removed, and its point spread function.
-
-        Raises
-        ------
-        InputError
-            The image has another size than the camera.
-        """
+        """Sources of one image, after the pattern of its sequence is removed, and its point spread function."""
         camera = self.camera
         if camera is not None:
             camera.require_image(image)

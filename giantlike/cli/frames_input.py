@@ -22,24 +22,7 @@ class _FramesFile(Section):
 
 
 class ImageReader:
-    """Opens images, and takes bias, dark current and response off them where frames are given.
-
-    Parameters
-    ----------
-    frames : Path or None
-        TOML file with a table ``[calibration_frames]``; a campaign file will do.
-    hdu : int or str or None
-        FITS extension of the images.
-    bottom_up : bool
-        Reverse the rows on reading, of the frames too.
-
-    Raises
-    ------
-    DataError
-        The file has no such table, or a wrong one.
-    InputError
-        A file of frames is missing, or none is named.
-    """
+    """Opens images, and takes bias, dark current and response off them where frames are given."""
 
     def __init__(self, frames: Path | None, *, hdu: int | str | None, bottom_up: bool = False) -> None:
         self._hdu, self._bottom_up = hdu, bottom_up
@@ -48,26 +31,7 @@ class ImageReader:
             self._files = frames_of(frames, _section(frames), bottom_up=bottom_up)
 
     def open(self, path: Path, detector: Detector) -> Image:
-        """Open an image.
-
-        Parameters
-        ----------
-        path : Path
-        detector : Detector
-            Of the camera.
-
-        Returns
-        -------
-        Image
-            With frames, its ``detector`` knows their noise.
-
-        Raises
-        ------
-        DataError
-            The image or a frame is damaged.
-        InputError
-            The frames have another size, or an exposure is not known.
-        """
+        """Open an image."""
         image = Image.open(path, hdu=self._hdu, bottom_up=self._bottom_up)
         if self._files is None:
             return image
@@ -75,23 +39,7 @@ class ImageReader:
 
 
 def frames_table(frames: Path) -> dict[str, Any]:
-    """Table ``[calibration_frames]`` for a campaign file in another folder.
-
-    Parameters
-    ----------
-    frames : Path
-        TOML file with that table; names in it are relative to its folder.
-
-    Returns
-    -------
-    dict
-        With whole paths, and without the keys that were left out.
-
-    Raises
-    ------
-    DataError
-        The file has no such table, or a wrong one.
-    """
+    """Table ``[calibration_frames]`` for a campaign file in another folder."""
     table, folder = _section(frames).model_dump(exclude_unset=True), frames.resolve().parent
     for kind in ("bias", "dark", "flat"):
         if kind in table:

@@ -39,14 +39,6 @@ def command(function: Callable[Arguments, ExitCode]) -> Callable[Arguments, None
     """Make a typer command of a function that returns an exit code.
 
     Errors of the user, and an interrupt, become one line on stderr.
-
-    Parameters
-    ----------
-    function : callable
-
-    Returns
-    -------
-    callable
     """
 
     @functools.wraps(function)
@@ -65,12 +57,7 @@ def command(function: Callable[Arguments, ExitCode]) -> Callable[Arguments, None
 
 
 def say(text: str) -> None:
-    """Write one line to stderr.
-
-    Parameters
-    ----------
-    text : str
-    """
+    """Write one line to stderr."""
     sys.stderr.write(f"{text}\n")
     sys.stderr.flush()
 
@@ -78,24 +65,7 @@ def say(text: str) -> None:
 def show_result(
     value: Mapping[str, Any] | Sequence[Any], lines: str | Iterable[str], *, json: bool, failed: bool = False
 ) -> ExitCode:
-    """Write what a command found or made.
-
-    Parameters
-    ----------
-    value : mapping or sequence
-        For ``--json``.
-    lines : str or iterable of str
-        For people; taken only without ``--json``.
-    json : bool
-        Write JSON.
-    failed : bool
-        Some images or files failed.
-
-    Returns
-    -------
-    ExitCode
-        ``SOME_IMAGES_FAILED`` or ``DONE``.
-    """
+    """Write what a command found or made."""
     if json:
         print_json(value)
     else:
@@ -105,46 +75,17 @@ def show_result(
 
 
 def show_results(results: Results, lines: Callable[[Results], Iterable[str]], *, json: bool) -> ExitCode:
-    """Write the results of a command that goes from file to file.
-
-    Parameters
-    ----------
-    results : list of dict
-        One per file, with its ``status``.
-    lines : callable
-        Tells all of them to people.
-    json : bool
-        Write JSON instead.
-
-    Returns
-    -------
-    ExitCode
-        ``SOME_IMAGES_FAILED`` if a status is failed.
-    """
+    """Write the results of a command that goes from file to file."""
     failed = any(result["status"] == "failed" for result in results)
     return show_result(results, lines(results), json=json, failed=failed)
 
 
 def rows_of(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
-    """Objects of a JSON list, from columns of equal length.
-
-    Parameters
-    ----------
-    columns : mapping of str to sequence
-
-    Returns
-    -------
-    list of dict
-    """
+    """Objects of a JSON list, from columns of equal length."""
     return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
 
 
 def print_json(value: Mapping[str, Any] | Sequence[Any]) -> None:
-    """Write JSON to stdout; with ``--json`` nothing else goes there.
-
-    Parameters
-    ----------
-    value : mapping or sequence
-    """
+    """Write JSON to stdout; with ``--json`` nothing else goes there."""
     sys.stdout.write(json.dumps(value, indent=1, allow_nan=False, default=str) + "\n")
     sys.stdout.flush()

@@ -21,18 +21,7 @@ _MOST_LINES, _FEWEST_IMAGES = 20, 10
 
 @contextlib.contextmanager
 def progress_bar(*, lines: bool = False) -> Iterator[Callable[[str, int, int], None]]:
-    """Show a progress bar inside a ``with`` block.
-
-    Parameters
-    ----------
-    lines : bool
-        Where stderr is no terminal, or that of a notebook, write a line per so many images; else nothing is shown.
-
-    Yields
-    ------
-    callable
-        Takes the name of the step, the number of images done, and of all.
-    """
+    """Show a progress bar inside a ``with`` block."""
     if not sys.stderr.isatty() or _in_a_notebook():
         yield _Lines() if lines else _nothing
         return
@@ -52,18 +41,7 @@ def progress_bar(*, lines: bool = False) -> Iterator[Callable[[str, int, int], N
 
 
 def with_progress(stage: str, items: Sequence[Item]) -> Iterator[Item]:
-    """Yield items one by one, and show how many are done.
-
-    Parameters
-    ----------
-    stage : str
-        Name of the step.
-    items : sequence
-
-    Yields
-    ------
-    item
-    """
+    """Yield items one by one, and show how many are done."""
     with progress_bar() as progress:
         for number, item in enumerate(items):
             progress(stage, number, len(items))
@@ -97,14 +75,6 @@ class _Lines:
 
 def images_per_line(total: int) -> int:
     """Number of images from one line to the next.
-
-    Parameters
-    ----------
-    total : int
-
-    Returns
-    -------
-    int
 
     Examples
     --------

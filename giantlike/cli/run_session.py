@@ -28,30 +28,7 @@ _MAX_DETAILS = 3
 def run_and_print(
     path: Path, *, workers: int | None, verbose: bool, watch_every_s: float | None, dask: str | None, json: bool
 ) -> ExitCode:
-    """Run a campaign and print what came of it.
-
-    Parameters
-    ----------
-    path : Path
-        Campaign file.
-    workers : int, optional
-    verbose : bool
-        Tell of each image.
-    watch_every_s : float, optional
-        Look for new images that often, until interrupted.
-    dask : str, optional
-        Scheduler of a cluster: its address or file.
-    json : bool
-
-    Returns
-    -------
-    ExitCode
-
-    Raises
-    ------
-    InputError, DataError
-        As of :meth:`giantlike.campaign.Campaign.load` and :func:`giantlike.campaign.run_campaign`.
-    """
+    """Run a campaign and print what came of it."""
     if dask is not None:
         path = path.absolute()  # workers have other working folders
 

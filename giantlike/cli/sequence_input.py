@@ -21,13 +21,7 @@ BOTH_PATTERNS = "--frames takes the fixed pattern of the detector off; give it o
 def sequence_pattern(
     paths: Sequence[Path], *, hdu: int | str | None, detector: Detector, bottom_up: bool = False
 ) -> FixedPattern | Failure:
-    """Fixed pattern of the readable images among ``paths``; a failure is also said on stderr.
-
-    Raises
-    ------
-    InputError
-        Fewer than two can be read, or their sizes differ.
-    """
+    """Fixed pattern of the readable images among ``paths``; a failure is also said on stderr."""
     arrays = []
     for k in enough_images(len(paths)):
         try:

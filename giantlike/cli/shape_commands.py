@@ -139,13 +139,7 @@ def decimate(
 
 
 def _dsk_identity(target: Path, center: int | None, frame: str | None, surface: int) -> DskIdentity | None:
-    """Return the identity written into a DSK, or None if the output is another format.
-
-    Raises
-    ------
-    InputError
-        The output is a DSK and an option is missing.
-    """
+    """Return the identity written into a DSK, or None if the output is another format."""
     if target.suffix.lower() not in (".bds", ".dsk"):
         return None
     if center is None or frame is None:

@@ -88,13 +88,7 @@ def render_shape(
 
 
 def picture(mesh: TriangleMesh, view: View) -> NDArray[np.uint8]:
-    """Gray levels (size, size) of a view; the brightest parts are white.
-
-    Raises
-    ------
-    InputError
-        Nothing lit is seen, or the law is not known.
-    """
+    """Gray levels (size, size) of a view; the brightest parts are white."""
     distance_km = _DISTANCE_RADII * mesh.circumscribing_radius_km
     focal_px = 0.5 * _FILL * view.size_px * math.sqrt(_DISTANCE_RADII**2 - 1.0)
     middle_px = 0.5 * (view.size_px - 1)

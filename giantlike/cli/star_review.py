@@ -14,13 +14,7 @@ from giantlike.processing import Detections
 def write_review(
     folder: Path, path: Path, image: Image, detections: Detections, outcome: AttitudeFix | Failure
 ) -> tuple[Path, ...]:
-    """Write ``NAME.stars.png`` (detections, matches, rejects over the image) and, where solved, ``NAME.residuals.png``.
-
-    Raises
-    ------
-    DataError
-        A file cannot be written.
-    """
+    """Write ``NAME.stars.png`` (detections, matches, rejects on the image), ``NAME.residuals.png`` where solved."""
     from giantlike.plotting import StarMarks, charts_figure, overlay_figure, overlay_panels, star_residual_charts
 
     solved = outcome if isinstance(outcome, AttitudeFix) else None

@@ -11,21 +11,7 @@ from numpy.typing import NDArray
 
 
 def open_archive_of_arrays(file: Path | IO[bytes]) -> NpzFile:
-    """Open a numpy archive; use it in a ``with`` block, or keep it open as long as arrays are read.
-
-    Parameters
-    ----------
-    file : Path or binary file
-
-    Returns
-    -------
-    NpzFile
-
-    Raises
-    ------
-    ValueError, exceptions of zipfile
-        The file is no archive, or damaged.
-    """
+    """Open a numpy archive; use it in a ``with`` block, or keep it open as long as arrays are read."""
     archive = np.load(file, allow_pickle=False)
     if not isinstance(archive, NpzFile):
         raise ValueError("needed an archive of arrays (.npz), found a single array")
@@ -33,24 +19,7 @@ def open_archive_of_arrays(file: Path | IO[bytes]) -> NpzFile:
 
 
 def array_of(archive: NpzFile, name: str) -> NDArray[Any]:
-    """Return an array of an archive.
-
-    Parameters
-    ----------
-    archive : NpzFile
-    name : str
-
-    Returns
-    -------
-    array
-
-    Raises
-    ------
-    KeyError
-        The archive has none of that name.
-    ValueError
-        What the file has under the name is no array.
-    """
+    """Return an array of an archive."""
     array = archive[name]
     if not isinstance(array, np.ndarray):
         raise ValueError(f"the archive has a part {name!r} that is no array")
@@ -58,16 +27,7 @@ def array_of(archive: NpzFile, name: str) -> NDArray[Any]:
 
 
 def unpacked_sizes(archive: NpzFile) -> dict[str, int]:
-    """Return the bytes that each part of an open archive takes in memory, as its directory says.
-
-    Parameters
-    ----------
-    archive : NpzFile
-
-    Returns
-    -------
-    dict of str to int
-    """
+    """Return the bytes that each part of an open archive takes in memory, as its directory says."""
     directory = archive.zip
     assert directory is not None  # it is while the archive is open
     return {member.filename.removesuffix(".npy"): member.file_size for member in directory.infolist()}

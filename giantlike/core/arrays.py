@@ -20,23 +20,7 @@ Mask = NDArray[np.bool_]
 def as_floats(value: ArrayLike, last: tuple[int, ...], name: str) -> Float:
     """Return ``value`` as float64 with trailing axes ``last`` and any leading axes.
 
-    Parameters
-    ----------
-    value : array_like
-        Numbers.
-    last : tuple of int
-        The required trailing shape: ``(3,)`` for points, ``(3, 3)`` for matrices, ``()`` for anything.
-    name : str
-        Name of the array in messages.
-
-    Returns
-    -------
-    (..., *last) float64
-
-    Raises
-    ------
-    InputError
-        The shape differs or the value is not numeric.
+    Returns (..., *last).
     """
     try:
         array = np.asarray(value, dtype=np.float64)
@@ -49,26 +33,7 @@ def as_floats(value: ArrayLike, last: tuple[int, ...], name: str) -> Float:
 
 
 def as_finite(value: ArrayLike, shape: tuple[int, ...], name: str) -> Float:
-    """Return a copy of ``value`` as a float64 array of exactly ``shape`` with finite values.
-
-    Parameters
-    ----------
-    value : array_like
-        Numbers.
-    shape : tuple of int
-        The required shape.
-    name : str
-        Name of the array in messages.
-
-    Returns
-    -------
-    shape float64
-
-    Raises
-    ------
-    InputError
-        The shape differs, or a value is NaN or infinite.
-    """
+    """Return a copy of ``value`` as a float64 array of exactly ``shape`` with finite values."""
     array = np.array(value, dtype=np.float64) if not np.isscalar(value) else np.array([value], dtype=np.float64)
     if array.shape != shape:
         raise InputError(f"{name} must have shape {shape}, got {array.shape}")
@@ -78,24 +43,7 @@ def as_finite(value: ArrayLike, shape: tuple[int, ...], name: str) -> Float:
 
 
 def as_image(value: ArrayLike, name: str) -> NDArray[Any]:
-    """Return ``value`` as an array of pixels in its own dtype.
-
-    Parameters
-    ----------
-    value : (rows, columns) array_like
-        Real numbers; at least one pixel.
-    name : str
-        Name of the array in the message.
-
-    Returns
-    -------
-    (rows, columns) ndarray
-
-    Raises
-    ------
-    InputError
-        It is not two-dimensional, empty, or not of real numbers.
-    """
+    """Return ``value`` as an array of pixels in its own dtype."""
     array = np.asarray(value)
     sound = array.ndim == 2 and array.size > 0 and array.dtype.kind in "iuf"
     require(sound, f"{name} must be a 2-D array of real numbers, got {array.dtype} of shape {array.shape}")
@@ -105,23 +53,7 @@ def as_image(value: ArrayLike, name: str) -> NDArray[Any]:
 def as_unit(value: ArrayLike, name: str, *, tolerance: float = 1e-9) -> Float:
     """Return ``value`` as unit vectors.
 
-    Parameters
-    ----------
-    value : (..., 3) array_like
-        Vectors.
-    name : str
-        Name of the array in messages.
-    tolerance : float
-        Largest error of a norm: rounding of float64 leaves 1e-15, a table with ten digits 1e-10.
-
-    Returns
-    -------
-    (..., 3) float64
-
-    Raises
-    ------
-    InputError
-        The shape differs, or a vector is not unit to ``tolerance``.
+    ``value`` (..., 3); returns (..., 3).
     """
     array = as_floats(value, (3,), name)
     norms = np.linalg.norm(array, axis=-1)
@@ -148,24 +80,7 @@ def frozen(array: NDArray[Scalar]) -> NDArray[Scalar]:
 def require_number(
     value: float, name: str, *, least: float = -math.inf, above: float = -math.inf, most: float = math.inf
 ) -> None:
-    """Raise unless a number is finite and in its range.
-
-    Parameters
-    ----------
-    value : float
-        The number.
-    name : str
-        Name of the number in the message.
-    least, most : float
-        Bounds that the number may reach.
-    above : float
-        Lower bound that the number must exceed.
-
-    Raises
-    ------
-    InputError
-        The number is NaN, infinite or out of range.
-    """
+    """Raise unless a number is finite and in its range."""
     if not (math.isfinite(value) and least <= value <= most and value > above):
         signs = ((">=", least), (">", above), ("<=", most))
         needs = [f"{sign} {bound:g}" for sign, bound in signs if math.isfinite(bound)]

@@ -17,21 +17,6 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
     A reader sees the old content or the new one, never a part; when the block raises, the old file stays.
     The data are not forced onto the disk: this guards against a killed process, not against a power cut.
-
-    Parameters
-    ----------
-    path : path-like
-        The file to replace.
-
-    Yields
-    ------
-    Path
-        Temporary path in the same folder.
-
-    Raises
-    ------
-    DataError
-        The folder does not exist, or the file system refused the write; the old file is untouched.
     """
     target = Path(path)
     part = target.with_name(f".{target.name}.{uuid.uuid4().hex}.part")
@@ -78,18 +63,7 @@ def write_text_atomic(path: str | Path, text: str) -> None:
 
 
 def append_text(path: Path, text: str) -> None:
-    """Append to a file in UTF-8; it is made where there is none.
-
-    Parameters
-    ----------
-    path : Path
-    text : str
-
-    Raises
-    ------
-    DataError
-        The file system refused the write.
-    """
+    """Append to a file in UTF-8; it is made where there is none."""
     try:
         with path.open("a", encoding="utf-8") as stream:
             stream.write(text)
@@ -98,17 +72,7 @@ def append_text(path: Path, text: str) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and those above it; it may exist.
-
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    DataError
-        The file system refused.
-    """
+    """Make a folder and those above it; it may exist."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

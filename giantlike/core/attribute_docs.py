@@ -13,16 +13,6 @@ from functools import cache
 def attribute_docs(enumeration: type[Enum]) -> dict[str, str]:
     """Return the docstrings of the members of an enumeration.
 
-    Parameters
-    ----------
-    enumeration : type
-        Its source must be at hand.
-
-    Returns
-    -------
-    dict of str to str
-        By the name of the member, each on one line; members without a docstring are left out.
-
     Examples
     --------
     >>> from giantlike.core.reasons import Reason

@@ -13,15 +13,7 @@ _FEW = 8  # pixels along a block up to which columns are added one by one, sever
 def block_sums(image: NDArray[Scalar], size: int) -> Float:
     """Sums over blocks of pixels.
 
-    Parameters
-    ----------
-    image : (h, w)
-    size : int
-        Pixels along the side of a block; what fills none at the end of the image is left out.
-
-    Returns
-    -------
-    (h // size, w // size) float64
+    ``image`` (h, w); returns (h // size, w // size).
     """
     rows, columns = (length // size for length in image.shape)
     strips = image[: rows * size, : columns * size].reshape(rows, size, columns * size).sum(axis=1, dtype=np.float64)
@@ -36,15 +28,7 @@ def block_sums(image: NDArray[Scalar], size: int) -> Float:
 def whole_blocks(mask: Mask, size: int) -> Mask:
     """Return True for blocks of nothing but True.
 
-    Parameters
-    ----------
-    mask : (h, w) bool
-    size : int
-        As for :func:`block_sums`.
-
-    Returns
-    -------
-    (h // size, w // size) bool
+    ``mask`` (h, w); ``size`` as for :func:`block_sums`; returns (h // size, w // size).
     """
     rows, columns = (length // size for length in mask.shape)
     if mask.all():

@@ -79,17 +79,7 @@ positive semi-definite to as many.
 def summed(parts: Mapping[Cause, Float], causes: Iterable[Cause] = IN_IMAGE) -> Float:
     """Sum of the parts of a covariance.
 
-    Parameters
-    ----------
-    parts : mapping of Cause to (k, k) float64
-        At least one.
-    causes : iterable of Cause
-        Those to sum, where they are in ``parts``; those in the image by default.
-
-    Returns
-    -------
-    (k, k) float64
-        Zero where none of the causes is in ``parts``.
+    ``parts`` mapping of Cause to (k, k); returns (k, k), zero where none of the causes is in ``parts``.
 
     Examples
     --------
@@ -108,14 +98,7 @@ def summed(parts: Mapping[Cause, Float], causes: Iterable[Cause] = IN_IMAGE) -> 
 def added(first: Mapping[Cause, Float], second: Mapping[Cause, Float]) -> dict[Cause, Float]:
     """Add two covariances by cause.
 
-    Parameters
-    ----------
-    first, second : mapping of Cause to (k, k) float64
-
-    Returns
-    -------
-    dict of Cause to (k, k) float64
-        The sum where a cause is in both.
+    ``first``, ``second`` mapping of Cause to (k, k); returns dict of Cause to (k, k).
 
     Examples
     --------
@@ -132,23 +115,7 @@ def added(first: Mapping[Cause, Float], second: Mapping[Cause, Float]) -> dict[C
 def checked_parts(parts: Mapping[Cause, Float], size: int) -> dict[Cause, Float]:
     """Check the parts of a covariance and make them read-only.
 
-    Parameters
-    ----------
-    parts : mapping of Cause or its value to (size, size) float64
-    size : int
-        Number of coordinates.
-
-    Returns
-    -------
-    dict
-        In the order of :class:`Cause`.
-
-    Raises
-    ------
-    InputError
-        A matrix has another shape, is not symmetric or not positive semi-definite.
-    ValueError
-        A key is no cause.
+    ``parts`` mapping of Cause or its value to (size, size).
     """
     checked = {}
     for key, part in parts.items():
@@ -163,23 +130,7 @@ def checked_parts(parts: Mapping[Cause, Float], size: int) -> dict[Cause, Float]
 def checked_partials(partials: Mapping[Cause, Float], size: int) -> dict[Cause, Float]:
     """Check the derivatives of a place by what its errors come from, and make them read-only.
 
-    Parameters
-    ----------
-    partials : mapping of Cause or its value to (size, m) float64
-    size : int
-        Number of coordinates.
-
-    Returns
-    -------
-    dict
-        In the order of :class:`Cause`.
-
-    Raises
-    ------
-    InputError
-        A matrix has another number of rows.
-    ValueError
-        A key is no cause.
+    ``partials`` mapping of Cause or its value to (size, m).
     """
     checked = {}
     for key, partial in partials.items():
@@ -194,20 +145,8 @@ def checked_partials(partials: Mapping[Cause, Float], size: int) -> dict[Cause, 
 def require_sum(parts: Mapping[Cause, Float], causes: Iterable[Cause], covariance: Float, name: str) -> None:
     """Raise unless parts sum to a covariance, of the leading coordinates where it has fewer than they.
 
-    Parameters
-    ----------
-    parts : mapping of Cause to (k, k) float64
-    causes : iterable of Cause
-        Those to sum.
-    covariance : (n, n) float64
-        With n <= k; one with infinities or NaN, which stand for what is not known, is not checked.
-    name : str
-        Name of the covariance, for the message.
-
-    Raises
-    ------
-    InputError
-        They differ by more than :data:`SUM_TOLERANCE`.
+    ``parts`` mapping of Cause to (k, k); ``covariance`` (n, n), with n <= k (one with infinities or NaN, which stand
+    for what is not known, is not checked).
     """
     count = len(covariance)
     total = summed(parts, causes)[:count, :count]

@@ -43,27 +43,7 @@ _LONGEST_REQUEST = 10_000_000  # bytes: the paths of a campaign's kernels, at 40
 def in_child(
     function: Callable[[Sequence[Path]], Arrays], paths: Sequence[Path], *, libraries: Sequence[str] = ()
 ) -> dict[str, NDArray[Any]]:
-    """Call a function of files in a process of its own.
-
-    Parameters
-    ----------
-    function : callable
-        Function of a module; takes the paths and returns arrays by name.
-    paths : sequence of Path
-    libraries : sequence of str
-        Modules that the function imports: imported once, before the calls.
-
-    Returns
-    -------
-    dict of str to array
-
-    Raises
-    ------
-    ValueError
-        The function refused the files, or its process ended, took too long or too much memory.
-    RuntimeError
-        The function has a mistake; its traceback.
-    """
+    """Call a function of files in a process of its own."""
     request = {
         "module": function.__module__,
         "name": function.__name__,

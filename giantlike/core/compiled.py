@@ -24,14 +24,6 @@ def compiled(function: Function) -> Function:
     each process compiles it anew. Where it can, of processes that need it at once (those of a first run) one compiles
     and the others wait for its code, except on Windows. Divisions by zero give infinities, as in numpy. It is compiled
     again when its own module changes, not when one does whose functions it calls: ``make clean`` deletes what is kept.
-
-    Parameters
-    ----------
-    function : callable
-
-    Returns
-    -------
-    callable
     """
     options = {"error_model": "numpy", "nogil": True}
     try:

@@ -15,20 +15,6 @@ Answer = TypeVar("Answer")
 def renamed(module: str, names: Mapping[str, str], *, until: str) -> Callable[[str], Any]:
     """Return a module-level ``__getattr__`` that answers for renamed things.
 
-    Parameters
-    ----------
-    module : str
-        Name of the module that exported the old names.
-    names : mapping of str to str
-        New name by old name; both live in ``module``.
-    until : str
-        Version that no longer has the old names.
-
-    Returns
-    -------
-    callable
-        To be assigned to ``__getattr__`` in the module; warns with ``DeprecationWarning``.
-
     Examples
     --------
     In ``giantlike/calibration/__init__.py``::
@@ -49,20 +35,7 @@ def renamed(module: str, names: Mapping[str, str], *, until: str) -> Callable[[s
 def renamed_keyword(
     old: str, new: str, *, until: str
 ) -> Callable[[Callable[Arguments, Answer]], Callable[Arguments, Answer]]:
-    """Decorator for a function one of whose keywords was renamed: the old one works and warns.
-
-    Parameters
-    ----------
-    old, new : str
-        Names of the keyword.
-    until : str
-        Version that no longer has the old one.
-
-    Returns
-    -------
-    callable
-        Decorator; the function it returns warns with ``DeprecationWarning`` where it is called with the old keyword.
-    """
+    """Decorator for a function one of whose keywords was renamed: the old one works and warns."""
 
     def decorate(function: Callable[Arguments, Answer]) -> Callable[Arguments, Answer]:
         @functools.wraps(function)

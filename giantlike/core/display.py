@@ -18,29 +18,13 @@ _PROVIDERS: list[str] = []
 
 
 def provide(module: str) -> None:
-    """Name a module that registers painters when it is imported.
-
-    Parameters
-    ----------
-    module : str
-    """
+    """Name a module that registers painters when it is imported."""
     if module not in _PROVIDERS:
         _PROVIDERS.append(module)
 
 
 def paints(kind: type[Any]) -> Callable[[Callable[..., Axes]], Callable[..., Axes]]:
-    """Decorator for the function that draws values of a class on axes.
-
-    Parameters
-    ----------
-    kind : type
-        Of the values, and of those of its subclasses that have no painter of their own.
-
-    Returns
-    -------
-    callable
-        Decorator; the function takes the value, the axes or None, and options by keyword, and returns the axes.
-    """
+    """Decorator for the function that draws values of a class on axes."""
 
     def register(painter: Callable[..., Axes]) -> Callable[..., Axes]:
         _PAINTERS[kind] = painter
@@ -50,21 +34,7 @@ def paints(kind: type[Any]) -> Callable[[Callable[..., Axes]], Callable[..., Axe
 
 
 def painter_of(kind: type[Any]) -> Callable[..., Axes]:
-    """Return the function that draws values of a class.
-
-    Parameters
-    ----------
-    kind : type
-
-    Returns
-    -------
-    callable
-
-    Raises
-    ------
-    TypeError
-        Nothing draws them.
-    """
+    """Return the function that draws values of a class."""
     for module in _PROVIDERS:
         import_module(module)
     for base in kind.__mro__:

@@ -19,12 +19,7 @@ _NOTHING = 1e-100
 def solve_normal(normal: Float, right: Float) -> None:
     """Solve normal equations, whose unknowns are scaled to unit information, with a ridge that makes them regular.
 
-    Parameters
-    ----------
-    normal : (m, m) float64
-        Read on and above the diagonal, and changed. Of more rows and columns only the first m count.
-    right : (m, r) float64
-        Right sides, which become the solutions; an unknown that nothing depends on becomes 0.
+    ``normal`` (m, m), of more rows and columns only the first m count; ``right`` (m, r).
     """
     size, sides = right.shape
     units = np.empty(size)
@@ -46,12 +41,7 @@ def solve_normal(normal: Float, right: Float) -> None:
 def solve_symmetric(matrix: Float, right: Float) -> None:
     """Solve equations with a symmetric matrix that is positive, or is but for rounding, by elimination.
 
-    Parameters
-    ----------
-    matrix : (m, m) float64
-        Read on and above the diagonal, and changed.
-    right : (m, r) float64
-        Right sides, which become the solutions.
+    ``matrix`` (m, m); ``right`` (m, r).
     """
     size, sides = right.shape
     for i in range(size):

@@ -71,15 +71,7 @@ class Response(_Stated):
     def light_dn(self, values_dn: Float) -> Float:
         """Return the light of values.
 
-        Parameters
-        ----------
-        values_dn : (...) float64, DN
-            Bias subtracted.
-
-        Returns
-        -------
-        (...) float64, DN
-            Below the lowest point of the parabola, which lies below the sky, as there.
+        ``values_dn`` (...); returns (...).
         """
         span_dn = self.bright_dn - self.dark_dn
         lowest_dn = -0.5 * (1.0 - self.bend) / max(self.bend, 1e-9) * span_dn
@@ -94,14 +86,7 @@ class Response(_Stated):
     def changes_dn(self, light_dn: Float) -> Float:
         """Return the derivatives of :meth:`light_dn` by the bend, and by the share of a cube that vanishes half way.
 
-        Parameters
-        ----------
-        light_dn : (...) float64, DN
-
-        Returns
-        -------
-        (2, ...) float64, DN
-            Of the values that stand for this light.
+        ``light_dn`` (...); returns (2, ...).
         """
         span_dn, straight = self.bright_dn - self.dark_dn, 1.0 - self.bend
         light = light_dn - self.dark_dn
@@ -133,17 +118,7 @@ class Smear(_Stated):
     oblique_px2: float = field(default=0.0, metadata={"digits": 4})
 
     def on_blocks(self, size: float) -> Smear:
-        """Return the same motion in an image of blocks of pixels.
-
-        Parameters
-        ----------
-        size : float
-            Pixels along the side of a block.
-
-        Returns
-        -------
-        Smear
-        """
+        """Return the same motion in an image of blocks of pixels."""
         return Smear(straight_px2=self.straight_px2 / size**2, oblique_px2=self.oblique_px2 / size**2)
 
     def less(self, other: Smear) -> Smear:
@@ -177,13 +152,7 @@ class Smear(_Stated):
     def smeared(self, images: Float) -> Float:
         """Return images smeared by the motion; what lies beyond them is as bright as their edge.
 
-        Parameters
-        ----------
-        images : (..., h, w) float64
-
-        Returns
-        -------
-        (..., h, w) float64
+        ``images`` (..., h, w); returns (..., h, w).
         """
         from scipy.fft import irfft2, next_fast_len, rfft2
 

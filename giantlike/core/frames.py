@@ -23,18 +23,7 @@ INERTIAL_FRAME = "J2000"
 
 
 def require_same_frame(have: str, need: str) -> None:
-    """Raise unless two frame names agree; an empty name stands for a frame that is not known and fits any other.
-
-    Parameters
-    ----------
-    have, need : str
-        Names of the frame of a quantity and of the frame needed.
-
-    Raises
-    ------
-    FrameMismatchError
-        Both names are known and differ.
-    """
+    """Raise unless two frame names agree; an empty name stands for a frame that is not known and fits any other."""
     if have and need and have != need:
         raise FrameMismatchError(have, need)
 
@@ -68,31 +57,11 @@ class FrameRotation(Value):
         return FrameRotation(rotation=self.rotation * other.rotation, target=self.target, source=other.source)
 
     def inv(self) -> FrameRotation:
-        """Return ``source_from_target``.
-
-        Returns
-        -------
-        FrameRotation
-        """
+        """Return ``source_from_target``."""
         return FrameRotation(rotation=self.rotation.inv(), target=self.source, source=self.target)
 
     def between(self, target: str, source: str) -> Rotation:
-        """Return the plain rotation for callers that need ``target_from_source``.
-
-        Parameters
-        ----------
-        target, source : str
-            Names of the frames that the caller needs; an empty name is not checked.
-
-        Returns
-        -------
-        scipy Rotation
-
-        Raises
-        ------
-        FrameMismatchError
-            The rotation is one between other frames.
-        """
+        """Return the plain rotation for callers that need ``target_from_source``."""
         require_same_frame(self.target, target)
         require_same_frame(self.source, source)
         return self.rotation
@@ -101,14 +70,7 @@ class FrameRotation(Value):
 def direction_from_radec(ra_deg: ArrayLike, dec_deg: ArrayLike) -> Float:
     """Return the unit vectors of right ascensions and declinations.
 
-    Parameters
-    ----------
-    ra_deg, dec_deg : (...) array_like, deg
-        Right ascension and declination.
-
-    Returns
-    -------
-    (..., 3) float64, unitless, inertial
+    ``ra_deg``, ``dec_deg`` (...); returns (..., 3), inertial axes.
 
     Examples
     --------
@@ -122,15 +84,7 @@ def direction_from_radec(ra_deg: ArrayLike, dec_deg: ArrayLike) -> Float:
 def radec_from_direction(direction_inertial: ArrayLike) -> tuple[Float, Float]:
     """Return the right ascensions and declinations of vectors.
 
-    Parameters
-    ----------
-    direction_inertial : (..., 3) array_like, inertial
-        Vectors of any length.
-
-    Returns
-    -------
-    ra_deg, dec_deg : (...) float64, deg
-        Right ascension in [0, 360), and declination.
+    ``direction_inertial`` (..., 3); returns ``ra_deg``, ``dec_deg`` (...).
     """
     x, y, z = np.moveaxis(as_floats(direction_inertial, (3,), "direction_inertial"), -1, 0)
     return np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arctan2(z, np.hypot(x, y)))
@@ -139,13 +93,7 @@ def radec_from_direction(direction_inertial: ArrayLike) -> tuple[Float, Float]:
 def east_north(ra_deg: ArrayLike, dec_deg: ArrayLike) -> tuple[Float, Float]:
     """Unit vectors to the east and to the north at points of the sky.
 
-    Parameters
-    ----------
-    ra_deg, dec_deg : (...), deg
-
-    Returns
-    -------
-    east, north : (..., 3) float64, unitless, inertial
+    ``ra_deg``, ``dec_deg`` (...); returns ``east``, ``north`` (..., 3), inertial axes.
     """
     ra, dec = np.radians(as_floats(ra_deg, (), "ra_deg")), np.radians(as_floats(dec_deg, (), "dec_deg"))
     east = np.stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)], axis=-1)
@@ -154,25 +102,7 @@ def east_north(ra_deg: ArrayLike, dec_deg: ArrayLike) -> tuple[Float, Float]:
 
 
 def position_angle_deg(direction_inertial: ArrayLike, toward_inertial: ArrayLike) -> float:
-    """Compute the position angle of a direction at a point of the sky.
-
-    Parameters
-    ----------
-    direction_inertial : (3,), unitless, inertial
-        The point of the sky.
-    toward_inertial : (3,), unitless, inertial
-        A vector whose component perpendicular to ``direction_inertial`` is the direction.
-
-    Returns
-    -------
-    float, deg
-        Position angle, north through east, in [0, 360).
-
-    Raises
-    ------
-    InputError
-        At a celestial pole, where north is not defined.
-    """
+    """Compute the position angle of a direction at a point of the sky."""
     point = unit(as_finite(direction_inertial, (3,), "direction_inertial"))
     toward = as_finite(toward_inertial, (3,), "toward_inertial")
     east = np.cross([0.0, 0.0, 1.0], point)
@@ -185,17 +115,8 @@ def position_angle_deg(direction_inertial: ArrayLike, toward_inertial: ArrayLike
 def pointing_deg(camera_from_inertial: Rotation, line_of_sight_camera: ArrayLike) -> tuple[float, float, float]:
     """RA, Dec and roll in degrees of a line of sight of a camera.
 
-    Parameters
-    ----------
-    camera_from_inertial : Rotation
-        Attitude.
-    line_of_sight_camera : (3,), unitless, camera
-        Usually that of the image center ``((columns - 1) / 2, (rows - 1) / 2)``.
-
-    Returns
-    -------
-    ra_deg, dec_deg, roll_deg : float
-        Roll is the position angle of the camera's -y axis (up in the image), north through east.
+    ``line_of_sight_camera``: usually that of the image center ``((columns - 1) / 2, (rows - 1) / 2)``; returns
+    ``ra_deg``, ``dec_deg``, ``roll_deg``.
     """
     inertial_from_camera = camera_from_inertial.inv()
     los = rotate(inertial_from_camera, as_finite(line_of_sight_camera, (3,), "line_of_sight_camera"))
@@ -206,18 +127,6 @@ def pointing_deg(camera_from_inertial: Rotation, line_of_sight_camera: ArrayLike
 
 def camera_from_inertial_of_pointing(ra_deg: float, dec_deg: float, roll_deg: float) -> Rotation:
     """Return the attitude of a pointing: the inverse of :func:`pointing_deg` for the boresight.
-
-    Parameters
-    ----------
-    ra_deg, dec_deg : float, deg
-        Right ascension and declination of the boresight (+z).
-    roll_deg : float, deg
-        Position angle of the camera's -y axis.
-
-    Returns
-    -------
-    scipy Rotation
-        ``camera_from_inertial``.
 
     Examples
     --------
@@ -235,16 +144,7 @@ def camera_from_inertial_of_pointing(ra_deg: float, dec_deg: float, roll_deg: fl
 def rotate(rotation: Rotation, vectors: ArrayLike) -> Float:
     """Rotate vectors: ``rotation.apply(vectors)``, which refuses read-only arrays such as the fields of a value.
 
-    Parameters
-    ----------
-    rotation : scipy Rotation
-        One or n rotations.
-    vectors : (..., 3) array_like
-        Vectors; for n rotations (n, 3) or (3,).
-
-    Returns
-    -------
-    (..., 3) float64
+    ``vectors`` (..., 3); returns (..., 3).
     """
     array = as_floats(vectors, (3,), "vectors")
     matrix = rotation.as_matrix()
@@ -255,14 +155,7 @@ def rotate(rotation: Rotation, vectors: ArrayLike) -> Float:
 def turn_between(first: Float, second: Float) -> Rotation:
     """Smallest rotation from one direction to another close by.
 
-    Parameters
-    ----------
-    first, second : (3,) float64, unitless
-        Unit vectors in the same axes, less than 90 deg apart.
-
-    Returns
-    -------
-    Rotation
+    ``first``, ``second`` (3,), unit vectors in the same axes, less than 90 deg apart.
     """
     axis = np.cross(first, second)
     sine = float(np.linalg.norm(axis))
@@ -282,21 +175,7 @@ def quaternion_xyzw(rotation: Rotation) -> Float:
 def rotation_from_xyzw(quaternion: ArrayLike, name: str = "quaternion") -> Rotation:
     """Return the rotation of a quaternion from a file or a user.
 
-    Parameters
-    ----------
-    quaternion : (4,) array_like
-        Scalar last. Its norm must be 1 to 1e-3, which admits four digits; it is normalized.
-    name : str
-        Name of the quaternion in messages.
-
-    Returns
-    -------
-    scipy Rotation
-
-    Raises
-    ------
-    InputError
-        The shape is wrong, a value is not finite, or the norm is far from one, a sign of mixed-up columns.
+    ``quaternion`` (4,), scalar last.
     """
     q = as_finite(quaternion, (4,), name)
     norm = math.hypot(*q)  # without overflow

@@ -20,21 +20,7 @@ _SAMPLES = 64
 
 
 def checked_gamma(gamma: object) -> Gamma | None:
-    """Return a gamma as declared; None where none is.
-
-    Parameters
-    ----------
-    gamma : object
-
-    Returns
-    -------
-    float, 'srgb' or None
-
-    Raises
-    ------
-    InputError
-        It is another text, no number, or not in [1, 5].
-    """
+    """Return a gamma as declared; None where none is."""
     if gamma is None:
         return None
     if gamma == "srgb":
@@ -72,14 +58,7 @@ class GammaCurve:
     def light_dn(self, values_dn: ArrayLike) -> Float:
         """Return the light of values.
 
-        Parameters
-        ----------
-        values_dn : (...) array_like, DN
-            Above bias.
-
-        Returns
-        -------
-        (...) float64, DN
+        ``values_dn`` (...); returns (...).
         """
         values = as_floats(values_dn, (), "values_dn") / self.full_scale_dn
         size = np.abs(values)
@@ -92,13 +71,7 @@ class GammaCurve:
     def values_dn(self, light_dn: ArrayLike) -> Float:
         """Return the values that stand for light: the inverse of :meth:`light_dn`.
 
-        Parameters
-        ----------
-        light_dn : (...) array_like, DN
-
-        Returns
-        -------
-        (...) float64, DN
+        ``light_dn`` (...); returns (...).
         """
         light = as_floats(light_dn, (), "light_dn") / self.full_scale_dn
         size = np.abs(light)
@@ -112,13 +85,7 @@ class GammaCurve:
     def slope(self, values_dn: ArrayLike) -> Float:
         """Return the derivative of :meth:`light_dn` by the value.
 
-        Parameters
-        ----------
-        values_dn : (...) array_like, DN
-
-        Returns
-        -------
-        (...) float64
+        ``values_dn`` (...); returns (...).
         """
         size = np.abs(as_floats(values_dn, (), "values_dn")) / self.full_scale_dn
         if self.gamma == "srgb":
@@ -130,20 +97,10 @@ class GammaCurve:
     def noise_of_light(self, variance_dn2: Float) -> tuple[float, float, float]:
         """Propagate the noise of values to that of light, as a polynomial of the light.
 
-        Parameters
-        ----------
-        variance_dn2 : (64,) float64, DN^2
-            Of the values of :meth:`samples_dn`.
-
-        Returns
-        -------
-        constant : float, DN^2
-        linear : float, DN
-        square : float
-            Of ``constant + linear light + square light^2``, none of which is negative: the variance of the values
-            times the squared slope, by least squares relative to it, right to a factor of 2 (of 1.4 in sigma) where
-            light goes as a power of 2.2. The slope is that at the root mean square of the value and its noise, since it
-            vanishes at 0 for a power law.
+        ``variance_dn2`` (64,), of the values of :meth:`samples_dn`; returns ``constant`` in DN^2; ``linear`` in DN;
+        ``square``: of ``constant + linear light + square light^2``, none of which is negative: the variance of the
+        values times the squared slope, by least squares relative to it, right to a factor of 2 (of 1.4 in sigma) where
+        light goes as a power of 2.2.
         """
         from scipy.optimize import nnls
 

@@ -13,23 +13,7 @@ from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 def aberrate(directions: ArrayLike, velocity_km_s: ArrayLike) -> Float:
     """Compute the apparent directions for a moving observer: stellar aberration by the Lorentz boost.
 
-    Parameters
-    ----------
-    directions : (..., 3), inertial
-        Vectors from observer to source, as an observer at rest would see them; the length is kept. Of bodies whose
-        size is seen, :func:`boosted` changes the length as well.
-    velocity_km_s : (3,), km/s, inertial
-        Velocity of the observer with respect to the frame at rest (the solar system barycenter).
-
-    Returns
-    -------
-    (..., 3) float64
-        Apparent vectors, inertial axes.
-
-    Raises
-    ------
-    InputError
-        Wrong shapes, or a speed that is not below that of light.
+    ``directions`` (..., 3), inertial axes; ``velocity_km_s`` in inertial axes; returns (..., 3).
 
     Notes
     -----
@@ -52,23 +36,9 @@ def aberrate(directions: ArrayLike, velocity_km_s: ArrayLike) -> Float:
 def boosted(positions_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
     """Compute the apparent places of bodies for a moving observer: direction by aberration, distance by apparent size.
 
-    Parameters
-    ----------
-    positions_km : (..., 3), km, inertial
-        From the observer at reception to the body at emission of the light, as an observer at rest would see it.
-    velocity_km_s : (3,), km/s, inertial
-        Velocity of the observer with respect to the frame at rest.
-
-    Returns
-    -------
-    (..., 3) float64, km
-        Apparent vectors, inertial axes: the direction is that of :func:`aberrate`, and a body of radius R covers the
-        angle ``asin(R / length)``.
-
-    Raises
-    ------
-    InputError
-        Wrong shapes, or a speed that is not below that of light.
+    ``positions_km`` (..., 3), inertial axes; ``velocity_km_s`` in inertial axes; returns (..., 3) km, apparent vectors,
+    inertial axes: the direction is that of :func:`aberrate`, and a body of radius R covers the angle
+    ``asin(R / length)``.
 
     Notes
     -----
@@ -93,21 +63,7 @@ def boosted(positions_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
 def boost_jacobian(position_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
     """Derivative of :func:`boosted` by the position.
 
-    Parameters
-    ----------
-    position_km : (3,), km, inertial
-        Not zero.
-    velocity_km_s : (3,), km/s, inertial
-        Velocity of the observer with respect to the frame at rest.
-
-    Returns
-    -------
-    (3, 3) float64
-
-    Raises
-    ------
-    InputError
-        Wrong shapes, or a speed that is not below that of light.
+    ``position_km``, ``velocity_km_s`` in inertial axes; returns (3, 3).
     """
     position = as_finite(position_km, (3,), "position_km")
     beta, gamma = _beta_gamma(velocity_km_s)

@@ -33,35 +33,14 @@ class PixelBox:
     def spanning(cls, low_px: Float, high_px: Float, margin_px: int = 0) -> PixelBox:
         """Return the box between two pixels, and a margin around it.
 
-        Parameters
-        ----------
-        low_px, high_px : (2,) float64, px
-            First pixel, and the one after the last; rounded outward.
-        margin_px : int, px
-
-        Returns
-        -------
-        PixelBox
+        ``low_px``, ``high_px`` (2,), first pixel, and the one after the last (rounded outward).
         """
         low = np.floor(low_px).astype(np.int64) - margin_px
         (x, y), (width, height) = low.tolist(), (np.ceil(high_px).astype(np.int64) + margin_px - low).tolist()
         return cls(x=x, y=y, width=width, height=height)
 
     def limited(self, columns: int, rows: int, border_px: int = 0) -> PixelBox:
-        """Return the part of the box within a frame.
-
-        Parameters
-        ----------
-        columns, rows : int, px
-            Size of the frame.
-        border_px : int, px
-            Pixels around the frame that may belong to the box.
-
-        Returns
-        -------
-        PixelBox
-            Of one pixel at least: where the box lies outside, the nearest one.
-        """
+        """Return the part of the box within a frame."""
         end = np.array([columns, rows]) + border_px
         corner = np.array([self.x, self.y])
         low = np.clip(corner, -border_px, end - 1)
@@ -81,18 +60,7 @@ class PixelBox:
     def cut(self, image: NDArray[Scalar], corner_px: tuple[int, int] = (0, 0), outside: Any = 0) -> NDArray[Scalar]:
         """Cut the box out of an image.
 
-        Parameters
-        ----------
-        image : (h, w)
-        corner_px : (int, int), px
-            Column and row of the first element of ``image``.
-        outside : scalar
-            Value where the box reaches over the image.
-
-        Returns
-        -------
-        (height, width)
-            A copy.
+        ``image`` (h, w); ``corner_px``: column and row of the first element of ``image``; returns (height, width).
         """
         part = np.full((self.height, self.width), outside, dtype=image.dtype)
         x, y = self.x - int(corner_px[0]), self.y - int(corner_px[1])
@@ -128,16 +96,7 @@ class BoxPixels(Value):
     noise_variance_dn2: Callable[[Float], Float]
 
     def cut(self, box: PixelBox) -> BoxPixels:
-        """Return the pixels in a box; those outside are not usable.
-
-        Parameters
-        ----------
-        box : PixelBox
-
-        Returns
-        -------
-        BoxPixels
-        """
+        """Return the pixels in a box; those outside are not usable."""
         return replace(
             self,
             values_dn=box.cut(self.values_dn, self.corner_px),

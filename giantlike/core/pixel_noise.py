@@ -54,18 +54,6 @@ _ROUNDING = 1e-12
 def value_step(pixels: NDArray[Any], mask: Mask | None = None) -> float:
     """Step between the numbers that an image holds, as a converter leaves it.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) real, DN
-    mask : (rows, columns) bool, optional
-        True where a pixel is bad.
-
-    Returns
-    -------
-    float, DN
-        Largest number of which all differences of pixels are multiples: 1, or the ``BSCALE`` of scaled numbers. Where
-        there are too few values to tell, 1 for integers and 0 for floating point numbers, as for those without a step.
-
     Examples
     --------
     >>> counts = np.random.default_rng(1).integers(100, 200, (40, 40))
@@ -197,36 +185,14 @@ class _Blocks:
 def sky_noise(pixels: NDArray[Any], mask: Mask | None = None) -> float:
     """Standard deviation of the pixels in the dark parts of an image, about planes.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) real, DN
-        Finite.
-    mask : (rows, columns) bool, optional
-        True where a pixel is bad. Blocks with such pixels count only where all have some.
-
-    Returns
-    -------
-    float, DN
-        0 where most of the dark parts are equal pixels, as in a render without noise or in a clipped image.
+    ``pixels`` in DN; returned in DN, 0 where most of the dark parts are equal pixels, as in a render without noise or
+    in a clipped image.
     """
     return math.sqrt(_Blocks.of(pixels, mask).sky_variance)
 
 
 def estimate_noise(pixels: NDArray[Any], mask: Mask | None = None, *, step_dn: float) -> EstimatedNoise:
     """Estimate read noise and gain from an image alone.
-
-    Parameters
-    ----------
-    pixels : (rows, columns) real, DN
-        Finite.
-    mask : (rows, columns) bool, optional
-        True where a pixel is bad.
-    step_dn : float, DN
-        Step of the numbers.
-
-    Returns
-    -------
-    EstimatedNoise
 
     Notes
     -----

@@ -29,28 +29,13 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 def process_count(workers: int | None, jobs: int) -> int:
     """Return how many processes to start.
 
-    Parameters
-    ----------
-    workers : int or None
-        As asked for; None for one per CPU that this process may use.
-    jobs : int
-        No more processes than these.
-
-    Returns
-    -------
-    int
-        At least 1.
+    Returns at least 1.
     """
     return max(1, min(available_cpus() if workers is None else workers, jobs))
 
 
 def available_cpus() -> int:
-    """Return the number of CPUs that this process may use.
-
-    Returns
-    -------
-    int
-    """
+    """Return the number of CPUs that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -59,10 +44,6 @@ def one_thread_each() -> Iterator[None]:
     """Context manager in which processes start that do arithmetic with one thread each.
 
     Libraries read environment variables for that when numpy is imported. Variables that are set already are left.
-
-    Yields
-    ------
-    None
     """
     missing = {name: "1" for name in _THREAD_VARIABLES if name not in os.environ}
     os.environ.update(missing)
@@ -81,10 +62,6 @@ def one_thread() -> Iterator[None]:
     they took up to eleven times the CPU of an estimate. The last bits of sums would depend on the number of threads.
     It holds the libraries that are loaded when a process first enters it: numpy, scipy and OpenCV, which every caller
     imports.
-
-    Yields
-    ------
-    None
     """
     with _linear_algebra().limit(limits=1):
         yield
@@ -99,10 +76,6 @@ def start_server(*modules: str) -> None:
     """Start the server of :func:`worker_context`, so that it imports modules while this process does other things.
 
     Without effect where processes start otherwise. The server ends with this process.
-
-    Parameters
-    ----------
-    *modules : str
     """
     if sys.platform == "linux":
         from multiprocessing import forkserver  # not on all systems
@@ -117,16 +90,6 @@ def worker_context(*modules: str) -> BaseContext:
 
     On Linux they are forked from a server that has imported the modules once, in milliseconds; elsewhere, where system
     libraries do not bear that, each imports them anew, which takes more than a second.
-
-    Parameters
-    ----------
-    *modules : str
-        What workers need; they must not start threads when they are imported.
-
-    Returns
-    -------
-    BaseContext
-        Of ``multiprocessing``.
     """
     if sys.platform != "linux":
         return multiprocessing.get_context("spawn")
@@ -141,10 +104,6 @@ def importing() -> Iterator[None]:
 
     Cycles of references are not looked for meanwhile, nor afterwards among what was made: it stays to the end. Among
     other objects they are looked for less often from then on.
-
-    Yields
-    ------
-    None
     """
     enabled = gc.isenabled()
     gc.disable()

@@ -49,20 +49,7 @@ class _Decorator(Protocol):
 
 
 def reads(what: str) -> _Decorator:
-    """Decorator for functions that read a file, whose path is their first argument.
-
-    Parameters
-    ----------
-    what : str
-        What the file should be, with its article: ``"a plate table"``.
-
-    Returns
-    -------
-    callable
-        Decorator. The function it returns raises :class:`~giantlike.core.errors.DataError`, with the path, where the
-        decorated one raises an exception that damaged content or the file system caused. An ``InputError`` inside
-        counts as one: values that the file holds were refused. Arguments of the user are to be checked outside.
-    """
+    """Decorator for functions that read a file, whose path is their first argument."""
 
     def decorate(read: Callable[Arguments, Answer]) -> Callable[Arguments, Answer]:
         @functools.wraps(read)
@@ -84,21 +71,7 @@ def reads(what: str) -> _Decorator:
 
 @contextmanager
 def resolving(path: Path, what: str) -> Iterator[None]:
-    """What a file asks for is found and checked in a ``with`` block, and refused as a :class:`DataError` with its path.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    what : str
-        What it is, with its article.
-
-    Raises
-    ------
-    DataError
-        Of the block as it is; else with the text of an ``InputError``, which names the key, or of another exception
-        that content caused, such as a path that the system refuses or a number beyond a float.
-    """
+    """Find and check what a file asks for in a ``with`` block; errors become a :class:`DataError` with its path."""
     try:
         yield
     except DataError:
@@ -112,23 +85,7 @@ def resolving(path: Path, what: str) -> Iterator[None]:
 
 
 def toml_table(path: Path, what: str) -> dict[str, Any]:
-    """Read a TOML file.
-
-    Parameters
-    ----------
-    path : Path
-    what : str
-        What the file is, without an article, for messages.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    DataError
-        The file is missing or is not TOML.
-    """
+    """Read a TOML file."""
     try:
         with path.open("rb") as stream:
             table = tomllib.load(stream)
@@ -151,13 +108,7 @@ def _require_64_bits(value: object) -> None:
 
 
 def unzipped(content: bytes) -> bytes:
-    """Content of a file without its gzip compression, if it has one.
-
-    Raises
-    ------
-    OSError, EOFError, zlib.error, ValueError
-        The compressed content is damaged, or much larger than an image is.
-    """
+    """Content of a file without its gzip compression, if it has one."""
     if not content.startswith(b"\x1f\x8b"):
         return content
     chunks, left = [], max(_SMALL_BYTES, _MOST_COMPRESSION * len(content))
@@ -187,16 +138,7 @@ def library_message(error: BaseException) -> str:
 
 
 def is_of_content(error: Exception) -> bool:
-    """True if the content of a file caused an exception, not a mistake in this package's own code.
-
-    Parameters
-    ----------
-    error : Exception
-
-    Returns
-    -------
-    bool
-    """
+    """True if the content of a file caused an exception, not a mistake in this package's own code."""
     return isinstance(error, _OF_CONTENT) or type(error).__module__ != "builtins" or not _raised_here(error)
 
 
@@ -209,19 +151,7 @@ def _raised_here(error: Exception) -> bool:
 
 
 def problem_text(error: Exception, what: str) -> str:
-    """Sentence for a user on what was needed, what came and, where the reader itself does not say it, what to do.
-
-    Parameters
-    ----------
-    error : Exception
-        One that content or the file system caused: :func:`is_of_content`.
-    what : str
-        What the file should be, with its article.
-
-    Returns
-    -------
-    str
-    """
+    """Sentence for a user on what was needed, what came and, where the reader itself does not say it, what to do."""
     if isinstance(error, FileNotFoundError):
         return "there is no such file"
     if isinstance(error, OSError) and error.strerror:

@@ -21,17 +21,7 @@ MEDIAN_CHI2 = 2.0 * math.log(2.0)
 
 
 def quartile_sigma(values: ArrayLike) -> float:
-    """Standard deviation of values by their interquartile range.
-
-    Parameters
-    ----------
-    values : array_like
-        Any shape.
-
-    Returns
-    -------
-    float
-    """
+    """Standard deviation of values by their interquartile range."""
     low, high = np.quantile(np.asarray(values), (0.25, 0.75))
     return float(high - low) / IQR_PER_SIGMA
 
@@ -39,16 +29,7 @@ def quartile_sigma(values: ArrayLike) -> float:
 def whitened(values: Float, covariance: Float) -> Float:
     """Values (n, 2, ...) in the units of their errors: solutions of ``L x = value`` with ``L L^T`` the covariance.
 
-    Parameters
-    ----------
-    values : (n, 2, ...) float64
-    covariance : (n, 2, 2) float64
-        Positive definite.
-
-    Returns
-    -------
-    (n, 2, ...) float64
-        Of unit variance, and uncorrelated. In closed form: in a twentieth of the time of a factorization by LAPACK.
+    ``values`` (n, 2, ...); ``covariance`` (n, 2, 2), positive definite.
     """
     shape = (-1,) + (1,) * (values.ndim - 2)
     a, b, d = covariance[:, 0, 0], covariance[:, 1, 0], covariance[:, 1, 1]
@@ -63,16 +44,8 @@ def whitened(values: Float, covariance: Float) -> Float:
 def squared_residuals(residuals: Float, covariance: Float) -> Float:
     """Squared residuals in units of their covariance (squared Mahalanobis distances).
 
-    Parameters
-    ----------
-    residuals : (n, k) float64
-    covariance : (n, k, k) float64
-        Of each residual, positive definite.
-
-    Returns
-    -------
-    (n,) float64, unitless
-        Infinite for residuals that are not finite.
+    ``residuals`` (n, k); ``covariance`` (n, k, k), of each residual, positive definite; returns (n,), infinite for
+    residuals that are not finite.
     """
     if residuals.shape[1] == 2:
         with np.errstate(invalid="ignore"):
@@ -85,20 +58,8 @@ def squared_residuals(residuals: Float, covariance: Float) -> Float:
 def error_floor(residuals: Float, covariance: Float, *, freedom: int | None = None) -> float:
     """Standard deviation per axis that explains residuals larger than their covariances do.
 
-    Parameters
-    ----------
-    residuals : (n, 2) float64
-    covariance : (n, 2, 2) float64
-        Of each residual, positive definite.
-    freedom : int, optional
-        Degrees of freedom that the sum of squared residuals is brought to; default: their median is brought to that of
-        chi-square, whatever some outliers are.
-
-    Returns
-    -------
-    float
-        Unit of the residuals: the isotropic error that, added in quadrature to every covariance, makes the squared
-        residuals as large as expected; 0 if they are no larger without.
+    ``residuals`` (n, 2); ``covariance`` (n, 2, 2), of each residual, positive definite; returns 0 if they are no larger
+    without.
     """
     variances, axes = _principal(covariance)
     return _floor_along(_turned(residuals, axes) ** 2, variances, freedom)
@@ -139,14 +100,8 @@ def _turned(values: Float, axes: Float) -> Float:
 def nearest_covariance(matrix: Float) -> Float:
     """Return the positive semi-definite matrix nearest to a symmetric one.
 
-    Parameters
-    ----------
-    matrix : (n, n) float64
-
-    Returns
-    -------
-    (n, n) float64
-        Without the parts of negative variance, as differences and tabulated correlations have.
+    ``matrix`` (n, n); returns (n, n), without the parts of negative variance, as differences and tabulated correlations
+    have.
     """
     try:
         np.linalg.cholesky(matrix)  # a covariance already, which takes a twentieth of the time to see
@@ -161,15 +116,8 @@ def nearest_covariance(matrix: Float) -> Float:
 def excess(first: Float, second: Float) -> Float:
     """Least covariance to add to one so that the sum exceeds another in every direction of parameter space.
 
-    Parameters
-    ----------
-    first, second : (k, k) float64
-        Positive semi-definite; a direction in which the first has nothing to rounding counts as if it had that.
-
-    Returns
-    -------
-    (k, k) float64
-        Positive semi-definite.
+    ``first``, ``second`` (k, k), positive semi-definite (a direction in which the first has nothing to rounding counts
+    as if it had that); returns (k, k), positive semi-definite.
     """
     scale = np.sqrt(np.maximum(np.maximum(np.diag(first), np.diag(second)), 1e-300))
     squares, axes = np.linalg.eigh(first / np.outer(scale, scale))
@@ -188,20 +136,8 @@ def error_terms(residuals: Float, covariance: Float, *, freedom: int) -> tuple[f
     all pairs that bring the sum of squared residuals to the degrees of freedom the most likely one is taken, for normal
     errors; a floor alone where the factor makes that no more likely than a parameter costs by the criterion of Akaike.
 
-    Parameters
-    ----------
-    residuals : (n, 2) float64
-    covariance : (n, 2, 2) float64
-        Of each residual, positive definite.
-    freedom : int
-        Degrees of freedom of all residuals.
-
-    Returns
-    -------
-    factor : float
-        At least 1.
-    floor : float
-        Unit of the residuals, per axis; at least 0.
+    ``residuals`` (n, 2); ``covariance`` (n, 2, 2), of each residual, positive definite; returns ``factor``: at least 1;
+    ``floor``: at least 0.
     """
     variances, axes = _principal(covariance)
     along = _turned(residuals, axes) ** 2
@@ -220,13 +156,6 @@ def error_terms(residuals: Float, covariance: Float, *, freedom: int) -> tuple[f
 
 def robust_sigma(values: ArrayLike, center: float | None = None) -> float:
     """Standard deviation of values by their median absolute deviation.
-
-    Parameters
-    ----------
-    values : array_like
-        Any shape.
-    center : float, optional
-        Deviations are from this; default the median of the values.
 
     Examples
     --------

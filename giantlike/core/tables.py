@@ -13,26 +13,7 @@ Record = TypeVar("Record")
 
 
 def checked_table(table: object, where: str, known: Iterable[str], required: Iterable[str] = ()) -> Mapping[str, Any]:
-    """Return a table of a TOML file after a check of its keys.
-
-    Parameters
-    ----------
-    table : object
-        What the file holds under that name.
-    where : str
-        Name of the table in messages, such as ``[psf]``; empty where the caller names it.
-    known, required : iterable of str
-        Keys that may and keys that must be present.
-
-    Returns
-    -------
-    mapping
-
-    Raises
-    ------
-    InputError
-        It is not a table, or a key is unknown or missing.
-    """
+    """Return a table of a TOML file after a check of its keys."""
     if not isinstance(table, Mapping):
         raise InputError(f"{where} must be a table, got {table!r}")
     names, prefix = tuple(known), f"{where}: " if where else ""
@@ -46,26 +27,7 @@ def checked_table(table: object, where: str, known: Iterable[str], required: Ite
 
 
 def record_of_numbers(kind: type[Record], table: object, where: str) -> Record:
-    """Build a dataclass whose fields are all numbers from a table of a TOML file.
-
-    Parameters
-    ----------
-    kind : type
-        A dataclass; fields without a default must be in the table.
-    table : object
-        Values by field name.
-    where : str
-        Name of the table in messages.
-
-    Returns
-    -------
-    kind
-
-    Raises
-    ------
-    InputError
-        It is not a table, a key is unknown or missing, or a value is not a number or out of range.
-    """
+    """Build a dataclass whose fields are all numbers from a table of a TOML file."""
     entries = fields(kind)  # type: ignore[arg-type]
     required = [entry.name for entry in entries if entry.default is MISSING]
     checked = checked_table(table, where, [entry.name for entry in entries], required)
@@ -76,15 +38,6 @@ def record_of_numbers(kind: type[Record], table: object, where: str) -> Record:
 
 
 def table_of_numbers(record: object) -> dict[str, float]:
-    """Return the fields of a dataclass of numbers as a table; infinite values, which stand for unknown, are left out.
-
-    Parameters
-    ----------
-    record : dataclass
-
-    Returns
-    -------
-    dict of str to float
-    """
+    """Return the fields of a dataclass of numbers as a table without infinite values, which stand for unknown."""
     values = {entry.name: float(getattr(record, entry.name)) for entry in fields(record)}  # type: ignore[arg-type]
     return {key: value for key, value in values.items() if math.isfinite(value)}

@@ -57,15 +57,6 @@ def at_once(jobs: Mapping[str, Callable[[], Result]]) -> Iterator[Callable[[str]
     """Context manager of jobs that do not need each other: with several threads, all are begun.
 
     With one, a job runs when its result is asked for, which may be done once.
-
-    Parameters
-    ----------
-    jobs : mapping of str to callable
-
-    Yields
-    ------
-    callable
-        Gives the result of the job of a name, or raises what it raised.
     """
     count = min(ALLOWED.get(), len(jobs))
     if count < 2:

@@ -18,23 +18,7 @@ _J2000_JD = 2451545.0  # Julian date of J2000, 2000-01-01 12:00 TDB
 
 
 def time_from_utc(text: str) -> Time:
-    """Parse an ISO 8601 UTC epoch.
-
-    Parameters
-    ----------
-    text : str
-        Epoch such as ``2018-12-01T10:07:11.123`` or, by the day of the year, ``2018-335T10:07:11.123``; a trailing
-        ``Z`` is allowed.
-
-    Returns
-    -------
-    astropy Time
-
-    Raises
-    ------
-    InputError
-        The text is not an ISO 8601 epoch.
-    """
+    """Parse an ISO 8601 UTC epoch."""
     from astropy.time import Time
 
     with warnings.catch_warnings():

@@ -87,17 +87,7 @@ def _check_of(name: str) -> _Check | None:
 def select_rows(value: AnyValue, which: NDArray[np.integer] | Mask | slice) -> AnyValue:
     """Return a copy of a value in which every array is indexed along its first axis.
 
-    Parameters
-    ----------
-    value : Value
-        All arrays have the same length n.
-    which : (k,) int, (n,) bool or slice
-        Rows to keep.
-
-    Returns
-    -------
-    Value
-        Of the same class; what is not an array stays.
+    ``which`` (k,), (n,) or slice.
     """
     # Rows of a checked value need no second check, which costs more than the selection.
     selected = object.__new__(type(value))

@@ -38,35 +38,13 @@ TOLD_LAWS: Mapping[str, Reflectance] = MappingProxyType(
 
 @lru_cache(maxsize=16)
 def markings(number: int, rms: float) -> SphereField:
-    """Return relative albedo less one, another one for each number.
-
-    Parameters
-    ----------
-    number : int
-    rms : float
-        Root mean square over the sphere.
-
-    Returns
-    -------
-    SphereField
-    """
+    """Return relative albedo less one, another one for each number."""
     return bumps(7000 + number, rms=rms, widths_deg=(6.0, 25.0), count=40, cells=_TABLE_CELLS)
 
 
 @lru_cache(maxsize=16)
 def relief(number: int, rms: float) -> SphereField:
-    """Return heights that no shape model lists, as a share of the radius, others for each number.
-
-    Parameters
-    ----------
-    number : int
-    rms : float
-        Root mean square over the sphere.
-
-    Returns
-    -------
-    SphereField
-    """
+    """Return heights that no shape model lists, as a share of the radius, others for each number."""
     return bumps(8000 + number, rms=rms, widths_deg=(8.0, 30.0), count=40, cells=_TABLE_CELLS)
 
 
@@ -82,51 +60,18 @@ def _rock(number: int) -> tuple[SphereField, NDArray[np.float64], TriangleMesh]:
 
 
 def rock(number: int, extra: SphereField | None = None) -> tuple[ReliefBody, TriangleMesh]:
-    """Return a rock and the mesh that is known of it.
-
-    Parameters
-    ----------
-    number : int
-        Which, below :data:`ROCKS`.
-    extra : SphereField, optional
-        Heights that the mesh does not have.
-
-    Returns
-    -------
-    ReliefBody, TriangleMesh
-    """
+    """Return a rock and the mesh that is known of it."""
     heights, radii, mesh = _rock(number % ROCKS)
     return ReliefBody(radii, heights if extra is None else heights + extra), mesh
 
 
 def ellipsoid(radii_km: Float, albedo: SphereField | None = None) -> tuple[EllipsoidBody, Ellipsoid]:
-    """Return an ellipsoid twice: as it is rendered, and as it is told.
-
-    Parameters
-    ----------
-    radii_km : (3,) float64, km
-    albedo : SphereField, optional
-        Markings that are not told.
-
-    Returns
-    -------
-    EllipsoidBody, Ellipsoid
-    """
+    """Return an ellipsoid twice: as it is rendered, and as it is told."""
     return EllipsoidBody(radii_km, albedo), Ellipsoid(radii_km=np.array(radii_km, dtype=float))
 
 
 def scaled(shape: Shape, factor: float) -> Shape:
-    """Return a shape with all lengths times a factor.
-
-    Parameters
-    ----------
-    shape : Ellipsoid or TriangleMesh
-    factor : float
-
-    Returns
-    -------
-    Shape
-    """
+    """Return a shape with all lengths times a factor."""
     if isinstance(shape, Ellipsoid):
         return Ellipsoid(radii_km=shape.radii_km * factor)
     assert isinstance(shape, TriangleMesh)

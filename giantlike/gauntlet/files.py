@@ -21,16 +21,7 @@ SUMMARY, TABLE, PAGE, _PARTS = "gauntlet.json", "verdicts", "report.html", "imag
 
 
 def has_results(folder: Path) -> bool:
-    """Tell whether a folder holds a gauntlet, finished or not.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Returns
-    -------
-    bool
-    """
+    """Tell whether a folder holds a gauntlet, finished or not."""
     return (folder / _PARTS).exists() or (folder / SUMMARY).exists()
 
 
@@ -40,21 +31,7 @@ def _stamp(wanted: Gauntlet) -> dict[str, Any]:
 
 
 def save_results(folder: Path, wanted: Gauntlet, results: Sequence[ImageResult], *, append: bool) -> None:
-    """Write results into the folder.
-
-    Parameters
-    ----------
-    folder : Path
-    wanted : Gauntlet
-    results : sequence of ImageResult
-    append : bool
-        True for images that were just done; False for all of them, with summary, table and page.
-
-    Raises
-    ------
-    DataError
-        A file cannot be written.
-    """
+    """Write results into the folder."""
     path = folder / _PARTS
     if append:
         append_text(path, "".join(_line(wanted, result) for result in results))
@@ -81,17 +58,7 @@ def _line(wanted: Gauntlet, result: ImageResult) -> str:
 
 
 def load_results(folder: Path, wanted: Gauntlet) -> list[ImageResult]:
-    """Read the images that a killed run had finished; those of another seed, choice or version are left out.
-
-    Parameters
-    ----------
-    folder : Path
-    wanted : Gauntlet
-
-    Returns
-    -------
-    list of ImageResult
-    """
+    """Read the images that a killed run had finished; those of another seed, choice or version are left out."""
     path = folder / _PARTS
     if not path.exists():
         return []

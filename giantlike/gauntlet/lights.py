@@ -26,20 +26,7 @@ def background_light(
 ) -> Light:
     """Stray light: a plane, and the round glow of a source inside or outside the frame.
 
-    Parameters
-    ----------
-    slope_dn : (2,), DN
-        Rise over the frame along columns and rows.
-    glow_dn : float, DN
-        Height of the glow.
-    glow_px : (2,), px
-        Its place.
-    width_px : float, px
-        Its width, one sigma.
-
-    Returns
-    -------
-    Light
+    ``slope_dn``: rise over the frame along columns and rows.
     """
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
@@ -60,20 +47,7 @@ def background_light(
 def copied(*, shift_px: tuple[int, int], share: float, blur_px: float = 0.0, turned: bool = False) -> Light:
     """A second image of everything: a ghost, or a second exposure on the same frame.
 
-    Parameters
-    ----------
-    shift_px : (2,) int, px
-        Columns and rows by which it is moved.
-    share : float
-        Its brightness.
-    blur_px : float, px
-        Its blur, one sigma.
-    turned : bool
-        True for an image turned by 180 deg about the middle of the frame, as reflections between lenses are.
-
-    Returns
-    -------
-    Light
+    ``shift_px``: columns and rows by which it is moved.
     """
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
@@ -87,15 +61,7 @@ def copied(*, shift_px: tuple[int, int], share: float, blur_px: float = 0.0, tur
 def moved(image: Float, shift_px: tuple[int, int]) -> Float:
     """Move an image by whole pixels; what comes in from outside is dark.
 
-    Parameters
-    ----------
-    image : (rows, columns) float64
-    shift_px : (2,) int, px
-        Columns and rows.
-
-    Returns
-    -------
-    (rows, columns) float64
+    ``shift_px``: columns and rows; returns (rows, columns).
     """
     x, y = shift_px
     rows, columns = image.shape
@@ -108,35 +74,14 @@ def moved(image: Float, shift_px: tuple[int, int]) -> Float:
 
 
 def smeared(share: float) -> Light:
-    """Transfer smear: every pixel of a column gets light of all others while the frame is read.
-
-    Parameters
-    ----------
-    share : float
-        Time in which a column is moved over the exposure time.
-
-    Returns
-    -------
-    Light
-    """
+    """Transfer smear: every pixel of a column gets light of all others while the frame is read."""
     return lambda signal, world, rng: signal + share * signal.mean(axis=0, keepdims=True)
 
 
 def other_body(body: Body, position_camera_km: Float, brightness: float, *, in_front: bool = False) -> Light:
     """A body that nobody told of, beside the target or in front of it.
 
-    Parameters
-    ----------
-    body : Body
-    position_camera_km : (3,), km, camera
-    brightness : float
-        Of its brightest pixel over that of the target.
-    in_front : bool
-        True where it hides what lies behind.
-
-    Returns
-    -------
-    Light
+    ``brightness``: of its brightest pixel over that of the target.
     """
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
@@ -156,19 +101,7 @@ def other_body(body: Body, position_camera_km: Float, brightness: float, *, in_f
 
 
 def coverage(world: World, body: Body, position_camera_km: Float) -> Float:
-    """Share (rows, columns) of each pixel that a body covers, lit or not.
-
-    Parameters
-    ----------
-    world : World
-        Camera, optics and orientation.
-    body : Body
-    position_camera_km : (3,), km, camera
-
-    Returns
-    -------
-    (rows, columns) float64
-    """
+    """Share (rows, columns) of each pixel that a body covers, lit or not."""
     toward = -position_camera_km / np.linalg.norm(position_camera_km)
     pose = Pose(position_camera_km, world.camera_from_body, toward)
     return render_body(
@@ -185,18 +118,7 @@ def coverage(world: World, body: Body, position_camera_km: Float) -> Float:
 def rings(*, inner: float, outer: float, brightness: float, opacity: float) -> Light:
     """Rings in the plane of the equator, in front of the body and behind it.
 
-    Parameters
-    ----------
-    inner, outer : float
-        Radii over that of the body.
-    brightness : float
-        Over that of the brightest pixel of the body.
-    opacity : float
-        Share of the light behind that they take away.
-
-    Returns
-    -------
-    Light
+    ``inner``, ``outer``: radii over that of the body; ``brightness``: over that of the brightest pixel of the body.
     """
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
@@ -224,18 +146,7 @@ def rings(*, inner: float, outer: float, brightness: float, opacity: float) -> L
 def coma(*, brightness: float, core_px: float, fan: float) -> Light:
     """Dust around a nucleus: brightness in inverse proportion to the distance, more on the side of the Sun.
 
-    Parameters
-    ----------
-    brightness : float
-        At ``core_px`` from the center, over that of the brightest pixel of the nucleus.
-    core_px : float, px
-        Distance below which brightness stays the same.
-    fan : float
-        Excess on the side of the Sun.
-
-    Returns
-    -------
-    Light
+    ``brightness``: at ``core_px`` from the center, over that of the brightest pixel of the nucleus.
     """
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
@@ -251,18 +162,7 @@ def coma(*, brightness: float, core_px: float, fan: float) -> Light:
 
 
 def trails(count: int, brightness_dn: float) -> Light:
-    """Straight trails of satellites across the whole frame.
-
-    Parameters
-    ----------
-    count : int
-    brightness_dn : float, DN
-        Of the middle of a trail.
-
-    Returns
-    -------
-    Light
-    """
+    """Straight trails of satellites across the whole frame."""
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
         rows, columns = signal.shape
@@ -279,18 +179,7 @@ def trails(count: int, brightness_dn: float) -> Light:
 
 
 def field_stars(count: int, faintest_dn: float, brightest_dn: float) -> Light:
-    """Stars that no catalog lists, behind the body.
-
-    Parameters
-    ----------
-    count : int
-    faintest_dn, brightest_dn : float, DN
-        Signal of a star over all of its pixels; numbers fall with the signal as in the Galaxy.
-
-    Returns
-    -------
-    Light
-    """
+    """Stars that no catalog lists, behind the body."""
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
         rows, columns = signal.shape
@@ -316,32 +205,14 @@ def field_stars(count: int, faintest_dn: float, brightest_dn: float) -> Light:
 
 
 def dark(signal: Float, world: World, rng: np.random.Generator) -> Float:
-    """Nothing but a level: the shutter stayed closed, or the camera looked elsewhere.
-
-    Parameters
-    ----------
-    signal : (rows, columns) float64, DN
-    world : World
-    rng : Generator
-
-    Returns
-    -------
-    (rows, columns) float64, DN
-    """
+    """Nothing but a level: the shutter stayed closed, or the camera looked elsewhere."""
     return np.full_like(signal, float(signal.min()))
 
 
 def moon_of(rng: np.random.Generator, world: World) -> tuple[EllipsoidBody, Float]:
     """A round moon between camera and target: its figure, and its place in camera axes, km.
 
-    Parameters
-    ----------
-    rng : Generator
-    world : World
-
-    Returns
-    -------
-    EllipsoidBody, (3,) float64
+    Returns (3,).
     """
     assert world.body is not None
     radius = world.body.bounding_radius_km

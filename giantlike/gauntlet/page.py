@@ -55,16 +55,7 @@ class Card:
 def page_of(report: Mapping[str, Any], results: Sequence[ImageResult]) -> str:
     """Return the page of a gauntlet.
 
-    Parameters
-    ----------
-    report : mapping
-        As :func:`~giantlike.gauntlet.run.summary_of` returns it.
-    results : sequence of ImageResult
-
-    Returns
-    -------
-    str
-        HTML.
+    ``report`` as :func:`~giantlike.gauntlet.run.summary_of` returns it.
     """
     rows = [row for result in results for row in result.rows]
     return render_page(

@@ -195,19 +195,7 @@ class Plan(Value):
     hard: bool = False
 
     def but(self, *, world: dict[str, Any] | None = None, told: dict[str, Any] | None = None, hard: bool) -> Plan:
-        """Return a plan with some fields of the world and of what is told changed.
-
-        Parameters
-        ----------
-        world, told : dict, optional
-            New values by name.
-        hard : bool
-            Whether no answer can be demanded now; a plan that was hard stays it.
-
-        Returns
-        -------
-        Plan
-        """
+        """Return a plan with some fields of the world and of what is told changed."""
         return Plan(
             world=replace(self.world, **world) if world else self.world,
             told=replace(self.told, **told) if told else self.told,
@@ -252,47 +240,17 @@ _MARGIN, _LEAST_FRAME_PX, _STAR_FRAME_PX = 1.6, 256, 512
 
 
 def normal(rng: np.random.Generator, size: int) -> Float:
-    """Standard normal numbers (size,), cut off at :data:`LARGEST_SIGMAS`.
-
-    Parameters
-    ----------
-    rng : Generator
-    size : int
-
-    Returns
-    -------
-    (size,) float64
-    """
+    """Standard normal numbers (size,), cut off at :data:`LARGEST_SIGMAS`."""
     return np.clip(rng.normal(size=size), -LARGEST_SIGMAS, LARGEST_SIGMAS)
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """Draw a number evenly in its logarithm.
-
-    Parameters
-    ----------
-    rng : Generator
-    low, high : float
-
-    Returns
-    -------
-    float
-    """
+    """Draw a number evenly in its logarithm."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def body_plan(rng: np.random.Generator, base: Base) -> Plan:
-    """Draw an undisturbed image of a body, and errors of what is told within the uncertainty that is stated.
-
-    Parameters
-    ----------
-    rng : Generator
-    base : Base
-
-    Returns
-    -------
-    Plan
-    """
+    """Draw an undisturbed image of a body, and errors of what is told within the uncertainty that is stated."""
     rocky = rng.uniform() < base.rocks
     diameter = log_uniform(rng, *base.diameter_px)
     if rocky:
@@ -332,16 +290,7 @@ def _figure(rng: np.random.Generator, *, rocky: bool) -> tuple[Body, Shape]:
 def sun_at(rng: np.random.Generator, sight: Float, phase_rad: float) -> Float:
     """Unit vector to the Sun at a phase angle, on any side.
 
-    Parameters
-    ----------
-    rng : Generator
-    sight : (3,), camera
-        Unit vector to the body.
-    phase_rad : float, rad
-
-    Returns
-    -------
-    (3,) float64
+    ``sight`` in camera axes, unit vector to the body; returns (3,).
     """
     side = np.cross(sight, [*rng.normal(size=2), 0.0])
     result: Float = -math.cos(phase_rad) * sight + math.sin(phase_rad) * side / np.linalg.norm(side)
@@ -377,16 +326,7 @@ def _camera_and_attitude(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def star_plan(rng: np.random.Generator) -> Plan:
-    """Draw an undisturbed image of stars, and errors of what is told within the uncertainty that is stated.
-
-    Parameters
-    ----------
-    rng : Generator
-
-    Returns
-    -------
-    Plan
-    """
+    """Draw an undisturbed image of stars, and errors of what is told within the uncertainty that is stated."""
     size = _STAR_FRAME_PX
     view = PinholeView(STAR_FOCAL_PX, tuple(0.5 * (size - 1) + rng.uniform(-3.0, 3.0, 2)), size, size)
     attitude = Rotation.random(rng=rng)

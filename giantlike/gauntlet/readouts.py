@@ -20,17 +20,7 @@ _NAT = 0.5
 
 
 def hot_columns(columns: tuple[int, ...], extra_dn: float) -> Readout:
-    """Columns with charge that they always have, below a random row.
-
-    Parameters
-    ----------
-    columns : tuple of int
-    extra_dn : float, DN
-
-    Returns
-    -------
-    Readout
-    """
+    """Columns with charge that they always have, below a random row."""
 
     def add(pixels: Float, rng: np.random.Generator) -> Float:
         result = pixels.copy()
@@ -44,17 +34,7 @@ def hot_columns(columns: tuple[int, ...], extra_dn: float) -> Readout:
 
 
 def missing_lines(bands: tuple[tuple[int, int], ...]) -> Readout:
-    """Lines that were not received: zero.
-
-    Parameters
-    ----------
-    bands : tuple of (first, number)
-        Rows.
-
-    Returns
-    -------
-    Readout
-    """
+    """Lines that were not received: zero."""
 
     def drop(pixels: Float, rng: np.random.Generator) -> Float:
         result = pixels.copy()
@@ -66,17 +46,7 @@ def missing_lines(bands: tuple[tuple[int, int], ...]) -> Readout:
 
 
 def missing_blocks(share: float) -> Readout:
-    """Compressed blocks that were not received: zero.
-
-    Parameters
-    ----------
-    share : float
-        Of all blocks.
-
-    Returns
-    -------
-    Readout
-    """
+    """Compressed blocks that were not received: zero."""
 
     def drop(pixels: Float, rng: np.random.Generator) -> Float:
         rows, columns = (-(-size // _BLOCK_PX) for size in pixels.shape)
@@ -88,31 +58,12 @@ def missing_blocks(share: float) -> Readout:
 
 
 def zero_mask(pixels: Float) -> Float:
-    """Pixels that were not received, (rows, columns) bool: exactly zero.
-
-    Parameters
-    ----------
-    pixels : (rows, columns) float64, DN
-
-    Returns
-    -------
-    (rows, columns) bool
-    """
+    """Pixels that were not received, (rows, columns) bool: exactly zero."""
     return np.asarray(pixels == 0.0)
 
 
 def bit_flips(share: float) -> Readout:
-    """Bits turned over in memory, any of each word.
-
-    Parameters
-    ----------
-    share : float
-        Of the pixels.
-
-    Returns
-    -------
-    Readout
-    """
+    """Bits turned over in memory, any of each word."""
 
     def flip(pixels: Float, rng: np.random.Generator) -> Float:
         words = np.clip(pixels, 0.0, 2.0**WORD_BITS - 1.0).astype(np.int64)
@@ -124,18 +75,7 @@ def bit_flips(share: float) -> Readout:
 
 
 def shifted_rows(first: int, shift_px: int) -> Readout:
-    """All rows from one on are moved along columns: clock pulses were lost.
-
-    Parameters
-    ----------
-    first : int
-        Row.
-    shift_px : int, px
-
-    Returns
-    -------
-    Readout
-    """
+    """All rows from one on are moved along columns: clock pulses were lost."""
 
     def shift(pixels: Float, rng: np.random.Generator) -> Float:
         result = pixels.copy()
@@ -146,16 +86,7 @@ def shifted_rows(first: int, shift_px: int) -> Readout:
 
 
 def jittered_rows(sigma_px: float) -> Readout:
-    """Each row is moved along columns by a few pixels of its own: a scan that shook.
-
-    Parameters
-    ----------
-    sigma_px : float, px
-
-    Returns
-    -------
-    Readout
-    """
+    """Each row is moved along columns by a few pixels of its own: a scan that shook."""
 
     def shake(pixels: Float, rng: np.random.Generator) -> Float:
         steps = np.round(sigma_px * rng.normal(size=len(pixels))).astype(int)
@@ -165,48 +96,17 @@ def jittered_rows(sigma_px: float) -> Readout:
 
 
 def mirrored(pixels: Float, rng: np.random.Generator) -> Float:
-    """Columns in the wrong order.
-
-    Parameters
-    ----------
-    pixels : (rows, columns) float64, DN
-    rng : Generator
-
-    Returns
-    -------
-    (rows, columns) float64, DN
-    """
+    """Columns in the wrong order."""
     return np.ascontiguousarray(pixels[:, ::-1])
 
 
 def inverted(pixels: Float, rng: np.random.Generator) -> Float:
-    """Rows in the wrong order.
-
-    Parameters
-    ----------
-    pixels : (rows, columns) float64, DN
-    rng : Generator
-
-    Returns
-    -------
-    (rows, columns) float64, DN
-    """
+    """Rows in the wrong order."""
     return np.ascontiguousarray(pixels[::-1])
 
 
 def eight_bits(full_dn: float, *, square_root: bool = False) -> Readout:
-    """Values put on bytes, evenly or by a table of square roots.
-
-    Parameters
-    ----------
-    full_dn : float, DN
-        Value that becomes 255.
-    square_root : bool
-
-    Returns
-    -------
-    Readout
-    """
+    """Values put on bytes, evenly or by a table of square roots."""
 
     def put(pixels: Float, rng: np.random.Generator) -> Float:
         share = np.clip(pixels / full_dn, 0.0, 1.0)

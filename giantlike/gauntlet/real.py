@@ -40,21 +40,7 @@ _DIAMETER_PX = (30.0, 150.0)
 
 
 def image_files(folder: Path) -> list[Path]:
-    """List the image files of a folder and the folders below it, in the order of their names.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Returns
-    -------
-    list of Path
-
-    Raises
-    ------
-    InputError
-        There is none.
-    """
+    """List the image files of a folder and the folders below it, in the order of their names."""
     files = sorted(path for path in folder.rglob("*") if _is_image(path) and path.is_file())
     require(bool(files), f"{folder}: no image file there, of {', '.join(SUFFIXES)}")
     return files
@@ -66,16 +52,7 @@ def _is_image(path: Path) -> bool:
 
 
 def readable(path: Path) -> Image | None:
-    """Read an image file; None where it holds no image that can be read.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Image or None
-    """
+    """Read an image file; None where it holds no image that can be read."""
     try:
         image = Image.open(path)
     except OpNavError:
@@ -84,19 +61,7 @@ def readable(path: Path) -> Image | None:
 
 
 def negative(image: Image, seed: int) -> tuple[Image, Camera, Scene]:
-    """Say that a body is in an image which does not show it.
-
-    Parameters
-    ----------
-    image : Image
-    seed : int
-        Of the body.
-
-    Returns
-    -------
-    Image, Camera, Scene
-        What an estimator takes.
-    """
+    """Say that a body is in an image which does not show it."""
     rng = np.random.default_rng([seed, zlib.crc32(image.name.encode())])
     camera = Camera(
         name="real",
@@ -125,21 +90,7 @@ def negative(image: Image, seed: int) -> tuple[Image, Camera, Scene]:
 
 
 def real_rows(path: Path, index: int, seed: int, estimators: Sequence[str]) -> tuple[Image, list[TrialRow]] | None:
-    """Run the estimators on a real image that does not show the target.
-
-    Parameters
-    ----------
-    path : Path
-    index : int
-        Number of the image in the tables.
-    seed : int
-    estimators : sequence of str
-        Those to run; all of bodies if empty.
-
-    Returns
-    -------
-    (Image, list of TrialRow), or None where the file holds no image
-    """
+    """Run the estimators on a real image that does not show the target."""
     image = readable(path)
     if image is None:
         return None

@@ -252,18 +252,7 @@ _NEVER = (
 
 
 def fits(reason: str, facts: Facts) -> bool:
-    """Tell whether a reason of a failure can be true; all those that judge a fit can be, of any image.
-
-    Parameters
-    ----------
-    reason : str
-        A value of :class:`~giantlike.core.outcomes.Reason`.
-    facts : Facts
-
-    Returns
-    -------
-    bool
-    """
+    """Tell whether a reason of a failure can be true; all those that judge a fit can be, of any image."""
     near_edge = facts.absent or not facts.whole or facts.offset_px > LARGEST_OFFSET_PX
     true_of = {
         Reason.SATURATED: facts.saturated or facts.damaged,

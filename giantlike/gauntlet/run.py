@@ -119,18 +119,7 @@ class ImageResult:
 
 
 def run_image(seed: int, index: int, estimators: Sequence[str] = ()) -> ImageResult:
-    """Make an image, run the estimators on it, and judge.
-
-    Parameters
-    ----------
-    seed, index : int
-    estimators : sequence of str
-        Those to run; all if empty.
-
-    Returns
-    -------
-    ImageResult
-    """
+    """Make an image, run the estimators on it, and judge."""
     began = time.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of damaged images there are many, and the rows tell what came of them
@@ -146,20 +135,7 @@ def run_image(seed: int, index: int, estimators: Sequence[str] = ()) -> ImageRes
 
 
 def run_real(seed: int, index: int, estimators: Sequence[str], path: Path) -> ImageResult | None:
-    """Run the estimators on a real image that does not show the target.
-
-    Parameters
-    ----------
-    seed, index : int
-    estimators : sequence of str
-        Those to run; all of bodies if empty.
-    path : Path
-        Image file.
-
-    Returns
-    -------
-    ImageResult, or None where the file holds no image
-    """
+    """Run the estimators on a real image that does not show the target."""
     began = time.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -172,16 +148,7 @@ def run_real(seed: int, index: int, estimators: Sequence[str], path: Path) -> Im
 
 
 def thumbnail(image: Image) -> bytes:
-    """Return a small JPEG of an image.
-
-    Parameters
-    ----------
-    image : Image
-
-    Returns
-    -------
-    bytes
-    """
+    """Return a small JPEG of an image."""
     pixels = image.pixels.astype(float)
     low, high = np.percentile(pixels, [_FAINT, _BRIGHT])
     share = np.clip((pixels - low) / max(high - low, 1.0), 0.0, 1.0) ** _GAMMA
@@ -256,35 +223,13 @@ COUNTED = (*(str(verdict) for verdict in Verdict),)
 
 
 def counts_of(rows: Iterable[TrialRow]) -> dict[str, int]:
-    """Count the verdicts of some rows.
-
-    Parameters
-    ----------
-    rows : iterable of TrialRow
-
-    Returns
-    -------
-    dict of str to int
-        All of them under ``verdicts``, and each under its name.
-    """
+    """Count the verdicts of some rows."""
     found = Counter(row.verdict for row in rows)
     return {"verdicts": sum(found.values())} | {name: found[name] for name in COUNTED}
 
 
 def summary_of(wanted: Gauntlet, results: Sequence[ImageResult]) -> dict[str, Any]:
-    """Sum up the verdicts of a gauntlet.
-
-    Parameters
-    ----------
-    wanted : Gauntlet
-    results : sequence of ImageResult
-
-    Returns
-    -------
-    dict
-        ``images``, ``verdicts``, ``silent_wrong``, ``needless_refusals`` and the other counts, and breakdowns
-        ``by_kind`` and ``by_estimator``.
-    """
+    """Sum up the verdicts of a gauntlet."""
     rows = [row for result in results for row in result.rows]
     all_of_them = counts_of(rows)
     cpu = [result.cpu_s for result in results]

@@ -36,16 +36,7 @@ _DECK, _BASE, _DISTURB, _EXPOSE = range(4)
 
 @lru_cache(maxsize=8)
 def deck(seed: int) -> tuple[str, ...]:
-    """Return the kinds in the order in which they come, again and again, for one seed.
-
-    Parameters
-    ----------
-    seed : int
-
-    Returns
-    -------
-    tuple of str
-    """
+    """Return the kinds in the order in which they come, again and again, for one seed."""
     names = [kind.name for kind in KINDS.values() for _ in range(kind.weight)]
     return tuple(str(name) for name in np.random.default_rng([seed, _DECK]).permutation(names))
 
@@ -100,32 +91,13 @@ class Stage(Value):
 
 
 def kind_of(seed: int, index: int) -> Kind:
-    """Return the kind of an image.
-
-    Parameters
-    ----------
-    seed, index : int
-
-    Returns
-    -------
-    Kind
-    """
+    """Return the kind of an image."""
     names = deck(seed)
     return KINDS[names[index % len(names)]]
 
 
 def plans_of(seed: int, index: int) -> tuple[Plan, Plan]:
-    """Draw the plan of an image.
-
-    Parameters
-    ----------
-    seed, index : int
-
-    Returns
-    -------
-    Plan, Plan
-        Of the image, and of the same scene with nothing wrong.
-    """
+    """Draw the plan of an image."""
     kind = kind_of(seed, index)
     rng = np.random.default_rng([seed, index, _BASE])
     base = body_plan(rng, kind.base) if kind.body else star_plan(rng)
@@ -170,15 +142,7 @@ def _stage(seed: int, index: int, plan: Plan, base: Plan, known: tuple[Float, Fl
 def expose(world: World, rng: np.random.Generator) -> tuple[Float, Float]:
     """Take an image.
 
-    Parameters
-    ----------
-    world : World
-    rng : Generator
-
-    Returns
-    -------
-    (rows, columns) float64, (rows, columns) float64, DN
-        Signal without noise; pixels as they arrive.
+    Returns (rows, columns), (rows, columns) DN.
     """
     signal = signal_of(world, rng)
     pixels = record(signal, rng, world.recorder, world.defects).pixels
@@ -188,18 +152,7 @@ def expose(world: World, rng: np.random.Generator) -> tuple[Float, Float]:
 
 
 def signal_of(world: World, rng: np.random.Generator) -> Float:
-    """Render a world without noise.
-
-    Parameters
-    ----------
-    world : World
-    rng : Generator
-        Random numbers of lights that are drawn.
-
-    Returns
-    -------
-    (rows, columns) float64, DN
-    """
+    """Render a world without noise."""
     view = world.view
     signal = np.zeros((view.rows, view.columns))
     if world.body is not None:
@@ -225,16 +178,7 @@ def signal_of(world: World, rng: np.random.Generator) -> Float:
 
 
 def catalog_of(field: StarField) -> MemoryCatalog:
-    """Return stars of the independent sky as a catalog.
-
-    Parameters
-    ----------
-    field : StarField
-
-    Returns
-    -------
-    MemoryCatalog
-    """
+    """Return stars of the independent sky as a catalog."""
     x, y, z = field.directions.T
     zero = np.zeros(field.magnitudes.size)
     stars = StarTable(

@@ -113,17 +113,7 @@ class Answer:
 
 
 def names_for(stage: Stage, facts: Facts) -> tuple[str, ...]:
-    """Return the estimators that apply to an image.
-
-    Parameters
-    ----------
-    stage : Stage
-    facts : Facts
-
-    Returns
-    -------
-    tuple of str
-    """
+    """Return the estimators that apply to an image."""
     names: list[str] = [STARS] if stage.kind.stars else []
     if stage.scene is None:
         return tuple(names)
@@ -136,18 +126,7 @@ def names_for(stage: Stage, facts: Facts) -> tuple[str, ...]:
 
 
 def answer_of(stage: Stage, name: str) -> Answer:
-    """Run an estimator on an image and compare with the truth.
-
-    Parameters
-    ----------
-    stage : Stage
-    name : str
-        Estimator, or ``stars``.
-
-    Returns
-    -------
-    Answer
-    """
+    """Run an estimator on an image and compare with the truth."""
 
     def estimate() -> Outcome:
         if name == STARS:
@@ -164,19 +143,7 @@ def answer_of(stage: Stage, name: str) -> Answer:
 
 
 def outcome_of(estimate: Callable[[], Outcome]) -> tuple[Outcome | None, Answer]:
-    """Run an estimator, and tell its status, reason and time.
-
-    Parameters
-    ----------
-    estimate : callable
-
-    Returns
-    -------
-    AttitudeFix, CenterFix, Failure or None
-        None where it raised.
-    Answer
-        Without numbers of errors.
-    """
+    """Run an estimator, and tell its status, reason and time."""
     began = time.process_time()
     try:
         fix = estimate()
@@ -197,16 +164,6 @@ def place_error(stage: Stage, fix: CenterFix) -> Answer:
     The center is compared where the body is in the image, with ``covariance_px2``; the range with the sum of all parts
     that stand between the pixels and a position in camera axes, the camera that was told among them. Attitude and
     ephemeris do not: they are no part of what was measured.
-
-    Parameters
-    ----------
-    stage : Stage
-    fix : CenterFix or PositionFix
-
-    Returns
-    -------
-    Answer
-        With the status ``ok`` whatever the flags.
     """
     error = fix.center_px - stage.world.center_px
     parts = fix.parts or {Cause.NOISE: _own_covariance(stage, fix)}
@@ -252,18 +209,7 @@ def _of_center(error: Float, covariance: Float, prior: Float) -> Answer:
 
 
 def attitude_error(stage: Stage, fix: AttitudeFix) -> Answer:
-    """Compare an attitude with the truth: the boresight in px, and the roll in px at the edge of the frame.
-
-    Parameters
-    ----------
-    stage : Stage
-    fix : AttitudeFix
-
-    Returns
-    -------
-    Answer
-        With the status ``ok`` whatever the flags.
-    """
+    """Compare an attitude with the truth: the boresight in px, and the roll in px at the edge of the frame."""
     error = (stage.world.attitude * fix.camera_from_inertial.inv()).as_rotvec()
     focal, edge = stage.world.view.focal_px, 0.5 * stage.world.view.columns
     roll, sigma = abs(float(error[2])), math.sqrt(float(fix.covariance_rad2[2, 2]))
@@ -278,21 +224,7 @@ def attitude_error(stage: Stage, fix: AttitudeFix) -> Answer:
 
 
 def verdict_of(answer: Answer, facts: Facts, *, demanded: bool, stars: bool = False) -> Verdict:
-    """Judge an answer, but for its vagueness.
-
-    Parameters
-    ----------
-    answer : Answer
-    facts : Facts
-    demanded : bool
-        The rule demanded an answer.
-    stars : bool
-        True for the star chain, whose second error is in px.
-
-    Returns
-    -------
-    Verdict
-    """
+    """Judge an answer, but for its vagueness."""
     if answer.status != _OK:
         if demanded:
             return Verdict.NEEDLESS_REFUSAL
@@ -312,15 +244,7 @@ def verdict_of(answer: Answer, facts: Facts, *, demanded: bool, stars: bool = Fa
 def is_vague(answer: Answer, nominal: Answer) -> bool:
     """Tell whether sigmas are more than 3 times the nominal ones, both without what is stated with the image.
 
-    Parameters
-    ----------
-    answer, nominal : Answer
-        With what is wrong, and without.
-
-    Returns
-    -------
-    bool
-        False where the undisturbed image has no fix.
+    Returns False where the undisturbed image has no fix.
     """
     if nominal.status not in (_OK, _SUSPECT):
         return False

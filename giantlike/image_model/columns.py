@@ -80,12 +80,7 @@ class Block(Value):
 
 @dataclass(frozen=True)
 class Layout:
-    """Order of the unknowns of a model: the name of each effect, its cause and the number of its unknowns.
-
-    Parameters
-    ----------
-    effects : tuple of (str, Cause, int)
-    """
+    """Order of the unknowns of a model: the name of each effect, its cause and the number of its unknowns."""
 
     effects: tuple[tuple[str, Cause, int], ...]
 
@@ -250,18 +245,7 @@ class Columns(Value):
         return none if self.eliminated is None else self.eliminated.scatter
 
     def log_evidence(self, parts: float) -> float:
-        """Return the logarithm of the likelihood of the data, unknowns and field integrated out.
-
-        Parameters
-        ----------
-        parts : float
-            Number of independent values that the data stand for: errors of a model are alike over whole regions.
-
-        Returns
-        -------
-        float
-            Up to a constant of the data, of their weights and of unknowns of which nothing is known beforehand.
-        """
+        """Return the logarithm of the likelihood of the data, unknowns and field integrated out."""
         share, known, sums = parts / max(int(np.count_nonzero(self.weights)), 1), self.prior, self.sums
         of_prior = known.information * known.mean
         tempered = FieldSums(
@@ -279,16 +263,7 @@ class Columns(Value):
     def odds_of(self, blocks: Sequence[Block], parts: float) -> float:
         """Return the logarithm of the odds of the model with further blocks against the one without.
 
-        Parameters
-        ----------
-        blocks : sequence of Block
-            With priors of finite width.
-        parts : float
-            As of :meth:`log_evidence`.
-
-        Returns
-        -------
-        float
+        ``parts`` as of :meth:`log_evidence`.
         """
         return self.extended(blocks).log_evidence(parts) - self.log_evidence(parts)
 
@@ -500,16 +475,7 @@ def chance_of_odds(log_odds: float, before: float = UNDECLARED) -> float:
 def split_noise(covariance: Float, layout: Layout, causes: Iterable[Cause]) -> dict[Cause, Float]:
     """Split a covariance from noise by the effects without which it would not be there.
 
-    Parameters
-    ----------
-    covariance : (k, k) float64
-    layout : Layout
-    causes : iterable of Cause
-
-    Returns
-    -------
-    dict of Cause to (k, k) float64
-        Of each cause in turn, what knowledge of its unknowns would take away; ``NOISE`` holds the rest.
+    ``covariance`` (k, k); returns dict of Cause to (k, k).
     """
     parts = dict[Cause, Float]()
     for cause in causes:

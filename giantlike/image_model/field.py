@@ -61,18 +61,7 @@ class MarkingModes(Value):
     def across(cls, light: Float, center_px: Float, radius_px: float, modes: int = _MODES) -> MarkingModes:
         """Return the modes across a body.
 
-        Parameters
-        ----------
-        light : (h, w) float64
-        center_px : (2,) float64, px
-            Center of the body from the first pixel.
-        radius_px : float, px
-        modes : int
-            Cosines along each axis.
-
-        Returns
-        -------
-        MarkingModes
+        ``light`` (h, w); ``center_px``: center of the body from the first pixel.
         """
         order = np.arange(modes)
         norm = np.where(order == 0, 1.0, math.sqrt(2.0))[:, None]
@@ -125,14 +114,7 @@ class MarkingModes(Value):
     def spectrum(self, length: float) -> Float:
         """Variances (modes,) of the modes of a field of unit variance and a squared-exponential correlation.
 
-        Parameters
-        ----------
-        length : float
-            Correlation length over the radius.
-
-        Returns
-        -------
-        (modes,) float64
+        ``length``: correlation length over the radius.
         """
         along = np.exp(-0.5 * (length * self.frequencies) ** 2)
         variances = np.outer(along / along.sum(), along / along.sum()).ravel()
@@ -181,17 +163,7 @@ class FieldSums(Value):
     def log_evidence(self, spectra: Float, parts: float) -> float:
         """Return the logarithm of the restricted likelihood, averaged over amplitudes, lengths and the scale of noise.
 
-        Parameters
-        ----------
-        spectra : (n, m) float64
-            Variances of the modes under fields of unit variance.
-        parts : float
-            Number of independent values that the sums stand for.
-
-        Returns
-        -------
-        float
-            Up to a constant of the values and of columns of which nothing is known beforehand.
+        ``spectra`` (n, m).
         """
         explained, log_volumes = self._restricted(spectra, AMPLITUDES**2)
         left = self.squares - float(self.right @ np.linalg.solve(self.information, self.right)) - explained
@@ -263,17 +235,7 @@ class FieldSolution(Value):
     def absorbed(self, modes: MarkingModes, weights: Float, length_px: float) -> float:
         """Return the weighted squares that the field takes out of errors correlated like ``exp(-d^2 / (4 length^2))``.
 
-        Parameters
-        ----------
-        modes : MarkingModes
-        weights : (h, w) float64
-            Squared weights of the pixels times the variances of the errors.
-        length_px : float, px
-
-        Returns
-        -------
-        float
-            By the spectral density of the errors at the frequency of each mode, as of errors everywhere alike.
+        ``weights`` (h, w).
         """
         along = np.exp(-0.5 * (length_px / modes.radius_px * modes.frequencies) ** 2)
         root = np.sqrt(self.variances) * np.outer(along, along).ravel()

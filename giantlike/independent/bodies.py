@@ -258,15 +258,8 @@ def facet_mesh(cells: int) -> tuple[Float, NDArray[np.int64]]:
     and the ``mesh`` of a body moves its vertices out by ``a^2 / 12``. At 160 cells (307,200 facets) and a radius of
     150 px, outline and surface so are right to 0.0025 px at worst, 0.0012 px on the average.
 
-    Parameters
-    ----------
-    cells : int
-        Cells along an edge of the cube; even.
-
-    Returns
-    -------
-    (n, 3) float64, (12 * cells**2, 3) int64
-        Unit vectors of the vertices; their indices by facet, counterclockwise seen from outside.
+    Returns (n, 3), unit vectors of the vertices, and (12 * cells**2, 3), their indices by facet, counterclockwise seen
+    from outside.
     """
     half = cells // 2
     steps = np.arange(-half, half + 1)

@@ -121,26 +121,7 @@ def bumps(
     widths_deg: tuple[float, float] = (5.0, 30.0),
     cells: int = CELLS,
 ) -> SphereField:
-    """Make a sum of smooth round bumps and hollows at random places that neither scales nor moves a sphere.
-
-    Parameters
-    ----------
-    seed : int
-        Of the places, widths and heights.
-    rms : float
-        Root mean square over the sphere.
-    count : int
-        Number of bumps.
-    widths_deg : (2,), deg
-        Smallest and largest half width (one sigma); the height of a bump is in proportion to its width.
-    cells : int
-        Cells along the side of the table.
-
-    Returns
-    -------
-    SphereField
-        Relative heights, or relative albedo less one.
-    """
+    """Make a sum of smooth round bumps and hollows at random places that neither scales nor moves a sphere."""
     rng = np.random.default_rng(seed)
     centers = rng.normal(size=(count, 3))
     centers /= np.linalg.norm(centers, axis=1, keepdims=True)
@@ -167,28 +148,7 @@ def rough(
     count: int = 600,
     cells: int = CELLS,
 ) -> SphereField:
-    """Make rough ground like that of the Moon: waves whose variance per degree falls as a power of the degree.
-
-    Parameters
-    ----------
-    seed : int
-        Of the directions and phases of the waves.
-    rms : float
-        Root mean square over the sphere.
-    power : float
-        By which the variance per degree falls: 2 is Kaula's rule.
-    degrees : (2,)
-        Longest and shortest waves, in waves around the sphere.
-    count : int
-        Number of waves.
-    cells : int
-        Cells along the side of the table: 768 hold waves up to some 400.
-
-    Returns
-    -------
-    SphereField
-        Relative heights, without what would scale or move a sphere.
-    """
+    """Make rough ground like that of the Moon: waves whose variance per degree falls as a power of the degree."""
     rng = np.random.default_rng(seed)
     axes = rng.normal(size=(count, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
@@ -215,26 +175,7 @@ def craters(
     radii_deg: tuple[float, float] = (3.0, 20.0),
     cells: int = CELLS,
 ) -> SphereField:
-    """Make bowls with raised rims at random places; many small ones, few large ones.
-
-    Parameters
-    ----------
-    seed : int
-        Of the places and radii.
-    depth : float
-        Depth of a bowl over its radius; 0.2 are fresh lunar craters, less are old ones.
-    count : int
-        Number of craters.
-    radii_deg : (2,), deg
-        Smallest and largest radius; as many per octave as fit the same share of the surface.
-    cells : int
-        Cells along the side of the table.
-
-    Returns
-    -------
-    SphereField
-        Relative heights.
-    """
+    """Make bowls with raised rims at random places; many small ones, few large ones."""
     rng = np.random.default_rng(seed)
     centers = rng.normal(size=(count, 3))
     centers /= np.linalg.norm(centers, axis=1, keepdims=True)

@@ -99,25 +99,7 @@ class Haze:
 def hazy_sphere(
     radius_km: float, haze: Haze, view: PinholeView, pose: Pose, *, law: str = "lambert", psf: Psf | None = None
 ) -> Float:
-    """Render a sphere in haze, without noise.
-
-    Parameters
-    ----------
-    radius_km : float, km
-    haze : Haze
-    view : PinholeView
-    pose : Pose
-        Its orientation plays no part.
-    law : str
-        Of the ground; name in :data:`LAWS`.
-    psf : Psf, optional
-        Optics; a Gaussian of 0.7 px unless given.
-
-    Returns
-    -------
-    (rows, columns) float64
-        Signal, 1 for ground at normal incidence and emission without haze.
-    """
+    """Render a sphere in haze, without noise."""
     psf = psf or Psf()
     margin = psf.reach_px
     rows, columns = view.rows + 2 * margin, view.columns + 2 * margin

@@ -70,17 +70,7 @@ def unaberrated(rays: Float, motion: Motion) -> Float:
     A photon that arrives from n (frame at rest) was, s km of path earlier, at ``observer + n s``, when the body stood
     back by ``v s / c``: relative to the body as it stands at reception, it came along ``n + v / c``.
 
-    Parameters
-    ----------
-    rays : (n, 3), camera axes, of the moving observer
-        Directions in which the camera looks.
-    motion : Motion
-        Velocities.
-
-    Returns
-    -------
-    (n, 3) float64
-        Directions of the paths relative to the body.
+    ``rays`` (n, 3), camera axes, of the moving observer; returns (n, 3).
     """
     backward = _boost(-np.asarray(motion.observer_km_s, dtype=float) / LIGHT_KM_S)
     return np.asarray(
@@ -96,19 +86,7 @@ def apparent_geometry(
 ) -> tuple[Float, float]:
     """Find where a moving observer sees a moving point, by the event at which its light left.
 
-    Parameters
-    ----------
-    point_at : callable
-        Time (s) to the position (3,) of the point, km.
-    observer_km, observer_velocity_km_s : (3,)
-        Event and velocity of the observer.
-    seconds : float, s
-        Time of reception.
-
-    Returns
-    -------
-    (3,) float64, float
-        Unit direction that the observer sees; time at which the light left, s.
+    Returns (3,).
     """
     place = np.asarray(observer_km, dtype=float)
     left = seconds
@@ -123,21 +101,7 @@ def apparent_geometry(
 def apparent_disk(position_km: ArrayLike, radius_km: float, motion: Motion, points: int = 72) -> tuple[Float, float]:
     """Find the cone under which a moving camera sees a moving sphere, from tangent rays.
 
-    Parameters
-    ----------
-    position_km : (3,), km
-        Center at the time of reception, from the observer.
-    radius_km : float, km
-        Radius.
-    motion : Motion
-        Velocities, in the axes of the position.
-    points : int
-        Tangent rays.
-
-    Returns
-    -------
-    (3,) float64, float
-        Axis of the cone, a unit vector, and its half angle, rad.
+    Returns (3,), axis of the cone, a unit vector, and its half angle, rad.
     """
     position = np.asarray(position_km, dtype=float)
     velocity = np.asarray(motion.body_km_s, dtype=float) / LIGHT_KM_S

@@ -48,17 +48,7 @@ class Psf:
     def blurred(self, image: Float, cells_per_px: int) -> Float:
         """Convolve an image on a grid of several cells a pixel, black outside; same shape.
 
-        Parameters
-        ----------
-        image : (n, m)
-            Light by cell, with a margin of at least :attr:`reach_px` around what shines.
-        cells_per_px : int
-            Cells along the side of a pixel.
-
-        Returns
-        -------
-        (n, m) float64
-            Light by cell behind the optics.
+        ``image`` (n, m); returns (n, m).
         """
         shape = [next_fast_len(size, real=True) for size in image.shape]
         rows = np.fft.fftfreq(shape[0])[:, None] * cells_per_px  # cycles a pixel
@@ -75,17 +65,7 @@ class Psf:
     def star(self, center_px: Float, columns: Float, rows: Float) -> Float:
         """Share (rows, columns) of a star's light on pixels, integrated over each, in closed form.
 
-        Parameters
-        ----------
-        center_px : (2,), px
-            Place of the star.
-        columns, rows : (n,), (m,), px
-            Columns and rows of pixels.
-
-        Returns
-        -------
-        (m, n) float64
-            Shares; 1 in all over a frame without end.
+        ``columns`` (n,), ``rows`` (m,), columns and rows of pixels; returns (m, n), 1 in all over a frame without end.
         """
         length = math.hypot(*self.motion_px)
         count = max(1, math.ceil(length / SMEAR_STEP_PX))

@@ -99,25 +99,7 @@ def background(
 ) -> Float:
     """Make a background: constant, plane, and the glow of a source outside or inside the frame.
 
-    Parameters
-    ----------
-    shape : (2,)
-        Rows and columns.
-    constant_dn : float, DN
-        Level at the middle of the frame.
-    slope_dn : (2,), DN
-        Rise over the whole frame along columns (x) and along rows (y).
-    glare_dn : float, DN
-        Height of a round Gaussian glow.
-    glare_center_px : (2,), px
-        Its place.
-    glare_sigma_px : float, px
-        Its width.
-
-    Returns
-    -------
-    (rows, columns) float64
-        Signal, DN.
+    ``shape``: rows and columns; returns (rows, columns).
     """
     rows, columns = shape
     y, x = np.arange(rows)[:, None], np.arange(columns)[None, :]
@@ -129,24 +111,7 @@ def background(
 def record(
     signal_dn: Float, rng: np.random.Generator, recorder: Recorder | None = None, defects: Defects | None = None
 ) -> Recorded:
-    """Expose and read out.
-
-    Parameters
-    ----------
-    signal_dn : (rows, columns), DN
-        Noise-free signal of body, stars and background.
-    rng : Generator
-        Random numbers.
-    recorder : Recorder, optional
-        Detector; 1 e-/DN and a read noise of 5 e- unless given.
-    defects : Defects, optional
-        Bad pixels; none unless given.
-
-    Returns
-    -------
-    Recorded
-        Values and masks.
-    """
+    """Expose and read out."""
     recorder, defects = recorder or Recorder(), defects or Defects()
     electrons = rng.poisson(np.maximum(signal_dn, 0.0) * recorder.gain_e_per_dn).astype(float)
     bad = _struck(electrons, rng, recorder, defects)

@@ -126,30 +126,7 @@ def render_body(
     psf: Psf | None = None,
     sampling: Sampling | None = None,
 ) -> Float:
-    """Render a body: what the detector would count without noise and background.
-
-    Parameters
-    ----------
-    body : Body
-        Figure and albedo.
-    view : PinholeView
-        Camera.
-    pose : Pose
-        Where the body and the Sun are.
-    law : str or callable
-        Name in :data:`LAWS`, or a function of (cos incidence, cos emission, cos phase).
-    peak_dn : float, optional
-        Signal of the brightest pixel; None keeps the scale of the law.
-    psf : Psf, optional
-        Optics; a Gaussian of 0.7 px unless given.
-    sampling : Sampling, optional
-        Rays by pixel; by default 12 along the side of a pixel at an edge, and more for small bodies and thin crescents.
-
-    Returns
-    -------
-    (rows, columns) float64
-        Signal. Brightness centroids of a disk of 300 px are right to 0.002 px.
-    """
+    """Render a body: what the detector would count without noise and background."""
     psf, sampling = psf or Psf(), sampling or _fine_enough(body, view, pose)
     stage = _Stage(body=body, view=view, pose=pose, law=LAWS[law] if isinstance(law, str) else law)
     image = np.zeros((view.rows, view.columns))

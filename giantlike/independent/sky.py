@@ -44,23 +44,7 @@ def random_stars(
 ) -> StarField:
     """Scatter stars evenly over a cap of the sky.
 
-    Parameters
-    ----------
-    rng : Generator
-        Random numbers.
-    count : int
-        Number of stars.
-    axis : (3,), ICRF
-        Center of the cap.
-    radius_rad : float, rad
-        Its radius.
-    magnitudes : (2,), mag
-        Brightest and faintest.
-
-    Returns
-    -------
-    StarField
-        Stars, their number growing with the magnitude as in the Galaxy.
+    ``axis`` in ICRF; ``magnitudes`` in mag.
     """
     center = np.asarray(axis, dtype=float) / np.linalg.norm(np.asarray(axis, dtype=float))
     cosines = 1.0 - rng.uniform(size=count) * (1.0 - np.cos(radius_rad))
@@ -88,25 +72,8 @@ def star_image(
 ) -> tuple[Float, Float]:
     """Render stars.
 
-    Parameters
-    ----------
-    field : StarField
-        Stars.
-    view : PinholeView
-        Camera.
-    camera_from_inertial : Rotation
-        Attitude.
-    observer_velocity_km_s : (3,), km/s, ICRF
-        Velocity of the camera, for aberration.
-    psf : Psf, optional
-        Optics; a Gaussian of 0.7 px unless given.
-    zero_point_dn : float, DN
-        Signal of a star of magnitude 0, over all pixels.
-
-    Returns
-    -------
-    (rows, columns) float64, (n, 2) float64
-        Noise-free signal, DN; places of all stars, px, NaN behind the camera.
+    ``observer_velocity_km_s`` in ICRF; returns (rows, columns), noise-free signal, DN, and (n, 2), places of all stars,
+    px, NaN behind the camera.
     """
     psf = psf or Psf()
     seen = aberrated(field.directions, observer_velocity_km_s) @ camera_from_inertial.as_matrix().T

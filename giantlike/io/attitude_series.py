@@ -39,11 +39,6 @@ class AttitudeSeries(Value):
         Names of the images.
     frame : str
         Name of the axes that the attitudes refer to; empty when unknown.
-
-    Raises
-    ------
-    InputError
-        It is empty, shapes disagree, or times do not increase (the text names the images).
     """
 
     et: Float
@@ -75,35 +70,12 @@ class AttitudeSeries(Value):
     def attitudes(self, index: slice | NDArray[np.intp] = slice(None)) -> FrameRotation:
         """Return attitudes (all by default) with the names of their frames.
 
-        Parameters
-        ----------
-        index : slice or (k,) int
-            Which attitudes.
-
-        Returns
-        -------
-        FrameRotation
+        ``index`` slice or (k,).
         """
         return FrameRotation(rotation=self.camera_from_inertial[index], target=self.frame, source=INERTIAL_FRAME)
 
     def turned(self, turn: FrameRotation) -> AttitudeSeries:
-        """Return the series of another frame that is fixed with respect to this one.
-
-        Parameters
-        ----------
-        turn : FrameRotation
-            From the frame of this series to the other.
-
-        Returns
-        -------
-        AttitudeSeries
-            Attitudes and covariances about the axes of the other frame.
-
-        Raises
-        ------
-        FrameMismatchError
-            The rotation starts at another frame than that of the series.
-        """
+        """Return the series of another frame that is fixed with respect to this one."""
         product, matrix = turn * self.attitudes(), turn.rotation.as_matrix()
         return replace(
             self,
@@ -114,15 +86,6 @@ class AttitudeSeries(Value):
 
     def segments(self, max_gap_s: float) -> tuple[slice, ...]:
         """Runs of attitudes without long gaps, over which one may interpolate.
-
-        Parameters
-        ----------
-        max_gap_s : float, s
-            Longest time between neighbors of a run.
-
-        Returns
-        -------
-        tuple of slice
 
         Examples
         --------
@@ -164,18 +127,6 @@ def write_attitude_csv(
 
     The covariance is the upper triangle by rows, rad^2, about the camera axes; empty where unknown. Numbers keep all
     their digits.
-
-    Parameters
-    ----------
-    path : path-like
-    series : AttitudeSeries or None
-    untimed : sequence of UntimedAttitude
-        They come last, with empty epochs; :func:`read_attitude_csv` refuses them, :func:`read_attitude_table` does not.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
     """
     rows: list[list[str | float | None]] = []
     if series is not None:
@@ -193,21 +144,6 @@ def read_attitude_csv(path: str | Path) -> AttitudeSeries:
 
     The columns are those of :func:`write_attitude_csv`; ``epoch_utc`` or ``et`` and the quaternion are needed, ``name``
     and the covariance may be absent or empty.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    AttitudeSeries
-
-    Raises
-    ------
-    DataError
-        The file is missing or damaged, or a cell is: the text says which.
-    InputError
-        There is no row, or two rows have one time.
     """
     series, untimed = read_attitude_table(path)
     if untimed or series is None:
@@ -216,27 +152,7 @@ def read_attitude_csv(path: str | Path) -> AttitudeSeries:
 
 
 def read_attitude_table(path: str | Path) -> tuple[AttitudeSeries | None, tuple[UntimedAttitude, ...]]:
-    """Read a table of attitudes of which some, or all, may have no epoch.
-
-    Parameters
-    ----------
-    path : path-like
-        See :func:`read_attitude_csv`; rows without an epoch need a ``name``.
-
-    Returns
-    -------
-    AttitudeSeries or None
-        The rows with an epoch; None if there are none.
-    tuple of UntimedAttitude
-        The others.
-
-    Raises
-    ------
-    DataError
-        The file is missing or damaged, or a cell is: the text says which.
-    InputError
-        There is no row, or two rows have one time.
-    """
+    """Read a table of attitudes of which some, or all, may have no epoch."""
     rows = read_csv_rows(path, _COLUMNS, _QUATERNION)
     untimed = tuple(_untimed(row) for row in rows if not _has_epoch(row))
     parts = sorted((_parsed(row) for row in rows if _has_epoch(row)), key=lambda part: part[0])

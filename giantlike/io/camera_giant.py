@@ -55,26 +55,7 @@ _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?\b(?:nan|i
 def read_giant_camera(
     path: str | Path, name: str | None = None, *, boresight: Boresight | None = None
 ) -> ImportedCamera:
-    """Read one camera of a GIANT XML file.
-
-    Parameters
-    ----------
-    path : path-like
-        XML file.
-    name : str, optional
-        Name of the camera; may be left out where the file holds one only.
-    boresight : {"+z", "-z"}, optional
-        Sense of the z axis of GIANT's camera frame, see :func:`~giantlike.io.mission_frame.from_mission_frame`.
-
-    Returns
-    -------
-    ImportedCamera
-
-    Raises
-    ------
-    DataError
-        The file is missing or no such XML, the camera is not in it, or a value is missing or no number.
-    """
+    """Read one camera of a GIANT XML file."""
     element = _element(ElementTree.parse(path).getroot(), name)
     kind = element.get("type", "")
     check(kind in _KINDS, f"camera {element.tag!r} is of type {kind!r}; known are {', '.join(_KINDS)}")

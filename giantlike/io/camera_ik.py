@@ -42,28 +42,9 @@ def read_ik_camera(
 ) -> ImportedCamera:
     """Read the geometry of one camera from an instrument kernel.
 
-    Parameters
-    ----------
-    path : path-like
-        Text kernel.
-    instrument_id : int
-        NAIF code, such as -64361.
-    first_pixel : float, optional
-        Coordinate of the center of the first pixel in the mission's convention: 0, 1 or 0.5 (edges counted from 0).
-        By default the one for which the center is the middle of the detector.
-    signs : (int, int)
-        Sense of the instrument frame's x along columns and y along rows, 1 or -1; kernels state it in comments only.
-    boresight : {"+z", "-z"}
-        Sense of the instrument frame's z axis.
-
-    Returns
-    -------
-    ImportedCamera
-
-    Raises
-    ------
-    DataError
-        The file is missing or no text kernel, a keyword is missing, or the origin of its pixels is not known.
+    ``first_pixel``: coordinate of the center of the first pixel in the mission's convention: 0, 1 or 0.5
+    (edges counted from 0); ``signs``: sense of the instrument frame's x along columns and y along rows, 1 or -1
+    (kernels state it in comments only).
     """
     keywords = _keywords(Path(path).read_text(encoding="ascii", errors="replace"), f"INS{instrument_id}_")
     focal_mm = _number(keywords, "FOCAL_LENGTH")

@@ -24,32 +24,7 @@ def read_foreign_camera(
     first_pixel: float | None = None,
     boresight: Boresight | None = None,
 ) -> ImportedCamera:
-    """Read a camera from an OpenCV, GIANT, SPICE instrument-kernel or FITS file.
-
-    Parameters
-    ----------
-    path : path-like
-        Ending as one of :data:`FOREIGN_SUFFIXES`; XML is GIANT's when its root element is ``CameraModels``.
-    name : str, optional
-        Which camera of a GIANT file.
-    instrument_id : int, optional
-        NAIF code, for an instrument kernel.
-    first_pixel : float, optional
-        See :func:`~giantlike.io.camera_ik.read_ik_camera`.
-    boresight : {"+z", "-z"}, optional
-        See :func:`~giantlike.io.mission_frame.from_mission_frame`.
-
-    Returns
-    -------
-    ImportedCamera
-
-    Raises
-    ------
-    InputError
-        An instrument kernel without ``instrument_id``, or an unknown file name extension.
-    DataError
-        The file is missing or damaged.
-    """
+    """Read a camera from an OpenCV, GIANT, SPICE instrument-kernel or FITS file."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix == ".ti":

@@ -35,26 +35,7 @@ _HEIGHT = ("image_height", "image_Height", "imageHeight", "height")
 
 @reads("an OpenCV camera file")
 def read_opencv_camera(path: str | Path, *, fisheye: bool | None = None) -> ImportedCamera:
-    """Read the camera matrix and distortion of an OpenCV calibration file.
-
-    Parameters
-    ----------
-    path : path-like
-        YAML or XML as written by ``cv2.FileStorage``; the usual spellings of the keys are known.
-    fisheye : bool, optional
-        True if the coefficients are those of ``cv2.fisheye``; by default as the file's ``fisheye_model`` or
-        ``distortion_model`` says, else False.
-
-    Returns
-    -------
-    ImportedCamera
-
-    Raises
-    ------
-    DataError
-        The file is missing or no FileStorage, has no camera matrix, a mirrored one, or coefficients of a number or
-        kind (a tilted sensor) that no model here has.
-    """
+    """Read the camera matrix and distortion of an OpenCV calibration file."""
     content = Path(path).read_bytes()
     storage = _xml_storage(content) if Path(path).suffix.lower() == ".xml" else _yaml_storage(content)
     matrix, coefficients = _matrix(storage, _MATRIX), _matrix(storage, _COEFFICIENTS)
@@ -70,23 +51,7 @@ def read_opencv_camera(path: str | Path, *, fisheye: bool | None = None) -> Impo
 
 
 def write_opencv_camera(path: str | Path, model: CameraModel, *, columns: int, rows: int) -> None:
-    """Write a model as an OpenCV calibration file, YAML or XML by the suffix of the path.
-
-    Parameters
-    ----------
-    path : path-like
-    model : CameraModel
-        Pinhole, Brown, OpenCV or equidistant, without shear and temperature terms.
-    columns, rows : int
-        Size of the detector.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    InputError
-        OpenCV has no such model: see :func:`~giantlike.camera_models.convert.convert`.
-    """
+    """Write a model as an OpenCV calibration file, YAML or XML by the suffix of the path."""
     import cv2
 
     if not isinstance(model, PinholeModel | BrownModel | OpenCVModel | EquidistantModel):

@@ -87,25 +87,7 @@ class SipHeader:
 
 @reads("a FITS header with TAN-SIP coordinates")
 def read_sip_camera(path: str | Path, *, hdu: int = 0, type_name: str = "brown") -> SipCamera:
-    """Read camera and attitude from the header of a FITS image.
-
-    Parameters
-    ----------
-    path : path-like
-    hdu : int
-        Index of the HDU.
-    type_name : str
-        Lens model to fit to the polynomials, a key of :data:`~giantlike.camera_models.MODELS`.
-
-    Returns
-    -------
-    SipCamera
-
-    Raises
-    ------
-    DataError
-        The file is missing or no FITS, or its header has no TAN or TAN-SIP coordinates.
-    """
+    """Read camera and attitude from the header of a FITS image."""
     from astropy.io import fits
 
     header = fits.getheader(path, hdu)
@@ -117,28 +99,7 @@ def read_sip_camera(path: str | Path, *, hdu: int = 0, type_name: str = "brown")
 def camera_of_sip(
     header: Mapping[str, Any], *, columns: int, rows: int, type_name: str = "brown", name: str = "camera"
 ) -> SipCamera:
-    """Fit a lens model to the TAN-SIP keywords of a header.
-
-    Parameters
-    ----------
-    header : mapping of str to value
-        FITS keywords.
-    columns, rows : int
-        Size of the image.
-    type_name : str
-        Lens model, a key of :data:`~giantlike.camera_models.MODELS`.
-    name : str
-        Name of the camera.
-
-    Returns
-    -------
-    SipCamera
-
-    Raises
-    ------
-    InputError
-        A keyword is missing or the projection is not TAN, or the type is unknown.
-    """
+    """Fit a lens model to the TAN-SIP keywords of a header."""
     lens = lens_class(type_name)
     for axis, wanted in (("CTYPE1", "RA---TAN"), ("CTYPE2", "DEC--TAN")):
         kind = str(header.get(axis, ""))
@@ -179,23 +140,7 @@ def camera_of_sip(
 
 
 def sip_header(posed: PosedModel, *, order: int = 4) -> SipHeader:
-    """Fit TAN-SIP keywords to a camera model and an attitude (linear least squares over the frame).
-
-    Parameters
-    ----------
-    posed : PosedModel
-    order : int
-        Order of the polynomials, 2 to 9.
-
-    Returns
-    -------
-    SipHeader
-
-    Raises
-    ------
-    InputError
-        The order is out of range, or the frame sees more than the hemisphere that a tangent plane shows.
-    """
+    """Fit TAN-SIP keywords to a camera model and an attitude (linear least squares over the frame)."""
     require(order in _ORDERS, f"the order of SIP polynomials is 2 to 9, got {order}")
     model, camera_from_inertial = posed.model, posed.camera_from_inertial
     points_px = frame_grid(posed.columns, posed.rows, nodes=_NODES).reshape(-1, 2)

@@ -35,11 +35,6 @@ class AemNames:
         Organization that writes the message.
     frame : str
         ``REF_FRAME_B``, the camera; ``REF_FRAME_A`` is ICRF.
-
-    Raises
-    ------
-    InputError
-        A text holds a line break or is empty.
     """
 
     object_name: str = "UNKNOWN"
@@ -59,25 +54,7 @@ def write_aem(
     max_gap_s: float = 600.0,
     comments: Sequence[str] = (),
 ) -> None:
-    """Write attitudes as an AEM, version 2.0, times in UTC.
-
-    Parameters
-    ----------
-    path : path-like
-    series : AttitudeSeries
-    names : AemNames
-    max_gap_s : float, s
-        A longer gap starts a new segment: readers are not to interpolate over it.
-    comments : sequence of str
-        Lines for the start of each segment.
-
-    Raises
-    ------
-    InputError
-        A comment holds a line break or is empty, or two epochs are the same to the microsecond.
-    DataError
-        The file cannot be written.
-    """
+    """Write attitudes as an AEM, version 2.0, times in UTC."""
     _require_lines(comments)
     epochs = [utc_text(time_from_et(et)) for et in series.et.tolist()]
     for name, first, second in zip(series.names[1:], epochs, epochs[1:], strict=False):

@@ -50,11 +50,6 @@ class TdmSegment:
         In order of time; at least one.
     comments : sequence of str
         Lines for the metadata: what is removed of the angles.
-
-    Raises
-    ------
-    InputError
-        There is no point, times do not increase, or a text is empty or holds a line break.
     """
 
     spacecraft: str
@@ -76,19 +71,6 @@ def write_tdm(path: str | Path, segments: Sequence[TdmSegment], *, originator: s
 
     The light goes from participant 2, the target, to participant 1. A TDM has no place for covariances; the
     observables file of a run has them.
-
-    Parameters
-    ----------
-    path : path-like
-    segments : sequence of TdmSegment
-    originator : str
-
-    Raises
-    ------
-    InputError
-        There is no segment.
-    DataError
-        The file cannot be written.
     """
     require(len(segments) > 0, "a TDM needs a segment")
     lines = [

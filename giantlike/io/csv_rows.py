@@ -47,40 +47,11 @@ class CsvRow:
     cells: dict[str, str]
 
     def error(self, column: str, problem: str) -> DataError:
-        """Return a :class:`DataError` that names file, line, column and value.
-
-        Parameters
-        ----------
-        column : str
-        problem : str
-            What is needed there.
-
-        Returns
-        -------
-        DataError
-        """
+        """Return a :class:`DataError` that names file, line, column and value."""
         return DataError(self.path, f"line {self.line}, column {column}: {problem}, got {self.cells.get(column, '')!r}")
 
     def needed(self, value: Value | None, columns: Sequence[str]) -> Value:
-        """Return the value of cells that must not be empty.
-
-        Parameters
-        ----------
-        value : object or None
-            None where the cells are empty.
-        columns : sequence of str
-            The columns that it is from.
-
-        Returns
-        -------
-        object
-            ``value``.
-
-        Raises
-        ------
-        DataError
-            It is None.
-        """
+        """Return the value of cells that must not be empty."""
         if value is None:
             raise self.error(columns[0], f"{', '.join(columns)} must be filled in every row")
         return value
@@ -88,33 +59,14 @@ class CsvRow:
     def text(self, column: str) -> str | None:
         """Text of a cell.
 
-        Parameters
-        ----------
-        column : str
-
-        Returns
-        -------
-        str or None
-            None when it is empty or there is no such column.
+        Returns None when it is empty or there is no such column.
         """
         return self.cells.get(column) or None
 
     def number(self, column: str) -> float | None:
         """Finite number of a cell.
 
-        Parameters
-        ----------
-        column : str
-
-        Returns
-        -------
-        float or None
-            None when it is empty or there is no such column.
-
-        Raises
-        ------
-        DataError
-            The text is no number, or not finite.
+        Returns None when it is empty or there is no such column.
         """
         text = self.text(column)
         if text is None:
@@ -130,19 +82,7 @@ class CsvRow:
     def vector(self, columns: Sequence[str]) -> Float | None:
         """Numbers of columns that are filled together.
 
-        Parameters
-        ----------
-        columns : sequence of str
-
-        Returns
-        -------
-        (n,) float64 or None
-            None when all are empty.
-
-        Raises
-        ------
-        DataError
-            Some are empty, or a text is no finite number.
+        Returns (n,), None when all are empty.
         """
         numbers = [self.number(column) for column in columns]
         filled = [number for number in numbers if number is not None]
@@ -156,19 +96,7 @@ class CsvRow:
     def rotation(self, columns: Sequence[str]) -> Rotation | None:
         """Rotation of four quaternion columns, scalar last.
 
-        Parameters
-        ----------
-        columns : sequence of str
-
-        Returns
-        -------
-        Rotation or None
-            None when all are empty.
-
-        Raises
-        ------
-        DataError
-            As for :meth:`vector`, or the norm is not 1 to 1e-3.
+        Returns None when all are empty.
         """
         values = self.vector(columns)
         if values is None:
@@ -181,19 +109,7 @@ class CsvRow:
     def direction(self, columns: Sequence[str]) -> Float | None:
         """Unit vector of three columns.
 
-        Parameters
-        ----------
-        columns : sequence of str
-
-        Returns
-        -------
-        (3,) float64 or None
-            Normalized; None when all are empty.
-
-        Raises
-        ------
-        DataError
-            As for :meth:`vector`, or the norm is not 1 to 1e-3.
+        Returns (3,), None when all are empty.
         """
         values = self.vector(columns)
         if values is None:
@@ -204,17 +120,7 @@ class CsvRow:
         return values / norm
 
     def et(self) -> float:
-        """Epoch of the columns ``et`` or ``epoch_utc``.
-
-        Returns
-        -------
-        float, TDB seconds past J2000
-
-        Raises
-        ------
-        DataError
-            Both are empty.
-        """
+        """Epoch of the columns ``et`` or ``epoch_utc``."""
         et, epoch = self.number("et"), self.utc("epoch_utc")
         if et is not None:
             return et
@@ -225,19 +131,7 @@ class CsvRow:
     def utc(self, column: str) -> Time | None:
         """Epoch of an ISO 8601 UTC cell.
 
-        Parameters
-        ----------
-        column : str
-
-        Returns
-        -------
-        Time or None
-            None when it is empty or there is no such column.
-
-        Raises
-        ------
-        DataError
-            The text is no such epoch.
+        Returns None when it is empty or there is no such column.
         """
         text = self.text(column)
         if text is None:
@@ -250,27 +144,7 @@ class CsvRow:
 
 @reads("a CSV table in UTF-8")
 def read_csv_rows(path: str | Path, columns: Sequence[str], required: Sequence[str]) -> list[CsvRow]:
-    """Read a CSV file whose first line names the columns; empty lines are skipped.
-
-    Parameters
-    ----------
-    path : path-like
-        UTF-8, with or without a byte order mark.
-    columns : sequence of str
-        Columns that may occur, in any order.
-    required : sequence of str
-        Those that must.
-
-    Returns
-    -------
-    list of CsvRow
-
-    Raises
-    ------
-    DataError
-        The file cannot be read, a column is unknown, repeated or missing, or a row has too few or too many
-        cells.
-    """
+    """Read a CSV file whose first line names the columns; empty lines are skipped."""
     source = Path(path)
     reader = csv.reader(io.StringIO(source.read_text(encoding="utf-8-sig"), newline=""), strict=True)
     rows: list[CsvRow] = []
@@ -296,20 +170,7 @@ def read_csv_rows(path: str | Path, columns: Sequence[str], required: Sequence[s
 
 
 def write_csv_rows(path: str | Path, columns: Sequence[str], rows: Iterable[Sequence[str | float | None]]) -> None:
-    """Write a CSV file atomically, with numbers at full precision.
-
-    Parameters
-    ----------
-    path : path-like
-    columns : sequence of str
-    rows : iterable of sequences
-        Values in the order of the columns; None leaves a cell empty.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write a CSV file atomically, with numbers at full precision."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)

@@ -28,17 +28,7 @@ _MOST_EPOCHS = 9  # of a segment; damage of its counts shows at any
 
 
 def require_whole_daf(path: Path) -> None:
-    """Check identity, length and summaries of a DAF file.
-
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    ValueError
-        The file is cut short, or its summaries cannot be those of its segments.
-    """
+    """Check identity, length and summaries of a DAF file."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(_RECORD_BYTES)
@@ -80,13 +70,7 @@ def _check_summaries(file: BinaryIO, number: int, order: str, sizes: tuple[int, 
 
 
 def try_segments(path: Path) -> None:
-    """Ask CSPICE for a value of the segments of a kernel that is loaded, in a process that may end at it.
-
-    Parameters
-    ----------
-    path : Path
-        An SPK, CK or binary PCK; other files are left alone.
-    """
+    """Ask CSPICE for a value of the segments of a kernel that is loaded, in a process that may end at it."""
     import spiceypy
     from spiceypy.utils.exceptions import SpiceyError
 

@@ -62,24 +62,6 @@ def decode_fits(path: Path, data: bytes, hdu: int | str | None) -> DecodedImage:
     the keywords of the primary HDU that it does not have itself. Cards that break the FITS rules, comments
     and undefined values are left out. Epoch, exposure, attitude and observer: see
     :mod:`giantlike.io.fits_keywords`.
-
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    data : bytes
-        The whole file.
-    hdu : int, str or None
-        Index (0 is the primary HDU) or EXTNAME; None takes the first that holds a 2-D image.
-
-    Returns
-    -------
-    DecodedImage
-
-    Raises
-    ------
-    DataError
-        The file is truncated or damaged, or the HDU does not exist or holds no 2-D image.
     """
     _require_whole(data)
     cards, pixels = _open(data, hdu)
@@ -289,18 +271,7 @@ def _expanded(data: bytes, index: int) -> NDArray[Any]:
 
 
 def read_unit(paths: Sequence[Path]) -> dict[str, NDArray[Any]]:
-    """Read the pixels of one HDU.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        One file, named by the index of the HDU.
-
-    Returns
-    -------
-    dict of str to array
-        ``pixels``.
-    """
+    """Read the pixels of one HDU."""
     from astropy.io import fits
 
     (path,) = paths

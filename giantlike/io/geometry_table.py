@@ -142,39 +142,13 @@ class GeometryTable(Value):
     def image(self, file: str) -> ImageGeometry | None:
         """Geometry of one image.
 
-        Parameters
-        ----------
-        file : str
-            As written in the table.
-
-        Returns
-        -------
-        ImageGeometry or None
-            None when it is not there.
+        Returns None when it is not there.
         """
         rows = [row for row in self.rows if row.file == file]
         return _merged(rows) if rows else None
 
     def match(self, images: Sequence[str | Path], base: str | Path) -> dict[Path, ImageGeometry]:
-        """Geometry of each of a campaign's images; images that the table does not name are left out.
-
-        Parameters
-        ----------
-        images : sequence of path-like
-            All images of the campaign (base names are ambiguous only among them).
-        base : path-like
-            Folder of the campaign file: what the paths in the table are relative to.
-
-        Returns
-        -------
-        dict of Path to ImageGeometry
-            Keys are the paths as given. An entry that is an image's path wins over one that is its base name.
-
-        Raises
-        ------
-        DataError
-            An entry is the base name of several images.
-        """
+        """Geometry of each of a campaign's images; images that the table does not name are left out."""
         groups: dict[str, list[GeometryRow]] = {}
         for row in self.rows:
             groups.setdefault(row.file, []).append(row)

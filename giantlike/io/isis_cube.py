@@ -38,25 +38,7 @@ _LEAST_FLOAT = np.float32(-3.4028226550889045e38)
 
 @reads("an ISIS cube")
 def decode_isis_cube(path: Path, data: bytes) -> DecodedImage:
-    """Decode an ISIS cube with its label attached.
-
-    Parameters
-    ----------
-    path : Path
-        The cube; GDAL opens it once more, in a process of its own.
-    data : bytes
-        Its content, for the label.
-
-    Returns
-    -------
-    DecodedImage
-        Pixels are in the unit of the cube: ``Base`` and ``Multiplier`` are applied. Special pixels are masked.
-
-    Raises
-    ------
-    DataError
-        The cube is damaged, has several bands, its pixels are in another file, or rasterio is not installed.
-    """
+    """Decode an ISIS cube with its label attached."""
     require_extra("rasterio", extra="planetary", purpose="reading ISIS cubes")
     label = parse_pds3(path, data)
     if any(name.endswith("^Core") for name in label.raw):
@@ -76,23 +58,7 @@ def decode_isis_cube(path: Path, data: bytes) -> DecodedImage:
 
 
 def read_cube(paths: Sequence[Path]) -> dict[str, NDArray[Any]]:
-    """Read the only band of a cube by GDAL, which a damaged file might end with its process.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        The one file.
-
-    Returns
-    -------
-    dict of str to array
-        ``pixels`` (rows, columns) and ``mask`` (rows, columns).
-
-    Raises
-    ------
-    ValueError, RasterioError
-        GDAL refuses the file, it has several bands, or less data than its label says.
-    """
+    """Read the only band of a cube by GDAL, which a damaged file might end with its process."""
     import warnings
 
     import rasterio

@@ -21,14 +21,7 @@ _VOYAGER_EXPOSURE = re.compile(r"\bEXP\s+(\d+(?:\.\d*)?)\s+MSEC\b")
 def utc_from_label(value: object) -> Time | None:
     """Epoch of a UTC label value, ``2004-054T17:59:04.527Z`` or ``2004-02-23T17:59:04.527``.
 
-    Parameters
-    ----------
-    value : object
-
-    Returns
-    -------
-    Time or None
-        None for anything else.
+    Returns None for anything else.
     """
     text = str(value).strip()
     day_of_year = _DAY_OF_YEAR.fullmatch(text)
@@ -43,31 +36,12 @@ def utc_from_label(value: object) -> Time | None:
 
 
 def midpoint(start: Time, stop: Time) -> Time:
-    """Epoch halfway between two.
-
-    Parameters
-    ----------
-    start, stop : Time
-
-    Returns
-    -------
-    Time
-    """
+    """Epoch halfway between two."""
     return start + 0.5 * (stop - start)
 
 
 def delayed(epoch: Time, seconds: float) -> Time:
-    """Add elapsed time, in which a leap second counts, to an epoch.
-
-    Parameters
-    ----------
-    epoch : Time
-    seconds : float, s
-
-    Returns
-    -------
-    Time
-    """
+    """Add elapsed time, in which a leap second counts, to an epoch."""
     from astropy.time import TimeDelta
 
     return epoch + TimeDelta(seconds, format="sec")

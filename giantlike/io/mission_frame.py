@@ -61,28 +61,8 @@ def from_mission_frame(
 ) -> ImportedCamera:
     """Convert a model whose focal lengths may be negative to one with +x along columns, +y along rows, +z forward.
 
-    Parameters
-    ----------
-    kind : type
-        Class of the model.
-    parameters : mapping of str to float
-        By the names of the class, but with signs as in the mission's model; ``cx_px``, ``cy_px`` in our pixels.
-    name : str
-    columns, rows : int, optional
-        Size of the detector.
-    boresight : {"+z", "-z"}, optional
-        Direction of the mission's z axis, which the gnomonic equations, with x/z and y/z, leave open. By default the
-        one for which the image is not mirrored: "+z" when the signs of both focal lengths agree, else "-z", where
-        the frames differ by half a turn about x or y.
-
-    Returns
-    -------
-    ImportedCamera
-
-    Raises
-    ------
-    InputError
-        With this ``boresight`` the image is mirrored and ``rows`` is not known, or a focal length is zero.
+    ``parameters``: by the names of the class, but with signs as in the mission's model
+    (``cx_px``, ``cy_px`` in our pixels).
 
     Notes
     -----

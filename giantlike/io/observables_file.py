@@ -265,12 +265,7 @@ class ObservableBlock(Value):
     columns: Mapping[str, NDArray[Any]]
 
     def rows(self) -> Iterator[ObservableRow]:
-        """Yield the rows one by one.
-
-        Yields
-        ------
-        ObservableRow
-        """
+        """Yield the rows one by one."""
         lists = {name: values.tolist() for name, values in self.columns.items()}
         for k in range(self.count):
             yield ObservableRow(**self.shared, **{name: values[k] for name, values in lists.items()})
@@ -280,26 +275,6 @@ def write_observables(path: Path, rows: Iterable[ObservableRow | ObservableBlock
     """Write observables: Parquet, or JSON lines where the file name ends in ``.jsonl``.
 
     Rows are written as they come, so that no more than some thousand are in memory.
-
-    Parameters
-    ----------
-    path : Path
-        New file, ``.parquet`` or ``.jsonl``; an existing one is replaced.
-    rows : iterable of ObservableRow or ObservableBlock
-    metadata : mapping of str to str
-        Of the Parquet file, beside format and version.
-
-    Returns
-    -------
-    int
-        Number of rows.
-
-    Raises
-    ------
-    InputError
-        The file name has another ending.
-    DataError
-        The file cannot be written.
     """
     writers = {".parquet": _write_parquet, ".jsonl": _write_json_lines}
     require(path.suffix in writers, f"{path}: observables are written as .parquet or .jsonl, got {path.suffix!r}")
@@ -310,20 +285,7 @@ def write_observables(path: Path, rows: Iterable[ObservableRow | ObservableBlock
 def read_observables(path: Path) -> tuple[list[ObservableRow], dict[str, str]]:
     """Read observables back from a Parquet file.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    rows : list of ObservableRow
-    metadata : dict of str to str
-        Of the file.
-
-    Raises
-    ------
-    DataError
-        It is missing, damaged, or no observables file of this version.
+    Returns ``rows`` and ``metadata``.
     """
     import pyarrow as pa
     from pyarrow import parquet
@@ -341,42 +303,13 @@ def read_observables(path: Path) -> tuple[list[ObservableRow], dict[str, str]]:
 
 
 def write_observable_tables(path: Path, tables: Iterable[Any], metadata: Mapping[str, str]) -> int:
-    """Write observables that are tables already.
-
-    Parameters
-    ----------
-    path : Path
-        New Parquet file; an existing one is replaced.
-    tables : iterable of pyarrow.Table
-        Of :func:`observables_table`; each is written as it comes.
-    metadata : mapping of str to str
-        Of the file, beside format and version.
-
-    Returns
-    -------
-    int
-        Number of rows.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write observables that are tables already."""
     with replacing(path) as part:
         return _write_tables(part, tables, metadata)
 
 
 def observables_table(items: Sequence[ObservableRow | ObservableBlock]) -> Any:
-    """Rows and blocks as a table: a group of the Parquet file.
-
-    Parameters
-    ----------
-    items : sequence of ObservableRow or ObservableBlock
-
-    Returns
-    -------
-    pyarrow.Table
-    """
+    """Rows and blocks as a table: a group of the Parquet file."""
     return _table(_schema(), items)
 
 

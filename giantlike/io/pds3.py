@@ -75,24 +75,7 @@ class ImagePointer:
 
 @reads("a PDS3 label")
 def parse_pds3(path: Path, data: bytes) -> Pds3Label:
-    """Parse the PDS3 label that a file begins with.
-
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    data : bytes
-        The file, or its beginning.
-
-    Returns
-    -------
-    Pds3Label
-
-    Raises
-    ------
-    DataError
-        There is no ``END`` statement: the label is cut off.
-    """
+    """Parse the PDS3 label that a file begins with."""
     text = data.decode("latin-1")
     end = _END.search(text)
     if end is None:
@@ -121,23 +104,7 @@ def parse_pds3(path: Path, data: bytes) -> Pds3Label:
 
 @reads("a PDS3 label of an image")
 def image_pointer(path: Path, label: Pds3Label) -> ImagePointer:
-    """Location of the image that a label describes.
-
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    label : Pds3Label
-
-    Returns
-    -------
-    ImagePointer
-
-    Raises
-    ------
-    DataError
-        There is no ``^IMAGE`` pointer, or it points to a record and the label does not say how long one is.
-    """
+    """Location of the image that a label describes."""
     text = label.raw.get("^IMAGE")
     if text is None:
         raise ValueError("it has no ^IMAGE pointer")
@@ -155,28 +122,7 @@ def image_pointer(path: Path, label: Pds3Label) -> ImagePointer:
 
 @reads("a PDS3 image")
 def decode_pds3(path: Path, data: bytes, label: Pds3Label, offset_bytes: int) -> DecodedImage:
-    """Decode the raw image that a PDS3 label describes.
-
-    Parameters
-    ----------
-    path : Path
-        The file with the pixels, for messages.
-    data : bytes
-        Its content.
-    label : Pds3Label
-    offset_bytes : int
-        First byte of the image in ``data``.
-
-    Returns
-    -------
-    DecodedImage
-
-    Raises
-    ------
-    DataError
-        The image object is incomplete, compressed, has several bands or a sample type that is not read, or
-        the file is truncated.
-    """
+    """Decode the raw image that a PDS3 label describes."""
     layout = raw_layout(label, offset_bytes)
     values = label.values
     exposure_s = label_exposure_s(values, label.units)
@@ -190,23 +136,7 @@ def decode_pds3(path: Path, data: bytes, label: Pds3Label, offset_bytes: int) ->
 
 
 def raw_layout(label: Pds3Label, offset_bytes: int) -> RawLayout:
-    """Position and type of the samples of the image that a label describes.
-
-    Parameters
-    ----------
-    label : Pds3Label
-    offset_bytes : int
-        First byte of the image.
-
-    Returns
-    -------
-    RawLayout
-
-    Raises
-    ------
-    ValueError
-        The image is compressed, has several bands or a sample type that is not read, or its size is no number.
-    """
+    """Position and type of the samples of the image that a label describes."""
     values = label.values
     encoding = str(values.get("IMAGE.ENCODING_TYPE", "N/A"))
     if label_count(values, "IMAGE.BANDS", 1) != 1 or encoding not in {"N/A", "NONE"}:

@@ -36,24 +36,7 @@ _SECONDS = {"s": 1.0, "ms": 1e-3, "microseconds": 1e-6, "min": 60.0}
 
 @reads("a PDS4 label")
 def data_file_of(path: Path, label: bytes) -> str:
-    """Name of the file that holds the data of a label.
-
-    Parameters
-    ----------
-    path : Path
-        The label, for messages.
-    label : bytes
-        Its content.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    DataError
-        There is none, or it is not beside the label.
-    """
+    """Name of the file that holds the data of a label."""
     match = _FILE_NAME.search(label)
     name = "" if match is None else match[1].decode()
     if not name or name in {".", ".."} or "/" in name or "\\" in name:
@@ -63,24 +46,7 @@ def data_file_of(path: Path, label: bytes) -> str:
 
 @reads("a PDS4 product")
 def decode_pds4(path: Path) -> DecodedImage:
-    """Decode the first image of a PDS4 product.
-
-    Parameters
-    ----------
-    path : Path
-        The label.
-
-    Returns
-    -------
-    DecodedImage
-        Rows as stored, whatever the label says of their display. ``scaling_factor`` and ``value_offset`` are
-        applied, special constants masked.
-
-    Raises
-    ------
-    DataError
-        Label or image is damaged, the product has no image of one band, or pds4_tools is not installed.
-    """
+    """Decode the first image of a PDS4 product."""
     require_extra("pds4_tools", extra="planetary", purpose="reading PDS4 products")
     arrays = in_child(read_product, [path], libraries=["pds4_tools"])
     header: dict[str, HeaderValue] = json.loads(str(arrays["header"]))
@@ -100,23 +66,7 @@ def decode_pds4(path: Path) -> DecodedImage:
 
 
 def read_product(paths: Sequence[Path]) -> dict[str, NDArray[Any]]:
-    """Read the first image of a product by pds4_tools.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        The label.
-
-    Returns
-    -------
-    dict of str to array
-        ``pixels`` and ``mask`` (rows, columns); ``header`` and ``units`` of the label's leaves by their path, as JSON.
-
-    Raises
-    ------
-    ValueError
-        A file is not beside the label, is too short, or there is no image of one band.
-    """
+    """Read the first image of a product by pds4_tools."""
     import pds4_tools
 
     (path,) = paths

@@ -119,31 +119,7 @@ def write_psf(
     name: str = "UNKNOWN",
     comments: Sequence[str] = (),
 ) -> int:
-    """Write pictures of one camera as a picture sequence file.
-
-    Parameters
-    ----------
-    path : path-like
-        New file.
-    camera : PsfCamera
-    pictures : iterable of PsfPicture
-    spacecraft, name : str
-        Identification of the spacecraft and of the file.
-    comments : sequence of str
-        At most three.
-
-    Returns
-    -------
-    int
-        Number of images, bodies and stars, in all pictures.
-
-    Raises
-    ------
-    InputError
-        There are more comments, or a text holds a line break.
-    DataError
-        The file cannot be written.
-    """
+    """Write pictures of one camera as a picture sequence file."""
     require(len(comments) <= _N_COMMENTS, f"a picture sequence file has {_N_COMMENTS} comments, got {len(comments)}")
     lines = [*_identification(spacecraft, name, comments), *_camera(camera)]
     count = 0
@@ -156,17 +132,7 @@ def write_psf(
 
 
 def radec_twist_deg(camera_from_inertial: Rotation) -> tuple[float, float, float]:
-    """Right ascension and declination of the boresight and twist of a picture, deg.
-
-    Parameters
-    ----------
-    camera_from_inertial : Rotation
-
-    Returns
-    -------
-    tuple of float
-        The twist is 90 where columns run to the east, and 180 where they run to the north.
-    """
+    """Right ascension and declination of the boresight and twist of a picture, deg."""
     columns, _, boresight = rotate(camera_from_inertial.inv(), np.eye(3))
     ra_deg, dec_deg = (float(angle) for angle in radec_from_direction(boresight))
     east, north = east_north(ra_deg, dec_deg)

@@ -48,24 +48,6 @@ def decode_raster(path: Path, data: bytes, kind: str) -> DecodedImage:
     luminance, float32, with :data:`LUMINANCE_BGR`. An alpha channel is dropped, a palette resolved, a scale
     in which white is zero turned over. Rows and columns are as stored: orientation tags are ignored. Of a
     TIFF with several pages the first is read.
-
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    data : bytes
-        The whole file.
-    kind : {'png', 'tiff', 'jpeg'}
-
-    Returns
-    -------
-    DecodedImage
-        Pixels, and the kind of their values.
-
-    Raises
-    ------
-    DataError
-        The file is truncated or damaged, or OpenCV does not decode this variant.
     """
     if kind == "tiff":
         return DecodedImage(pixels=_decode_tiff(data), format=kind)

@@ -53,25 +53,7 @@ class RawLayout:
 
 
 def label_count(label: Mapping[str, HeaderValue], key: str, default: int) -> int:
-    """Non-negative whole number of a label item.
-
-    Parameters
-    ----------
-    label : mapping
-        Label items by name.
-    key : str
-    default : int
-        Value where the label does not have the item.
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    ValueError
-        The value is something else.
-    """
+    """Non-negative whole number of a label item."""
     value = label.get(key, default)
     if type(value) is not int or value < 0:
         raise ValueError(f"the label has {key} = {value!r}, where a number of bytes, rows or columns is needed")
@@ -79,24 +61,7 @@ def label_count(label: Mapping[str, HeaderValue], key: str, default: int) -> int
 
 
 def read_raw(data: bytes, layout: RawLayout) -> NDArray[Any]:
-    """Pixels (rows, columns) of a raw image.
-
-    Parameters
-    ----------
-    data : bytes
-        The whole file.
-    layout : RawLayout
-
-    Returns
-    -------
-    (rows, columns) array
-        Of the type of the samples; VAX floating numbers become float64.
-
-    Raises
-    ------
-    ValueError
-        The image has no rows or columns, or the file ends before the last row.
-    """
+    """Pixels (rows, columns) of a raw image."""
     if layout.rows < 1 or layout.columns < 1:
         raise ValueError(f"the label gives no usable image size: {layout.rows} rows, {layout.columns} columns")
     if layout.end_bytes > len(data):
@@ -116,14 +81,7 @@ def read_raw(data: bytes, layout: RawLayout) -> NDArray[Any]:
 def vax_floats(stored: NDArray[np.uint8]) -> Float:
     """Values of VAX F or D floating numbers.
 
-    Parameters
-    ----------
-    stored : (..., 4) or (..., 8) uint8
-        Their bytes.
-
-    Returns
-    -------
-    (...) float64
+    ``stored`` (..., 4) or (..., 8), their bytes; returns (...).
 
     Notes
     -----

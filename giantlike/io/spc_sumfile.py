@@ -83,18 +83,7 @@ class Sumfile(Value):
 
 
 def write_sumfile(path: str | Path, content: Sumfile) -> None:
-    """Write a SUMFILE.
-
-    Parameters
-    ----------
-    path : path-like
-    content : Sumfile
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write a SUMFILE."""
     axes = content.camera_from_body.as_matrix()
     k = content.pixels_per_mm
     center = content.center_px + _FIRST_PIXEL
@@ -123,22 +112,7 @@ def write_sumfile(path: str | Path, content: Sumfile) -> None:
 
 
 def read_sumfile(path: str | Path) -> Sumfile:
-    """Read a SUMFILE.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Returns
-    -------
-    Sumfile
-        Distortion coefficients, which SPC keeps elsewhere, and limb fits are not read.
-
-    Raises
-    ------
-    DataError
-        The file is missing, or a line is not what it should be; the text says which.
-    """
+    """Read a SUMFILE."""
     path = Path(path)
     try:
         lines = path.read_text(encoding="ascii").splitlines()

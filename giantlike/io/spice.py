@@ -45,13 +45,7 @@ _UNKNOWN_NAME = ("IDCODENOTFOUND", "NOTRANSLATION", "UNKNOWNFRAME", "bods2c")
 
 
 class CoverageError(DataError):
-    """A body, a frame or a time that the loaded kernels do not cover.
-
-    Parameters
-    ----------
-    problem : str
-        The quantity that was asked for and the kernel that is needed.
-    """
+    """A body, a frame or a time that the loaded kernels do not cover."""
 
     def __init__(self, problem: str) -> None:
         super().__init__("SPICE kernels", problem)
@@ -99,26 +93,7 @@ class SpiceKernels:
 
 
 def find_kernels(patterns: Sequence[str | Path], base: str | Path) -> tuple[Path, ...]:
-    """Kernel files of patterns, in loading order, without loading them.
-
-    Parameters
-    ----------
-    patterns : sequence of path-like
-        Paths or glob patterns (``kernels/*.bsp``, ``**`` allowed), absolute or relative to ``base``. The files
-        of one pattern come in alphabetical order; a file that several patterns name stands where the last does.
-    base : path-like
-        Folder of the file that names them.
-
-    Returns
-    -------
-    tuple of Path
-        Absolute paths.
-
-    Raises
-    ------
-    DataError
-        A path does not exist or a pattern matches no file.
-    """
+    """Kernel files of patterns, in loading order, without loading them."""
     found: list[Path] = []
     for pattern in map(str, patterns):
         full = Path(base).absolute() / pattern
@@ -182,22 +157,7 @@ def load_kernels(patterns: Sequence[str | Path], base: str | Path, *, trusted: b
 
 
 def try_kernels(paths: Sequence[Path]) -> dict[str, Float]:
-    """Load kernels as :func:`load_kernels` does, in a process that may end at a damaged one.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-
-    Returns
-    -------
-    dict
-        Empty.
-
-    Raises
-    ------
-    SpiceyError
-        SPICE refuses one.
-    """
+    """Load kernels as :func:`load_kernels` does, in a process that may end at a damaged one."""
     import spiceypy
 
     for path in paths:
@@ -225,28 +185,7 @@ def _require_alone(path: Path) -> None:
 
 
 def spk_state(target: str | int, et: float, *, observer: str | int, frame: str = "J2000") -> tuple[Float, Float]:
-    """Geometric state of ``target`` relative to ``observer``.
-
-    Parameters
-    ----------
-    target, observer : str or int
-        NAIF names or ids (``"BENNU"``, ``"-64"``, ``-64``).
-    et : float, TDB seconds past J2000
-    frame : str
-        Axes of the result.
-
-    Returns
-    -------
-    position_km : (3,) float64, km
-    velocity_km_s : (3,) float64, km/s
-
-    Raises
-    ------
-    CoverageError
-        No loaded SPK covers it, or a name or frame is unknown.
-    InputError
-        ``et`` is not finite.
-    """
+    """Geometric state of ``target`` relative to ``observer``."""
     import spiceypy
 
     state, _ = _ask(
@@ -260,26 +199,7 @@ def spk_state(target: str | int, et: float, *, observer: str | int, frame: str =
 
 
 def orientation(frame_or_body: str | int, et: float) -> Rotation:
-    """Orientation ``inertial_from_body`` of a frame or of a body's own fixed frame.
-
-    Parameters
-    ----------
-    frame_or_body : str or int
-        A frame name (``IAU_BENNU``), or a body name or id (``BENNU``, ``2101955``), which stands for the body's
-        default fixed frame, or for its PCK orientation when SPICE knows no frame of it.
-    et : float, TDB seconds past J2000
-
-    Returns
-    -------
-    Rotation
-
-    Raises
-    ------
-    CoverageError
-        The name is unknown, or no loaded PCK or CK gives its orientation at ``et``.
-    InputError
-        ``et`` is not finite.
-    """
+    """Orientation ``inertial_from_body`` of a frame or of a body's own fixed frame."""
     import spiceypy
 
     def body_from_inertial() -> Float:
@@ -307,23 +227,6 @@ def attitude(frame: str, et: float) -> Rotation:
 
     The axes are those of the SPICE frame; where they are not +x along columns, +y along rows, +z boresight, the
     caller turns them.
-
-    Parameters
-    ----------
-    frame : str
-        Frame name, such as ``CASSINI_ISS_NAC``.
-    et : float, TDB seconds past J2000
-
-    Returns
-    -------
-    Rotation
-
-    Raises
-    ------
-    CoverageError
-        The frame is unknown, or no loaded CK covers ``et``.
-    InputError
-        ``et`` is not finite.
     """
     import spiceypy
 
@@ -339,19 +242,7 @@ def attitude(frame: str, et: float) -> Rotation:
 def body_radii_km(body: str | int) -> Float:
     """Radii of a body's reference ellipsoid along its own axes.
 
-    Parameters
-    ----------
-    body : str or int
-        NAIF name or id.
-
-    Returns
-    -------
-    (3,) float64, km
-
-    Raises
-    ------
-    CoverageError
-        The body is unknown, or no loaded PCK has its radii.
+    Returns (3,).
     """
     import spiceypy
 
@@ -362,27 +253,7 @@ def body_radii_km(body: str | int) -> Float:
 
 
 def ellipsoid_from_pck(body: str | int, kernels: Sequence[str | Path] = (), base: str | Path = ".") -> Ellipsoid:
-    """Reference ellipsoid of a body by its name, from a planetary constants kernel (PCK).
-
-    Parameters
-    ----------
-    body : str or int
-        NAIF name or id, such as ``"JUPITER"``.
-    kernels : sequence of path-like, optional
-        Kernels to load for the answer and to unload after it; those already loaded answer where there are none.
-    base : path-like
-        Folder that relative paths start from.
-
-    Returns
-    -------
-    Ellipsoid
-        Under the name of the body.
-
-    Raises
-    ------
-    DataError
-        A kernel is missing or damaged, the body is unknown, or no PCK has its radii.
-    """
+    """Reference ellipsoid of a body by its name, from a planetary constants kernel (PCK)."""
     with load_kernels(kernels, base) if kernels else nullcontext():
         radii_km = body_radii_km(body)
     return Ellipsoid(radii_km=radii_km, name=str(body))
@@ -440,13 +311,7 @@ def _kernel_text(path: Path) -> str | None:
 
 
 def _meta_kernel_paths(path: Path, text: str) -> list[str]:
-    """Files that a meta-kernel lists, its path symbols replaced; none for any other text kernel.
-
-    Raises
-    ------
-    DataError
-        Symbols and values differ in number, or the meta-kernel also sets variables of its own.
-    """
+    """Files that a meta-kernel lists, its path symbols replaced; none for any other text kernel."""
     data = "\n".join(section[1] for section in _DATA_SECTION.finditer(text))
     variables: dict[str, list[str]] = {}
     for name, value in _ASSIGNMENT.findall(data):

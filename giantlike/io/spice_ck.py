@@ -48,11 +48,6 @@ class CkTarget:
         NAIF code of the camera frame, such as -64361; its thousands are the spacecraft and its clock, such as -64.
     frame_name : str
         Name for the frame kernel: capitals, digits, underscores; at most 26.
-
-    Raises
-    ------
-    InputError
-        The code is no instrument's, or the name is none that SPICE takes.
     """
 
     instrument_id: int
@@ -83,35 +78,7 @@ def write_ck(
     max_gap_s: float | None = 600.0,
     comments: Sequence[str] = (),
 ) -> tuple[Path, ...]:
-    """Write attitudes as a C-kernel of type 3 (without rates, interpolated at a constant rate) or 1 (discrete).
-
-    Parameters
-    ----------
-    path : path-like
-        New file, ``.bc``; an existing one is replaced.
-    series : AttitudeSeries
-        ``camera_from_inertial``; hand over ``mission_from_inertial`` where the instrument is a mission's own frame.
-    target : CkTarget
-    sclk : path-like, optional
-        The spacecraft's clock kernel. Without it, a clock that runs with TDB is written beside the C-kernel (``.tsc``),
-        and a frame kernel (``.tf``) that defines the camera frame: with the three loaded, and a kernel of leap seconds
-        for texts, SPICE has the frame.
-    max_gap_s : float, s, optional
-        SPICE interpolates between neighbors at most so far apart; each run of them reaches a millisecond beyond its
-        ends, so that an attitude is found at its own epoch as text. None: type 1, which is read with a tolerance.
-    comments : sequence of str
-        Lines for the comment area.
-
-    Returns
-    -------
-    tuple of Path
-        The files written.
-
-    Raises
-    ------
-    DataError
-        The clock kernel is missing or not this spacecraft's, or a file cannot be written.
-    """
+    """Write attitudes as a C-kernel of type 3 (without rates, interpolated at a constant rate) or 1 (discrete)."""
     import spiceypy
     from spiceypy.utils.exceptions import SpiceyError
 

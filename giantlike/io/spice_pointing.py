@@ -62,23 +62,7 @@ class LabelClock:
     def middle_of_exposure(self, header: Mapping[str, HeaderValue], exposure_s: float | None) -> float | None:
         """Epoch of an image by its label.
 
-        Parameters
-        ----------
-        header : mapping of str to header value
-            ``metadata`` of an image.
-        exposure_s : float or None, s
-            None counts as 0.
-
-        Returns
-        -------
-        et : float or None, TDB seconds past J2000
-            None where the label has no such item, or none of that form.
-
-        Raises
-        ------
-        DataError
-            No clock kernel of the spacecraft is loaded, or it does not know the count; or what should be seconds is no
-            number.
+        Returns ``et``: None where the label has no such item, or none of that form.
         """
         match = re.search(self.pattern, str(header.get(self.item, "")))
         if match is None:
@@ -108,23 +92,6 @@ class LabelClock:
 
 def nearest_attitude(frame: str, et: float, tolerance_s: float) -> Rotation:
     """Attitude ``camera_from_inertial`` of an instrument frame, also where a C-kernel holds single attitudes.
-
-    Parameters
-    ----------
-    frame : str
-        Frame name, or the NAIF code of a C-kernel's instrument (such as ``-31001``) that no frame kernel defines.
-    et : float, TDB seconds past J2000
-    tolerance_s : float, s
-        The attitude that is nearest in time counts, up to this far from ``et``; 0 for kernels without gaps.
-
-    Returns
-    -------
-    Rotation
-
-    Raises
-    ------
-    CoverageError
-        The frame is unknown, or no loaded C-kernel has an attitude so near.
 
     Notes
     -----

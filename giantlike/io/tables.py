@@ -60,39 +60,13 @@ class Column:
 
 
 def column(description: str, unit: str = "", frame: str = "", *, csv: bool = True, size: int = 0) -> Any:
-    """Field of a dataclass that describes a column; the type of the field decides kind and emptiness.
-
-    Parameters
-    ----------
-    description : str
-    unit, frame : str
-        Empty where there is none.
-    csv : bool
-        False for a column of the Parquet file only.
-    size : int
-        Of a column of lists of one length, that length.
-
-    Returns
-    -------
-    dataclasses.Field
-        Default None.
-    """
+    """Field of a dataclass that describes a column; the type of the field decides kind and emptiness."""
     metadata = {"description": description, "unit": unit, "frame": frame, "csv": csv, "size": size}
     return dataclasses.field(default=None, metadata=metadata)
 
 
 def columns_of(kind: type[Any]) -> tuple[Column, ...]:
-    """Columns of a table, in order.
-
-    Parameters
-    ----------
-    kind : type
-        The dataclass of its rows.
-
-    Returns
-    -------
-    tuple of Column
-    """
+    """Columns of a table, in order."""
     hints = get_type_hints(kind)
     columns = []
     for field in dataclasses.fields(kind):
@@ -108,19 +82,6 @@ def write_rows(stem: Path, kind: type[Row], rows: Sequence[Row]) -> None:
 
     CSV numbers keep all their digits, and a cell without a value is empty. In the Parquet file each column has its
     unit, frame and description as metadata.
-
-    Parameters
-    ----------
-    stem : Path
-        Path of the files without suffix.
-    kind : type
-        The dataclass of the rows.
-    rows : sequence
-
-    Raises
-    ------
-    DataError
-        A file cannot be written.
     """
     columns = columns_of(kind)
     names = [column.name for column in columns if column.csv]
@@ -129,24 +90,7 @@ def write_rows(stem: Path, kind: type[Row], rows: Sequence[Row]) -> None:
 
 
 def read_rows(path: Path, kind: type[Row]) -> list[Row]:
-    """Read a table back from its CSV file; columns that are not there, and those of Parquet alone, are None.
-
-    Parameters
-    ----------
-    path : Path
-    kind : type
-        The dataclass of the rows.
-
-    Returns
-    -------
-    list
-
-    Raises
-    ------
-    DataError
-        The file cannot be read, a column is unknown, one is missing whose cells may not be empty, or a cell is wrong;
-        the text says which.
-    """
+    """Read a table back from its CSV file; columns that are not there, and those of Parquet alone, are None."""
     columns = [column for column in columns_of(kind) if column.csv]
     names = [column.name for column in columns]
     rows = read_csv_rows(path, names, [column.name for column in columns if column.required])
@@ -166,19 +110,7 @@ def _cell(row: CsvRow, column: Column) -> str | int | float | None:
 
 
 def arrow_schema(columns: Sequence[Column], metadata: Mapping[str, str] | None = None) -> Any:
-    """Schema of a Parquet file.
-
-    Parameters
-    ----------
-    columns : sequence of Column
-        Unit, frame and description become metadata of the field.
-    metadata : mapping of str to str, optional
-        Of the file.
-
-    Returns
-    -------
-    pyarrow.Schema
-    """
+    """Schema of a Parquet file."""
     import pyarrow as pa
 
     types = {
@@ -201,17 +133,7 @@ def arrow_schema(columns: Sequence[Column], metadata: Mapping[str, str] | None =
 
 
 def arrow_table(schema: Any, rows: Sequence[Any]) -> Any:
-    """Rows of a dataclass as a table of a schema.
-
-    Parameters
-    ----------
-    schema : pyarrow.Schema
-    rows : sequence
-
-    Returns
-    -------
-    pyarrow.Table
-    """
+    """Rows of a dataclass as a table of a schema."""
     import pyarrow as pa
 
     arrays = [pa.array([getattr(row, field.name) for row in rows], type=field.type) for field in schema]

@@ -56,23 +56,6 @@ def decode_vicar(path: Path, data: bytes) -> DecodedImage:
     ``MISSING_LINES``, the zeros of rows that are at least half zero; where it names a ``CUT_OUT_WINDOW``, rows
     and columns of nothing but zeros; where its history names a program that resampled the image (``GEOMA`` and others
     of that name), zeros that are joined to the edge of the frame, where the old one ended.
-
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    data : bytes
-        The whole file.
-
-    Returns
-    -------
-    DecodedImage
-
-    Raises
-    ------
-    DataError
-        The label is damaged, the file is truncated, or the image is of a kind that is not read: complex
-        pixels, more than one band, pixel-interleaved.
     """
     label_bytes = _label_size(data)
     system = _system_items(_parse_label(_text(data[:label_bytes])))

@@ -33,33 +33,7 @@ def write_wcs(
     order: int = 5,
     bottom_up: bool = False,
 ) -> SipHeader:
-    """Write world coordinates, for the pixels of the image as stored, as a FITS file without data.
-
-    Parameters
-    ----------
-    path : path-like
-    posed : PosedModel
-    et : float, optional, TDB seconds past J2000
-        Mid-exposure, for ``DATE-AVG``.
-    name : str
-        Name of the image, for ``FILENAME``.
-    order : int
-        Order of the polynomials, 2 to 9.
-    bottom_up : bool
-        True if the rows of the image were turned around on reading (:meth:`giantlike.Image.open`).
-
-    Returns
-    -------
-    SipHeader
-        The keywords, for rows from the top, and the errors of the polynomials.
-
-    Raises
-    ------
-    InputError
-        A tangent plane cannot show the frame, or the order is out of range.
-    DataError
-        The file cannot be written.
-    """
+    """Write world coordinates, for the pixels of the image as stored, as a FITS file without data."""
     from astropy.io import fits
 
     fitted = sip_header(posed, order=order)
@@ -110,27 +84,7 @@ class WcsAttitude:
 def attitude_of_wcs(
     header: Mapping[str, Any], model: CameraModel, *, columns: int, rows: int, bottom_up: bool = False
 ) -> WcsAttitude:
-    """Attitude at which a camera model sees the sky where TAN or TAN-SIP world coordinates put it.
-
-    Parameters
-    ----------
-    header : mapping of str to value
-        FITS keywords, such as ``image.metadata``.
-    model : CameraModel
-    columns, rows : int
-        Size of the image.
-    bottom_up : bool
-        True if the rows of the image were turned around on reading (:meth:`giantlike.Image.open`).
-
-    Returns
-    -------
-    WcsAttitude
-
-    Raises
-    ------
-    InputError
-        There are no such world coordinates, or they show the sky mirrored with the rows as they were read.
-    """
+    """Attitude at which a camera model sees the sky where TAN or TAN-SIP world coordinates put it."""
     solved = camera_of_sip(header, columns=columns, rows=rows)
     if solved.camera.rows_reversed != bottom_up:
         advice = "read the image with bottom_up" if solved.camera.rows_reversed else "read it as stored"
@@ -144,14 +98,5 @@ def attitude_of_wcs(
 
 
 def has_world_coordinates(header: Mapping[str, Any]) -> bool:
-    """Return True if a header has TAN or TAN-SIP world coordinates.
-
-    Parameters
-    ----------
-    header : mapping of str to value
-
-    Returns
-    -------
-    bool
-    """
+    """Return True if a header has TAN or TAN-SIP world coordinates."""
     return str(header.get("CTYPE1", "")).startswith("RA---TAN") and "CRVAL1" in header

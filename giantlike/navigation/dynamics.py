@@ -122,17 +122,7 @@ def sun_position_km(et: float) -> Float:
 def splined(position_km: Callable[[float], Float], first: float, last: float) -> Callable[[float], Float]:
     """Positions by a cubic spline through hourly ones, in a tenth of the time.
 
-    Parameters
-    ----------
-    position_km : callable
-        Of a body, at a time in TDB seconds past J2000.
-    first, last : float, TDB seconds past J2000
-        Times between which it is asked.
-
-    Returns
-    -------
-    callable
-        Of the Moon within two centimeters.
+    ``first``, ``last`` in TDB seconds past J2000.
     """
     from scipy.interpolate import CubicSpline
 

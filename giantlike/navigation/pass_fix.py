@@ -239,17 +239,7 @@ class PassFix(Value):
 def term_test(term: str, departure: Float, covariance: Float, freedom: int | None) -> TermTest:
     """Test a departure against its covariance under the hypothesis that there is none.
 
-    Parameters
-    ----------
-    term : str
-    departure : (k,) float64
-    covariance : (k, k) float64
-    freedom : int or None
-        Degrees of freedom of the noise where its scale was estimated.
-
-    Returns
-    -------
-    TermTest
+    ``departure`` (k,); ``covariance`` (k, k).
     """
     scale = np.sqrt(np.diagonal(covariance))
     used = scale > 0.0
@@ -276,18 +266,7 @@ def term_test(term: str, departure: Float, covariance: Float, freedom: int | Non
 def weak_combinations(names: tuple[str, ...], information: Float, *, above: float) -> tuple[WeakCombination, ...]:
     """Find combinations of parameters that measurements tell much worse than their parts.
 
-    Parameters
-    ----------
-    names : tuple of str
-    information : (k, k) float64
-        Of the measurements alone.
-    above : float
-        Least inflation that is reported.
-
-    Returns
-    -------
-    tuple of WeakCombination
-        The weakest first.
+    ``information`` (k, k).
     """
     scale = np.sqrt(np.diagonal(information))
     told = scale > 0.0

@@ -342,16 +342,7 @@ class NavigationPass(Value):
 def smooth_waves(points_px: Float, center_px: Float, error: SmoothError) -> Float:
     """Waves around a limb that stand for an error that changes slowly along it.
 
-    Parameters
-    ----------
-    points_px : (n, 2) float64, px
-    center_px : (2,) float64, px
-    error : SmoothError
-
-    Returns
-    -------
-    (n, c) float64, px
-        Shifts by one standard deviation of each.
+    ``points_px`` (n, 2); returns (n, c) px.
     """
     arms = points_px - center_px
     radius_px = float(np.mean(np.linalg.norm(arms, axis=1)))
@@ -360,21 +351,7 @@ def smooth_waves(points_px: Float, center_px: Float, error: SmoothError) -> Floa
 
 
 def shared_names(images: tuple[PassImage, ...]) -> tuple[tuple[str, int], ...]:
-    """Keys of the errors that limbs share, with the number of errors of each.
-
-    Parameters
-    ----------
-    images : tuple of PassImage
-
-    Returns
-    -------
-    tuple of (str, int)
-
-    Raises
-    ------
-    InputError
-        Two images have another number of errors under one key.
-    """
+    """Keys of the errors that limbs share, with the number of errors of each."""
     sizes: dict[str, int] = {}
     for image in images:
         for key, shift in image.observed.shared_px.items():

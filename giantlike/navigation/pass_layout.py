@@ -68,13 +68,7 @@ class Layout(Value):
 
     @classmethod
     def of(cls, given: NavigationPass, options: PassOptions) -> Layout:
-        """Lay out the parameters of a pass.
-
-        Raises
-        ------
-        InputError
-            A term needs what the images do not have.
-        """
+        """Lay out the parameters of a pass."""
         columns: list[_Column] = []
         for treatment, terms in ((True, options.estimate), (False, options.consider)):
             for term, sigma in terms.items():

@@ -50,13 +50,8 @@ class ImageSums(Value):
     def without_new(self) -> tuple[Float, Float, float, float]:
         """Sums with the new errors integrated out.
 
-        Returns
-        -------
-        information : (8 + c, 8 + c) float64
-        pull : (8 + c,) float64
-        squares : float
-        log_determinant : float
-            Of the covariance of the residuals, over that of their noise.
+        Returns ``information`` (8 + c, 8 + c); ``pull`` (8 + c,); ``squares``; ``log_determinant``: of the covariance
+        of the residuals, over that of their noise.
         """
         seen = self.information @ self.random
         gain = np.linalg.solve(self.inner, np.column_stack([seen.T, self.random.T @ self.pull]))

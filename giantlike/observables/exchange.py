@@ -53,19 +53,7 @@ class Tracked:
 
 
 def tracking_segments(rows: Iterable[ObservableRow], *, angles: Angles, spacecraft: str) -> Tracked:
-    """Segments of a tracking data message from the preferred fixes of bodies.
-
-    Parameters
-    ----------
-    rows : iterable of ObservableRow
-    angles : Angles
-    spacecraft : str
-        Name of the participant.
-
-    Returns
-    -------
-    Tracked
-    """
+    """Segments of a tracking data message from the preferred fixes of bodies."""
     points: dict[str, list[TdmPoint]] = {}
     left_out = Counter[str]()
     for row in rows:
@@ -100,27 +88,7 @@ def tracking_segments(rows: Iterable[ObservableRow], *, angles: Angles, spacecra
 
 
 def sumfile_of(camera: Camera, body: ObservableRow, landmarks: Sequence[ObservableRow]) -> Sumfile:
-    """SUMFILE of a body in an image.
-
-    Parameters
-    ----------
-    camera : Camera
-        Its focal length and principal point go into the file, its distortion does not.
-    body : ObservableRow
-        With a position and an epoch.
-    landmarks : sequence of ObservableRow
-        Of the same fix; where they were measured in the distorted image.
-
-    Returns
-    -------
-    Sumfile
-        The pose is the apparent one, which the image shows.
-
-    Raises
-    ------
-    InputError
-        The row has no position, epoch or orientation.
-    """
+    """SUMFILE of a body in an image."""
     known = (body.apparent_position_icrf_km, body.camera_from_icrf_xyzw, body.icrf_from_body_xyzw, body.epoch_et_s)
     require(None not in known, f"{body.file}: a SUMFILE needs position, attitude, orientation and epoch")
     camera_from_inertial = Rotation.from_quat(_vector(body.camera_from_icrf_xyzw))
@@ -155,16 +123,7 @@ def sumfile_of(camera: Camera, body: ObservableRow, landmarks: Sequence[Observab
 
 
 def psf_camera(camera: Camera) -> PsfCamera:
-    """Return the camera of a picture sequence file: focal length and principal point, without distortion.
-
-    Parameters
-    ----------
-    camera : Camera
-
-    Returns
-    -------
-    PsfCamera
-    """
+    """Return the camera of a picture sequence file: focal length and principal point, without distortion."""
     named = dict(zip(camera.model.parameter_names, camera.model.parameters.tolist(), strict=True))
     focal_length_mm = named["fx_px"] / _PIXELS_PER_MM
     return PsfCamera(
@@ -177,19 +136,7 @@ def psf_camera(camera: Camera) -> PsfCamera:
 
 
 def picture_of(camera: Camera, rows: Sequence[ObservableRow | ObservableBlock]) -> PsfPicture | str:
-    """Picture of a picture sequence file: preferred fixes of bodies, and the stars of the image.
-
-    Parameters
-    ----------
-    camera : Camera
-    rows : sequence of ObservableRow or ObservableBlock
-        Of one image.
-
-    Returns
-    -------
-    PsfPicture or str
-        The reason, where there is none.
-    """
+    """Picture of a picture sequence file: preferred fixes of bodies, and the stars of the image."""
     bodies = [row for row in rows if isinstance(row, ObservableRow) and row.kind == "body" and row.preferred]
     stars = [star for block in rows if isinstance(block, ObservableBlock) for star in block.rows()]
     used = [

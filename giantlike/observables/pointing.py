@@ -64,21 +64,6 @@ class Pointing(Value):
 def pointing_from_bodies(camera: Camera, rows: Sequence[ObservableRow]) -> Pointing | Failure:
     """Attitude of an image from the bodies and landmarks in it.
 
-    Parameters
-    ----------
-    camera : Camera
-    rows : sequence of ObservableRow
-        Of one image, with one attitude. Of each target its landmarks are used, else the preferred fix or one with a
-        turn about the line of sight that nothing objects to, whichever give the smaller covariance: two bodies,
-        landmarks far from each other, or one body that is not round give all three angles. The attitude of the rows
-        with its covariance is the a priori one; where it is that of stars, stars and bodies are thus taken together.
-
-    Returns
-    -------
-    Pointing or Failure
-        Reasons: ``NO_SIGNAL`` without a body, ``DEGENERATE_GEOMETRY`` where an angle is not determined: one round body
-        says nothing of the roll about it, and the covariance of the a priori attitude is not known.
-
     Notes
     -----
     With ``C`` the covariance of all measured places, in which errors of ephemeris, size, pole, spin and camera are

@@ -301,13 +301,7 @@ def _draw(axis: Axes, layer: Layer) -> None:
 
 
 def draw_layer(axis: Axes, layer: Layer) -> None:
-    """Draw a layer of markers or lines with matplotlib.
-
-    Parameters
-    ----------
-    axis : Axes
-    layer : Layer
-    """
+    """Draw a layer of markers or lines with matplotlib."""
     markers = {
         Shape.RING: "o", Shape.CROSS: "x", Shape.PLUS: "+", Shape.DOT: ".", Shape.SQUARE: "s", Shape.TRIANGLE: "^",
         Shape.DIAMOND: "D",

@@ -79,20 +79,7 @@ class Layer(Value):
 
 
 def layer_svg(layer: Layer, name: str, points: Float) -> str:
-    """One path for all points of a layer: strokes, or invisible with a marker at each vertex.
-
-    Parameters
-    ----------
-    layer : Layer
-    name : str
-        Differs for every layer of a page.
-    points : (n, 2)
-        Its points in SVG units.
-
-    Returns
-    -------
-    str
-    """
+    """One path for all points of a layer: strokes, or invisible with a marker at each vertex."""
     width = layer.width * UNITS_PER_POINT
     if layer.shape in (Shape.LINE, Shape.DASHES, Shape.BARS, Shape.ARROWS):
         dashes = ' stroke-dasharray="5 3"' if layer.shape is Shape.DASHES else ""

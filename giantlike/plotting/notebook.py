@@ -34,19 +34,7 @@ _ARROW_SHARE = 1 / 22
 
 @paints(Image)
 def draw_image(image: Image, axes: Axes | None = None, *, longest_px: int = 1024) -> Axes:
-    """Draw an image: noise dark gray, faint stars visible, the shading of bodies kept.
-
-    Parameters
-    ----------
-    image : Image
-    axes : Axes, optional
-    longest_px : int
-        Longer images are reduced to about this many pixels.
-
-    Returns
-    -------
-    Axes
-    """
+    """Draw an image: noise dark gray, faint stars visible, the shading of bodies kept."""
     axes = _axes(axes, image.rows / image.columns)
     extent = (-0.5, image.columns - 0.5, image.rows - 0.5, -0.5)
     axes.imshow(stretched(image.pixels, longest_px=longest_px), cmap="gray", vmin=0, vmax=255, extent=extent)
@@ -57,17 +45,7 @@ def draw_image(image: Image, axes: Axes | None = None, *, longest_px: int = 1024
 
 @paints(Camera)
 def draw_camera(camera: Camera, axes: Axes | None = None) -> Axes:
-    """Draw the field of a camera: lines of equal angle from the boresight, in degrees.
-
-    Parameters
-    ----------
-    camera : Camera
-    axes : Axes, optional
-
-    Returns
-    -------
-    Axes
-    """
+    """Draw the field of a camera: lines of equal angle from the boresight, in degrees."""
     axes = _axes(axes, camera.rows / camera.columns)
     points = frame_grid(camera.columns, camera.rows, nodes=_NODES)
     directions = camera.model.unproject(points)
@@ -84,20 +62,7 @@ def draw_camera(camera: Camera, axes: Axes | None = None) -> Axes:
 def draw_scene(
     scene: Scene, axes: Axes | None = None, *, image: Image | None = None, camera: Camera | None = None
 ) -> Axes:
-    """Draw the predicted outlines of the targets of a scene over an image; without one, their names and radii.
-
-    Parameters
-    ----------
-    scene : Scene
-    axes : Axes, optional
-    image : Image, optional
-    camera : Camera, optional
-        Needed with an image.
-
-    Returns
-    -------
-    Axes
-    """
+    """Draw the predicted outlines of the targets of a scene over an image; without one, their names and radii."""
     if image is None or camera is None:
         axes = _axes(axes, 0.6)
         names = [target.name for target in scene.targets]
@@ -120,17 +85,7 @@ def draw_scene(
 
 @paints(AttitudeFix)
 def draw_attitude(fix: AttitudeFix, axes: Axes | None = None) -> Axes:
-    """Draw the residuals of the stars of an attitude as arrows over the field.
-
-    Parameters
-    ----------
-    fix : AttitudeFix
-    axes : Axes, optional
-
-    Returns
-    -------
-    Axes
-    """
+    """Draw the residuals of the stars of an attitude as arrows over the field."""
     axes = _axes(axes, 1.0)
     median_px = _arrows(axes, fix.observed_px, fix.residuals_px, fix.rejected_px)
     axes.set_title(f"Residuals of {fix.n_used} stars, median {median_px:.3g} px")
@@ -139,17 +94,7 @@ def draw_attitude(fix: AttitudeFix, axes: Axes | None = None) -> Axes:
 
 @paints(CalibrationResult)
 def draw_calibration(result: CalibrationResult, axes: Axes | None = None) -> Axes:
-    """Draw the residuals of all images of a calibration as arrows over the field.
-
-    Parameters
-    ----------
-    result : CalibrationResult
-    axes : Axes, optional
-
-    Returns
-    -------
-    Axes
-    """
+    """Draw the residuals of all images of a calibration as arrows over the field."""
     axes = _axes(axes, 1.0)
     used = result.used
     median_px = _arrows(axes, result.observed_px[used], result.residuals_px[used], result.observed_px[~used])
@@ -173,19 +118,7 @@ def _arrows(axes: Axes, observed_px: Float, residuals_px: Float, rejected_px: Fl
 
 @paints(CenterFix)
 def draw_fix(fix: CenterFix, axes: Axes | None = None, *, image: Image | None = None) -> Axes:
-    """Draw the center of a body with its ellipse of three sigma, and limb points used and rejected, or the outline.
-
-    Parameters
-    ----------
-    fix : CenterFix
-    axes : Axes, optional
-    image : Image, optional
-        Drawn below.
-
-    Returns
-    -------
-    Axes
-    """
+    """Draw the center of a body with its ellipse of three sigma, and limb points used and rejected, or the outline."""
     from matplotlib.patches import Ellipse
 
     axes = _axes(axes, 1.0) if image is None else draw_image(image, axes)

@@ -242,16 +242,7 @@ def overlay_figure(panels: Sequence[OverlayPanel]) -> Figure:
 
 
 def shown_aspect(panel: OverlayPanel) -> float:
-    """Height of a panel over its width; very long images are stretched.
-
-    Parameters
-    ----------
-    panel : OverlayPanel
-
-    Returns
-    -------
-    float
-    """
+    """Height of a panel over its width; very long images are stretched."""
     left, right, top, bottom = panel.limits_px
     return float(np.clip((bottom - top) / (right - left), 1 / _MAX_ELONGATION, _MAX_ELONGATION))
 

@@ -44,12 +44,7 @@ _STYLE: Any = MappingProxyType(  # matplotlib's own type for this lists every se
 
 
 def drawing() -> AbstractContextManager[None]:
-    """Draw in the style of all figures: ``with drawing(): ...``, for making and for saving them.
-
-    Returns
-    -------
-    context manager
-    """
+    """Draw in the style of all figures: ``with drawing(): ...``, for making and for saving them."""
     import matplotlib  # by whoever draws with it: a report does not
 
     return matplotlib.rc_context(dict(_STYLE))
@@ -64,24 +59,7 @@ _GAPS_IN = {"wspace": 0.75, "hspace": 0.15}
 def new_panels(
     width_in: float, height_in: float, rows: int = 1, columns: int = 1, *, shown: bool = False, **settings: Any
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with empty panels between fixed margins, in half the time of matplotlib's own layout.
-
-    Parameters
-    ----------
-    width_in, height_in : float, inches
-    rows, columns : int
-        Of panels.
-    shown : bool
-        True for a figure of pyplot, which notebooks show and ``pyplot.show`` opens.
-    **settings
-        Of matplotlib's ``Figure.subplots``.
-
-    Returns
-    -------
-    figure : Figure
-    panels : list of Axes
-        Row by row.
-    """
+    """Return a figure with empty panels between fixed margins, in half the time of matplotlib's own layout."""
     if shown:
         from matplotlib import pyplot
 
@@ -104,13 +82,7 @@ def new_panels(
 
 
 def show_field(axis: Axes, columns: int, rows: int) -> None:
-    """Make a panel show the frame of an image: pixel (0, 0) at the upper left, equal scales.
-
-    Parameters
-    ----------
-    axis : Axes
-    columns, rows : int
-    """
+    """Make a panel show the frame of an image: pixel (0, 0) at the upper left, equal scales."""
     axis.set(xlim=(-0.5, columns - 0.5), ylim=(rows - 0.5, -0.5), aspect="equal", xlabel="x, px", ylabel="y, px")
 
 

@@ -68,26 +68,7 @@ def combine_frames(
 ) -> CombinedFrame:
     """Average exposures pixel by pixel, without particles and stars.
 
-    Parameters
-    ----------
-    frames : sequence of (rows, columns) real, DN
-        Of one size.
-    masks : sequence of (rows, columns) bool, optional
-        True where a pixel is bad.
-    normalize : bool
-        Divide each by its median first, as flats of different brightness need.
-
-    Returns
-    -------
-    CombinedFrame
-        With three exposures and more, what lies beyond four sigma from the median of a pixel is left out. Its noise
-        follows from the scatter of the exposures. That of a single one follows from the scatter of neighboring pixels,
-        which holds the structure of the frame as well: an upper bound.
-
-    Raises
-    ------
-    InputError
-        There is no frame, sizes differ, or a median is not positive where frames are to be normalized.
+    ``frames`` sequence of (rows, columns) DN; ``masks`` sequence of (rows, columns).
 
     Examples
     --------
@@ -191,11 +172,6 @@ class CalibrationFrames(Value):
         Response of the pixels to even light, without bias and dark; scaled to a median of 1.
     bad : (rows, columns) bool, optional
         True where a pixel is bad. Hot pixels of the dark and dead ones of the flat are added to it.
-
-    Raises
-    ------
-    InputError
-        Frames differ in size, a dark has no exposure, or the median of the flat is not positive.
     """
 
     bias: CombinedFrame | None = None
@@ -242,26 +218,6 @@ class CalibrationFrames(Value):
         mask: Mask | None = None,
     ) -> CalibratedPixels:
         """Correct the pixels of an image.
-
-        Parameters
-        ----------
-        pixels : (rows, columns) real, DN
-            As read out.
-        detector : Detector
-            Of the camera.
-        exposure_s : float, s, optional
-            Of the image; needed with a dark.
-        mask : (rows, columns) bool, optional
-            True where a pixel is bad.
-
-        Returns
-        -------
-        CalibratedPixels
-
-        Raises
-        ------
-        InputError
-            The image has another size than the frames, or no exposure or bias to scale the dark by.
 
         Notes
         -----
@@ -334,25 +290,7 @@ def flat_from(
 ) -> CombinedFrame:
     """Combine exposures of even light into a flat.
 
-    Parameters
-    ----------
-    exposures : sequence of (rows, columns) real, DN
-    masks : sequence of (rows, columns) bool, optional
-        True where a pixel is bad.
-    offsets : CalibrationFrames, optional
-        Bias and dark, which are taken off first; their noise is added. None where they are off already.
-    exposures_s : sequence of float or None, s, optional
-        Exposures, for the dark.
-
-    Returns
-    -------
-    CombinedFrame
-        Scaled to medians of 1.
-
-    Raises
-    ------
-    InputError
-        As of :func:`combine_frames` and :meth:`CalibrationFrames.apply`.
+    ``exposures`` sequence of (rows, columns) DN; ``masks`` sequence of (rows, columns).
     """
     if offsets is None:
         return combine_frames(exposures, masks, normalize=True)

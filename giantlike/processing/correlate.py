@@ -43,11 +43,6 @@ class CorrelationOptions:
         Least correlation that counts as found.
     min_overlap : float
         Least number of pixels that image and template share, over the largest such number in the search region.
-
-    Raises
-    ------
-    InputError
-        A value is out of its range.
     """
 
     search_px: int = 40
@@ -94,26 +89,8 @@ def normalized_correlation(
 ) -> Float:
     """Correlation coefficient of a template with every part of an image that has its size.
 
-    Parameters
-    ----------
-    image : (H, W) float64
-    template : (h, w) float64
-        Not larger than the image.
-    image_usable, template_usable : (H, W), (h, w) bool, optional
-        Pixels to use; all by default. Only pixels that are usable in both enter a coefficient.
-    min_overlap : float
-        Coefficients from fewer than this fraction of the largest number of shared pixels are undefined.
-
-    Returns
-    -------
-    (H - h + 1, W - w + 1) float64
-        Element [j, i] belongs to the template's corner at image row j, column i. NaN where it is undefined: too few
-        shared pixels, or no contrast in one of the two.
-
-    Raises
-    ------
-    InputError
-        The template is larger than the image, or a mask has another shape than its array.
+    ``image`` (H, W); ``template`` (h, w); ``image_usable`` (H, W), ``template_usable`` (h, w); returns
+    (H - h + 1, W - w + 1), NaN where it is undefined: too few shared pixels, or no contrast in one of the two.
     """
     require(
         template.shape[0] <= image.shape[0] and template.shape[1] <= image.shape[1],
@@ -133,16 +110,8 @@ def normalized_correlation(
 def find_peak(surface: Float, *, n_pixels: int = 0) -> CorrelationPeak | None:
     r"""Highest point of a correlation surface, refined by a paraboloid.
 
-    Parameters
-    ----------
-    surface : (rows, columns) float64
-    n_pixels : int
-        Number of pixels that template and image share at the peak; without it the covariance is infinite.
-
-    Returns
-    -------
-    CorrelationPeak or None
-        None where the surface is nowhere defined. On an edge the peak stays on its pixel.
+    ``surface`` (rows, columns); ``n_pixels``: number of pixels that template and image share at the peak
+    (without it the covariance is infinite); returns None where the surface is nowhere defined.
 
     Notes
     -----
@@ -187,22 +156,7 @@ def locate_template(
 ) -> CorrelationPeak | Failure:
     """Find a template near its predicted place; either may reach over the frame.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) float64
-    usable : (rows, columns) bool
-        False where a pixel is bad or saturated.
-    template : (h, w) float64
-    corner_px : (int, int), px
-        Predicted column and row of the template's element [0, 0].
-    options : CorrelationOptions
-
-    Returns
-    -------
-    CorrelationPeak or Failure
-        ``offset_px`` is measured minus predicted. Failures: ``OUT_OF_FRAME`` when the search region has no usable
-        pixels, ``NO_SIGNAL`` when it has no contrast, ``LOW_CORRELATION``, and ``PEAK_AT_EDGE`` when the best match may
-        lie outside the search region.
+    ``template`` (h, w); ``corner_px``: predicted column and row of the template's element [0, 0].
     """
     corner = np.array(corner_px)
     box = PixelBox.spanning(corner, corner + template.shape[::-1], options.search_px)

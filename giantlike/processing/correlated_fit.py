@@ -55,16 +55,7 @@ class CorrelatedFit(Value):
     def residual_covariance(self, sigma: Float, points: Float) -> Float:
         """Covariance of residuals.
 
-        Parameters
-        ----------
-        sigma : (n,) float64
-            Independent noise as predicted.
-        points : (n, d) float64
-            Where they were taken.
-
-        Returns
-        -------
-        (n, n) float64
+        ``sigma`` (n,); ``points`` (n, d); returns (n, n).
         """
         distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
         shared = self.correlated_sigma**2 * np.exp(-distances / self.correlation_length)
@@ -75,26 +66,7 @@ class CorrelatedFit(Value):
 def robust_solution(residuals: Float, design: Float, sigma: Float, *, outlier_mad: float) -> tuple[Float, Mask]:
     """Solve ``design @ solution = residuals`` and find the outliers among the residuals.
 
-    Parameters
-    ----------
-    residuals : (n,) float64
-    design : (n, k) float64, n > k
-    sigma : (n,) float64
-        Noise of each residual; the scatter that is found is added to it, so that no residual rules because its
-        noise is small against what the model leaves out.
-    outlier_mad : float
-        Residuals beyond so many robust sigmas (from the median absolute deviation) are left out.
-
-    Returns
-    -------
-    solution : (k,) float64
-    keep : (n,) bool
-        Residuals that are no outliers.
-
-    Raises
-    ------
-    InputError
-        There are not more residuals than parameters.
+    ``residuals`` (n,); ``design`` (n, k), n > k; ``sigma`` (n,); returns ``solution`` (k,) and ``keep`` (n,).
 
     Notes
     -----
@@ -178,19 +150,8 @@ def generalized_solution(
 ) -> tuple[Float, Float]:
     """Solve ``design @ solution = residuals`` for residuals of known covariance.
 
-    Parameters
-    ----------
-    residuals : (n,) float64
-    design : (n, k) float64
-    residual_covariance : (n, n) float64
-    weights : (n,) float64, optional
-        Weights of an ordinary weighted solution; by default the inverse covariance, which is the best.
-
-    Returns
-    -------
-    solution : (k,) float64
-    covariance : (k, k) float64
-        Of the solution as it was weighted.
+    ``residuals`` (n,); ``design`` (n, k); ``residual_covariance`` (n, n); ``weights`` (n,); returns ``solution`` (k,)
+    and ``covariance`` (k, k).
     """
     gain = solution_gain(design, residual_covariance, weights=weights)
     covariance: Float = gain @ residual_covariance @ gain.T
@@ -202,17 +163,7 @@ def solution_gain(design: Float, residual_covariance: Float, *, weights: Float |
 
     With it goes what each part of the covariance of the residuals does to the solution: ``gain @ part @ gain.T``.
 
-    Parameters
-    ----------
-    design : (n, k) float64
-    residual_covariance : (n, n) float64
-        Not used where there are weights.
-    weights : (n,) float64, optional
-        Weights of an ordinary weighted solution; by default the inverse covariance, which is the best.
-
-    Returns
-    -------
-    (k, n) float64
+    ``design`` (n, k); ``residual_covariance`` (n, n); ``weights`` (n,); returns (k, n).
     """
     scale = np.linalg.norm(design, axis=0)
     x = design / scale
@@ -232,29 +183,8 @@ def correlated_solution(
 ) -> CorrelatedFit:
     r"""Generalized least squares with a covariance of the residuals estimated from the residuals themselves.
 
-    Parameters
-    ----------
-    residuals : (n,) float64
-        Without outliers.
-    design : (n, k) float64, n > k + 1
-    sigma : (n,) float64
-        Independent noise as predicted; its scale is estimated.
-    points : (n, d) float64
-        Where the residuals were taken, one after the other along a line: those close together err together.
-    min_length : float
-        Shortest correlation length considered, unit of ``points``.
-    max_length : float, optional
-        Longest one; None is the extent of the points. Waves that long the solution takes up itself, and the residuals
-        cannot tell whether there are any.
-
-    Returns
-    -------
-    CorrelatedFit
-
-    Raises
-    ------
-    InputError
-        There are too few residuals.
+    ``residuals`` (n,); ``design`` (n, k), n > k + 1; ``sigma`` (n,); ``points`` (n, d); ``min_length``: shortest
+    correlation length considered, unit of ``points``.
 
     Notes
     -----

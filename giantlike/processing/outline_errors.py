@@ -95,15 +95,7 @@ class OutlineErrors(Value):
     def covariances(self, sigma: Float, points: Float) -> PointCovariances:
         """Covariances of points.
 
-        Parameters
-        ----------
-        sigma : (n,) float64
-            Independent noise as predicted.
-        points : (n, 2) float64
-
-        Returns
-        -------
-        PointCovariances
+        ``sigma`` (n,); ``points`` (n, 2).
 
         Notes
         -----
@@ -162,29 +154,8 @@ def outline_errors(
 ) -> OutlineErrors:
     r"""Find the errors of points along an outline from the residuals of a linear model.
 
-    Parameters
-    ----------
-    residuals : (n,) float64
-        Without outliers.
-    design : (n, k) float64
-        Of the model that is fitted to them.
-    sigma : (n,) float64
-        Independent noise as predicted; its scale is estimated.
-    points : (n, 2) float64
-        One after the other along the outline.
-    radius : float
-        Mean radius of the whole outline, unit of the points.
-    least_length : float
-        Shortest correlation length that is considered, unit of the points.
-
-    Returns
-    -------
-    OutlineErrors
-
-    Raises
-    ------
-    InputError
-        There are too few residuals.
+    ``residuals`` (n,); ``design`` (n, k); ``sigma`` (n,); ``points`` (n, 2); ``radius``: mean radius of the whole
+    outline, unit of the points; ``least_length``: shortest correlation length that is considered, unit of the points.
 
     Notes
     -----
@@ -226,16 +197,7 @@ def outline_errors(
 def averages(points: Float, sigma: Float) -> Float:
     """Matrix that averages points along an outline in bins, with their noise as weights; one that keeps few points.
 
-    Parameters
-    ----------
-    points : (n, 2) float64
-        One after the other.
-    sigma : (n,) float64
-
-    Returns
-    -------
-    (b, n) float64
-        With b at most 25 and as many where neighbors are averaged.
+    ``points`` (n, 2); ``sigma`` (n,); returns (b, n).
     """
     if len(points) <= _MOST_BINS:
         return np.eye(len(points))

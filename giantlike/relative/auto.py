@@ -114,14 +114,6 @@ class Choice:
         """Names of the estimators that check one that was taken, in order.
 
         Those that use another part of the image come first; another use of the same light is better than none.
-
-        Parameters
-        ----------
-        taken : str
-
-        Returns
-        -------
-        list of str
         """
         order = sorted(self.checks, key=lambda name: _CHOICES[name][1] == _CHOICES[taken][1])
         return [name for name in order if name != taken]
@@ -136,22 +128,6 @@ def choose(
     *, diameter_px: float, is_ellipsoid: bool, in_frame: float, limb_px: float, options: AutoOptions = AutoOptions()
 ) -> Choice:
     """Choose estimators by the appearance of a body.
-
-    Parameters
-    ----------
-    diameter_px : float, px
-        Apparent diameter of the body.
-    is_ellipsoid : bool
-        True if its shape is an ellipsoid, for which the horizon has a closed form.
-    in_frame : float
-        Part of the lit outline that lies within the frame, 0 to 1.
-    limb_px : float, px
-        Length of that part.
-    options : AutoOptions
-
-    Returns
-    -------
-    Choice
 
     Examples
     --------

@@ -67,24 +67,6 @@ def with_budget(
     camera axes, which moves where the body is found: the part ``ORIENTATION``. The sigmas are those of
     ``camera.uncertainty``, of ``image.attitude_covariance_rad2`` and of ``geometry.target.uncertainty``; one that is
     not given adds nothing.
-
-    Parameters
-    ----------
-    fix : CenterFix or PositionFix
-        As the estimator returns it.
-    image : Image
-    camera : Camera
-    geometry : TargetGeometry
-        A priori geometry that the estimator was given.
-    motion : callable
-        Returns the motion (k,) of the place, in px and logarithm of the range, with another geometry.
-
-    Returns
-    -------
-    CenterFix, PositionFix or Failure
-        The same fix with all ``parts`` and ``partials``, and with what they add to its ``covariance_px2`` and
-        ``covariance_camera_km2``; a failure of the estimator where it finds nothing when the body is moved by one sigma
-        either way.
     """
     size = 3 if isinstance(fix, PositionFix) else 2
     model = camera.model
@@ -135,20 +117,6 @@ def with_larger_errors(fix: AnyFix, model: CameraModel, factor: float, causes: I
 
     With the covariance ``own`` of the causes, the sum of its parts is at least ``factor * own``, and at least ``own``
     and the parts of pole, spin and orientation.
-
-    Parameters
-    ----------
-    fix : CenterFix or PositionFix
-        With its parts; one that has none is all noise.
-    model : CameraModel
-    factor : float
-        At least 1, found without regard to the errors that were declared.
-    causes : iterable of Cause
-        In the image; the declared ones do not grow.
-
-    Returns
-    -------
-    CenterFix or PositionFix
     """
     if factor == 1.0:
         return fix
@@ -175,19 +143,7 @@ def with_larger_errors(fix: AnyFix, model: CameraModel, factor: float, causes: I
 def with_error(fix: AnyFix, model: CameraModel, cause: Cause, covariance: Float) -> AnyFix:
     """Return a fix with one more error.
 
-    Parameters
-    ----------
-    fix : CenterFix or PositionFix
-        With its parts.
-    model : CameraModel
-    cause : Cause
-        In the image; one that the fix has already grows.
-    covariance : (k, k) float64
-        Of x, y in px and, of a position, of the natural logarithm of the range.
-
-    Returns
-    -------
-    CenterFix or PositionFix
+    ``covariance`` (k, k), of x, y in px and, of a position, of the natural logarithm of the range.
     """
     parts = {**fix.parts, cause: fix.parts.get(cause, np.zeros_like(covariance)) + covariance}
     changes: dict[str, object] = {"parts": parts, "covariance_px2": fix.covariance_px2 + covariance[:2, :2]}
@@ -208,16 +164,7 @@ def place_difference(one: CenterFix, other: CenterFix) -> Float:
 def position_covariance(model: CameraModel, position_camera_km: Float, covariance: Float) -> Float:
     """Covariance of a position from that of the place of the body, such as a sum of the parts of a fix.
 
-    Parameters
-    ----------
-    model : CameraModel
-    position_camera_km : (3,) float64, km, camera axes
-    covariance : (3, 3) float64
-        Of x, y in px and of the natural logarithm of the range.
-
-    Returns
-    -------
-    (3, 3) float64, km^2, camera axes
+    ``covariance``: of x, y in px and of the natural logarithm of the range; returns (3, 3) km^2, camera axes.
     """
     km_per_place = np.asarray(np.linalg.inv(place_jacobian(model, position_camera_km)), dtype=np.float64)
     return _propagated(km_per_place, covariance)
@@ -232,22 +179,7 @@ def camera_response(
     lit and in the frame, moves to follow these shifts across it. A body of which too little is seen, or none, moves
     as a small circle around its center does.
 
-    Parameters
-    ----------
-    camera : Camera
-        Its ``uncertainty`` names the k parameters.
-    position_camera_km : (3,) float64, km, camera axes
-    radius_km : float, km
-        Mean radius of the body.
-    sun_direction_camera : (3,) float64, unitless, camera axes
-    size : int
-        3 with the range, 2 where the estimator takes it as given.
-
-    Returns
-    -------
-    (size, k) float64
-        Of x, y in px and of the natural logarithm of the range, per unit of each parameter. The pixels are those by
-        which the direction is off, not the measured center.
+    Returns (size, k), of x, y in px and of the natural logarithm of the range, per unit of each parameter.
     """
     assert camera.uncertainty is not None
     model = camera.model
@@ -305,19 +237,8 @@ def _circle(axis: Float, half_angle: float) -> tuple[Float, Float]:
 def attitude_parts_rad2(covariance_rad2: Float | None, errors: AttitudeErrors, camera: Camera) -> dict[Cause, Float]:
     """Covariance of an attitude, apart from what it shares with the camera and with other attitudes.
 
-    Parameters
-    ----------
-    covariance_rad2 : (3, 3) float64, rad^2, optional
-        Of the small rotation about the camera axes; None where unknown.
-    errors : AttitudeErrors
-    camera : Camera
-        Where its parameters are uncertain, what an attitude from stars follows of them is left out: it is in the part
-        of the camera.
-
-    Returns
-    -------
-    dict of Cause to (3, 3) float64, rad^2
-        ``ATTITUDE``, and ``ABERRATION`` and ``EPOCH`` where the attitude has them; empty where it is unknown.
+    ``covariance_rad2``: of the small rotation about the camera axes; returns dict of Cause to (3, 3) rad^2, empty where
+    it is unknown.
     """
     if covariance_rad2 is None:
         return {}

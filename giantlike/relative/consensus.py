@@ -28,16 +28,7 @@ _WEIGHTS = np.linspace(0.0, 1.0, 21)
 def confirming(fix: CenterFix, seconds: Iterable[tuple[str, CenterFix | Failure]]) -> tuple[str, CenterFix] | None:
     """Return the first of other fixes of the same body that can check one, in order.
 
-    Parameters
-    ----------
-    fix : CenterFix
-    seconds : iterable of (str, CenterFix or Failure)
-        Name and outcome of other estimators, the most independent first. No more are taken than are needed.
-
-    Returns
-    -------
-    (str, CenterFix) or None
-        None where none is both certain enough and not suspect: a suspect one tells nothing of the first.
+    Returns None where none is both certain enough and not suspect: a suspect one tells nothing of the first.
     """
     for name, second in seconds:
         if not isinstance(second, Failure) and not second.flags.suspect and _certain_enough(second, fix):
@@ -52,18 +43,7 @@ def _certain_enough(second: CenterFix, fix: CenterFix) -> bool:
 
 
 def agreement_of(first: CenterFix, second: CenterFix) -> float:
-    """Probability that two right and independent fixes of one body differ by as much.
-
-    Parameters
-    ----------
-    first, second : CenterFix
-        Compared by center and, where both are :class:`~giantlike.core.outcomes.PositionFix`, range. Errors that both
-        have alike, of the camera and of the scale of the shape, excuse no difference.
-
-    Returns
-    -------
-    float
-    """
+    """Probability that two right and independent fixes of one body differ by as much."""
     squared, size = _squared_difference(first, second)
     return float(chdtrc(size, squared))
 
@@ -100,18 +80,6 @@ def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     the variance of a mean of two errors is at most the mean of their variances. The weight is the one with the
     smallest determinant of the covariance. Where the two differ by more than their covariances, the parts that they
     do not share grow, see :func:`~giantlike.relative.judge.inflation`.
-
-    Parameters
-    ----------
-    first, second : CenterFix
-        Of the same coordinates, with their parts by cause.
-    model : CameraModel
-
-    Returns
-    -------
-    CenterFix
-        The first one, at the fused place; at its own where the second has nothing to add: no parts, other coordinates,
-        or so large errors that its best weight is zero.
     """
     squared, size = _squared_difference(first, second)
     grown = inflation(squared, size)

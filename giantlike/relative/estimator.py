@@ -189,40 +189,13 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
 
     @abstractmethod
     def _estimate(self, inputs: EstimatorInputs) -> Fix | Failure:
-        """Find the body of gathered inputs.
-
-        Parameters
-        ----------
-        inputs : EstimatorInputs
-
-        Returns
-        -------
-        CenterFix, PositionFix or Failure
-            The text of a failure need not name image, target and estimator.
-        """
+        """Find the body of gathered inputs."""
 
 
 def with_response(
     fix: AnyFix, inputs: EstimatorInputs, estimate: Callable[[EstimatorInputs], CenterFix | Failure]
 ) -> AnyFix:
-    """Return a fix with the error of a response that is not known, as a part of ``reflectance``: both bend the light.
-
-    Parameters
-    ----------
-    fix : CenterFix or PositionFix
-        With its parts.
-    inputs : EstimatorInputs
-        For the place of the body alone.
-    estimate : callable
-        Finds the body of inputs.
-
-    Returns
-    -------
-    CenterFix or PositionFix
-        The same, where the response is known or the fit fails without it. Else, as of 8-bit JPEG and PNG files without
-        declared noise or gamma, how far the body moves with a small bend of the values, for the bend of one standard
-        deviation (:data:`~giantlike.relative.response.DISPLAY_BEND_SIGMA`).
-    """
+    """Return a fix with the error of an unknown response, as a part of ``reflectance``: both bend the light."""
     if inputs.bend_sigma == 0.0:
         return fix
     bent = Response(bend=BEND_STEP, dark_dn=0.0, bright_dn=float(inputs.pixels_dn[inputs.usable].max()))

@@ -170,81 +170,31 @@ class EstimatorInputs(Value):
         return math.sqrt(known.pole_rad**2 + known.spin_rad**2 + roll)
 
     def focal_plane(self, psf_sigma_px: float | None = None) -> FocalPlane:
-        """Return the camera as renders take it.
-
-        Parameters
-        ----------
-        psf_sigma_px : float, px, optional
-            Standard deviation of the point spread function; None takes that of the camera, or
-            :data:`~giantlike.core.detector.UNKNOWN_PSF_SIGMA_PX` where the camera does not know it.
-
-        Returns
-        -------
-        FocalPlane
-        """
+        """Return the camera as renders take it."""
         known = self.psf_sigma_px if psf_sigma_px is None else psf_sigma_px
         psf = GaussianPsf(sigma_px=UNKNOWN_PSF_SIGMA_PX if known is None else known)
         return FocalPlane(model=self.camera.model, columns=self.camera.columns, rows=self.camera.rows, psf=psf)
 
     def linearized(self, response: Response) -> EstimatorInputs:
-        """Return the inputs with values in proportion to light.
-
-        Parameters
-        ----------
-        response : Response
-
-        Returns
-        -------
-        EstimatorInputs
-            With the response among their corrections.
-        """
+        """Return the inputs with values in proportion to light."""
         corrections = self.corrections | Corrections(response=response)
         return replace(self, pixels_dn=response.light_dn(self.pixels_dn), corrections=corrections)
 
     def straight_image(self, response: Response) -> Image:
-        """Return the image with values in proportion to light, and a detector that saturates where it did.
-
-        Parameters
-        ----------
-        response : Response
-
-        Returns
-        -------
-        Image
-        """
+        """Return the image with values in proportion to light, and a detector that saturates where it did."""
         detector, light_dn = self.camera.detector, response.light_dn(self.pixels_dn)
         if self.saturated.any():
             detector = replace(detector, saturation_dn=detector.bias_dn + float(light_dn[self.saturated].min()))
         return replace(self.image, pixels=light_dn + detector.bias_dn, detector=detector, eight_bit=None)
 
     def fail(self, reason: Reason, detail: str) -> Failure:
-        """Return a failure whose text starts with the image, the target and the estimator.
-
-        Parameters
-        ----------
-        reason : Reason
-        detail : str
-
-        Returns
-        -------
-        Failure
-        """
+        """Return a failure whose text starts with the image, the target and the estimator."""
         return Failure(reason, f"{self.image.name}: {self.target_name}: {self.estimator}: {detail}")
 
     def flags_at(self, area: Mask, corner_px: tuple[int, int] = (0, 0)) -> Quality:
         """Return the flags of the inputs for a measurement on some pixels.
 
-        Parameters
-        ----------
-        area : (h, w) bool
-            Pixels that were measured, in a part of the image.
-        corner_px : (int, int), px
-            Column and row of its first element.
-
-        Returns
-        -------
-        Quality
-            The source of the attitude, and whether saturated or bad pixels lie in the area.
+        ``area`` (h, w); ``corner_px``: column and row of its first element.
         """
         flags, (x, y) = self.flags, corner_px
         part = slice(y, y + area.shape[0]), slice(x, x + area.shape[1])
@@ -258,33 +208,7 @@ class EstimatorInputs(Value):
 def gather(
     image: Image, camera: Camera, scene: Scene, target: str | None, *, estimator: str, options: object
 ) -> EstimatorInputs | Failure:
-    """Collect and check the inputs of an estimator.
-
-    Parameters
-    ----------
-    image : Image
-    camera : Camera
-    scene : Scene
-    target : str or None
-        None where the scene has one target.
-    estimator : str
-        Name of the estimator that asks.
-    options : object
-        Its options; their text goes into the provenance.
-
-    Returns
-    -------
-    EstimatorInputs or Failure
-        Failure when the image has no attitude, epoch or signal, is saturated all over, or when the body is behind the
-        camera or around it.
-
-    Raises
-    ------
-    InputError
-        The image has another size than the camera, or there is no such target.
-    DataError
-        SPICE kernels do not cover the epoch.
-    """
+    """Collect and check the inputs of an estimator."""
     camera.require_image(image)
     geometry = scene.geometry(image, target)
     if isinstance(geometry, Failure):

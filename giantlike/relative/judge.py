@@ -190,17 +190,7 @@ class Judgement:
 def inflation(squared: float, freedom: int) -> float:
     """Factor by which variances are too small for a difference.
 
-    Parameters
-    ----------
-    squared : float
-        Squared difference over its covariance.
-    freedom : int
-        Its degrees of freedom.
-
-    Returns
-    -------
-    float
-        At least 1.
+    Returns at least 1.
 
     Notes
     -----
@@ -213,17 +203,8 @@ def inflation(squared: float, freedom: int) -> float:
 def explaining_inflation(difference: Float, own: Float, other: Float, false_alarm: float = FALSE_ALARM) -> float:
     """Least factor of a covariance under which a difference to something else is no contradiction.
 
-    Parameters
-    ----------
-    difference : (k,) float64
-    own, other : (k, k) float64
-        Covariances of the two; that of the other stays as it is.
-    false_alarm : float
-
-    Returns
-    -------
-    float
-        At least 1: below the quantile of the false alarms nothing grows.
+    ``difference`` (k,); ``own``, ``other`` (k, k); returns at least 1: below the quantile of the false alarms nothing
+    grows.
     """
     from scipy.linalg import eigh
     from scipy.optimize import brentq

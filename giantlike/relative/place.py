@@ -15,19 +15,7 @@ from giantlike.ray_tracing import FocalPlane, Silhouette
 
 
 def apparent_radius_px(camera: Camera | FocalPlane, center_px: ArrayLike, radius_km: float, range_km: float) -> float:
-    """Apparent radius of a sphere, px.
-
-    Parameters
-    ----------
-    camera : Camera or FocalPlane
-    center_px : (2,), px
-        Center of the sphere in the image; outside the frame the scale of the nearest pixel is taken.
-    radius_km, range_km : float, km
-
-    Returns
-    -------
-    float
-    """
+    """Apparent radius of a sphere, px."""
     x, y = np.clip(center_px, -0.5, [camera.columns - 0.5, camera.rows - 0.5]).tolist()
     angle = math.asin(min(radius_km / range_km, 1.0))
     return angle / _ifov_rad(camera.model, x, y)
@@ -42,18 +30,7 @@ def _ifov_rad(model: CameraModel, x_px: float, y_px: float) -> float:
 def position_of_center(model: CameraModel, center_px: Float, range_km: float, covariance: Float) -> tuple[Float, Float]:
     """Position of a body from its center in the image and its range.
 
-    Parameters
-    ----------
-    model : CameraModel
-    center_px : (2,) float64, px
-    range_km : float, km
-    covariance : (3, 3) float64
-        Of x, y in px and of the natural logarithm of the range.
-
-    Returns
-    -------
-    position_camera_km : (3,) float64, km, camera axes
-    covariance_camera_km2 : (3, 3) float64, km^2, camera axes
+    ``covariance``: of x, y in px and of the natural logarithm of the range.
     """
     line_of_sight = model.unproject(center_px)
     jacobian = range_km * np.concatenate([model.unproject_jacobian(center_px), line_of_sight[:, None]], axis=1)
@@ -63,19 +40,7 @@ def position_of_center(model: CameraModel, center_px: Float, range_km: float, co
 def center_of_position(
     model: CameraModel, position_camera_km: Float, covariance_camera_km2: Float
 ) -> tuple[Float, Float]:
-    """Center of a body in the image from its position.
-
-    Parameters
-    ----------
-    model : CameraModel
-    position_camera_km : (3,) float64, km, camera axes
-    covariance_camera_km2 : (3, 3) float64, km^2, camera axes
-
-    Returns
-    -------
-    center_px : (2,) float64, px
-    covariance_px2 : (2, 2) float64, px^2
-    """
+    """Center of a body in the image from its position."""
     jacobian = model.project_jacobian(position_camera_km)
     return model.project(position_camera_km), jacobian @ covariance_camera_km2 @ jacobian.T
 
@@ -85,16 +50,7 @@ def place_covariance(model: CameraModel, position_camera_km: Float, covariance_c
 
     The inverse of what :func:`position_of_center` does to a covariance.
 
-    Parameters
-    ----------
-    model : CameraModel
-    position_camera_km : (3,) float64, km, camera axes
-    covariance_camera_km2 : (3, 3) float64, km^2, camera axes
-
-    Returns
-    -------
-    (3, 3) float64
-        Of x, y in px and of the natural logarithm of the range.
+    Returns (3, 3), of x, y in px and of the natural logarithm of the range.
     """
     variances, axes = np.linalg.eigh(covariance_camera_km2)
     # By its root: where all of a covariance lies along the line of sight, rounding would leave no covariance of pixels.
@@ -106,15 +62,7 @@ def place_covariance(model: CameraModel, position_camera_km: Float, covariance_c
 def place_jacobian(model: CameraModel, position_camera_km: Float) -> Float:
     """Derivative of the place of a body by its position.
 
-    Parameters
-    ----------
-    model : CameraModel
-    position_camera_km : (3,) float64, km, camera axes
-
-    Returns
-    -------
-    (3, 3) float64
-        Of x, y in px and of the natural logarithm of the range, per km.
+    Returns (3, 3), of x, y in px and of the natural logarithm of the range, per km.
     """
     along = position_camera_km / float(position_camera_km @ position_camera_km)
     return np.vstack([model.project_jacobian(position_camera_km), along])
@@ -123,15 +71,7 @@ def place_jacobian(model: CameraModel, position_camera_km: Float) -> Float:
 def limb_in_frame(outline: Silhouette, plane: FocalPlane) -> tuple[float, float]:
     """Return the part of the lit outline of a body that lies within the frame, and its length.
 
-    Parameters
-    ----------
-    outline : Silhouette
-    plane : FocalPlane
-
-    Returns
-    -------
-    share : float
-    length_px : float, px
+    Returns ``share`` and ``length_px``.
     """
     if not outline.lit.any():
         return 0.0, 0.0

@@ -30,19 +30,7 @@ def settled(
 ) -> Trial | None:
     """Straighten values by the bend that residuals ask for, until they ask for no other.
 
-    Parameters
-    ----------
-    first : Response
-        What residuals ask for where values are taken to be light.
-    tried : callable
-        What comes of values that were straightened by a response; None where nothing does.
-    asked : callable
-        The response that the residuals of such a trial ask for, and the standard deviation of its bend.
-
-    Returns
-    -------
-    object or None
-        The last trial; None where the bend does not settle, or settles where there is next to none.
+    Returns None where the bend does not settle, or settles where there is next to none.
     """
     response = first
     for _ in range(_BENDINGS):

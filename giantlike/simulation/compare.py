@@ -137,26 +137,7 @@ class Score(Value):
 
 
 def compare_run(run: Path, truth: Path, camera: Camera) -> Comparison:
-    """Read the tables of a run folder and compare them with a truth table.
-
-    Parameters
-    ----------
-    run : Path
-        Folder with ``attitudes.csv`` and ``observations.csv``.
-    truth : Path
-        ``truth.csv`` as :func:`~giantlike.simulation.write.write_approach` writes it.
-    camera : Camera
-        Converts attitude errors to pixels.
-
-    Returns
-    -------
-    Comparison
-
-    Raises
-    ------
-    DataError
-        A table is missing or damaged, or holds a file that the truth does not.
-    """
+    """Read the tables of a run folder and compare them with a truth table."""
     true_rows = {row.file: row for row in read_rows(truth, TruthRow)}
     return Comparison(
         truth=tuple(true_rows.values()),
@@ -172,16 +153,7 @@ def compare_run(run: Path, truth: Path, camera: Camera) -> Comparison:
 
 
 def score_attitudes(errors: Sequence[AttitudeError]) -> Score:
-    """Summarize attitudes; normalized errors count one by one, about three axes.
-
-    Parameters
-    ----------
-    errors : sequence of AttitudeError
-
-    Returns
-    -------
-    Score
-    """
+    """Summarize attitudes; normalized errors count one by one, about three axes."""
     good = [error for error in errors if error.status == "ok" and error.error_px is not None]
     normalized = np.array([error.normalized for error in good if error.normalized is not None])
     return _score(
@@ -195,16 +167,7 @@ def score_attitudes(errors: Sequence[AttitudeError]) -> Score:
 
 
 def score_observations(errors: Sequence[ObservationError]) -> Score:
-    """Summarize centers and ranges.
-
-    Parameters
-    ----------
-    errors : sequence of ObservationError
-
-    Returns
-    -------
-    Score
-    """
+    """Summarize centers and ranges."""
     good = [error for error in errors if error.status == "ok" and error.error_px is not None]
     ranges = [[error.range_error, error.range_sigma] for error in good if error.range_error is not None]
     return _score(

@@ -35,11 +35,6 @@ class CosmicRays:
         Median charge per path length. The default, 80, is about that of a minimum ionizing particle in silicon.
     charge_spread : float
         Standard deviation of the natural logarithm of that charge, from particle to particle.
-
-    Raises
-    ------
-    InputError
-        A value is out of range.
     """
 
     rate_s_cm2: float = 0.0
@@ -92,24 +87,7 @@ class Tracks(Value):
 
 
 def draw_tracks(options: CosmicRays, columns: int, rows: int, exposure_s: float, random: np.random.Generator) -> Tracks:
-    """Draw the particles that hit a detector during an exposure.
-
-    Parameters
-    ----------
-    options : CosmicRays
-        Rates and charges.
-    columns, rows : int
-        Size of the detector.
-    exposure_s : float, s
-        Exposure time.
-    random : numpy Generator
-        Source of random numbers.
-
-    Returns
-    -------
-    Tracks
-        Entry points are uniform over the detector; tracks may leave it.
-    """
+    """Draw the particles that hit a detector during an exposure."""
     count = int(random.poisson(options.mean_hits(columns, rows, exposure_s)))
     start = random.uniform(-0.5, [columns - 0.5, rows - 0.5], (count, 2))
     azimuth = random.uniform(0.0, 2.0 * math.pi, count)

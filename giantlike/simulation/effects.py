@@ -31,11 +31,6 @@ class StrayLight:
         Center of the glow.
     glow_sigma_px : float, px
         Standard deviation of the glow.
-
-    Raises
-    ------
-    InputError
-        A value is not finite or out of range.
     """
 
     level_e_s: float = 0.0
@@ -75,11 +70,6 @@ class FlatField(Value):
     vignetting : float
         Fraction of the light lost in the corners of the image; the loss grows with the square of the distance from
         the center.
-
-    Raises
-    ------
-    InputError
-        A value is out of range, or the response is not a two-dimensional array of finite numbers >= 0.
     """
 
     response: Float | None = None
@@ -97,22 +87,7 @@ class FlatField(Value):
         Value.__post_init__(self)
 
     def factor(self, columns: int, rows: int) -> Float:
-        """Factor (rows, columns) on the light; 1 where nothing is lost.
-
-        Parameters
-        ----------
-        columns, rows : int
-            Size of the image.
-
-        Returns
-        -------
-        (rows, columns) float64
-
-        Raises
-        ------
-        InputError
-            The response has another size.
-        """
+        """Factor (rows, columns) on the light; 1 where nothing is lost."""
         x, y = np.arange(columns) - (columns - 1) / 2, (np.arange(rows) - (rows - 1) / 2)[:, None]
         corner_px2 = (columns / 2) ** 2 + (rows / 2) ** 2
         factor: Float = 1.0 - self.vignetting * (x**2 + y**2) / corner_px2
@@ -150,11 +125,6 @@ class FrameTransfer:
     swept_before : bool
         True if the rows move in the same way right before the exposure, to clear the detector: then every row has
         passed all others, and the smear of a column is nearly constant. Else a row passes only those on its way out.
-
-    Raises
-    ------
-    InputError
-        The row time is negative.
     """
 
     row_time_s: float = 0.0
@@ -167,16 +137,8 @@ class FrameTransfer:
     def smear_e(self, light_e: Float, exposure_s: float) -> Float:
         """Charge that the moving rows collect.
 
-        Parameters
-        ----------
-        light_e : (rows, columns) float64, electron
-            Charge collected in the exposure.
-        exposure_s : float, s
-            Exposure time; the rate of light, ``light_e / exposure_s``, is constant.
-
-        Returns
-        -------
-        (rows, columns) float64, electron
+        ``light_e`` (rows, columns); ``exposure_s``: exposure time (the rate of light, ``light_e / exposure_s``, is
+        constant); returns (rows, columns).
         """
         if self.row_time_s == 0.0 or exposure_s <= 0.0:
             return np.zeros_like(light_e)
@@ -204,11 +166,6 @@ class DarkCurrent:
         Temperature of the rate; 20 degrees Celsius by default.
     doubling_k : float, K
         Rise of temperature that doubles the rate. The default, 6.5, stands in until the value of the detector is known.
-
-    Raises
-    ------
-    InputError
-        The rate is negative, or a temperature is not in (0, 1000).
     """
 
     rate_e_s: float = 0.0
@@ -241,11 +198,6 @@ class FullWell:
     blooming : bool
         True if excess charge spills along the column, half of it either way, into the nearest pixels that have room;
         charge that reaches an edge of the detector drains off. Without blooming the excess is lost at once.
-
-    Raises
-    ------
-    InputError
-        The capacity is not positive.
     """
 
     capacity_e: float = math.inf

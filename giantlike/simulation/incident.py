@@ -132,28 +132,6 @@ def incident_light(
 ) -> IncidentLight:
     """Gather the light of bodies and stars on the pixels of a camera.
 
-    Parameters
-    ----------
-    shot : Shot
-        The exposure.
-    camera : Camera
-        With its PSF; stars and bodies go through the distorted model.
-    sources : Sources
-        Bodies and stars.
-    random : numpy Generator
-        Places the rays inside their cells.
-    options : SimulationOptions
-        Sampling.
-
-    Returns
-    -------
-    IncidentLight
-
-    Raises
-    ------
-    InputError
-        The scene cannot tell where a target is or where the Sun stands, the camera has no PSF, or lies inside a target.
-
     Notes
     -----
     Where the image moves, bodies and stars are drawn together at several moments of the exposure, so that a star that
@@ -217,25 +195,7 @@ def _hidden(points_px: Float, covered: Mask, camera: Camera) -> Mask:
 
 
 def true_geometry(scene: Scene, frame: Image, target: str) -> TargetGeometry:
-    """Return the apparent geometry of a target, or raise.
-
-    Parameters
-    ----------
-    scene : Scene
-    frame : Image
-        Gives attitude, epoch and observer.
-    target : str
-        Name of the body.
-
-    Returns
-    -------
-    TargetGeometry
-
-    Raises
-    ------
-    InputError
-        The scene does not determine the position of the target or the direction of the Sun.
-    """
+    """Return the apparent geometry of a target, or raise."""
     geometry = scene.geometry(frame, target)
     if isinstance(geometry, Failure):
         raise InputError(geometry.detail)
@@ -272,18 +232,7 @@ def _seen_bodies(
 def visible_peak(shot: Shot, camera: Camera, scene: Scene, target: str) -> float:
     """Brightness of the brightest pixel of a target, relative to a surface lit and seen along its normal.
 
-    Parameters
-    ----------
-    shot : Shot
-    camera : Camera
-    scene : Scene
-    target : str
-        Name of the body.
-
-    Returns
-    -------
-    float
-        0 where the body is not seen.
+    Returns 0 where the body is not seen.
     """
     geometry = scene.geometry(unexposed(shot, camera), target)
     if isinstance(geometry, Failure):

@@ -74,13 +74,7 @@ class CircularOrbit:
 class Rendezvous:
     """A spacecraft on a cubic spline through positions relative to a body.
 
-    Parameters
-    ----------
-    body : CircularOrbit
-    et : (n,), s
-        TDB seconds past J2000 of the positions, increasing; n >= 2.
-    relative_km : (n, 3), km, ICRF axes
-        From the body to the spacecraft.
+    ``et`` (n,) s; ``relative_km`` (n, 3), ICRF axes.
     """
 
     def __init__(self, body: CircularOrbit, et: ArrayLike, relative_km: ArrayLike) -> None:

@@ -11,18 +11,7 @@ _GAMMA = 0.4  # exponent of the display: a star a thousand times fainter than th
 
 
 def preview_png(pixels_dn: Float) -> bytes:
-    """Encode an image as an 8 bit gray PNG: a power of the signal above the median, scaled to the brightest pixel.
-
-    Parameters
-    ----------
-    pixels_dn : (rows, columns), DN
-        Image; the first row is on top.
-
-    Returns
-    -------
-    bytes
-        Content of the PNG file.
-    """
+    """Encode an image as an 8 bit gray PNG: a power of the signal above the median, scaled to the brightest pixel."""
     values = np.asarray(pixels_dn, dtype=np.float64)
     above = np.maximum(values - float(np.median(values)), 0.0)
     gray = (above / max(float(above.max()), 1e-12)) ** _GAMMA

@@ -162,18 +162,7 @@ class Shot(Value):
 
 
 def unexposed(shot: Shot, camera: Camera) -> Image:
-    """Return the image of a shot with black pixels and the true epoch, attitude and observer.
-
-    Parameters
-    ----------
-    shot : Shot
-    camera : Camera
-        Gives the size of the image.
-
-    Returns
-    -------
-    Image
-    """
+    """Return the image of a shot with black pixels and the true epoch, attitude and observer."""
     return Image(
         pixels=np.zeros((camera.rows, camera.columns), np.uint16),
         epoch=shot.epoch,
@@ -195,22 +184,7 @@ class Instant:
 
 
 def instants(exposure_s: float, smear_px: float, sigma_px: float) -> tuple[Instant, ...]:
-    """Nodes and weights that average a moving scene over its exposure.
-
-    Parameters
-    ----------
-    exposure_s : float, s
-        Exposure time.
-    smear_px : float, px
-        Motion of the image during the exposure.
-    sigma_px : float, px
-        Standard deviation of the PSF.
-
-    Returns
-    -------
-    tuple of Instant
-        Gauss-Legendre nodes and weights; the middle alone where the image moves less than 0.05 px.
-    """
+    """Nodes and weights that average a moving scene over its exposure."""
     if smear_px < _STILL_PX:
         return (Instant(0.0, 1.0),)
     count = 2 + math.ceil(_NODES_PER_SIGMA * smear_px / max(sigma_px, _SHARPEST_PX))

@@ -53,26 +53,7 @@ _STAR_COLUMNS = np.dtype([("id", "i8"), ("x_px", "f8"), ("y_px", "f8"), ("magnit
 def write_simulated(
     path: str | Path, taken: SimulatedImage, camera: Camera, *, extensions: bool = True, backplanes: bool = False
 ) -> None:
-    """Write a simulated image with its truth; its a priori keywords hold the truth too.
-
-    Parameters
-    ----------
-    path : path-like
-        New file; an existing one is replaced.
-    taken : SimulatedImage
-        The image.
-    camera : Camera
-        Camera of the image.
-    extensions : bool
-        True to write the extensions with the mean charge, the cosmic rays and the stars.
-    backplanes : bool
-        True to write the backplanes.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write a simulated image with its truth; its a priori keywords hold the truth too."""
     shot = taken.shot
     observer = shot.observer
     header = navigation_header(

@@ -124,16 +124,7 @@ def write_approach(
 
 
 def frame_header(frame: Frame) -> dict[str, HeaderValue]:
-    """Header of the image of a frame: what navigation knows beforehand, and nothing of the truth.
-
-    Parameters
-    ----------
-    frame : Frame
-
-    Returns
-    -------
-    dict of str to header value
-    """
+    """Header of the image of a frame: what navigation knows beforehand, and nothing of the truth."""
     return navigation_header(
         epoch=frame.shot.epoch,
         exposure_s=frame.shot.exposure_s,
@@ -170,16 +161,7 @@ def _target_table(folder: Path, name: str, shape: Shape) -> dict[str, Any]:
 
 
 def geometry_row(frame: Frame) -> GeometryRow:
-    """Row of the geometry table of a frame: its a priori knowledge.
-
-    Parameters
-    ----------
-    frame : Frame
-
-    Returns
-    -------
-    GeometryRow
-    """
+    """Row of the geometry table of a frame: its a priori knowledge."""
     geometry = frame.apriori_geometry
     return GeometryRow(
         file=frame.shot.name,
@@ -193,20 +175,7 @@ def geometry_row(frame: Frame) -> GeometryRow:
 
 
 def truth_row(frame: Frame, taken: SimulatedImage, camera: Camera) -> TruthRow:
-    """Row of the truth of a frame.
-
-    Parameters
-    ----------
-    frame : Frame
-    taken : SimulatedImage
-        Its image, with the target in view.
-    camera : Camera
-        The true camera.
-
-    Returns
-    -------
-    TruthRow
-    """
+    """Row of the truth of a frame."""
     body, model = taken.bodies[frame.target], camera.model
     vectors = {
         "q{}": ("xyzw", quaternion_xyzw(frame.shot.camera_from_inertial)),

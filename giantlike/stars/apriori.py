@@ -144,18 +144,8 @@ def _identify_shifted(
 def common_shift_px(predicted_px: Float, points_px: Float, max_distance_px: float, spread_px: float) -> Float:
     """Displacement shared by most pairs of a predicted star and a detection.
 
-    Parameters
-    ----------
-    predicted_px, points_px : (n, 2), (m, 2) float64, px
-    max_distance_px : float, px
-        Largest displacement.
-    spread_px : float, px
-        Displacements that differ by less are counted as equal: roll and distortion spread a common shift.
-
-    Returns
-    -------
-    (2,) float64, px
-        Detection minus prediction; zero if no pair is close enough.
+    ``predicted_px`` (n, 2), ``points_px`` (m, 2); returns (2,), detection minus prediction, zero if no pair is close
+    enough.
     """
     tree, other = cKDTree(points_px), cKDTree(predicted_px)
     pairs = tree.sparse_distance_matrix(other, max_distance_px, output_type="ndarray")
@@ -175,18 +165,7 @@ def ransac_attitude(
 ) -> tuple[Rotation, int]:
     """Attitude of the random sample of four pairs that agrees with most pairs (RANSAC).
 
-    Parameters
-    ----------
-    directions_inertial, points_px : (k, 3), (k, 2) float64
-        Tentative pairs; fewer than four are all in every sample.
-    camera : Camera
-    options : StarOptions
-
-    Returns
-    -------
-    camera_from_inertial : Rotation
-        Estimated again from all pairs that agree.
-    n_inliers : int
+    ``directions_inertial`` (k, 3), ``points_px`` (k, 2); returns ``camera_from_inertial`` and ``n_inliers``.
     """
     vectors_camera = camera.model.unproject(points_px)
     seen = np.isfinite(vectors_camera).all(axis=1)

@@ -25,16 +25,8 @@ from giantlike.stars.options import StarOptions
 def response_to_camera(solution: AttitudeSolution, field: StarField) -> Float:
     """Derivative of an attitude by the parameters of its camera model.
 
-    Parameters
-    ----------
-    solution : AttitudeSolution
-    field : StarField
-        The k stars used.
-
-    Returns
-    -------
-    (3, m) float64, rad per unit of each parameter
-        Of the small rotation that takes the attitude to the true one, in the order of the names of the parameters.
+    Returns (3, m) rad per unit of each parameter, of the small rotation that takes the attitude to the true one, in the
+    order of the names of the parameters.
     """
     vectors = rotate(solution.camera_from_inertial, field.directions_inertial)
     by_camera: Float = -np.tensordot(solution.by_pixels, solution.model.parameter_jacobian(vectors), axes=2)
@@ -46,24 +38,8 @@ def attitude_parts(
 ) -> Mapping[Cause, Float]:
     """Covariance of an attitude by cause.
 
-    Parameters
-    ----------
-    solution : AttitudeSolution
-    field : StarField
-        The k stars used.
-    by_camera : (3, m) float64, rad per unit of each parameter
-        As :func:`response_to_camera` returns it.
-    camera : Camera
-        Its uncertainty is considered, where it has one.
-    image : Image
-        Epoch and observer: the error of those that it lacks is considered.
-    options : StarOptions
-        Standard deviations of an unknown velocity and epoch.
-
-    Returns
-    -------
-    dict of Cause to (3, 3) float64, rad^2
-        ``NOISE``, and ``CAMERA``, ``ABERRATION`` and ``EPOCH`` where they apply.
+    ``by_camera`` (3, m) rad per unit of each parameter, as :func:`response_to_camera` returns it; returns dict of Cause
+    to (3, 3) rad^2.
     """
     parts = {Cause.NOISE: solution.covariance_rad2}
     known = camera.uncertainty

@@ -134,14 +134,7 @@ class Sky(Value):
 def line_of_sight(camera: Camera, camera_from_inertial: Rotation) -> Float:
     """Return the unit vector through the image center.
 
-    Parameters
-    ----------
-    camera : Camera
-    camera_from_inertial : Rotation
-
-    Returns
-    -------
-    (3,) float64, unitless, inertial
+    Returns (3,), inertial axes.
     """
     return unit(rotate(camera_from_inertial.inv(), camera.model.unproject(camera.center_px)))
 

@@ -95,21 +95,7 @@ def identify_in_cone(
 
     The same search as on the whole sky, in an index of the stars that such an image can show.
 
-    Parameters
-    ----------
-    points_px : (m, 2) float64, px
-        Detections, brightest first.
-    covariance_px2 : (m, 2, 2) float64, px^2
-    camera : Camera
-    sky : Sky
-    camera_from_inertial : Rotation
-        A priori attitude.
-    options : StarOptions
-
-    Returns
-    -------
-    RefinedAttitude or Failure
-        Reasons as for :func:`identify_lost_in_space`.
+    ``points_px`` (m, 2), detections, brightest first; ``covariance_px2`` (m, 2, 2).
     """
     return _solved_or_explained(_Problem(points_px, covariance_px2, camera, sky, options, camera_from_inertial))
 

@@ -47,13 +47,7 @@ def predicted_in_frame(
 ) -> Float:
     """Pixels (n, 2) of stars, NaN for those that fall further than ``margin_px`` outside the image.
 
-    Parameters
-    ----------
-    directions_inertial : (n, 3) float64, unitless, inertial
-        Apparent unit vectors.
-    camera : Camera
-    camera_from_inertial : Rotation
-    margin_px : float, px
+    ``directions_inertial`` (n, 3), apparent unit vectors.
     """
     predicted = camera.model.project(rotate(camera_from_inertial, directions_inertial))
     predicted[~camera.contains(predicted, margin_px=-margin_px)] = np.nan
@@ -63,20 +57,7 @@ def predicted_in_frame(
 def match_nearest(predicted_px: Float, points_px: Float, radius_px: float, *, ambiguous_px: float = 0.0) -> Matches:
     """Pair stars and detections that are each other's nearest neighbor.
 
-    Parameters
-    ----------
-    predicted_px : (n, 2) float64, px
-        Projected stars; NaN for those that the camera model cannot image.
-    points_px : (m, 2) float64, px
-        Detections.
-    radius_px : float, px
-        Largest distance of a pair.
-    ambiguous_px : float, px
-        Drop a pair if another star or detection is further away than its partner by less than this.
-
-    Returns
-    -------
-    Matches
+    ``predicted_px`` (n, 2), NaN for those that the camera model cannot image; ``points_px`` (m, 2).
     """
     visible = np.flatnonzero(np.isfinite(predicted_px).all(axis=1))
     none = np.zeros(0, dtype=np.intp)
@@ -101,20 +82,6 @@ def chance_of_match(predicted_px: Float, points_px: Float, radius_px: float, are
     The larger of two estimates: from the mean density of stars, and from the matches counted after shifting all
     detections by 24 displacements, which includes the clustering of stars and detections; of many detections a part
     is shifted by each.
-
-    Parameters
-    ----------
-    predicted_px : (n, 2) float64, px
-        Projected stars.
-    points_px : (m, 2) float64, px
-        Detections.
-    radius_px : float, px
-    area_px2 : float, px^2
-        Area of the image.
-
-    Returns
-    -------
-    float
     """
     stars = predicted_px[np.isfinite(predicted_px).all(axis=1)]
     if len(stars) == 0 or len(points_px) == 0:
@@ -129,21 +96,7 @@ def chance_of_match(predicted_px: Float, points_px: Float, radius_px: float, are
 
 
 def false_match_probability(n_matched: int, n_detected: int, chance: float, trials: float) -> float:
-    """Bound on the probability that any of ``trials`` wrong attitudes matches this many detections.
-
-    Parameters
-    ----------
-    n_matched, n_detected : int
-    chance : float
-        Probability that one detection matches, from :func:`chance_of_match`.
-    trials : float
-        Number of attitudes that differ by more than the match radius.
-
-    Returns
-    -------
-    float
-        ``trials`` times the binomial tail, at most 1.
-    """
+    """Bound on the probability that any of ``trials`` wrong attitudes matches this many detections."""
     tail = float(betainc(n_matched, n_detected - n_matched + 1, chance)) if n_matched > 0 else 1.0
     return min(1.0, trials * tail)
 
@@ -151,17 +104,7 @@ def false_match_probability(n_matched: int, n_detected: int, chance: float, tria
 def log_chance(n_matched: NDArray[np.intp], n_detected: int, chance: Float) -> Float:
     """Chernoff bound of the logarithm of the binomial tail: finite where the tail itself underflows.
 
-    Parameters
-    ----------
-    n_matched : (k,) int
-    n_detected : int
-    chance : (k,) float64
-        Probability that one detection matches.
-
-    Returns
-    -------
-    (k,) float64
-        At most 0.
+    ``n_matched``, ``chance`` (k,); returns (k,), at most 0.
     """
     share = n_matched / n_detected
     exponent: Float = -n_detected * (rel_entr(share, chance) + rel_entr(1.0 - share, 1.0 - chance))
@@ -199,14 +142,7 @@ def confusion_px(predicted_px: Float, magnitudes: Float) -> Float:
 
     A neighbor of flux ratio q at distance d shifts a blended centroid by d q / (1 + q).
 
-    Parameters
-    ----------
-    predicted_px : (n, 2) float64, px
-    magnitudes : (n,) float64
-
-    Returns
-    -------
-    (n,) float64, px
+    ``predicted_px`` (n, 2); ``magnitudes`` (n,); returns (n,).
     """
     shift = np.zeros(len(predicted_px))
     visible = np.flatnonzero(np.isfinite(predicted_px).all(axis=1))

@@ -402,18 +402,7 @@ def _enough(detections: Detections, solved: _Solved, left: UnmeasuredSources) ->
 
 
 def sky_of(image: Image, catalog: StarCatalog, options: StarOptions) -> Sky:
-    """Sky of an image: the catalog as seen by its observer at its epoch.
-
-    Parameters
-    ----------
-    image : Image
-    catalog : StarCatalog
-    options : StarOptions
-
-    Returns
-    -------
-    Sky
-    """
+    """Sky of an image: the catalog as seen by its observer at its epoch."""
     observer = image.observer
     return Sky(
         catalog=catalog,

@@ -17,23 +17,8 @@ _MOST_CELLS = 256  # along each axis: cells of a few pixels, and a table of them
 def nearest(among_px: Float, of_px: Float, count: int, reach_px: float) -> tuple[Float, NDArray[np.intp]]:
     """Find the nearest of some points for each of others.
 
-    Parameters
-    ----------
-    among_px : (n, 2) float64, px
-        At least one, finite.
-    of_px : (m, 2) float64, px
-        Finite.
-    count : int
-        1 or 2 neighbors.
-    reach_px : float, px
-        Largest distance.
-
-    Returns
-    -------
-    distance : (m, count) float64, px
-        Nearest first; infinite where there is none within reach.
-    index : (m, count) int
-        Of the points ``among_px``, the first of equally near ones; n where there is none.
+    ``among_px`` (n, 2); ``of_px`` (m, 2); returns ``distance`` (m, count) px, nearest first, infinite where there is
+    none within reach; ``index`` (m, count).
     """
     n = len(among_px)
     (low_x, low_y), (high_x, high_y) = among_px[0], among_px[0]

@@ -99,18 +99,7 @@ class Candidates(Value):
 def find_candidates(index: StarIndex, vectors: Float, chosen: NDArray[np.intp], scope: Scope) -> Candidates:
     """Match patterns of detections with patterns of the index.
 
-    Parameters
-    ----------
-    index : StarIndex
-    vectors : (s, m, 3) float64, unitless, camera
-        Lines of sight of m detections, for each of ``scope.scales``.
-    chosen : (k,) int
-        Detections to form patterns from.
-    scope : Scope
-
-    Returns
-    -------
-    Candidates
+    ``vectors`` (s, m, 3), camera axes; ``chosen`` (k,).
     """
     sets = chosen[subsets(len(chosen), index.pattern.stars)]
     if index.pattern is Pattern.QUAD:
@@ -177,19 +166,7 @@ def hypotheses(
 ) -> Iterator[Hypothesis]:
     """Attitudes shared by candidates, those of most candidates first, lazily, each with four stars or more.
 
-    Parameters
-    ----------
-    candidates : Candidates
-    index : StarIndex
-    vectors : (s, m, 3) float64
-        As given to :func:`find_candidates`.
-    scope : Scope
-    least : int
-        Fewest candidates that must agree.
-
-    Yields
-    ------
-    Hypothesis
+    ``vectors`` (s, m, 3).
     """
     if len(candidates) == 0:
         return
@@ -256,17 +233,8 @@ def searches(vectors: Float, half_fov_rad: float, pattern: Pattern) -> Iterator[
     or a limb may fill the other); and patterns of other sizes. In a wide image, and for patterns much smaller than it,
     the brightest detections of each part of the image form patterns, from the center outwards.
 
-    Parameters
-    ----------
-    vectors : (m, 3) float64, unitless, camera
-        Lines of sight of the detections, brightest first; NaN where the camera sees nothing.
-    half_fov_rad : float, rad
-        Half the smaller field of view.
-    pattern : Pattern
-
-    Yields
-    ------
-    Search
+    ``vectors`` (m, 3), camera axes, lines of sight of the detections, brightest first, NaN where the camera sees
+    nothing.
     """
     seen = np.flatnonzero(np.isfinite(vectors).all(axis=1))
     at_first, later = _LEAST[pattern]

@@ -20,21 +20,8 @@ def describe_triads(vectors: Float, triads: NDArray[np.intp]) -> tuple[Float, ND
     The three interstar angles are the invariants of three directions under rotation [1]_; here as chords,
     ``2 sin(angle / 2)``, which need no arc cosine. A mirror image has the same chords and the opposite sense.
 
-    Parameters
-    ----------
-    vectors : (n, 3) float64, unitless
-        Unit vectors, in any frame.
-    triads : (m, 3) int
-        Indices into ``vectors``.
-
-    Returns
-    -------
-    sides : (m, 3) float64, unitless
-        Chords, longest first.
-    ordered : (m, 3) int
-        The same triads: star ``j`` lies opposite to side ``j``.
-    right_handed : (m,) bool
-        True if the ordered stars have a positive triple product.
+    ``vectors`` (n, 3), unit vectors, in any frame; ``triads`` (m, 3); returns ``sides`` (m, 3), chords, longest first;
+    ``ordered`` (m, 3); ``right_handed`` (m,), True if the ordered stars have a positive triple product.
 
     References
     ----------
@@ -57,21 +44,9 @@ def describe_quads(vectors: Float, quads: NDArray[np.intp]) -> tuple[Float, NDAr
     (0, 0) and (1, 1); the places of the other two, C and D, are the code [1]_. Only quads whose C and D lie in the
     circle over AB are kept. A is the end to which C and D are closer, C the star of smaller first coordinate.
 
-    Parameters
-    ----------
-    vectors : (n, 3) float64, unitless
-        Unit vectors, in any right-handed frame.
-    quads : (m, 4) int
-        Indices into ``vectors``.
-
-    Returns
-    -------
-    codes : (k, 4) float64, unitless
-        C and D, scaled from the extent of the circle to [0, 1].
-    ordered : (k, 4) int
-        Indices of A, B, C and D of the quads kept.
-    which : (k,) int
-        Their row in ``quads``.
+    ``vectors`` (n, 3), unit vectors, in any right-handed frame; ``quads`` (m, 4), indices into ``vectors``; returns
+    ``codes`` (k, 4), C and D, scaled from the extent of the circle to [0, 1]; ``ordered`` (k, 4), indices of A, B, C
+    and D of the quads kept; ``which`` (k,).
 
     References
     ----------

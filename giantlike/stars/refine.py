@@ -129,19 +129,7 @@ def refine_attitude(
 def significant_matches(predicted_px: Float, points_px: Float, radius_px: float, area_px2: float) -> Matches:
     """Nearest-neighbor pairs with the number of brightest stars that makes them least likely to be due to chance.
 
-    Parameters
-    ----------
-    predicted_px : (n, 2) float64, px
-        Stars, brightest first; NaN for those outside the image.
-    points_px : (m, 2) float64, px
-    radius_px : float, px
-        Match radius.
-    area_px2 : float, px^2
-        Area of the image.
-
-    Returns
-    -------
-    Matches
+    ``predicted_px`` (n, 2), stars, brightest first, NaN for those outside the image; ``points_px`` (m, 2).
     """
     matches = match_nearest(predicted_px, points_px, radius_px)
     if len(matches) == 0:
@@ -159,18 +147,7 @@ def significant_matches(predicted_px: Float, points_px: Float, radius_px: float,
 
 
 def scaled_model(model: CameraModel, scale: float) -> CameraModel:
-    """Scale the focal lengths of a camera model.
-
-    Parameters
-    ----------
-    model : CameraModel
-    scale : float
-
-    Returns
-    -------
-    CameraModel
-        Of the same type; a pinhole becomes a Brown model, whose ``k1`` can be estimated.
-    """
+    """Scale the focal lengths of a camera model."""
     values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
     values |= {name: values[name] * scale for name in ("fx_px", "fy_px", "skew_px")}
     if isinstance(model, PinholeModel):
@@ -184,18 +161,7 @@ def depth_for(n_detections: int) -> int:
 
 
 def scale_for(n_matched: int, model: CameraModel, options: StarOptions) -> Scale:
-    """Parameters of the camera model that so many stars can determine.
-
-    Parameters
-    ----------
-    n_matched : int
-    model : CameraModel
-    options : StarOptions
-
-    Returns
-    -------
-    Scale
-    """
+    """Parameters of the camera model that so many stars can determine."""
     if not options.estimate_scale or n_matched < _STARS_FOR_FOCAL_LENGTH:
         return Scale.FIXED
     radial = n_matched >= _STARS_FOR_RADIAL and "k1" in model.parameter_names

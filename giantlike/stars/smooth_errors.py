@@ -112,14 +112,7 @@ class Residuals(Value):
     def alike(self, sigma_px: Float) -> bool:
         """Tell whether nearest neighbors are off in the same direction more than chance allows.
 
-        Parameters
-        ----------
-        sigma_px : (n,) float64, px
-            Standard deviation per axis by which each star was weighted.
-
-        Returns
-        -------
-        bool
+        ``sigma_px`` (n,).
         """
         nearest = np.asarray(cKDTree(self.points_px).query(self.points_px, k=2)[1])[:, 1]
         normalized = self.residuals_px / sigma_px[:, None]
@@ -127,12 +120,7 @@ class Residuals(Value):
         return correlation > _SIGNIFICANT * math.sqrt((1.0 + _MUTUAL) / normalized.size)
 
     def gathered(self) -> Residuals:
-        """Means of the stars in each cell of the field, by their weights: what they share stays as it is.
-
-        Returns
-        -------
-        Residuals
-        """
+        """Means of the stars in each cell of the field, by their weights: what they share stays as it is."""
         low, high = self.points_px.min(axis=0), self.points_px.max(axis=0)
         cells = np.minimum(_CELLS * (self.points_px - low) / np.maximum(high - low, 1.0), _CELLS - 1).astype(np.intp)
         owner = np.unique(cells @ [_CELLS, 1], return_inverse=True)[1]
@@ -152,16 +140,6 @@ class Residuals(Value):
 
 def unmodeled_errors(left: Residuals, *, own_told: bool = False) -> UnmodeledErrors:
     """Weigh errors of all sizes and lengths by the residuals of a fit, as :class:`UnmodeledErrors` tells.
-
-    Parameters
-    ----------
-    left : Residuals
-    own_told : bool
-        Whether the weights of the fit hold errors of each star already, so that these are no sign of others.
-
-    Returns
-    -------
-    UnmodeledErrors
 
     Notes
     -----

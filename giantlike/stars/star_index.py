@@ -119,16 +119,7 @@ class StarIndex(Value):
     def find(self, codes: Float, tolerance: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Look up patterns in all cells that contain codes within a tolerance along every axis.
 
-        Parameters
-        ----------
-        codes : (q, d) float64
-            In [0, 1].
-        tolerance : float
-
-        Returns
-        -------
-        asked, found : (k,) int
-            Index of the code, and index of the pattern; some patterns are outside the tolerance.
+        ``codes`` (q, d); returns ``asked``, ``found`` (k,).
         """
         d = codes.shape[1]
         n = _CELLS[d]
@@ -162,21 +153,7 @@ def build_index(
 ) -> StarIndex:
     """Build the index of the patterns of the brightest stars of every cap.
 
-    Parameters
-    ----------
-    pattern : Pattern
-    ids : (n,) int64
-    directions : (n, 3) float64, unitless, inertial
-        Of the stars, brightest first.
-    radius_rad : float, rad
-        Radius of the caps.
-    axis : (3,) float64, unitless, inertial
-    reach_rad : float, rad
-        Caps are placed within this angle of ``axis``; default: on the whole sky.
-
-    Returns
-    -------
-    StarIndex
+    ``ids`` (n,); ``directions`` (n, 3), inertial axes, of the stars, brightest first; ``axis`` in inertial axes.
     """
     size, density = pattern.stars, density_for(radius_rad)
     centers = caps(density.spacing * radius_rad, axis, reach_rad)
@@ -216,18 +193,7 @@ def scattered(rows: NDArray[np.intp]) -> NDArray[np.uint64]:
 def caps(spacing_rad: float, axis: ArrayLike = (0.0, 0.0, 1.0), reach_rad: float = np.pi) -> Float:
     """Evenly spread directions within an angle of an axis (a Fibonacci lattice).
 
-    Parameters
-    ----------
-    spacing_rad : float, rad
-    axis : (3,), unitless
-        A unit vector.
-    reach_rad : float, rad
-        Largest angle to the axis; default: the whole sphere.
-
-    Returns
-    -------
-    (n, 3) float64, unitless
-        Unit vectors in the frame of the axis, the closest to it first.
+    ``axis``: a unit vector; returns (n, 3), unit vectors in the frame of the axis, the closest to it first.
     """
     n = max(int(np.ceil(4.0 * np.pi / spacing_rad**2)), 12)
     count = min(n, int(np.ceil(n * (1.0 - np.cos(min(reach_rad, np.pi))) / 2.0)) + 1)
@@ -289,19 +255,6 @@ def sky_index(
     Making one takes well below a second for fields from 10 degrees up, and some 10 s at 1 degree, where it holds
     half a million stars. The names of cached files contain a hash of the stars, so that the patterns of a changed
     catalog are made again.
-
-    Parameters
-    ----------
-    catalog : StarCatalog
-    pattern : Pattern
-    radius_rad : float, rad
-        Radius of the caps; see :func:`cap_radius_rad`.
-    max_magnitude : float, optional
-        Faintest star to use; default: as deep as the caps need.
-
-    Returns
-    -------
-    StarIndex
     """
     key = (id(catalog), pattern, _step(radius_rad), max_magnitude)
     held = _memory.get(key)

@@ -42,18 +42,8 @@ def tetra_hypotheses(points_px: Float, camera: Camera, sky: Sky, *, options: Sta
     distorts them), those of each half of the image (trees, a planet or a limb may fill the other), the brightest alone
     (a few stars among hundreds of hot pixels), and patterns of more detections.
 
-    Parameters
-    ----------
-    points_px : (m, 2) float64, px
-        Detections, brightest first.
-    camera : Camera
-    sky : Sky
-    options : StarOptions
-
-    Yields
-    ------
-    Hypothesis
-        In single precision, without stars. None for fields below ``MIN_FOV_DEG`` and for mirrored images.
+    ``points_px`` (m, 2), detections, brightest first; yields None for fields below ``MIN_FOV_DEG`` and for mirrored
+    images.
     """
     fov_deg = _pattern_fov_deg(camera)
     if fov_deg < MIN_FOV_DEG:
@@ -143,11 +133,6 @@ def pattern_database(fov_deg: float) -> tetra3rs.SolverDatabase:
     """Pattern database of tetra3rs for a field of view, from memory, from the cache folder, or made now.
 
     Making one takes 0.1 s (30 degrees) to 2.5 s (3 degrees) and 6 s (1 degree), 2 to 130 MB on disk.
-
-    Parameters
-    ----------
-    fov_deg : float, deg
-        Along x, within ``MIN_FOV_DEG`` and ``MAX_FOV_DEG``.
     """
     return _database(round(math.log(fov_deg) / math.log(_STEP)))
 

@@ -132,25 +132,6 @@ def transfer_attitude(
 ) -> TransferredAttitude | Failure:
     """Attitude at a time from star solutions at other times.
 
-    Parameters
-    ----------
-    et : float, TDB seconds past J2000
-        Mid-exposure of the image that needs an attitude.
-    stars : sequence of StarAttitude
-        In any order.
-    apriori : Rotation, optional
-        A priori ``camera_from_inertial`` at ``et``; ``propagate`` needs it unless there are rates, and every method
-        is checked against it.
-    rates : AngularRates, optional
-        Used by ``propagate`` instead of the a priori attitudes.
-    options : TransferOptions
-
-    Returns
-    -------
-    TransferredAttitude or Failure
-        ``NO_ATTITUDE`` if no star solution is near enough, if ``propagate`` lacks a priori attitudes or the rates do
-        not cover the time, or if the a priori attitudes contradict the rotation that the method assumes.
-
     Notes
     -----
     ``replace`` and ``propagate`` use the solution nearest in time (the earlier one of two equally near). With

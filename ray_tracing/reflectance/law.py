@@ -98,21 +98,7 @@ class SurfaceLaw(ABC):
 
 
 def checked_number(law: str, name: str, value: float, interval: str = "(-inf, inf)") -> None:
-    """Raise unless a parameter of a law is a finite number in its range.
-
-    Parameters
-    ----------
-    law, name : str
-        Of the law and the parameter, for the message.
-    value : float
-    interval : str
-        Allowed range, such as ``"(0, 1]"``; a square bracket includes the end.
-
-    Raises
-    ------
-    InputError
-        Not a number, not finite, or outside the range; the message names law, parameter, range and value.
-    """
+    """Raise unless a parameter of a law is a finite number in its range."""
     number = isinstance(value, int | float) and not isinstance(value, bool)
     require(number and math.isfinite(value), f"reflectance {law}: {name} must be a number, got {value!r}")
     low, high = (float(end) for end in interval[1:-1].split(","))
@@ -121,24 +107,7 @@ def checked_number(law: str, name: str, value: float, interval: str = "(-inf, in
 
 
 def checked_numbers(law: str, name: str, values: object) -> tuple[float, ...]:
-    """Return the numbers of a list, at least one, as a tuple.
-
-    Parameters
-    ----------
-    law, name : str
-        Of the law and the parameter, for the message.
-    values : object
-        A value of a file.
-
-    Returns
-    -------
-    tuple of float
-
-    Raises
-    ------
-    InputError
-        Not a list, an empty one, or one that does not hold finite numbers only.
-    """
+    """Return the numbers of a list, at least one, as a tuple."""
     if not isinstance(values, list | tuple):
         values = ()
     require(len(values) > 0, f"reflectance {law}: {name} must be a list of numbers")

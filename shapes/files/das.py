@@ -22,17 +22,7 @@ _WORDS_PER_RECORD = np.array([1024, 128, 256])  # characters, reals, integers
 
 
 def require_whole_das(path: Path) -> None:
-    """Check identity, length and directories of a DAS file.
-
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    ValueError
-        The file is no DSK, cut short, or its directories do not describe it.
-    """
+    """Check identity, length and directories of a DAS file."""
     records = path.stat().st_size // _RECORD_BYTES
     with path.open("rb") as file:
         head = file.read(_RECORD_BYTES)

@@ -57,44 +57,14 @@ class DskIdentity:
 
 
 def read_dsk(path: Path) -> Surface:
-    """Read all segments of a DSK as one surface, in km.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Surface
-
-    Raises
-    ------
-    ValueError
-        CSPICE finds the file damaged, a segment is not of type 2, or its counts cannot be true.
-    """
+    """Read all segments of a DSK as one surface, in km."""
     require_whole_das(path)
     arrays = in_child(read_segments, [path], libraries=["spiceypy"])
     return Surface(vertices=arrays["vertices"], faces=arrays["faces"], in_km=True)
 
 
 def read_segments(paths: Sequence[Path]) -> dict[str, NDArray[Any]]:
-    """Read all segments of one DSK by CSPICE, which a damaged file can end with its process.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        The one file.
-
-    Returns
-    -------
-    dict of str to array
-        ``vertices`` (n, 3), km, and ``faces`` (m, 3), from 0.
-
-    Raises
-    ------
-    ValueError, SpiceyError
-        CSPICE finds the file damaged, a segment is not of type 2, or its counts cannot be true.
-    """
+    """Read all segments of one DSK by CSPICE, which a damaged file can end with its process."""
     import spiceypy
 
     (path,) = paths
@@ -135,17 +105,6 @@ def write_dsk(path: Path, mesh: TriangleMesh, identity: DskIdentity) -> None:
     """Write one segment of type 2 over all longitudes and latitudes, with its spatial index.
 
     The data class is 1 (single-valued) where every ray from the origin meets one plate, else 2.
-
-    Parameters
-    ----------
-    path : Path
-    mesh : TriangleMesh
-    identity : DskIdentity
-
-    Raises
-    ------
-    InputError
-        SPICE does not know the frame, or refuses the mesh.
     """
     import spiceypy
     from spiceypy.utils.exceptions import SpiceyError

@@ -19,22 +19,7 @@ _COMMENT = "written by giantlike, coordinates in km"
 
 
 def read_exchange(path: Path) -> Surface:
-    """Read OBJ, PLY or STL; polygons are split into triangles, materials and textures left out.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Surface
-        In the unit of the file.
-
-    Raises
-    ------
-    ValueError, exceptions of trimesh
-        The file is damaged.
-    """
+    """Read OBJ, PLY or STL; polygons are split into triangles, materials and textures left out."""
     kind = path.suffix.lower().removeprefix(".")
     if kind == "ply" and (surface := read_binary_ply(path)) is not None:
         return surface
@@ -62,24 +47,12 @@ def _text_or_binary(content: bytes, kind: str) -> StringIO | BytesIO:
 
 
 def write_obj(path: Path, mesh: TriangleMesh) -> None:
-    """Write an OBJ file with ``v`` and ``f`` rows in km, float64 to the last bit.
-
-    Parameters
-    ----------
-    path : Path
-    mesh : TriangleMesh
-    """
+    """Write an OBJ file with ``v`` and ``f`` rows in km, float64 to the last bit."""
     write_rows(path, f"# {_COMMENT}\n", [("v ", mesh.vertices_km), ("f ", mesh.faces + 1)])
 
 
 def write_stl(path: Path, mesh: TriangleMesh) -> None:
-    """Write binary STL in km; the format is single precision: coordinates are rounded by up to 6e-8 of their size.
-
-    Parameters
-    ----------
-    path : Path
-    mesh : TriangleMesh
-    """
+    """Write binary STL in km; the format is single precision: coordinates are rounded by up to 6e-8 of their size."""
     facets = np.zeros(len(mesh.faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     facets["normal"], facets["corners"] = mesh.normals, mesh.vertices_km[mesh.faces]
     with path.open("wb") as file:

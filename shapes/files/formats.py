@@ -24,17 +24,7 @@ from giantlike.shapes.surface import Surface
 
 
 def read_text(path: Path) -> Surface:
-    """Read a text file that is either an ICQ model or a plate table.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Surface
-        In the unit of the file.
-    """
+    """Read a text file that is either an ICQ model or a plate table."""
     return read_icq(path) if is_icq(path) else read_plate_table(path)
 
 
@@ -79,21 +69,7 @@ FORMATS: Mapping[str, ShapeFormat] = MappingProxyType(
 
 
 def format_of(path: Path) -> ShapeFormat:
-    """Return the format of a file by the end of its name.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    ShapeFormat
-
-    Raises
-    ------
-    InputError
-        It is not known.
-    """
+    """Return the format of a file by the end of its name."""
     known = FORMATS.get(path.suffix.lower())
     if known is None:
         raise InputError(f"{path}: shape files end in {', '.join(sorted(FORMATS))}, not {path.suffix!r}")
@@ -101,24 +77,7 @@ def format_of(path: Path) -> ShapeFormat:
 
 
 def read_file(path: Path) -> Surface:
-    """Read a shape file as it is.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Surface
-        In the unit of the file.
-
-    Raises
-    ------
-    InputError
-        The file type is not known.
-    DataError
-        The file is missing or damaged.
-    """
+    """Read a shape file as it is."""
     known = format_of(path)
 
     def read(path: Path) -> Surface:

@@ -31,16 +31,7 @@ _COPY_TOLERANCE = 1e-3
 
 
 def is_icq(path: Path) -> bool:
-    """Return True if a text file begins as an ICQ model: one number Q in the first row, 6 (Q + 1)^2 rows after it.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    bool
-    """
+    """Return True if a text file begins as an ICQ model: one number Q in the first row, 6 (Q + 1)^2 rows after it."""
     with path.open(encoding="ascii", errors="replace") as file:
         try:
             q = int(next(file, ""))
@@ -50,22 +41,7 @@ def is_icq(path: Path) -> bool:
 
 
 def read_icq(path: Path) -> Surface:
-    """Read an ICQ model; a fourth column is the relative albedo of the vertices.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Surface
-        In the unit of the file.
-
-    Raises
-    ------
-    ValueError
-        Q is out of range, rows are missing or too many, or the copies of a vertex differ.
-    """
+    """Read an ICQ model; a fourth column is the relative albedo of the vertices."""
     rows = text_rows(path)
     q = int(rows[0]) if rows else 0
     check(1 <= q <= _LARGEST_Q, f"needed Q in [1, {_LARGEST_Q}] in the first row, got {q}")
@@ -83,18 +59,7 @@ def read_icq(path: Path) -> Surface:
 
 
 def write_icq(path: Path, mesh: TriangleMesh) -> None:
-    """Write an ICQ model in km, float64 to the last bit; albedo by vertex becomes a fourth column.
-
-    Parameters
-    ----------
-    path : Path
-    mesh : TriangleMesh
-
-    Raises
-    ------
-    InputError
-        The mesh is not connected as an ICQ model.
-    """
+    """Write an ICQ model in km, float64 to the last bit; albedo by vertex becomes a fourth column."""
     q = math.isqrt(len(mesh.faces) // 12)
     require(
         1 <= q <= _LARGEST_Q and 12 * q * q == len(mesh.faces),

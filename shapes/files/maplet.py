@@ -22,19 +22,7 @@ _SKEW = 1e-3  # axes in single precision are square to 1e-7; what is worse than 
 def read_maplet(path: Path) -> LocalMap:
     """Read an SPC maplet.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    LocalMap
-        x along Ux, y along Uy, z along Uz; NaN where the file has no height. Named after the file.
-
-    Raises
-    ------
-    DataError
-        The file is missing, cut short or damaged.
+    The result has NaN where the file has no height.
 
     Notes
     -----

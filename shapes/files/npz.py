@@ -21,25 +21,7 @@ _ALBEDO = {"albedo_by_vertex": VertexAlbedo, "albedo_by_facet": FacetAlbedo}
 
 
 def archive_arrays(path: Path, form: str, version: int) -> Mapping[str, NDArray[Any]]:
-    """Read all arrays of a numpy archive that has a format and a version.
-
-    Parameters
-    ----------
-    path : Path
-    form : str
-        Format that its array ``format`` must name.
-    version : int
-        The version that its array ``version`` must hold.
-
-    Returns
-    -------
-    mapping of str to array
-
-    Raises
-    ------
-    ValueError, KeyError, exceptions of zipfile
-        The archive is damaged, of another format, or of a later version.
-    """
+    """Read all arrays of a numpy archive that has a format and a version."""
     with path.open("rb") as file, open_archive_of_arrays(file) as archive:
         if "format" not in archive or str(archive["format"]) != form:
             raise ValueError(f"the archive holds no {form.removeprefix('giantlike ')}")
@@ -52,21 +34,7 @@ def archive_arrays(path: Path, form: str, version: int) -> Mapping[str, NDArray[
 
 
 def read_npz(path: Path) -> Surface:
-    """Read an archive of :func:`write_npz`: vertices in km to the last bit, faces, and albedo if there is one.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Surface
-
-    Raises
-    ------
-    ValueError, KeyError, exceptions of zipfile
-        The file is damaged, no shape, or of a later version.
-    """
+    """Read an archive of :func:`write_npz`: vertices in km to the last bit, faces, and albedo if there is one."""
     arrays = archive_arrays(path, _FORMAT, _VERSION)
     if (units := str(arrays["units"])) != "km":
         raise ValueError(f"needed vertices in km, got {units!r}")
@@ -78,13 +46,7 @@ def read_npz(path: Path) -> Surface:
 
 
 def write_npz(path: Path, mesh: TriangleMesh) -> None:
-    """Write vertices (km, float64), faces, name, and albedo by facet or by vertex.
-
-    Parameters
-    ----------
-    path : Path
-    mesh : TriangleMesh
-    """
+    """Write vertices (km, float64), faces, name, and albedo by facet or by vertex."""
     faces = mesh.faces.astype(np.uint32) if len(mesh.vertices_km) <= np.iinfo(np.uint32).max else mesh.faces
     arrays: dict[str, NDArray[Any]] = {"vertices": mesh.vertices_km, "faces": faces}
     if isinstance(mesh.albedo, VertexAlbedo | FacetAlbedo):

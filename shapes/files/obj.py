@@ -17,15 +17,7 @@ _WORDS = 4  # of a row: its letter and three numbers
 def read_plain_obj(content: bytes) -> Surface | None:
     """Read an OBJ of comments, then rows ``v x y z``, then rows ``f i j k``.
 
-    Parameters
-    ----------
-    content : bytes
-        Of the file.
-
-    Returns
-    -------
-    Surface or None
-        In the unit of the file; None for a file with anything else, which trimesh can read or refuse.
+    Returns None for a file with anything else, which trimesh can read or refuse.
     """
     while content.startswith(b"#"):
         content = content[content.find(b"\n") + 1 :] if b"\n" in content else b""

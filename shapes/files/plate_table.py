@@ -19,20 +19,6 @@ from giantlike.shapes.surface import Surface, split_polygons
 def read_plate_table(path: Path) -> Surface:
     """Read a plate table.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Surface
-        In the unit of the file.
-
-    Raises
-    ------
-    ValueError
-        A row is not as it should be, or rows are missing.
-
     Notes
     -----
     Plates number the vertices from 0 where 0 occurs, and from 1 where the number of vertices does. Where neither
@@ -48,13 +34,7 @@ def read_plate_table(path: Path) -> Surface:
 
 
 def write_plate_table(path: Path, mesh: TriangleMesh) -> None:
-    """Write ``v`` and ``f`` rows in km, plates numbering the vertices from 1, float64 to the last bit.
-
-    Parameters
-    ----------
-    path : Path
-    mesh : TriangleMesh
-    """
+    """Write ``v`` and ``f`` rows in km, plates numbering the vertices from 1, float64 to the last bit."""
     write_rows(path, "", [("v ", mesh.vertices_km), ("f ", mesh.faces + 1)])
 
 

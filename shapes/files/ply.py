@@ -34,19 +34,7 @@ class _Element:
 def read_binary_ply(path: Path) -> Surface | None:
     """Read a binary PLY of vertices and of facets with three or four corners.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Surface or None
-        In the unit of the file; None for a file of another kind, which trimesh can read.
-
-    Raises
-    ------
-    ValueError
-        The file is shorter than its header says, or has facets of more corners.
+    Returns None for a file of another kind, which trimesh can read.
     """
     with path.open("rb") as file:
         header = _header(file)
@@ -61,13 +49,7 @@ def read_binary_ply(path: Path) -> Surface | None:
 
 
 def write_ply(path: Path, mesh: TriangleMesh) -> None:
-    """Write binary little-endian PLY in km, vertices in float64.
-
-    Parameters
-    ----------
-    path : Path
-    mesh : TriangleMesh
-    """
+    """Write binary little-endian PLY in km, vertices in float64."""
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment written by giantlike, coordinates in km\n"
         f"element vertex {len(mesh.vertices_km)}\nproperty double x\nproperty double y\nproperty double z\n"

@@ -14,21 +14,7 @@ _LARGEST_INDEX = 2.0**53  # float64 holds all whole numbers below it
 
 
 def text_rows(path: Path) -> list[str]:
-    """Rows of an ASCII file without blank lines and comments (#); commas count as blanks, Fortran's D as E.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    list of str
-
-    Raises
-    ------
-    OSError, UnicodeDecodeError
-        The file cannot be read, or is no ASCII text.
-    """
+    """Rows of an ASCII file without blank lines and comments (#); commas count as blanks, Fortran's D as E."""
     with path.open(encoding="ascii") as file:
         rows = [line for line in map(str.strip, file) if line and not line.startswith("#")]
     return [row.replace(",", " ").replace("D", "E") if "," in row or "D" in row else row for row in rows]
@@ -37,20 +23,7 @@ def text_rows(path: Path) -> list[str]:
 def numbers(rows: Sequence[str], columns: tuple[int, ...]) -> Float:
     """Convert rows of text that all hold the same number of numbers.
 
-    Parameters
-    ----------
-    rows : sequence of str
-    columns : tuple of int
-        Allowed numbers of columns.
-
-    Returns
-    -------
-    (n, k) float64
-
-    Raises
-    ------
-    ValueError
-        A row has another number of words, or one that is no number; the text names the row.
+    Returns (n, k).
     """
     if not rows:
         return np.empty((0, columns[0]))
@@ -63,18 +36,7 @@ def numbers(rows: Sequence[str], columns: tuple[int, ...]) -> Float:
 def whole_numbers(table: Float) -> Faces:
     """Convert a table of vertex numbers to int64.
 
-    Parameters
-    ----------
-    table : (m, k) float64
-
-    Returns
-    -------
-    (m, k) int64
-
-    Raises
-    ------
-    ValueError
-        A number is not whole, not finite or beyond what an index can be.
+    ``table`` (m, k); returns (m, k).
     """
     bad = ~(np.abs(table) < _LARGEST_INDEX) | (table != np.rint(table))
     if bad.any():
@@ -85,12 +47,7 @@ def whole_numbers(table: Float) -> Faces:
 def write_rows(path: Path, header: str, tables: Sequence[tuple[str, Float | Faces]]) -> None:
     """Write a header and then tables of numbers, float64 to the last bit.
 
-    Parameters
-    ----------
-    path : Path
-    header : str
-    tables : sequence of (str, (n, k) array)
-        Each with the prefix of its rows.
+    ``tables`` sequence of (str, (n, k)).
     """
     with path.open("w", encoding="ascii", newline="\n") as file:
         file.write(header)

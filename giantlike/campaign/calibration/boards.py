@@ -53,27 +53,7 @@ class BoardSetup:
 
 
 def calibrate_boards(files: Sequence[Path], setup: BoardSetup, folder: Path) -> CampaignCalibration:
-    """Calibrate a camera from images of a checkerboard; write camera, JSON, table of residuals and page.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        Images of one camera.
-    setup : BoardSetup
-    folder : Path
-        Output folder; made if it does not exist.
-
-    Returns
-    -------
-    CampaignCalibration
-
-    Raises
-    ------
-    InputError
-        The folder holds a calibration already, a parameter is unknown, or images differ in size.
-    DataError
-        No image can be read, or a file cannot be written.
-    """
+    """Calibrate a camera from images of a checkerboard; write camera, JSON, table of residuals and page."""
     require(not (folder / CALIBRATION_FILE).exists(), f"{folder}: there is a calibration already; give another folder")
     images, lost = _open(files)
     sizes = {(image.columns, image.rows) for image in images}

@@ -45,27 +45,7 @@ _MEANING = {
 
 
 def write_calibration_page(folder: Path, name: str, camera: Camera, result: CampaignCalibration) -> Path:
-    """Write ``calibration.html`` into a folder.
-
-    Parameters
-    ----------
-    folder : Path
-    name : str
-        Of the campaign.
-    camera : Camera
-        The camera before the calibration.
-    result : CampaignCalibration
-
-    Returns
-    -------
-    Path
-        Of the page.
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Write ``calibration.html`` into a folder."""
     solution = result.outcome.result if isinstance(result.outcome, StarCalibration) else None
     summary = calibration_summary(result)
     rejected = [] if solution is None else summary["rejected"]
@@ -86,16 +66,7 @@ def write_calibration_page(folder: Path, name: str, camera: Camera, result: Camp
 
 
 def calibration_figures(solution: CalibrationResult) -> list[PageFigure]:
-    """Figures of a calibration.
-
-    Parameters
-    ----------
-    solution : CalibrationResult
-
-    Returns
-    -------
-    list of PageFigure
-    """
+    """Figures of a calibration."""
     from giantlike.plotting import correlation_figure, distortion_figure, residual_trend_figure, star_residual_charts
 
     used, columns, rows = solution.used, solution.columns, solution.rows
@@ -138,16 +109,7 @@ def distortion_of(model: CameraModel, columns: int, rows: int) -> tuple[Float, F
 
     The ideal lens is the pinhole; of a fisheye, the equidistant or equisolid lens without its polynomial.
 
-    Parameters
-    ----------
-    model : CameraModel
-    columns, rows : int
-
-    Returns
-    -------
-    points_px : (n, 2) float64, px
-        Grid of pixels.
-    shifts_px : (n, 2) float64, px
+    Returns ``points_px`` (n, 2) and ``shifts_px`` (n, 2).
     """
     values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
     affine = {name: values[name] for name in AFFINE_NAMES}

@@ -81,22 +81,7 @@ class CampaignCalibration(Value):
         alignment: AlignmentResult | None = None,
         targets: str = "stars",
     ) -> CampaignCalibration:
-        """Result with the camera that a calibration gives, if it was accepted.
-
-        Parameters
-        ----------
-        outcome : StarCalibration or Failure
-        camera : Camera
-            Camera before the calibration.
-        lost : iterable of (str, Failure)
-            Images that did not take part.
-        alignment : AlignmentResult, optional
-        targets : str
-
-        Returns
-        -------
-        CampaignCalibration
-        """
+        """Result with the camera that a calibration gives, if it was accepted."""
         calibrated = None
         if isinstance(outcome, StarCalibration) and outcome.result.accepted:
             calibrated = outcome.result.camera_from(camera)
@@ -116,20 +101,7 @@ class CampaignCalibration(Value):
 def temperature_of(image: Image, keyword: str | None) -> float:
     """Temperature in the header of an image.
 
-    Parameters
-    ----------
-    image : Image
-    keyword : str or None
-
-    Returns
-    -------
-    float, Celsius
-        0 without a keyword.
-
-    Raises
-    ------
-    DataError
-        The header has no such number.
+    Returned in Celsius, 0 without a keyword.
     """
     if keyword is None:
         return 0.0
@@ -146,19 +118,7 @@ def temperature_of(image: Image, keyword: str | None) -> float:
 
 
 def record_of_stars(entry: ImageEntry, stars: StarImage, apriori: Rotation | None) -> CalibrationRecord:
-    """Star image as plain values.
-
-    Parameters
-    ----------
-    entry : ImageEntry
-    stars : StarImage
-    apriori : Rotation or None
-        A priori ``camera_from_inertial``.
-
-    Returns
-    -------
-    CalibrationRecord
-    """
+    """Star image as plain values."""
     position, velocity = stars.sky.observer_position_km, stars.sky.observer_velocity_km_s
     return CalibrationRecord(
         index=entry.index,
@@ -195,19 +155,7 @@ def _stars_of(record: CalibrationRecord, catalog: StarCatalog, options: StarOpti
 def calibrate_campaign(
     campaign: Campaign, setup: CalibrationSection, records: Sequence[CalibrationRecord], catalog: StarCatalog
 ) -> CampaignCalibration:
-    """Calibrate the camera of a campaign from the first identification of its star images.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    setup : CalibrationSection
-    records : sequence of CalibrationRecord
-    catalog : StarCatalog
-
-    Returns
-    -------
-    CampaignCalibration
-    """
+    """Calibrate the camera of a campaign from the first identification of its star images."""
     assert campaign.stars is not None
     options = campaign.stars.options
     outcome = calibrate_stars(
@@ -250,20 +198,7 @@ def _alignment(solution: CalibrationResult, records: Sequence[CalibrationRecord]
 
 
 def write_calibration(folder: Path, result: CampaignCalibration, inputs: str = "") -> None:
-    """Write ``camera.toml`` (if accepted), ``calibration.json`` and the table of residuals.
-
-    Parameters
-    ----------
-    folder : Path
-    result : CampaignCalibration
-    inputs : str, optional
-        Hash of everything that it was made from, for :func:`kept_calibration`.
-
-    Raises
-    ------
-    DataError
-        A file cannot be written.
-    """
+    """Write ``camera.toml`` (if accepted), ``calibration.json`` and the table of residuals."""
     for name in (CALIBRATION_FILE, CALIBRATION_PAGE, CAMERA_FILE, RESIDUALS_FILE):
         (folder / name).unlink(missing_ok=True)
     if result.camera is not None:
@@ -298,16 +233,7 @@ class KeptCalibration:
 def kept_calibration(folder: Path, inputs: str) -> KeptCalibration | None:
     """Read the calibration that a run folder holds.
 
-    Parameters
-    ----------
-    folder : Path
-    inputs : str
-        Hash of everything that a calibration of today would be made from.
-
-    Returns
-    -------
-    KeptCalibration or None
-        None if there is none, if it was made from something else, or if a file of it was changed since.
+    Returns None if there is none, if it was made from something else, or if a file of it was changed since.
     """
     try:
         summary = json.loads((folder / CALIBRATION_FILE).read_text(encoding="utf-8"))
@@ -327,14 +253,7 @@ def _camera_hash(folder: Path) -> str:
 def calibration_summary(result: CampaignCalibration) -> dict[str, Any]:
     """Everything about a calibration but its single observations, as JSON has it.
 
-    Parameters
-    ----------
-    result : CampaignCalibration
-
-    Returns
-    -------
-    dict
-        Content of ``calibration.json``; None for what is unknown.
+    Returns None for what is unknown.
     """
     content: dict[str, Any] = {
         "status": "failed" if isinstance(result.outcome, Failure) else "ok" if result.camera else "not_accepted",

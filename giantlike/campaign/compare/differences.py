@@ -74,12 +74,7 @@ class Comparison:
     notes: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, Any]:
-        """Statistics by thing and axis, as JSON has them.
-
-        Returns
-        -------
-        dict
-        """
+        """Statistics by thing and axis, as JSON has them."""
         groups = grouped(self.differences, lambda one: (one.what, one.axis, one.unit))
         return {
             "first": self.first,
@@ -95,17 +90,7 @@ class Comparison:
         }
 
     def write_csv(self, path: Path) -> None:
-        """Write every difference as a row of a table.
-
-        Parameters
-        ----------
-        path : Path
-
-        Raises
-        ------
-        DataError
-            The file cannot be written.
-        """
+        """Write every difference as a row of a table."""
         rows = ([d.file, d.what, d.axis, d.value, d.sigma, d.ratio, d.unit] for d in self.differences)
         write_csv_rows(path, _COLUMNS, rows)
 
@@ -115,18 +100,7 @@ def differences_of(
 ) -> Iterable[Difference]:
     """Yield the components of a difference.
 
-    Parameters
-    ----------
-    file, what : str
-    axes : sequence of str
-    values : (k,) float64
-    covariance : (k, k) float64 or None
-        Of the difference.
-    unit : str
-
-    Yields
-    ------
-    Difference
+    ``values`` (k,); ``covariance`` (k, k).
     """
     for k, axis in enumerate(axes):
         variance = math.nan if covariance is None else float(covariance[k, k])

@@ -93,29 +93,7 @@ class _Run:
 
 
 def compare_external(folder: Path, other: Path, options: ExternalOptions = ExternalOptions()) -> Comparison:
-    """Compare a run with a file of another team.
-
-    Parameters
-    ----------
-    folder : Path
-        The run folder.
-    other : Path
-        ``.csv`` (attitudes as :func:`~giantlike.io.attitude_series.read_attitude_table` reads them, or observables with
-        the columns ``x_px, y_px`` or ``ra_deg, dec_deg``), ``.tdm`` (CCSDS TDM, angles), ``.bc`` (C-kernel), ``.bsp``
-        (trajectory).
-    options : ExternalOptions
-
-    Returns
-    -------
-    Comparison
-
-    Raises
-    ------
-    InputError
-        Nothing can be matched, an option is missing, or the format is unknown.
-    DataError
-        A file is damaged.
-    """
+    """Compare a run with a file of another team."""
     result = load_result(folder)
     run = _Run(result, camera_of_run(folder))
     suffix = other.suffix.lower()

@@ -34,22 +34,6 @@ def compare_runs(first: Path, second: Path) -> Comparison:
     Images are matched by name. A fix is compared with that of the same estimator on the same target. The covariance of
     a difference is the sum of both, without the causes that both have in common by what their provenance says: the
     same image file, camera, shape, law.
-
-    Parameters
-    ----------
-    first, second : Path
-        Run folders.
-
-    Returns
-    -------
-    Comparison
-
-    Raises
-    ------
-    InputError
-        They have no image in common.
-    DataError
-        One is no finished run.
     """
     one, other = load_result(first), load_result(second)
     inputs = [RunFolder(path).provenance().get("inputs", {}) for path in (first, second)]

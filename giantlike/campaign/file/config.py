@@ -264,23 +264,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
 
 
 def images_of(path: Path, patterns: Sequence[str]) -> tuple[ImageEntry, ...]:
-    """Image files of a campaign, each once, in order.
-
-    Parameters
-    ----------
-    path : Path
-        The campaign file.
-    patterns : sequence of str
-
-    Returns
-    -------
-    tuple of ImageEntry
-
-    Raises
-    ------
-    InputError
-        A pattern matches no file.
-    """
+    """Image files of a campaign, each once, in order."""
     folder = path.parent
     found = matching_files(path, "images.files", patterns)
     shared = Counter(file.name for file in found)
@@ -293,23 +277,7 @@ def _relative(file: Path, folder: Path) -> str:
 
 
 def stars_of(path: Path, section: StarsSection) -> StarsSetup:
-    """Star processing of a ``[stars]`` section.
-
-    Parameters
-    ----------
-    path : Path
-        The campaign file.
-    section : StarsSection
-
-    Returns
-    -------
-    StarsSetup
-
-    Raises
-    ------
-    InputError
-        A file is missing, or an option is out of range.
-    """
+    """Star processing of a ``[stars]`` section."""
     with named("[stars]: "):
         options = replace(section.options, max_magnitude=section.max_magnitude, lost_in_space=section.lost_in_space)
         transfer = TransferOptions(

@@ -53,24 +53,7 @@ class FrameFiles:
     bottom_up: bool
 
     def load(self, *, rows: int, columns: int) -> CalibrationFrames:
-        """Read and combine the files.
-
-        Parameters
-        ----------
-        rows, columns : int
-            Of the camera.
-
-        Returns
-        -------
-        CalibrationFrames
-
-        Raises
-        ------
-        DataError
-            A file is damaged.
-        InputError
-            Sizes (the camera's too) or exposures differ, that of the darks is not known, or a flat is not positive.
-        """
+        """Read and combine the files."""
         known: dict[str, Any] = {"dark_has_bias": self.dark_has_bias}
         if self.bias:
             with named(f"{_KEY}.bias: "):
@@ -100,16 +83,7 @@ class FrameFiles:
         return frames
 
     def sha256(self, folder: Path) -> dict[str, dict[str, str]]:
-        """Hash of each file by its kind and its path from a folder.
-
-        Parameters
-        ----------
-        folder : Path
-
-        Returns
-        -------
-        dict of str to dict of str to str
-        """
+        """Hash of each file by its kind and its path from a folder."""
         return {
             kind: {Path(os.path.relpath(path, folder)).as_posix(): file_sha256(path) for path in paths}
             for kind, paths in self._kinds().items()
@@ -117,12 +91,7 @@ class FrameFiles:
         }
 
     def identity(self) -> tuple[Any, ...]:
-        """What corrected pixels depend on: the content of the files, and how they are read.
-
-        Returns
-        -------
-        tuple
-        """
+        """What corrected pixels depend on: the content of the files, and how they are read."""
         hashes = {kind: [file_sha256(path) for path in paths] for kind, paths in self._kinds().items()}
         return hashes, self.dark_exposure_s, self.dark_has_bias, self.flat_has_bias, self.hdu, self.bottom_up
 
@@ -135,25 +104,7 @@ class FrameFiles:
 
 
 def frames_of(path: Path, section: CalibrationFramesSection | None, *, bottom_up: bool) -> FrameFiles | None:
-    """Files of a ``[calibration_frames]`` section.
-
-    Parameters
-    ----------
-    path : Path
-        The campaign file.
-    section : CalibrationFramesSection or None
-    bottom_up : bool
-        Whether the rows of the images are reversed on reading.
-
-    Returns
-    -------
-    FrameFiles or None
-
-    Raises
-    ------
-    InputError
-        A file is missing, or none is named.
-    """
+    """Files of a ``[calibration_frames]`` section."""
     if section is None:
         return None
     bias, dark, flat = (

@@ -13,16 +13,6 @@ suggested for `estimators`."""
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return a hint at the name that may be meant.
 
-    Parameters
-    ----------
-    name : str
-    known : iterable of str
-
-    Returns
-    -------
-    str
-        Empty, or with a space before it.
-
     Examples
     --------
     >>> nearest("limb_maching", ["limb_matching", "moment"])

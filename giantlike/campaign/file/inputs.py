@@ -64,19 +64,7 @@ class SpiceSetup:
     def camera_from_inertial(self, et: float) -> FrameRotation | None:
         """Attitude of the camera by SPICE.
 
-        Parameters
-        ----------
-        et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        FrameRotation or None
-            None without a camera frame.
-
-        Raises
-        ------
-        DataError
-            No kernel covers the time.
+        Returns None without a camera frame.
         """
         turn = self.camera_from_frame
         if turn is None:
@@ -85,21 +73,7 @@ class SpiceSetup:
         return turn * FrameRotation(rotation=pointing, target=turn.source, source=INERTIAL_FRAME)
 
     def observer(self, et: float) -> ObserverState:
-        """State of the spacecraft relative to the barycenter of the Solar System.
-
-        Parameters
-        ----------
-        et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        ObserverState
-
-        Raises
-        ------
-        DataError
-            No kernel covers the time.
-        """
+        """State of the spacecraft relative to the barycenter of the Solar System."""
         position, velocity = spk_state(self.spacecraft, et, observer=BARYCENTER)
         return ObserverState(position_km=position, velocity_km_s=velocity)
 
@@ -107,20 +81,6 @@ class SpiceSetup:
         """Vector (3,) to the Sun from a place given relative to the spacecraft, inertial axes, km.
 
         The Sun's own light time and aberration (20 arcsec) do not matter for shading.
-
-        Parameters
-        ----------
-        position_inertial_km : (3,) float64, inertial axes, km
-        et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        vector_km : (3,) float64
-
-        Raises
-        ------
-        DataError
-            No kernel covers the time.
         """
         return spk_state("SUN", et, observer=self.spacecraft)[0] - position_inertial_km
 
@@ -157,87 +117,25 @@ class TargetSetup:
     limb: LimbSetup = field(default_factory=LimbSetup)
 
     def inertial_from_body(self, position_inertial_km: Float, et: float) -> Rotation:
-        """Orientation by SPICE when the light left that a camera sees.
-
-        Parameters
-        ----------
-        position_inertial_km : (3,) float64, km
-            Relative to the camera.
-        et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        Rotation
-
-        Raises
-        ------
-        DataError
-            No kernel covers the time.
-        """
+        """Orientation by SPICE when the light left that a camera sees."""
         return orientation(self.frame, et - float(np.linalg.norm(position_inertial_km)) / SPEED_OF_LIGHT_KM_S)
 
     def load_shape(self) -> Shape:
-        """Read the mesh, or build the ellipsoid.
-
-        Returns
-        -------
-        Shape
-
-        Raises
-        ------
-        DataError
-            The mesh file is damaged.
-        """
+        """Read the mesh, or build the ellipsoid."""
         if isinstance(self.shape, Path):
             return load_shape(self.shape, units=self.units)
         return Ellipsoid(radii_km=np.array(self.shape), name=self.name)
 
 
 def existing_file(path: Path, key: str, name: str) -> Path:
-    """Path of a file that a key of a campaign or scene file names.
-
-    Parameters
-    ----------
-    path : Path
-        The campaign or scene file; ``name`` is relative to its folder.
-    key, name : str
-        The key, for the error message, and its value.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    InputError
-        There is no such file.
-    """
+    """Path of a file that a key of a campaign or scene file names."""
     file = path.parent / name
     require(file.is_file(), f"{key}: there is no file {name!r} ({file})")
     return file
 
 
 def matching_files(path: Path, key: str, patterns: Sequence[str]) -> tuple[Path, ...]:
-    """Files that a key of a campaign file names, each once: patterns as given, files of a pattern by name.
-
-    Parameters
-    ----------
-    path : Path
-        The campaign file; names are relative to its folder.
-    key : str
-        For the error message.
-    patterns : sequence of str
-        Names, or glob patterns.
-
-    Returns
-    -------
-    tuple of Path
-
-    Raises
-    ------
-    InputError
-        A pattern matches no file.
-    """
+    """Files that a key of a campaign file names, each once: patterns as given, files of a pattern by name."""
     folder = path.parent
     found: dict[Path, None] = {}
     for pattern in patterns:
@@ -250,51 +148,12 @@ def matching_files(path: Path, key: str, patterns: Sequence[str]) -> tuple[Path,
 
 
 def catalog_of(path: Path, name: str) -> str:
-    """Star catalog that a file names.
-
-    Parameters
-    ----------
-    path : Path
-        The file that names it.
-    name : str
-        ``default``, or a file relative to it.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    InputError
-        There is no such file.
-    """
+    """Star catalog that a file names."""
     return name if name == "default" else str(existing_file(path, "stars.catalog", name))
 
 
 def geometry_of(path: Path, key: str, name: str, targets: Sequence[BodySection]) -> GeometryTable:
-    """Read the geometry table that a file names; rows without a target are those of an only target.
-
-    Parameters
-    ----------
-    path : Path
-        The file that names it.
-    key : str
-        Its key there.
-    name : str
-        File relative to it.
-    targets : sequence of BodySection
-
-    Returns
-    -------
-    GeometryTable
-
-    Raises
-    ------
-    InputError
-        There is no such file.
-    DataError
-        It is damaged.
-    """
+    """Read the geometry table that a file names; rows without a target are those of an only target."""
     only = targets[0].name if len(targets) == 1 else None
     return read_geometry(existing_file(path, key, name), default_target=only)
 
@@ -306,25 +165,7 @@ def require_unique(names: Iterable[str], problem: str) -> None:
 
 
 def camera_of(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None]:
-    """Camera of a ``[camera]`` table, and its file where it has one.
-
-    Parameters
-    ----------
-    path : Path
-        The campaign or scene file.
-    table : mapping
-        ``file``, ``preset`` (and ``binned``), or the keys of a camera file.
-
-    Returns
-    -------
-    camera : Camera
-    file : Path or None
-
-    Raises
-    ------
-    InputError
-        The file is missing or a key is wrong.
-    """
+    """Camera of a ``[camera]`` table, and its file where it has one."""
     preset = preset_of(table)
     if preset is not None:
         return _binned(preset.camera, table.get("binned", 1)), None
@@ -341,21 +182,7 @@ def camera_of(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None
 
 
 def preset_of(table: Mapping[str, Any]) -> CameraPreset | None:
-    """Preset that a ``[camera]`` table names.
-
-    Parameters
-    ----------
-    table : mapping
-
-    Returns
-    -------
-    CameraPreset or None
-
-    Raises
-    ------
-    InputError
-        There is no such preset, or the table has other keys beside it.
-    """
+    """Preset that a ``[camera]`` table names."""
     if "preset" not in table:
         return None
     require(set(table) <= {"preset", "binned"}, "[camera]: give either preset, or file, or the keys of a camera")
@@ -372,23 +199,7 @@ def _binned(camera: Camera, factor: object) -> Camera:
 
 
 def spice_of(path: Path, section: SpiceSection | None) -> SpiceSetup | None:
-    """Kernels, spacecraft and camera frame of a ``[spice]`` section.
-
-    Parameters
-    ----------
-    path : Path
-        The campaign or scene file.
-    section : SpiceSection or None
-
-    Returns
-    -------
-    SpiceSetup or None
-
-    Raises
-    ------
-    InputError
-        A kernel is missing or the quaternion is not one.
-    """
+    """Kernels, spacecraft and camera frame of a ``[spice]`` section."""
     if section is None:
         return None
     with named("spice.kernels: "):
@@ -411,27 +222,7 @@ def targets_of(
 ) -> tuple[tuple[TargetSetup, ...], list[str]]:
     """Bodies of the ``[[targets]]`` of a campaign or scene file.
 
-    Parameters
-    ----------
-    path : Path
-        The campaign or scene file.
-    sections : sequence of BodySection
-    spice : SpiceSetup or None
-        Kernels that know the radii of bodies.
-
-    Returns
-    -------
-    targets : tuple of TargetSetup
-        Units that were ``auto`` are decided, so that they are the same in all processes.
-    remarks : list of str
-        One for each unit that was guessed.
-
-    Raises
-    ------
-    InputError
-        A name, file, law, estimator or option is wrong, or two targets have the same name.
-    DataError
-        A mesh file whose unit is to be guessed is damaged, or both units fit.
+    Returns ``targets`` and ``remarks``.
     """
     decided, remarks = list[TargetSetup](), list[str]()
     for number, section in enumerate(sections):

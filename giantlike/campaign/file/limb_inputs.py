@@ -37,27 +37,7 @@ class LimbSetup:
 
     @classmethod
     def of(cls, section: TargetSection, where: str, shape: str | Radii, terrain: Path | None) -> LimbSetup:
-        """Check what a section tells of the limb of its target.
-
-        Parameters
-        ----------
-        section : TargetSection
-        where : str
-            Its place in the file, for messages.
-        shape : str or radii
-            Mesh file, or the radii of an ellipsoid.
-        terrain : Path or None
-            The file that it names.
-
-        Returns
-        -------
-        LimbSetup
-
-        Raises
-        ------
-        InputError
-            The shape is a mesh, there are both a map and an atmosphere, or an airless body has an atmosphere.
-        """
+        """Check what a section tells of the limb of its target."""
         for key, given in (("terrain", terrain), ("atmosphere", section.atmosphere), ("rings", section.rings)):
             smooth = given is None or not isinstance(shape, str)
             require(smooth, f"{where}.{key}: goes with an ellipsoid as shape, got the mesh {shape!r}")
@@ -79,15 +59,7 @@ class LimbSetup:
     def height_map(self) -> HeightMap | None:
         """Open the height map, once in a process.
 
-        Returns
-        -------
-        HeightMap or None
-            None without one.
-
-        Raises
-        ------
-        DataError
-            The file is damaged.
+        Returns None without one.
         """
         return None if self.terrain is None else _opened(self.terrain, self.terrain_sigma_km)
 

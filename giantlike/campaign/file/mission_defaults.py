@@ -17,23 +17,6 @@ _ADDITIONS = frozenset({"binned"})
 def with_mission(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
     """Complete the table of a campaign file by what its mission says; keys that are there win.
 
-    Parameters
-    ----------
-    path : Path
-        The campaign file.
-    table : mapping
-        Its content.
-
-    Returns
-    -------
-    dict
-        The table itself where there is no ``[mission]``, or one whose keys are wrong, which the schema tells.
-
-    Raises
-    ------
-    InputError
-        There is no such mission, or its folder of kernels holds none of them.
-
     Notes
     -----
     ``[spice]`` is completed where the campaign has that table, or where ``mission.kernels`` names a folder.

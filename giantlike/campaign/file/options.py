@@ -19,27 +19,7 @@ Options = TypeVar("Options")
 
 
 def options_from_mapping(kind: type[Options], table: Mapping[str, Any], where: str) -> Options:
-    """Build an options dataclass from a table of its fields.
-
-    Parameters
-    ----------
-    kind : type
-        A dataclass whose fields have defaults; a field may itself be such a dataclass.
-    table : mapping
-        Values of some of its fields, as TOML gives them.
-    where : str
-        Name of the table in error messages.
-
-    Returns
-    -------
-    dataclass
-        An instance of ``kind``.
-
-    Raises
-    ------
-    InputError
-        A name is unknown, or a value has the wrong type or is out of range.
-    """
+    """Build an options dataclass from a table of its fields."""
     require(isinstance(table, Mapping), f"{where}: expected a table of options, got {table!r}")
     hints = get_type_hints(kind)
     known = [field.name for field in dataclasses.fields(kind) if field.init]  # type: ignore[arg-type]
@@ -57,19 +37,7 @@ def options_from_mapping(kind: type[Options], table: Mapping[str, Any], where: s
 
 
 def options_validator(kind: type[Any], *, elsewhere: tuple[str, ...] = ()) -> PlainValidator:
-    """Annotation of a pydantic field whose table becomes an options dataclass.
-
-    Parameters
-    ----------
-    kind : type
-        The dataclass, see :func:`options_from_mapping`.
-    elsewhere : tuple of str
-        Fields that have a key of their own beside the table, and are refused in it.
-
-    Returns
-    -------
-    PlainValidator
-    """
+    """Annotation of a pydantic field whose table becomes an options dataclass."""
 
     def build(table: Any) -> Any:
         twice = [name for name in elsewhere if isinstance(table, Mapping) and name in table]
@@ -81,27 +49,7 @@ def options_validator(kind: type[Any], *, elsewhere: tuple[str, ...] = ()) -> Pl
 
 
 def with_files_found(options: Options, folder: Path, where: str) -> Options:
-    """Return options whose relative paths are resolved against a folder.
-
-    Parameters
-    ----------
-    options : dataclass
-        Its fields of type ``Path`` name files or folders.
-    folder : Path
-        Folder of the campaign file.
-    where : str
-        Name of the table in error messages.
-
-    Returns
-    -------
-    dataclass
-        Of the type of ``options``.
-
-    Raises
-    ------
-    InputError
-        One of the files does not exist.
-    """
+    """Return options whose relative paths are resolved against a folder."""
     paths = {}
     for field in dataclasses.fields(options):  # type: ignore[arg-type]
         value = getattr(options, field.name)

@@ -29,18 +29,7 @@ class Section(BaseModel):
 
 @contextmanager
 def named(where: str) -> Iterator[None]:
-    """Put the name of a key or table before the text of an error raised inside a ``with`` block.
-
-    Parameters
-    ----------
-    where : str
-        What stands before the text, with a separator.
-
-    Raises
-    ------
-    InputError
-        The block raised one, or a ``DataError``.
-    """
+    """Put the name of a key or table before the text of an error raised inside a ``with`` block."""
     try:
         yield
     except (InputError, DataError) as error:
@@ -56,28 +45,7 @@ def read_toml(
 ) -> tuple[Content, dict[str, Any]]:
     """Parse a TOML file and check keys and types.
 
-    Parameters
-    ----------
-    path : Path
-        File to read.
-    model : type
-        Section of the whole file.
-    what : str
-        Name of the kind of file in error messages.
-    complete : callable, optional
-        Fills in keys before the check.
-
-    Returns
-    -------
-    content : model
-        The checked content.
-    table : dict
-        The plain table, for provenance.
-
-    Raises
-    ------
-    DataError
-        The file is missing or is not TOML, a key is unknown or missing, or a value has the wrong type.
+    Returns ``content`` and ``table``.
     """
     table = toml_table(path, what)
     try:
@@ -91,41 +59,13 @@ def read_toml(
 
 
 def checked_table(table: dict[str, Any], model: type[Content]) -> Content:
-    """Check a plain table by the model of its keys.
-
-    Parameters
-    ----------
-    table : dict
-    model : type
-
-    Returns
-    -------
-    model
-
-    Raises
-    ------
-    ValidationError
-        A key or a value is wrong; :func:`problems_of` has it in words.
-    InputError
-        A value has a type that no key takes.
-    """
+    """Check a plain table by the model of its keys."""
     # Strict JSON rules fit TOML: they allow text for an enumeration, but no text for a number.
     return model.model_validate_json(json.dumps(table, default=_refuse_dates))
 
 
 def problems_of(error: ValidationError, model: type[BaseModel]) -> list[tuple[str, str]]:
-    """Every problem of a table.
-
-    Parameters
-    ----------
-    error : ValidationError
-    model : type
-
-    Returns
-    -------
-    list of (str, str)
-        Dotted name of the key, and one line.
-    """
+    """Every problem of a table."""
     return [(key_text(problem["loc"]), _one_problem(problem, model)) for problem in error.errors()]
 
 
@@ -170,14 +110,7 @@ def _section(location: tuple[int | str, ...], model: type[BaseModel]) -> type[Ba
 def model_in(annotation: Any) -> type[BaseModel] | None:
     """Model inside an annotation such as ``list[...]``, ``dict[str, ...]`` or ``... | None``.
 
-    Parameters
-    ----------
-    annotation : type
-
-    Returns
-    -------
-    type or None
-        None if there is no model in it.
+    Returns None if there is no model in it.
     """
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
@@ -187,15 +120,6 @@ def model_in(annotation: Any) -> type[BaseModel] | None:
 
 def key_text(location: tuple[int | str, ...]) -> str:
     """Dotted name of a key, with positions in lists counted from 0.
-
-    Parameters
-    ----------
-    location : tuple of int or str
-        Names and list positions, outermost first.
-
-    Returns
-    -------
-    str
 
     >>> key_text(("targets", 0, "units"))
     'targets[0].units'

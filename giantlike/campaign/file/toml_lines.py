@@ -12,16 +12,6 @@ _KEY = re.compile(r"""\s*([A-Za-z0-9_\-."']+)\s*=""")
 def lines_of_keys(text: str) -> dict[str, int]:
     r"""Lines of the tables and keys of a TOML file.
 
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    dict of str to int
-        Line from 1, by dotted name with positions in arrays of tables, such as ``targets[0].shape``. Keys inside a
-        value in braces or brackets have none of their own: look for the key whose value it is.
-
     Examples
     --------
     >>> lines_of_keys("[a]\nb = 1\n[[c]]\nd.e = 2\n[[c]]\n")
@@ -49,19 +39,7 @@ def lines_of_keys(text: str) -> dict[str, int]:
 
 
 def line_of(key: str, lines: Mapping[str, int]) -> int | None:
-    """Line of a key or, where it has none, of the nearest key or table around it.
-
-    Parameters
-    ----------
-    key : str
-        Dotted name.
-    lines : mapping of str to int
-        Of :func:`lines_of_keys`.
-
-    Returns
-    -------
-    int or None
-    """
+    """Line of a key or, where it has none, of the nearest key or table around it."""
     while key:
         if key in lines:
             return lines[key]

@@ -120,21 +120,7 @@ class RenderPlan(Value):
 
     @classmethod
     def load(cls, path: str | Path) -> RenderPlan:
-        """Read and check a scene file and the files it names.
-
-        Parameters
-        ----------
-        path : path-like
-
-        Returns
-        -------
-        RenderPlan
-
-        Raises
-        ------
-        DataError
-            Something is wrong with it; one line that names the file, the key and what was expected.
-        """
+        """Read and check a scene file and the files it names."""
         path = Path(path)
         content, _ = read_toml(path, RenderFile, "scene file")
         with resolving(path, "a scene file"):
@@ -160,26 +146,13 @@ class RenderPlan(Value):
         )
 
     def kernels(self) -> AbstractContextManager[object]:
-        """Load the SPICE kernels, if there are any, until the end of a ``with`` block.
-
-        Returns
-        -------
-        context manager
-        """
+        """Load the SPICE kernels, if there are any, until the end of a ``with`` block."""
         return contextlib.nullcontext() if self.spice is None else load_kernels(self.spice.kernels, self.path.parent)
 
     def shots(self) -> list[tuple[Shot, Scene | None]]:
         """Every exposure with its scene; call it inside ``with plan.kernels()``.
 
-        Returns
-        -------
-        list of (Shot, Scene or None)
-            None if an image has no target.
-
-        Raises
-        ------
-        DataError
-            A shape is damaged, something is known neither from the files nor from SPICE, or no image shows a target.
+        Returns None if an image has no target.
         """
         try:
             shapes = {target.name: target.load_shape() for target in self.targets}

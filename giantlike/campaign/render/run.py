@@ -63,27 +63,7 @@ def render_images(
     overwrite: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> tuple[RenderedImage, ...]:
-    """Render all images of a scene file.
-
-    Parameters
-    ----------
-    plan : RenderPlan
-    output : Path, optional
-        A folder, or the FITS file where there is one image only; by default the folder that the scene file names.
-    overwrite : bool
-        Replace files that exist.
-    progress : callable, optional
-        Called with the name of the step, the number of images done, and of all.
-
-    Returns
-    -------
-    tuple of RenderedImage
-
-    Raises
-    ------
-    DataError
-        A file exists or cannot be written, or the scene cannot be set up; nothing is rendered then.
-    """
+    """Render all images of a scene file."""
     plan, folder = _placed(plan, output)
     paths = [folder / exposure.file for exposure in plan.exposures]
     _check_output(plan, folder, paths, overwrite=overwrite)

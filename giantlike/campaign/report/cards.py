@@ -95,32 +95,13 @@ class Card:
 
 
 def center_colors(result: RunResult) -> dict[str, str]:
-    """Colors of the centers that estimators found.
-
-    Parameters
-    ----------
-    result : RunResult
-
-    Returns
-    -------
-    dict of str to str
-        By estimator.
-    """
+    """Colors of the centers that estimators found."""
     names = dict.fromkeys(record.estimator for record in result.observations if record.center_px is not None)
     return {name: CENTERS[number % len(CENTERS)] for number, name in enumerate(names)}
 
 
 def fix_line(record: ObservationRecord) -> FixLine:
-    """One fix in text.
-
-    Parameters
-    ----------
-    record : ObservationRecord
-
-    Returns
-    -------
-    FixLine
-    """
+    """One fix in text."""
     center: tuple[str, ...] = ()
     offset: tuple[str, ...] = ()
     range_km = range_offset = ""
@@ -145,20 +126,7 @@ def fix_line(record: ObservationRecord) -> FixLine:
 
 
 def card(result: RunResult, record: AttitudeRecord, colors: Mapping[str, str]) -> Card:
-    """One image with what was found in it.
-
-    Parameters
-    ----------
-    result : RunResult
-    record : AttitudeRecord
-        Of the image.
-    colors : mapping of str to str
-        Of :func:`center_colors`.
-
-    Returns
-    -------
-    Card
-    """
+    """One image with what was found in it."""
     folder = RunFolder(result.folder)
     observations = [one for image in result.bodies if image.file == record.file for one in image.observations]
     targets = dict.fromkeys(one.target for one in observations)

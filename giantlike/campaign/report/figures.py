@@ -32,16 +32,7 @@ _TIME_UNITS = ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"), (1.0, "s
 
 
 def attitude_figures(result: RunResult) -> list[PageFigure]:
-    """Star residuals of all images, quality of the solutions, and corrections of the a priori attitudes.
-
-    Parameters
-    ----------
-    result : RunResult
-
-    Returns
-    -------
-    list of PageFigure
-    """
+    """Star residuals of all images, quality of the solutions, and corrections of the a priori attitudes."""
     figures = []
     solved = [record for record in result.attitudes if record.n_matched and not record.problems]
     at, label = _time_axis(result)
@@ -65,16 +56,7 @@ def attitude_figures(result: RunResult) -> list[PageFigure]:
 
 
 def body_figures(result: RunResult) -> list[PageFigure]:
-    """Observed minus predicted and the difference between estimators, for each target.
-
-    Parameters
-    ----------
-    result : RunResult
-
-    Returns
-    -------
-    list of PageFigure
-    """
+    """Observed minus predicted and the difference between estimators, for each target."""
     at, label = _time_axis(result)
     measured: dict[str, dict[str, dict[int, ObservationRecord]]] = {}
     for record in result.observations:
@@ -174,13 +156,7 @@ def _measured(record: ObservationRecord) -> tuple[Float, Float]:
 def points_of(values: ArrayLike) -> Float:
     """Points (n, 2) of a list of pairs, which may be empty.
 
-    Parameters
-    ----------
-    values : (n, 2)
-
-    Returns
-    -------
-    (n, 2) float64
+    ``values`` (n, 2).
     """
     return np.asarray(values, dtype=np.float64).reshape(-1, 2)
 

@@ -19,26 +19,7 @@ _AXES = ("x", "y")
 
 @paints(RunResult)
 def draw_run(run: RunResult, axes: Axes | None = None, *, target: str | None = None, axis: str = "x") -> Axes:
-    """Draw observed minus predicted centers of a target over the images of a run, with bars of one sigma.
-
-    Parameters
-    ----------
-    run : RunResult
-    axes : Axes, optional
-    target : str, optional
-        Default: the first one. A run without bodies shows the number of stars in each image.
-    axis : {'x', 'y'}
-        Axis of the image.
-
-    Returns
-    -------
-    Axes
-
-    Raises
-    ------
-    InputError
-        There is no such target or axis.
-    """
+    """Draw observed minus predicted centers of a target over the images of a run, with bars of one sigma."""
     if axes is None:
         with drawing():
             _, panels = new_panels(7.2, 3.2, shown=True)

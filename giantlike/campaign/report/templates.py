@@ -27,39 +27,14 @@ class PageFigure:
 
     @classmethod
     def of(cls, figure: ChartSheet | Figure, name: str, caption: str) -> PageFigure:
-        """Figure of a page from charts or a figure of matplotlib.
-
-        Parameters
-        ----------
-        figure : ChartSheet or Figure
-        name : str
-            Differs for every figure of a page.
-        caption : str
-
-        Returns
-        -------
-        PageFigure
-        """
+        """Figure of a page from charts or a figure of matplotlib."""
         from giantlike.plotting import ChartSheet, charts_svg, svg_text
 
         return cls(charts_svg(figure, name) if isinstance(figure, ChartSheet) else svg_text(figure, name), caption)
 
 
 def render_page(template: str, package: str = "giantlike.campaign.report", **content: Any) -> str:
-    """Fill a template; it may show numbers by ``| sig`` (three significant digits, a dash for None).
-
-    Parameters
-    ----------
-    template : str
-        File in the folder of the package; it may extend those of this folder.
-    package : str
-    **content
-        Values of the names in the template.
-
-    Returns
-    -------
-    str
-    """
+    """Fill a template; it may show numbers by ``| sig`` (three significant digits, a dash for None)."""
     import jinja2
 
     environment = jinja2.Environment(

@@ -17,19 +17,7 @@ from giantlike.stars.transfer import StarAttitude, TransferMethod, TransferredAt
 
 
 def transfer_attitudes(campaign: Campaign, records: Sequence[AttitudeRecord]) -> list[AttitudeRecord]:
-    """Give the short exposures of a campaign the attitudes of their neighbors in time.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    records : sequence of AttitudeRecord
-        Of all images, star images solved.
-
-    Returns
-    -------
-    list of AttitudeRecord
-        In the same order; a short exposure that gets no attitude has failed.
-    """
+    """Give the short exposures of a campaign the attitudes of their neighbors in time."""
     if campaign.stars is None or campaign.stars.long_exposure_s is None:
         return list(records)
     donors = [(record, star) for record in records if (star := _star(record)) is not None]
@@ -50,15 +38,7 @@ def transfer_attitudes(campaign: Campaign, records: Sequence[AttitudeRecord]) ->
 def attitude_to_use(campaign: Campaign, record: AttitudeRecord) -> Attitude | None:
     """Attitude for the estimators: the one found, else the a priori one.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    record : AttitudeRecord
-
-    Returns
-    -------
-    Attitude or None
-        None if there is neither.
+    Returns None if there is neither.
     """
     if record.attitude is not None or record.apriori is None:
         return record.attitude

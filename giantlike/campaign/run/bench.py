@@ -27,12 +27,6 @@ class WithoutStars:
 
     The whole sky, from which patterns for identification are made, keeps them: no attitude rests on it, and the
     patterns of the catalog can be used.
-
-    Parameters
-    ----------
-    catalog : StarCatalog
-    rejected : iterable of int
-        Numbers of the stars in the catalog.
     """
 
     def __init__(self, catalog: StarCatalog, rejected: Iterable[int]) -> None:
@@ -57,18 +51,7 @@ class WithoutStars:
     def cone(
         self, direction_inertial: ArrayLike, radius_rad: float, *, max_magnitude: float | None = None
     ) -> StarTable:
-        """Return the stars within an angle of a direction, as :meth:`StarCatalog.cone` does.
-
-        Parameters
-        ----------
-        direction_inertial : (3,), unitless, inertial
-        radius_rad : float, rad
-        max_magnitude : float, optional
-
-        Returns
-        -------
-        StarTable
-        """
+        """Return the stars within an angle of a direction, as :meth:`StarCatalog.cone` does."""
         stars = self._catalog.cone(direction_inertial, radius_rad, max_magnitude=max_magnitude)
         if radius_rad >= math.pi:
             return stars
@@ -98,23 +81,7 @@ class Workbench(Value):
 
     @classmethod
     def load(cls, campaign: Campaign, *, trusted: bool = False) -> Workbench:
-        """Load catalog, shapes and kernels.
-
-        Parameters
-        ----------
-        campaign : Campaign
-        trusted : bool
-            Another process of this run loaded the kernels before.
-
-        Returns
-        -------
-        Workbench
-
-        Raises
-        ------
-        DataError
-            One of the files is damaged.
-        """
+        """Load catalog, shapes and kernels."""
         navigation = None
         if campaign.stars is not None:
             navigation = StarNavigation(
@@ -138,14 +105,6 @@ class Workbench(Value):
 
         They rest on stars as bright as those of the calibration where that has a limit, so that residuals of the two
         compare.
-
-        Parameters
-        ----------
-        camera : Camera
-
-        Returns
-        -------
-        Workbench
         """
         stars, navigation, setup = self.campaign.stars, self.navigation, self.campaign.calibration
         if stars is not None and navigation is not None:
@@ -156,34 +115,11 @@ class Workbench(Value):
         return replace(self, campaign=replace(self.campaign, camera=camera, stars=stars), navigation=navigation)
 
     def with_warning(self, text: str) -> Workbench:
-        """Return the workbench for a campaign with one more warning.
-
-        Parameters
-        ----------
-        text : str
-
-        Returns
-        -------
-        Workbench
-        """
+        """Return the workbench for a campaign with one more warning."""
         return replace(self, campaign=replace(self.campaign, warnings=(*self.campaign.warnings, text)))
 
     def for_image(self, image: Image) -> Workbench:
-        """Return the workbench with the camera at the temperature of an image.
-
-        Parameters
-        ----------
-        image : Image
-
-        Returns
-        -------
-        Workbench
-
-        Raises
-        ------
-        DataError
-            The header of the image does not hold the temperature that the calibration needs.
-        """
+        """Return the workbench with the camera at the temperature of an image."""
         setup = self.campaign.calibration
         if setup is None or setup.temperature_keyword is None or self.campaign.camera.uncertainty is None:
             return self
@@ -192,17 +128,7 @@ class Workbench(Value):
         return self.with_camera(replace(camera, model=model))
 
     def without_stars(self, rejected: frozenset[int]) -> Workbench:
-        """Return the workbench for an image of which a person took stars out.
-
-        Parameters
-        ----------
-        rejected : frozenset of int
-            Numbers of the stars in the catalog.
-
-        Returns
-        -------
-        Workbench
-        """
+        """Return the workbench for an image of which a person took stars out."""
         navigation = self.navigation
         if navigation is None or not rejected:
             return self

@@ -36,19 +36,7 @@ BodyRecord: TypeAlias = ObservationRecord | TargetRecord
 
 
 def work_in(campaign: Campaign, key: str) -> list[Work]:
-    """Everything that is to be made of the bodies in an image, in the order of the tables.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    key : str
-        Of the image.
-
-    Returns
-    -------
-    list of (str, str)
-        Target and estimator.
-    """
+    """Everything that is to be made of the bodies in an image, in the order of the tables."""
     return [
         (target.name, name)
         for target in targets_in(campaign, key)
@@ -59,22 +47,7 @@ def work_in(campaign: Campaign, key: str) -> list[Work]:
 def estimate_bodies(
     bench: Workbench, entry: ImageEntry, image: Image, attitude: Attitude | None, work: Iterable[Work]
 ) -> list[BodyRecord]:
-    """Run estimators on targets of an image.
-
-    Parameters
-    ----------
-    bench : Workbench
-    entry : ImageEntry
-    image : Image
-    attitude : Attitude or None
-        The one to use; None: there is none.
-    work : iterable of (str, str)
-        Targets and estimators.
-
-    Returns
-    -------
-    list of ObservationRecord or TargetRecord
-    """
+    """Run estimators on targets of an image."""
     campaign, wanted = bench.campaign, set(work)
     if attitude is not None:
         image = image.with_attitude(
@@ -113,21 +86,7 @@ def estimate_bodies(
 def failed_bodies(
     entry: ImageEntry, work: Iterable[Work], problem: Problem, *, epoch_utc: str | None = None
 ) -> list[BodyRecord]:
-    """Failed records of an image that could not be worked on.
-
-    Parameters
-    ----------
-    entry : ImageEntry
-    work : iterable of (str, str)
-        Targets and estimators.
-    problem : Problem
-    epoch_utc : str, optional
-
-    Returns
-    -------
-    list of ObservationRecord
-        Of outlines, nothing.
-    """
+    """Failed records of an image that could not be worked on."""
     return [
         unobserved(entry, epoch_utc, target, estimator).replace(problem=problem)
         for target, estimator in work
@@ -136,18 +95,7 @@ def failed_bodies(
 
 
 def unobserved(entry: ImageEntry, epoch_utc: str | None, target: str, estimator: str) -> ObservationRecord:
-    """Record of an estimator that has not run yet.
-
-    Parameters
-    ----------
-    entry : ImageEntry
-    epoch_utc : str or None
-    target, estimator : str
-
-    Returns
-    -------
-    ObservationRecord
-    """
+    """Record of an estimator that has not run yet."""
     return ObservationRecord(
         index=entry.index, file=entry.key, epoch_utc=epoch_utc, target=target, estimator=estimator, status="failed"
     )

@@ -18,18 +18,7 @@ Arguments = ParamSpec("Arguments")
 def reading(
     function: Callable[Arguments, Answer], *args: Arguments.args, **kwargs: Arguments.kwargs
 ) -> Answer | Problem:
-    """Call a function that reads an image; damage becomes a :class:`Problem`.
-
-    Parameters
-    ----------
-    function : callable
-    *args, **kwargs
-        Its arguments.
-
-    Returns
-    -------
-    object or Problem
-    """
+    """Call a function that reads an image; damage becomes a :class:`Problem`."""
     try:
         return function(*args, **kwargs)
     except OpNavError as error:
@@ -39,18 +28,7 @@ def reading(
 def attempt(
     function: Callable[Arguments, Answer], *args: Arguments.args, **kwargs: Arguments.kwargs
 ) -> Answer | Problem:
-    """Call a function; any exception becomes a :class:`Problem`.
-
-    Parameters
-    ----------
-    function : callable
-    *args, **kwargs
-        Its arguments.
-
-    Returns
-    -------
-    object or Problem
-    """
+    """Call a function; any exception becomes a :class:`Problem`."""
     try:
         return function(*args, **kwargs)
     except CoverageError as error:

@@ -41,18 +41,6 @@ class DaskPool:
     Each worker loads catalog, shapes and kernels once. Files have the same paths on all of them (a shared file system),
     and results go back to this process, which alone writes the run folder. The jobs of a worker that dies go to others;
     a job that kills several in a row is given up.
-
-    Parameters
-    ----------
-    bench : Workbench
-        Of this process; its campaign must have absolute paths.
-    address : str
-        Of the scheduler, such as ``tcp://10.0.0.1:8786``, or the path of its scheduler file (``.json``).
-
-    Raises
-    ------
-    InputError
-        dask.distributed is not installed.
     """
 
     def __init__(self, bench: Workbench, address: str) -> None:
@@ -100,17 +88,7 @@ class DaskPool:
     def run(self, function: Callable[[Workbench, Job], Answer], jobs: Jobs[Job]) -> Iterator[tuple[int, Answer | None]]:
         """Yield the position of each job and its answer, in the order in which they are done.
 
-        Parameters
-        ----------
-        function : callable
-            Of a module, taking the workbench and a job; it must not raise.
-        jobs : Jobs
-
-        Yields
-        ------
-        position : int
-        answer : object or None
-            None if workers died of the job.
+        Yields ``position``; ``answer``: None if workers died of the job.
         """
         from distributed import as_completed
         from distributed.scheduler import KilledWorker
@@ -142,24 +120,12 @@ class DaskPool:
 
 
 def keep_campaign(token: str, campaign: Campaign) -> None:
-    """Keep the campaign that the jobs of a run are of; called on a worker.
-
-    Parameters
-    ----------
-    token : str
-        Of the run.
-    campaign : Campaign
-    """
+    """Keep the campaign that the jobs of a run are of; called on a worker."""
     _campaigns[token] = campaign
 
 
 def forget_campaign(token: str) -> None:
-    """Free what was loaded for a run; called on a worker.
-
-    Parameters
-    ----------
-    token : str
-    """
+    """Free what was loaded for a run; called on a worker."""
     with _one_at_a_time:
         _campaigns.pop(token, None)
         bench = _benches.pop(token, None)

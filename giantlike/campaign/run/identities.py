@@ -9,12 +9,7 @@ from giantlike.core.reading import file_sha256
 
 
 class Identities:
-    """Hashes of the contents of image files, as far as they are known, and what they were when they were read.
-
-    Parameters
-    ----------
-    folder : RunFolder
-    """
+    """Hashes of the contents of image files, as far as they are known, and what they were when they were read."""
 
     def __init__(self, folder: RunFolder) -> None:
         self._folder = folder
@@ -26,14 +21,6 @@ class Identities:
         """Hash of the content; empty if the file was never read.
 
         A file that was written again, or copied, is hashed: it may have the content that it had.
-
-        Parameters
-        ----------
-        entry : ImageEntry
-
-        Returns
-        -------
-        str
         """
         if entry.key not in self._now:
             known = self._known.get(entry.key, KnownImage("", ""))
@@ -50,13 +37,6 @@ class Identities:
         return self._now[entry.key]
 
     def read(self, entry: ImageEntry, sha256: str) -> None:
-        """Keep the hash of what a worker read.
-
-        Parameters
-        ----------
-        entry : ImageEntry
-        sha256 : str
-            Empty if it could not be read.
-        """
+        """Keep the hash of what a worker read."""
         self._now[entry.key] = sha256
         self._folder.set_image_state(entry.key, KnownImage(self._stamps.get(entry.key, ""), sha256))

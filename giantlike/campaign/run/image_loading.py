@@ -48,26 +48,7 @@ class PreparedImage(Value):
 
 
 def open_image(campaign: Campaign, entry: ImageEntry, frames: CalibrationFrames | None = None) -> PreparedImage:
-    """Read an image, complete it from geometry table and SPICE, and calibrate its pixels.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    entry : ImageEntry
-    frames : CalibrationFrames, optional
-        Bias, dark, flat and bad pixels; without them pixels stay as they are.
-
-    Returns
-    -------
-    PreparedImage
-
-    Raises
-    ------
-    DataError
-        The file is damaged.
-    InputError
-        The image has another size than the camera or the frames, or no exposure to scale a dark by.
-    """
+    """Read an image, complete it from geometry table and SPICE, and calibrate its pixels."""
     image = dataclasses.replace(
         Image.open(entry.path, hdu=campaign.hdu, bottom_up=campaign.bottom_up),
         name=entry.key,
@@ -142,18 +123,7 @@ def _with_spice(image: Image, spice: SpiceSetup) -> tuple[Image, tuple[str, ...]
 
 
 def targets_in(campaign: Campaign, key: str) -> tuple[TargetSetup, ...]:
-    """Targets to look for in an image: those with a row in the geometry table; with SPICE or labels, all.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    key : str
-        Of the image.
-
-    Returns
-    -------
-    tuple of TargetSetup
-    """
+    """Targets to look for in an image: those with a row in the geometry table; with SPICE or labels, all."""
     if campaign.spice is not None or campaign.label_geometry:
         return campaign.targets
     known = campaign.geometry.get(key)
@@ -216,26 +186,7 @@ def _body(target: TargetSetup, shape: Shape, ephemeris: ApparentGeometry | Spice
 
 
 def scene_of(campaign: Campaign, image: Image, target: TargetSetup, shape: Shape) -> Scene | Failure:
-    """Build the scene of one target in an image.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    image : Image
-    target : TargetSetup
-    shape : Shape
-
-    Returns
-    -------
-    Scene or Failure
-        ``NO_GEOMETRY`` if position, orientation or the Sun's direction are neither in the table nor in SPICE;
-        ``NO_EPOCH`` if they would have to come from SPICE and the image has no epoch.
-
-    Raises
-    ------
-    DataError
-        SPICE kernels do not cover what the table leaves out.
-    """
+    """Build the scene of one target in an image."""
     known = campaign.geometry.get(image.name)
     row = None if known is None else known.targets.get(target.name)
     if row is None and campaign.label_geometry:

@@ -16,21 +16,7 @@ from giantlike.io.label_geometry import geometry_of_label
 def attitude_of_label(campaign: Campaign, image: Image) -> Rotation | None:
     """Attitude that a label states, or that follows from the orientation of its target.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    image : Image
-
-    Returns
-    -------
-    Rotation or None
-        ``camera_from_inertial``; None where the label tells none, and its target is none of the campaign or has no
-        orientation by SPICE.
-
-    Raises
-    ------
-    InputError
-        An item of the label is no number.
+    Returns None where the label tells none, and its target is none of the campaign or has no orientation by SPICE.
     """
     label = geometry_of_label(image.metadata, campaign.camera.model)
     if label is None or label.camera_from_inertial is not None or label.camera_from_body is None:
@@ -50,22 +36,7 @@ def attitude_of_label(campaign: Campaign, image: Image) -> Rotation | None:
 def row_of_label(campaign: Campaign, image: Image, target: TargetSetup) -> GeometryRow | None:
     """Place of a target, its orientation and its Sun by the label of an image.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    image : Image
-        With its attitude.
-    target : TargetSetup
-
-    Returns
-    -------
-    GeometryRow or None
-        None where the label is of another target or tells no geometry, or the attitude is not known.
-
-    Raises
-    ------
-    InputError
-        An item of the label is no number.
+    Returns None where the label is of another target or tells no geometry, or the attitude is not known.
     """
     label = geometry_of_label(image.metadata, campaign.camera.model)
     attitude = image.camera_from_inertial

@@ -97,16 +97,7 @@ class Run:
     def calibrate(self, pool: Pool) -> tuple[Run, dict[str, Any] | None]:
         """Identify the stars of all star images and calibrate.
 
-        Parameters
-        ----------
-        pool : Pool
-
-        Returns
-        -------
-        run : Run
-            With the calibrated camera; the same if nothing is to be calibrated.
-        summary : dict or None
-            Content of ``calibration.json``.
+        Returns ``run`` and ``summary``.
         """
         setup, navigation = self.campaign.calibration, self.bench.navigation
         if setup is None or navigation is None:
@@ -169,14 +160,7 @@ class Run:
     # --- attitudes and bodies ----------------------------------------------------------------------------------------
 
     def make_all(self, pool: Pool, *, bodies: bool) -> None:
-        """Make attitudes, carry them to short exposures, and find bodies.
-
-        Parameters
-        ----------
-        pool : Pool
-        bodies : bool
-            False to stop at the attitudes.
-        """
+        """Make attitudes, carry them to short exposures, and find bodies."""
         plan = _Plan.of(self)
         transfers = self.campaign.stars is not None and self.campaign.stars.long_exposure_s is not None
         if transfers or not bodies:

@@ -34,17 +34,7 @@ _MAP_CELLS = 32
 
 
 def status_of(flags: Quality) -> Status:
-    """Status of a fix with quality flags.
-
-    Parameters
-    ----------
-    flags : Quality
-
-    Returns
-    -------
-    str
-        ``suspect`` if a named check objects, else ``ok``.
-    """
+    """Status of a fix with quality flags."""
     return "suspect" if flags.suspect else "ok"
 
 
@@ -54,20 +44,7 @@ def attitude_of(
     covariance_rad2: Float | None = None,
     errors: AttitudeErrors | None = None,
 ) -> Attitude:
-    """Attitude as a record holds it.
-
-    Parameters
-    ----------
-    rotation : Rotation
-        ``camera_from_inertial``.
-    source : AttitudeSource
-    covariance_rad2 : (3, 3) float64, optional, rad^2
-    errors : AttitudeErrors, optional
-
-    Returns
-    -------
-    Attitude
-    """
+    """Attitude as a record holds it."""
     errors = errors or AttitudeErrors()
     return Attitude(
         source=str(source),
@@ -80,17 +57,7 @@ def attitude_of(
 
 
 def with_observer(record: AttitudeRecord, observer: ObserverState | None) -> AttitudeRecord:
-    """Record with the state of the spacecraft.
-
-    Parameters
-    ----------
-    record : AttitudeRecord
-    observer : ObserverState, optional
-
-    Returns
-    -------
-    AttitudeRecord
-    """
+    """Record with the state of the spacecraft."""
     if observer is None:
         return record
     return record.replace(
@@ -99,19 +66,7 @@ def with_observer(record: AttitudeRecord, observer: ObserverState | None) -> Att
 
 
 def with_attitude(record: AttitudeRecord, camera: Camera, attitude: Attitude, status: Status = "ok") -> AttitudeRecord:
-    """Record with an attitude that was found, the pointing of the image center and the field of view.
-
-    Parameters
-    ----------
-    record : AttitudeRecord
-    camera : Camera
-    attitude : Attitude
-    status : str
-
-    Returns
-    -------
-    AttitudeRecord
-    """
+    """Record with an attitude that was found, the pointing of the image center and the field of view."""
     center = camera.model.unproject(camera.center_px)
     roll: float | None
     try:
@@ -129,17 +84,7 @@ def with_stars(
 ) -> AttitudeRecord:
     """Record with an attitude that was found from stars.
 
-    Parameters
-    ----------
-    record : AttitudeRecord
-    camera : Camera
-    fix : AttitudeFix
-    detected_px : (n, 2) list of float, px
-        Everything that looked like a star.
-
-    Returns
-    -------
-    AttitudeRecord
+    ``detected_px`` (n, 2).
     """
     attitude = attitude_of(fix.camera_from_inertial, AttitudeSource.STARS, fix.covariance_rad2, fix.errors)
     return with_attitude(record, camera, attitude, status_of(fix.flags)).replace(
@@ -157,19 +102,7 @@ def with_stars(
 
 
 def sighting_of(scene: Scene, image: Image, geometry: TargetGeometry) -> SightingRecord:
-    """Record of what was known of a target beforehand.
-
-    Parameters
-    ----------
-    scene : Scene
-    image : Image
-    geometry : TargetGeometry
-        Of a target of the scene in the image.
-
-    Returns
-    -------
-    SightingRecord
-    """
+    """Record of what was known of a target beforehand."""
     known = geometry.target.uncertainty
     record = SightingRecord(
         target=geometry.target.name,
@@ -241,18 +174,7 @@ def _residuals(fix: CenterFix) -> Residuals | None:
 
 
 def with_prediction(record: ObservationRecord, camera: Camera, geometry: TargetGeometry) -> ObservationRecord:
-    """Record with the place of the target by the a priori geometry.
-
-    Parameters
-    ----------
-    record : ObservationRecord
-    camera : Camera
-    geometry : TargetGeometry
-
-    Returns
-    -------
-    ObservationRecord
-    """
+    """Record with the place of the target by the a priori geometry."""
     predicted = camera.model.project(geometry.position_camera_km)
     return record.replace(
         predicted_px=predicted.tolist() if np.isfinite(predicted).all() else None,
@@ -262,18 +184,6 @@ def with_prediction(record: ObservationRecord, camera: Camera, geometry: TargetG
 
 def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry, fix: CenterFix) -> ObservationRecord:
     r"""Record with a fix and, if the record has an attitude, its partials and combined covariances.
-
-    Parameters
-    ----------
-    record : ObservationRecord
-    camera : Camera
-    geometry : TargetGeometry
-        Its range makes a position of a center without one, for the partials.
-    fix : CenterFix
-
-    Returns
-    -------
-    ObservationRecord
 
     Notes
     -----

@@ -54,33 +54,13 @@ class Pool(Protocol):
     def run(self, function: Callable[[Workbench, Job], Answer], jobs: Jobs[Job]) -> Iterator[tuple[int, Answer | None]]:
         """Yield the position of each job and its answer, in the order in which they are done.
 
-        Parameters
-        ----------
-        function : callable
-            Of a module, taking the workbench and a job; it must not raise.
-        jobs : Jobs
-
-        Yields
-        ------
-        position : int
-        answer : object or None
-            None if the process died of the job.
+        Yields ``position``; ``answer``: None if the process died of the job.
         """
         ...
 
 
 class WorkerPool:
     """Runs jobs on images in this process (one worker) or in several; use it in a ``with`` block.
-
-    Parameters
-    ----------
-    bench : Workbench
-        Of this process; other processes load their own.
-    workers : int
-        Number of processes; with 1 everything runs in this one.
-    cores : int, optional
-        Processes, or threads within them, that may work at once; as many as ``workers`` by default. Where there are
-        fewer images than these, estimators of one image run at once (:func:`giantlike.threads`).
 
     Notes
     -----
@@ -117,22 +97,7 @@ class WorkerPool:
     def run(self, function: Callable[[Workbench, Job], Answer], jobs: Jobs[Job]) -> Iterator[tuple[int, Answer | None]]:
         """Yield the position of each job and its answer; other processes begin at once.
 
-        Parameters
-        ----------
-        function : callable
-            Of a module, taking the workbench and a job; it must not raise.
-        jobs : Jobs
-
-        Yields
-        ------
-        position : int
-        answer : object or None
-            None if the process died of the job.
-
-        Raises
-        ------
-        InputError
-            Processes cannot be started at all.
+        Yields ``position``; ``answer``: None if the process died of the job.
         """
         each = self._cores // max(1, min(self._workers, len(jobs)))
         if self._workers == 1:

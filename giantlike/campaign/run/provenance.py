@@ -20,21 +20,6 @@ def inputs_of(campaign: Campaign, bench: Workbench) -> dict[str, Any]:
     """Everything that decides the results of a run but the images, as plain values.
 
     What of it changed is said before a run goes on. The hashes of the images are added at the end of the run.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    bench : Workbench
-
-    Returns
-    -------
-    dict
-        As ``inputs`` of ``provenance.json``.
-
-    Raises
-    ------
-    DataError
-        A file cannot be read.
     """
     stars = campaign.stars
     kernels = {} if bench.kernels is None else bench.kernels.sha256()
@@ -63,17 +48,7 @@ def inputs_of(campaign: Campaign, bench: Workbench) -> dict[str, Any]:
 
 
 def environment_of(campaign: Campaign) -> dict[str, Any]:
-    """Hashes of files, Python and its packages, for people; they may change when a run is continued.
-
-    Parameters
-    ----------
-    campaign : Campaign
-
-    Returns
-    -------
-    dict
-        As ``environment`` of ``provenance.json``.
-    """
+    """Hashes of files, Python and its packages, for people; they may change when a run is continued."""
     return {
         "campaign_file": campaign.path_from_output(campaign.path),
         "campaign_sha256": file_sha256(campaign.path),
@@ -85,21 +60,7 @@ def environment_of(campaign: Campaign) -> dict[str, Any]:
 
 
 def file_sha256(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    DataError
-        It cannot be read.
-    """
+    """Hexadecimal SHA-256 of a file."""
     try:
         return reading.file_sha256(path)
     except OSError as error:
@@ -115,12 +76,7 @@ def _plain(options: Any) -> dict[str, Any]:
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of the packages that this one needs.
-
-    Returns
-    -------
-    dict of str to str
-    """
+    """Versions of the packages that this one needs."""
     found = {}
     for requirement in requires("giantlike") or []:
         if "extra ==" in requirement:

@@ -31,11 +31,6 @@ class Steps:
 
     What all images share is hashed once; a change of the version of the program, of a kernel or of the way in which
     image files are read reaches every step.
-
-    Parameters
-    ----------
-    bench : Workbench
-        With the calibrated camera, where there is one.
     """
 
     def __init__(self, bench: Workbench) -> None:
@@ -70,40 +65,11 @@ class Steps:
         }
 
     def first_stars(self, entry: ImageEntry, sha256: str, limits: object, rejected: Iterable[int]) -> str:
-        """Hash of the first identification of the stars of an image, for calibration.
-
-        Parameters
-        ----------
-        entry : ImageEntry
-        sha256 : str
-            Of the image file.
-        limits : object
-            Error of the focal length and shortest exposure of a star image.
-        rejected : iterable of int
-            Stars that a person took out.
-
-        Returns
-        -------
-        str
-        """
+        """Hash of the first identification of the stars of an image, for calibration."""
         return digest(self._stars, sha256, self._pose(entry), limits, sorted(rejected))
 
     def attitude(self, entry: ImageEntry, sha256: str, rejected: Iterable[int], *, star_image: bool) -> str:
-        """Hash of the attitude of an image, before those of its neighbors are carried to it.
-
-        Parameters
-        ----------
-        entry : ImageEntry
-        sha256 : str
-        rejected : iterable of int
-            Stars that a person took out.
-        star_image : bool
-            True if its own stars are solved; another image depends on no option of stars.
-
-        Returns
-        -------
-        str
-        """
+        """Hash of the attitude of an image, before those of its neighbors are carried to it."""
         if star_image and self._stars:
             return digest(self._stars, sha256, self._pose(entry), sorted(rejected))
         return digest(self._apriori, sha256, self._pose(entry))
@@ -111,21 +77,7 @@ class Steps:
     def observation(
         self, entry: ImageEntry, sha256: str, target: str, estimator: str, attitude: Attitude | None
     ) -> str:
-        """Hash of the result of one estimator, or of what is known of a target beforehand.
-
-        Parameters
-        ----------
-        entry : ImageEntry
-        sha256 : str
-        target, estimator : str
-            An empty estimator stands for what is known beforehand.
-        attitude : Attitude or None
-            The one used.
-
-        Returns
-        -------
-        str
-        """
+        """Hash of the result of one estimator, or of what is known of a target beforehand."""
         known = self._geometry.get(entry.key)
         row = None if known is None else known.targets.get(target)
         row = None if row is None else dataclasses.replace(row, file="", line=0, epoch=None)
@@ -139,17 +91,7 @@ class Steps:
 
 
 def digest(*values: Any) -> str:
-    """Short hash of values: numbers to the bit, files by their content.
-
-    Parameters
-    ----------
-    *values
-        Plain values, arrays, rotations, times, paths, dataclasses, records, and mappings and sequences of them.
-
-    Returns
-    -------
-    str
-    """
+    """Short hash of values: numbers to the bit, files by their content."""
     text = json.dumps([_plain(value) for value in values], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
 

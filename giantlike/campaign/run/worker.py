@@ -72,33 +72,13 @@ class ImageAnswer:
 
     @classmethod
     def of(cls, attitude: AttitudeRecord | None, bodies: Iterable[BodyRecord]) -> ImageAnswer:
-        """Answer of records.
-
-        Parameters
-        ----------
-        attitude : AttitudeRecord or None
-        bodies : iterable of ObservationRecord or TargetRecord
-
-        Returns
-        -------
-        ImageAnswer
-        """
+        """Answer of records."""
         packed = None if attitude is None else PackedRecord.of(attitude)
         return cls(attitude=packed, bodies=[PackedRecord.of(record) for record in bodies])
 
 
 def process_image(bench: Workbench, job: ImageJob) -> ImageAnswer:
-    """Read an image, solve its stars if that is asked for, and run the estimators on it.
-
-    Parameters
-    ----------
-    bench : Workbench
-    job : ImageJob
-
-    Returns
-    -------
-    ImageAnswer
-    """
+    """Read an image, solve its stars if that is asked for, and run the estimators on it."""
     start = time.perf_counter()
     opened = attempt(_opened, bench, job)
     record, attitude, work = None, job.attitude, job.bodies
@@ -122,51 +102,20 @@ def process_image(bench: Workbench, job: ImageJob) -> ImageAnswer:
 
 
 def lost_image(campaign: Campaign, job: ImageJob, problem: Problem) -> ImageAnswer:
-    """Answer for an image whose worker died.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    job : ImageJob
-    problem : Problem
-
-    Returns
-    -------
-    ImageAnswer
-    """
+    """Answer for an image whose worker died."""
     record = failed_image(campaign, job.entry, problem) if job.solve else None
     work = (*job.bodies, *job.bodies_if_turned)
     return ImageAnswer.of(record, failed_bodies(job.entry, work, problem))
 
 
 def find_first_stars(bench: Workbench, job: ImageJob) -> PackedRecord[CalibrationRecord]:
-    """Read a star image and identify its stars with a camera that is known roughly, for calibration.
-
-    Parameters
-    ----------
-    bench : Workbench
-    job : ImageJob
-
-    Returns
-    -------
-    PackedRecord of CalibrationRecord
-    """
+    """Read a star image and identify its stars with a camera that is known roughly, for calibration."""
     record = attempt(_first_stars, bench, job)
     return PackedRecord.of(failed_stars(job.entry, record) if isinstance(record, Problem) else record)
 
 
 def failed_stars(entry: ImageEntry, problem: Problem) -> CalibrationRecord:
-    """Record of an image that calibration cannot use.
-
-    Parameters
-    ----------
-    entry : ImageEntry
-    problem : Problem
-
-    Returns
-    -------
-    CalibrationRecord
-    """
+    """Record of an image that calibration cannot use."""
     return CalibrationRecord(index=entry.index, file=entry.key, problem=problem)
 
 
@@ -194,18 +143,7 @@ def _first_stars(bench: Workbench, job: ImageJob) -> CalibrationRecord | Problem
 
 
 def failed_image(campaign: Campaign, entry: ImageEntry, problem: Problem) -> AttitudeRecord:
-    """Record of an image that could not be processed.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    entry : ImageEntry
-    problem : Problem
-
-    Returns
-    -------
-    AttitudeRecord
-    """
+    """Record of an image that could not be processed."""
     return _unsolved(campaign, entry, campaign.geometry.get(entry.key)).replace(problem=problem)
 
 

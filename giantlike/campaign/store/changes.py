@@ -9,14 +9,6 @@ from typing import Any
 def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """Names of the inputs that differ, dotted down to what changed within tables.
 
-    Parameters
-    ----------
-    before, now : mapping
-
-    Returns
-    -------
-    list of str
-
     Examples
     --------
     >>> changes({"a": {"b": 1, "c": 2}, "d": 3}, {"a": {"b": 1, "c": 5}})

@@ -77,24 +77,14 @@ class KnownImage:
 
 
 class Database:
-    """The file; opened for each access, or kept open inside ``with database.open_for_writing():``.
-
-    Parameters
-    ----------
-    path : Path
-    """
+    """The file; opened for each access, or kept open inside ``with database.open_for_writing():``."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._open: sqlite3.Connection | None = None
 
     def exists(self) -> bool:
-        """Return True if there is such a file; while it is being made, its size is 0.
-
-        Returns
-        -------
-        bool
-        """
+        """Return True if there is such a file; while it is being made, its size is 0."""
         try:
             return self.path.stat().st_size > 0
         except OSError:
@@ -102,17 +92,7 @@ class Database:
 
     @contextlib.contextmanager
     def open_for_writing(self) -> Iterator[None]:
-        """Context manager that keeps the file open, in WAL mode.
-
-        Yields
-        ------
-        None
-
-        Raises
-        ------
-        DataError
-            It is damaged or cannot be written.
-        """
+        """Context manager that keeps the file open, in WAL mode."""
         with self._border(), contextlib.closing(self._connect(write=True)) as connection:
             # A file system without shared memory (some network ones) keeps another journal: as safe, and slower.
             connection.execute("PRAGMA journal_mode = WAL")
@@ -127,17 +107,7 @@ class Database:
 
     @contextlib.contextmanager
     def open_for_reading(self) -> Iterator[None]:
-        """Context manager that keeps the file open for reading; it does nothing where it is open.
-
-        Yields
-        ------
-        None
-
-        Raises
-        ------
-        DataError
-            It is damaged or missing.
-        """
+        """Context manager that keeps the file open for reading; it does nothing where it is open."""
         if self._open is not None:
             yield
             return
@@ -149,20 +119,7 @@ class Database:
                 self._open = None
 
     def put(self, unit: Unit, key: str, row: Row) -> None:
-        """Write a record.
-
-        Parameters
-        ----------
-        unit : tuple of str
-        key : str
-            Hash of what it depends on.
-        row : Row
-
-        Raises
-        ------
-        DataError
-            The file cannot be written.
-        """
+        """Write a record."""
         step, file = unit[:2]
         with self._connected(write=True) as connection:
             connection.execute(_NEW_IMAGE, (file,))
@@ -171,19 +128,7 @@ class Database:
     def get(self, unit: Unit) -> Row | None:
         """Return a record.
 
-        Parameters
-        ----------
-        unit : tuple of str
-
-        Returns
-        -------
-        Row or None
-            None if there is none.
-
-        Raises
-        ------
-        DataError
-            It is damaged.
+        Returns None if there is none.
         """
         with self._connected() as connection:
             found = connection.execute(
@@ -195,17 +140,7 @@ class Database:
         return Row(self._checked(light, light_crc), None if points is None else self._checked(points, points_crc))
 
     def keys(self, step: str) -> dict[tuple[str, str, str], str]:
-        """Hashes of the records of a step, damaged ones left out.
-
-        Parameters
-        ----------
-        step : str
-
-        Returns
-        -------
-        dict of (str, str, str) to str
-            By image, target and estimator.
-        """
+        """Hashes of the records of a step, damaged ones left out."""
         with self._connected() as connection:
             rows = connection.execute(
                 "SELECT file, target, estimator, key, light, light_crc, points, points_crc FROM records WHERE step = ?",
@@ -220,56 +155,25 @@ class Database:
     def rows(self, step: str) -> Iterator[tuple[int, str, str]]:
         """Yield the records of a step that are part of the run, in input order, without their points.
 
-        Parameters
-        ----------
-        step : str
-
-        Yields
-        ------
-        place : int
-            Of the image.
-        path : str
-            Of the image file, relative to the run folder.
-        light : str
-
-        Raises
-        ------
-        DataError
-            One of them is damaged.
+        Yields ``place``, ``path`` and ``light``.
         """
         with self._connected() as connection:
             for place, path, light, crc in connection.execute(_ORDERED, (step,)):
                 yield place, path, self._checked(light, crc)
 
     def delete(self, units: Iterable[Unit]) -> None:
-        """Delete records.
-
-        Parameters
-        ----------
-        units : iterable of tuple of str
-        """
+        """Delete records."""
         with self._connected(write=True) as connection:
             connection.executemany(f"DELETE FROM records WHERE {_IS_UNIT}", units)
 
     def images(self) -> dict[str, KnownImage]:
-        """Every image that the file knows, part of the run or not, by name.
-
-        Returns
-        -------
-        dict of str to KnownImage
-        """
+        """Every image that the file knows, part of the run or not, by name."""
         with self._connected() as connection:
             rows = connection.execute("SELECT file, stamp, sha256 FROM images")
             return {file: KnownImage(stamp or "", sha256 or "") for file, stamp, sha256 in rows}
 
     def set_images(self, images: Sequence[tuple[str, str]]) -> None:
-        """Say which images are part of the run, and in which order.
-
-        Parameters
-        ----------
-        images : sequence of (str, str)
-            Name, and path relative to the run folder.
-        """
+        """Say which images are part of the run, and in which order."""
         with self._connected(write=True) as connection:
             connection.execute("UPDATE images SET place = NULL")
             connection.executemany(
@@ -279,27 +183,14 @@ class Database:
             )
 
     def set_image_state(self, file: str, known: KnownImage) -> None:
-        """Say what the content of an image file was when it was read.
-
-        Parameters
-        ----------
-        file : str
-        known : KnownImage
-        """
+        """Say what the content of an image file was when it was read."""
         with self._connected(write=True) as connection:
             connection.execute(
                 "UPDATE images SET stamp = ?, sha256 = ? WHERE file = ?", (known.stamp, known.sha256, file)
             )
 
     def set_places(self, step: str, places: dict[tuple[str, str, str], int]) -> None:
-        """Say which records of a step are part of the run, and in which order those of one image come.
-
-        Parameters
-        ----------
-        step : str
-        places : dict of (str, str, str) to int
-            By image, target and estimator.
-        """
+        """Say which records of a step are part of the run, and in which order those of one image come."""
         with self._connected(write=True) as connection:
             connection.execute("UPDATE records SET place = NULL WHERE step = ?", (step,))
             connection.executemany(
@@ -308,19 +199,7 @@ class Database:
             )
 
     def adopt(self, other: Database, path_here: Callable[[str], str]) -> None:
-        """Take over the images that are part of another run, with their records, after those that are here.
-
-        Parameters
-        ----------
-        other : Database
-        path_here : callable
-            From the path of an image relative to the other folder to that relative to this one.
-
-        Raises
-        ------
-        DataError
-            One of the two cannot be read or written.
-        """
+        """Take over the images that are part of another run, with their records, after those that are here."""
         with other._connected() as source, self._connected(write=True) as connection:
             here = {file for (file,) in connection.execute("SELECT file FROM images")}
             images = source.execute(

@@ -82,12 +82,7 @@ class Edit(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class EditList:
-    """Edits of a run in the order in which they were made.
-
-    Parameters
-    ----------
-    edits : tuple of Edit
-    """
+    """Edits of a run in the order in which they were made."""
 
     edits: tuple[Edit, ...] = ()
 
@@ -98,12 +93,7 @@ class EditList:
         return [edit for edit in last.values() if edit.action == "reject"]
 
     def rejected_stars(self) -> dict[str, frozenset[int]]:
-        """Numbers of the stars that are not to be used, by image.
-
-        Returns
-        -------
-        dict of str to frozenset of int
-        """
+        """Numbers of the stars that are not to be used, by image."""
         stars: dict[str, set[int]] = {}
         for edit in self.standing:
             if edit.star is not None:
@@ -111,26 +101,11 @@ class EditList:
         return {file: frozenset(numbers) for file, numbers in stars.items()}
 
     def rejected_images(self) -> dict[str, Problem]:
-        """Images that are not to be used, with the reason.
-
-        Returns
-        -------
-        dict of str to Problem
-        """
+        """Images that are not to be used, with the reason."""
         return {edit.file: edit.problem for edit in self.standing if edit.what is Edited.IMAGE}
 
     def attitudes(self, records: Iterable[AttitudeRecord]) -> list[AttitudeRecord]:
-        """Attitudes as they stand after the edits.
-
-        Parameters
-        ----------
-        records : iterable of AttitudeRecord
-
-        Returns
-        -------
-        list of AttitudeRecord
-            Those of rejected images have failed.
-        """
+        """Attitudes as they stand after the edits."""
         rejected = self.rejected_images()
         return [
             record if record.file not in rejected else _without_attitude(record, rejected[record.file])
@@ -138,17 +113,7 @@ class EditList:
         ]
 
     def bodies(self, images: Iterable[ObservationsRecord]) -> list[ObservationsRecord]:
-        """Observations as they stand after the edits.
-
-        Parameters
-        ----------
-        images : iterable of ObservationsRecord
-
-        Returns
-        -------
-        list of ObservationsRecord
-            Rejected ones have failed.
-        """
+        """Observations as they stand after the edits."""
         rejected, fixes = self.rejected_images(), {}
         for edit in self.standing:
             if edit.what is Edited.FIX:
@@ -167,20 +132,7 @@ class EditList:
 def read_edits(folder: Path) -> EditList:
     """Read the edit list of a run.
 
-    Parameters
-    ----------
-    folder : Path
-        The run folder.
-
-    Returns
-    -------
-    EditList
-        Empty if there is none.
-
-    Raises
-    ------
-    DataError
-        A line of it is damaged.
+    The result is empty if there is none.
     """
     path = folder / EDITS_FILE
     try:
@@ -200,19 +152,7 @@ def read_edits(folder: Path) -> EditList:
 
 
 def add_edits(folder: Path, edits: Sequence[Edit]) -> None:
-    """Append edits to the list of a run.
-
-    Parameters
-    ----------
-    folder : Path
-        The run folder.
-    edits : sequence of Edit
-
-    Raises
-    ------
-    DataError
-        The file cannot be written.
-    """
+    """Append edits to the list of a run."""
     lines = "".join(json.dumps(edit.model_dump(mode="json", exclude_none=True)) + "\n" for edit in edits)
     append_text(folder / EDITS_FILE, lines)
 

@@ -63,14 +63,7 @@ class FixDifference(Value):
 def difference_of(one: ObservationRecord, other: ObservationRecord) -> FixDifference | None:
     """Compare two fixes of one body in one image.
 
-    Parameters
-    ----------
-    one, other : ObservationRecord
-
-    Returns
-    -------
-    FixDifference or None
-        None if one of the two has no fix.
+    Returns None if one of the two has no fix.
 
     Notes
     -----

@@ -26,21 +26,7 @@ def locked(folder: Path) -> Iterator[str | None]:
 
     The lock is a transaction on a file, which the operating system ends with the process: one that died holds nothing.
 
-    Parameters
-    ----------
-    folder : Path
-
-    Yields
-    ------
-    str or None
-        The process that held it before and died, in words; None if the last one ended well.
-
-    Raises
-    ------
-    InputError
-        Another run holds it; the text says which.
-    DataError
-        The folder cannot be written.
+    Yields None if the last one ended well.
     """
     with contextlib.closing(_taken(folder)) as connection:
         before = holder_of(folder)
@@ -59,16 +45,7 @@ def locked(folder: Path) -> Iterator[str | None]:
 
 
 def is_locked(folder: Path) -> bool:
-    """Return True if a run holds the lock of a folder.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Returns
-    -------
-    bool
-    """
+    """Return True if a run holds the lock of a folder."""
     if not (folder / _LOCK).exists():
         return False
     try:
@@ -82,14 +59,7 @@ def is_locked(folder: Path) -> bool:
 def holder_of(folder: Path) -> str | None:
     """Process that holds the lock of a folder, or that held it when it died, in words.
 
-    Parameters
-    ----------
-    folder : Path
-
-    Returns
-    -------
-    str or None
-        None if the last one ended well.
+    Returns None if the last one ended well.
     """
     try:
         who = json.loads((folder / _HOLDER).read_text(encoding="utf-8"))

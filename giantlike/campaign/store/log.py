@@ -16,21 +16,7 @@ LOGGER = logging.getLogger("giantlike.campaign")
 def log_event(folder: Path, event: str, *, level: int = logging.INFO, **values: Any) -> None:
     """Log an event of a run.
 
-    Parameters
-    ----------
-    folder : Path
-        The run folder, by which a :class:`RunLog` knows the events of its run.
-    event : str
-        Kind of the event.
-    level : int
-        As of :mod:`logging`.
-    **values
-        Further keys of the line in ``log.jsonl``.
-
-    Raises
-    ------
-    DataError
-        ``log.jsonl`` cannot be written.
+    ``level`` as of :mod:`logging`.
     """
     text = ", ".join(f"{key}={value}" for key, value in values.items())
     extra = {"run_folder": folder, "line": {"event": event} | values}
@@ -42,11 +28,6 @@ class RunLog(logging.Handler):
 
     Other handlers get what they would get without it: events below the level that the program chose for the logger
     end in the file only.
-
-    Parameters
-    ----------
-    folder : Path
-        The run folder.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -66,17 +47,7 @@ class RunLog(logging.Handler):
         LOGGER.setLevel(self._before[0])
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a line, if the record is an event of this run.
-
-        Parameters
-        ----------
-        record : LogRecord
-
-        Raises
-        ------
-        DataError
-            The file cannot be written.
-        """
+        """Write a line, if the record is an event of this run."""
         if getattr(record, "run_folder", None) != self._folder:
             return
         line = {"time_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())} | vars(record)["line"]

@@ -50,28 +50,7 @@ _IMAGES_OF_A_GROUP = 256
 
 
 def write_run_observables(result: RunResult, path: Path | None = None, *, tables: Iterable[Any] | None = None) -> int:
-    """Write the observables of a run.
-
-    Parameters
-    ----------
-    result : RunResult
-    path : Path, optional
-        New file, ``.parquet`` or ``.jsonl``; by default :data:`OBSERVABLES_FILE` in the run folder.
-    tables : iterable of pyarrow.Table, optional
-        The observables, made by :func:`table_of`, for a Parquet file.
-
-    Returns
-    -------
-    int
-        Number of rows.
-
-    Raises
-    ------
-    InputError
-        The file name has another ending.
-    DataError
-        The run folder is damaged, or the file cannot be written.
-    """
+    """Write the observables of a run."""
     camera, folder = camera_of_run(result.folder), RunFolder.open(result.folder)
     path, metadata = path or result.folder / OBSERVABLES_FILE, observables_metadata(result.name, camera)
     if path.suffix != ".parquet":
@@ -82,19 +61,7 @@ def write_run_observables(result: RunResult, path: Path | None = None, *, tables
 
 
 def run_observables(result: RunResult, camera: Camera) -> Iterator[ObservableRow | ObservableBlock]:
-    """Rows of all images of a run; lists of stars and landmarks are read some images at a time.
-
-    Parameters
-    ----------
-    result : RunResult
-    camera : Camera
-        Of the run.
-
-    Yields
-    ------
-    ObservableRow or ObservableBlock
-        A block for the stars of an image.
-    """
+    """Rows of all images of a run; lists of stars and landmarks are read some images at a time."""
     folder = RunFolder.open(result.folder)
     with folder.reading():
         for group in ObservableGroups(folder, result, camera):
@@ -103,30 +70,12 @@ def run_observables(result: RunResult, camera: Camera) -> Iterator[ObservableRow
 
 
 def table_of(images: Iterable[ImageRecords]) -> Any:
-    """Table of the observables of some images.
-
-    Parameters
-    ----------
-    images : iterable of ImageRecords
-
-    Returns
-    -------
-    pyarrow.Table
-    """
+    """Table of the observables of some images."""
     return observables_table([row for image in images for row in image.rows()])
 
 
 class ObservableGroups:
-    """The images of a run in groups: each becomes a table, and a group of the rows of the file, made by any process.
-
-    Parameters
-    ----------
-    folder : RunFolder
-        From which lists of points are read when a group is taken.
-    result : RunResult
-    camera : Camera
-        Of the run.
-    """
+    """The images of a run in groups: each becomes a table, and a group of the rows of the file, made by any process."""
 
     def __init__(self, folder: RunFolder, result: RunResult, camera: Camera) -> None:
         self._folder = folder
@@ -195,13 +144,7 @@ class ImageRecords:
     fixes: dict[tuple[str, str], bytes | None]
 
     def rows(self) -> Iterator[ObservableRow | ObservableBlock]:
-        """Yield the observables of the image.
-
-        Yields
-        ------
-        ObservableRow or ObservableBlock
-            A block for its stars.
-        """
+        """Yield the observables of the image."""
         if self.bodies is not None:
             for sighting in {record.target: record for record in self.bodies.sightings}.values():
                 yield from self._body_rows(self.bodies, sighting)
@@ -270,19 +213,7 @@ class ImageRecords:
 
 
 def observables_metadata(name: str, camera: Camera) -> dict[str, str]:
-    """Metadata of the observables file of a run.
-
-    Parameters
-    ----------
-    name : str
-        Of the campaign.
-    camera : Camera
-
-    Returns
-    -------
-    dict of str to str
-        Texts, and JSON for what has parts.
-    """
+    """Metadata of the observables file of a run."""
     known = camera.uncertainty
     parameters = {
         "names": [] if known is None else list(known.estimated),

@@ -45,33 +45,14 @@ class PackedRecord(Generic[Record]):
 
     @classmethod
     def of(cls, record: Record) -> PackedRecord[Record]:
-        """Pack a record.
-
-        Parameters
-        ----------
-        record : ImageRecord
-
-        Returns
-        -------
-        PackedRecord
-        """
+        """Pack a record."""
         light = record.light()
         points = None if record.is_light else packed(record.__dict__)
         return cls(light, Row(light.model_dump_json(), points))
 
 
 def packed(values: dict[str, Any]) -> bytes:
-    """Bytes of nested plain values; numbers come back to the bit.
-
-    Parameters
-    ----------
-    values : dict
-        As JSON has them, or records of such.
-
-    Returns
-    -------
-    bytes
-    """
+    """Bytes of nested plain values; numbers come back to the bit."""
     arrays: list[np.ndarray] = []
     head = json.dumps(_stripped(values, arrays)).encode()
     parts = [struct.pack("<I", len(head)), head]
@@ -81,23 +62,7 @@ def packed(values: dict[str, Any]) -> bytes:
 
 
 def unpacked(data: bytes, *, arrays: bool = False) -> Any:
-    """Values of :func:`packed`.
-
-    Parameters
-    ----------
-    data : bytes
-    arrays : bool
-        Leave long lists of numbers what they are kept as, arrays.
-
-    Returns
-    -------
-    dict
-
-    Raises
-    ------
-    ValueError
-        The bytes are damaged.
-    """
+    """Values of :func:`packed`."""
     try:
         content = zlib.decompress(data)
         (length,) = struct.unpack_from("<I", content)
@@ -119,27 +84,7 @@ def unpacked(data: bytes, *, arrays: bool = False) -> Any:
 
 
 def points_of(record: ImageRecord, data: bytes | None, path: Path) -> dict[str, Any]:
-    """Lists of points that a record was kept with, long ones as arrays.
-
-    Parameters
-    ----------
-    record : ImageRecord
-    data : bytes or None
-        The packed record; None if it has no such lists.
-    path : Path
-        Of the results, for errors.
-
-    Returns
-    -------
-    dict
-        Fields that :meth:`~giantlike.campaign.store.records.ImageRecord.light` leaves out, those that hold others as
-        dict.
-
-    Raises
-    ------
-    DataError
-        The bytes are damaged.
-    """
+    """Lists of points that a record was kept with, long ones as arrays."""
     if data is None:
         return {}
     try:
@@ -150,17 +95,7 @@ def points_of(record: ImageRecord, data: bytes | None, path: Path) -> dict[str, 
 
 
 def damaged(path: Path, error: ValueError) -> DataError:
-    """Error of results that hold a damaged record.
-
-    Parameters
-    ----------
-    path : Path
-    error : ValueError
-
-    Returns
-    -------
-    DataError
-    """
+    """Error of results that hold a damaged record."""
     return DataError(path, f"holds a damaged record: {' '.join(str(error).split())[:200]}")
 
 

@@ -48,17 +48,7 @@ class PlainRecord(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     def replace(self, **changes: object) -> Self:
-        """Return a checked copy with other values of some fields.
-
-        Parameters
-        ----------
-        **changes
-            Values by field.
-
-        Returns
-        -------
-        record
-        """
+        """Return a checked copy with other values of some fields."""
         return self.model_validate(self.__dict__ | changes)
 
 

@@ -55,16 +55,7 @@ class Problem(PlainRecord):
 
     @classmethod
     def of(cls, failure: Failure) -> Self:
-        """Problem of a failed fit.
-
-        Parameters
-        ----------
-        failure : Failure
-
-        Returns
-        -------
-        Problem
-        """
+        """Problem of a failed fit."""
         return cls(reason=failure.reason, detail=failure.detail)
 
 
@@ -175,12 +166,7 @@ class ImageRecord(PlainRecord):
         return "", ""
 
     def light(self) -> Self:
-        """Return the record without its lists of points: what is kept in memory of thousands of images.
-
-        Returns
-        -------
-        record
-        """
+        """Return the record without its lists of points: what is kept in memory of thousands of images."""
         empty = _without_points(type(self))
         return self.model_copy(update={name: copy(value) for name, value in empty.items()})
 

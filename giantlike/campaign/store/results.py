@@ -32,13 +32,7 @@ Key = TypeVar("Key", bound=Hashable)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatusCounts:
-    """Number of records by status, and of failures by reason.
-
-    Parameters
-    ----------
-    ok, suspect, failed : int
-    reasons : dict of str to int
-    """
+    """Number of records by status, and of failures by reason."""
 
     ok: int
     suspect: int
@@ -47,16 +41,7 @@ class StatusCounts:
 
     @classmethod
     def of(cls, records: Sequence[AttitudeRecord | ObservationRecord]) -> StatusCounts:
-        """Count records.
-
-        Parameters
-        ----------
-        records : sequence of AttitudeRecord or ObservationRecord
-
-        Returns
-        -------
-        StatusCounts
-        """
+        """Count records."""
         statuses = Counter(record.status for record in records)
         reasons = Counter(str(record.problem.reason) for record in records if record.problem is not None)
         return cls(ok=statuses["ok"], suspect=statuses["suspect"], failed=statuses["failed"], reasons=dict(reasons))
@@ -64,27 +49,13 @@ class StatusCounts:
 
 @dataclass(frozen=True, slots=True)
 class StepCount:
-    """Number of results of a step that a run made, and of those that it found made.
-
-    Parameters
-    ----------
-    redone, kept : int
-    """
+    """Number of results of a step that a run made, and of those that it found made."""
 
     redone: int = 0
     kept: int = 0
 
     def plus(self, *, redone: int = 0, kept: int = 0) -> StepCount:
-        """Return the count with more results.
-
-        Parameters
-        ----------
-        redone, kept : int
-
-        Returns
-        -------
-        StepCount
-        """
+        """Return the count with more results."""
         return StepCount(self.redone + redone, self.kept + kept)
 
 
@@ -210,18 +181,7 @@ class RunResult(Pictured, Value):
 
 
 def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
-    """Items by key, keys and items in the order in which they come.
-
-    Parameters
-    ----------
-    items : iterable
-    key : callable
-        Key of an item.
-
-    Returns
-    -------
-    dict of key to list
-    """
+    """Items by key, keys and items in the order in which they come."""
     groups: dict[Key, list[Item]] = {}
     for item in items:
         groups.setdefault(key(item), []).append(item)
@@ -269,22 +229,7 @@ def load_result(path: Path) -> RunResult:
 
 
 def camera_of_run(path: Path) -> Camera:
-    """Camera whose attitudes a run holds: the calibrated one if the run calibrated.
-
-    Parameters
-    ----------
-    path : Path
-        The run folder.
-
-    Returns
-    -------
-    Camera
-
-    Raises
-    ------
-    DataError
-        It is not a run folder, or its camera is damaged.
-    """
+    """Camera whose attitudes a run holds: the calibrated one if the run calibrated."""
     calibrated = path / CAMERA_FILE
     if calibrated.exists():
         return Camera.load(calibrated)
@@ -296,23 +241,7 @@ def camera_of_run(path: Path) -> Camera:
 
 
 def attitude_series(records: Sequence[AttitudeRecord], camera: Camera) -> AttitudeSeries:
-    """Attitudes of the records that have one and an epoch, in order of time.
-
-    Parameters
-    ----------
-    records : sequence of AttitudeRecord
-    camera : Camera
-        Of which they are; gives the name of the frame.
-
-    Returns
-    -------
-    AttitudeSeries
-
-    Raises
-    ------
-    InputError
-        There is none, or two images have the same epoch.
-    """
+    """Attitudes of the records that have one and an epoch, in order of time."""
     known = sorted(
         ((r.et, r.file, r.attitude) for r in records if r.et is not None and r.attitude is not None),
         key=lambda item: item[0],

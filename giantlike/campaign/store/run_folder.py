@@ -39,12 +39,7 @@ _TRIED_AGAIN = frozenset({Reason.UNREADABLE_IMAGE, Reason.INTERNAL_ERROR})
 
 
 class RunFolder:
-    """Folder of one run; see :meth:`start` for making a run and :meth:`open` for reading one.
-
-    Parameters
-    ----------
-    path : Path
-    """
+    """Folder of one run; see :meth:`start` for making a run and :meth:`open` for reading one."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -52,26 +47,7 @@ class RunFolder:
 
     @classmethod
     def start(cls, path: Path, inputs: Mapping[str, Any], environment: Mapping[str, Any]) -> RunFolder:
-        """Create a run folder, or go on with one.
-
-        Parameters
-        ----------
-        path : Path
-            Must not exist, or be empty or a run folder.
-        inputs, environment : mapping
-            Versions, options and hashes for ``provenance.json``.
-
-        Returns
-        -------
-        RunFolder
-
-        Raises
-        ------
-        InputError
-            The folder holds something else.
-        DataError
-            The folder cannot be made, or holds the run of an older version.
-        """
+        """Create a run folder, or go on with one."""
         folder = cls(path)
         folder.check_usable()
         make_folder(path)
@@ -80,36 +56,14 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path) -> RunFolder:
-        """Open the folder of a run that was started before.
-
-        Parameters
-        ----------
-        path : Path
-
-        Returns
-        -------
-        RunFolder
-
-        Raises
-        ------
-        DataError
-            There is no run in it, or that of an older version.
-        """
+        """Open the folder of a run that was started before."""
         folder = cls(path)
         folder.provenance()
         folder._check_version()
         return folder
 
     def check_usable(self) -> None:
-        """Raise unless a run can be made here: nothing is there yet, or a run.
-
-        Raises
-        ------
-        InputError
-            The folder holds something else.
-        DataError
-            The run in it is of an older version.
-        """
+        """Raise unless a run can be made here: nothing is there yet, or a run."""
         if not self.path.exists():
             return
         require(self.path.is_dir(), f"{self.path}: is a file, and a run needs a folder: choose another output")
@@ -130,18 +84,7 @@ class RunFolder:
             )
 
     def provenance(self) -> dict[str, Any]:
-        """Read ``provenance.json``.
-
-        Returns
-        -------
-        dict
-            Versions, options and hashes that the run was made from, as JSON.
-
-        Raises
-        ------
-        DataError
-            The file is missing or damaged: this is not a run folder.
-        """
+        """Read ``provenance.json``."""
         try:
             content = json.loads((self.path / _PROVENANCE).read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError) as error:
@@ -153,41 +96,17 @@ class RunFolder:
         return content
 
     def write_provenance(self, content: Mapping[str, Any]) -> None:
-        """Write ``provenance.json``.
-
-        Parameters
-        ----------
-        content : mapping
-        """
+        """Write ``provenance.json``."""
         write_text_atomic(self.path / _PROVENANCE, json.dumps(content, indent=1, default=str) + "\n")
 
     @contextlib.contextmanager
     def writing(self) -> Iterator[None]:
-        """Context manager that keeps the results open, which makes many writes fast.
-
-        Yields
-        ------
-        None
-
-        Raises
-        ------
-        DataError
-            They are damaged or cannot be written.
-        """
+        """Context manager that keeps the results open, which makes many writes fast."""
         with self._results.open_for_writing():
             yield
 
     def save(self, record: ImageRecord | PackedRecord[Any], key: str, *, step: str | None = None) -> None:
-        """Keep a record.
-
-        Parameters
-        ----------
-        record : ImageRecord or PackedRecord
-        key : str
-            Hash of everything that it depends on.
-        step : str, optional
-            Default: that of the kind of record.
-        """
+        """Keep a record."""
         packed = PackedRecord.of(record) if isinstance(record, ImageRecord) else record
         light = packed.light
         if _TRIED_AGAIN & {problem.reason for problem in light.problems}:
@@ -205,28 +124,7 @@ class RunFolder:
     ) -> Record | None:
         """Return a record.
 
-        Parameters
-        ----------
-        kind : type
-            Of the record.
-        file : str
-            Name of the image.
-        of : (str, str)
-            Target and estimator, where the step has them.
-        step : str, optional
-            Default: that of the kind of record.
-        light : bool
-            Without lists of points.
-
-        Returns
-        -------
-        record or None
-            None if there is none.
-
-        Raises
-        ------
-        DataError
-            It is damaged.
+        Returns None if there is none.
         """
         row = self._results.get(_unit(kind, file, of, step))
         if row is None:
@@ -243,39 +141,11 @@ class RunFolder:
 
         That is so if it says that the image could not be read, or of an internal error: that may have been put right.
         Damaged records are left out.
-
-        Parameters
-        ----------
-        kind : type
-        step : str, optional
-            Default: that of the kind of record.
-
-        Returns
-        -------
-        dict of (str, str, str) to str
-            By image, target and estimator.
         """
         return self._results.keys(step or kind.part) if self._results.exists() else {}
 
     def load_all(self, kind: type[Record], *, step: str | None = None) -> Iterator[Record]:
-        """Yield the records of a kind that are part of the run, in input order, without their lists of points.
-
-        Parameters
-        ----------
-        kind : type
-            Of the records.
-        step : str, optional
-            Default: that of the kind of record.
-
-        Yields
-        ------
-        record
-
-        Raises
-        ------
-        DataError
-            One of them is damaged.
-        """
+        """Yield the records of a kind that are part of the run, in input order, without their lists of points."""
         for place, path, light in self._results.rows(step or kind.part):
             try:
                 record = kind.model_validate_json(light)
@@ -289,72 +159,28 @@ class RunFolder:
     def points(self, record: ImageRecord) -> dict[str, Any]:
         """Lists of points that a record was kept with, long ones as arrays.
 
-        Parameters
-        ----------
-        record : ImageRecord
-            As it stands after edits and transfer.
-
-        Returns
-        -------
-        dict
-            Fields that :meth:`~giantlike.campaign.store.records.ImageRecord.light` leaves out, those that hold others
-            as dict; empty for a failure.
-
-        Raises
-        ------
-        DataError
-            They are damaged.
+        The result is empty for a failure.
         """
         return points_of(record, self.packed_points(record), self._results.path)
 
     def packed_points(self, record: ImageRecord) -> bytes | None:
-        """Lists of points that a record was kept with, for :func:`points_of`; None if there are none.
-
-        Parameters
-        ----------
-        record : ImageRecord
-            As it stands after edits and transfer.
-
-        Returns
-        -------
-        bytes or None
-        """
+        """Lists of points that a record was kept with, for :func:`points_of`; None if there are none."""
         row = None if record.problems else self._results.get(_unit(type(record), record.file, record.of, None))
         return None if row is None else row.points
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:
-        """Context manager that keeps the results open, which makes many reads fast.
-
-        Yields
-        ------
-        None
-
-        Raises
-        ------
-        DataError
-            They are damaged.
-        """
+        """Context manager that keeps the results open, which makes many reads fast."""
         with self._results.open_for_reading():
             yield
 
     def attitudes(self) -> list[AttitudeRecord]:
-        """Attitudes of all images, from stars, a priori or transferred, in input order, without lists of stars.
-
-        Returns
-        -------
-        list of AttitudeRecord
-        """
+        """Attitudes of all images, from stars, a priori or transferred, in input order, without lists of stars."""
         transferred = {record.file: record for record in self.load_all(AttitudeRecord, step=TRANSFER)}
         return [transferred.get(record.file, record) for record in self.load_all(AttitudeRecord)]
 
     def bodies(self) -> list[ObservationsRecord]:
-        """Observations of all images that show a body, in input order, without limb points and outlines.
-
-        Returns
-        -------
-        list of ObservationsRecord
-        """
+        """Observations of all images that show a body, in input order, without limb points and outlines."""
         images: dict[str, ObservationsRecord] = {}
         for record in self.load_all(ObservationRecord):
             image = images.setdefault(record.file, ObservationsRecord(index=record.index, file=record.file))
@@ -369,104 +195,40 @@ class RunFolder:
         return list(images.values())
 
     def drop(self, kind: type[ImageRecord], files: Iterable[str], *, step: str | None = None) -> None:
-        """Delete the records of images.
-
-        Parameters
-        ----------
-        kind : type
-        files : iterable of str
-        step : str, optional
-            Default: that of the kind of record.
-        """
+        """Delete the records of images."""
         self._results.delete(_unit(kind, file, ("", ""), step) for file in files)
 
     def has_results(self) -> bool:
-        """Return True if a run has begun to write here.
-
-        Returns
-        -------
-        bool
-        """
+        """Return True if a run has begun to write here."""
         return self._results.exists()
 
     def images(self) -> dict[str, KnownImage]:
-        """Every image that the folder knows, by name.
-
-        Returns
-        -------
-        dict of str to KnownImage
-        """
+        """Every image that the folder knows, by name."""
         return self._results.images() if self._results.exists() else {}
 
     def set_images(self, images: Sequence[tuple[str, str]]) -> None:
-        """Say which images are part of the run, in input order: names, and paths relative to the folder.
-
-        Parameters
-        ----------
-        images : sequence of (str, str)
-        """
+        """Say which images are part of the run, in input order: names, and paths relative to the folder."""
         self._results.set_images(images)
 
     def set_image_state(self, file: str, known: KnownImage) -> None:
-        """Say what the content of an image file was when it was read.
-
-        Parameters
-        ----------
-        file : str
-        known : KnownImage
-        """
+        """Say what the content of an image file was when it was read."""
         self._results.set_image_state(file, known)
 
     def set_places(self, kind: type[ImageRecord], places: dict[tuple[str, str, str], int]) -> None:
-        """Say which records of a kind are part of the run, and in which order those of one image come.
-
-        Parameters
-        ----------
-        kind : type
-        places : dict of (str, str, str) to int
-            By image, target and estimator.
-        """
+        """Say which records of a kind are part of the run, and in which order those of one image come."""
         self._results.set_places(kind.part, places)
 
     def adopt(self, other: RunFolder, path_here: Callable[[str], str]) -> None:
-        """Take over the images of another run, with their records; of images that are here already, nothing.
-
-        Parameters
-        ----------
-        other : RunFolder
-        path_here : callable
-            From the path of an image relative to the other folder to that relative to this one.
-
-        Raises
-        ------
-        DataError
-            One of the two cannot be read or written.
-        """
+        """Take over the images of another run, with their records; of images that are here already, nothing."""
         self._results.adopt(other._results, path_here)
 
     def log(self, event: str, **values: Any) -> None:
-        """Log an event of this run, see :func:`~giantlike.campaign.store.log.log_event`.
-
-        Parameters
-        ----------
-        event : str
-        **values
-        """
+        """Log an event of this run, see :func:`~giantlike.campaign.store.log.log_event`."""
         log_event(self.path, event, **values)
 
 
 def stamp_of(path: Path) -> str:
-    """Size and time of change of an image file; empty if there is no file.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    str
-        Another one means that the file was written again.
-    """
+    """Size and time of change of an image file; empty if there is no file."""
     try:
         status = path.stat()
     except OSError:

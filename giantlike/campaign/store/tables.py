@@ -36,43 +36,13 @@ TABLE_FILES = tuple(f"{table}.{form}" for table in ("attitudes", "observations")
 
 
 def write_tables(folder: Path, attitudes: Sequence[AttitudeRecord], observations: Sequence[ObservationRecord]) -> None:
-    """Write ``attitudes`` and ``observations``, each as CSV and as Parquet.
-
-    Parameters
-    ----------
-    folder : Path
-        The run folder.
-    attitudes : sequence of AttitudeRecord
-    observations : sequence of ObservationRecord
-
-    Raises
-    ------
-    DataError
-        A file cannot be written.
-    """
+    """Write ``attitudes`` and ``observations``, each as CSV and as Parquet."""
     write_rows(folder / "attitudes", AttitudeRow, [_attitude_row(record) for record in attitudes])
     write_rows(folder / "observations", ObservationRow, [_observation_row(record) for record in observations])
 
 
 def table_of(name: str, attitudes: Iterable[AttitudeRecord], observations: Iterable[ObservationRecord]) -> QTable:
-    """Return a table of a run in memory.
-
-    Parameters
-    ----------
-    name : {'attitudes', 'observations'}
-    attitudes : iterable of AttitudeRecord
-    observations : iterable of ObservationRecord
-
-    Returns
-    -------
-    astropy QTable
-        The columns of the CSV file, with units; cells without a value are masked.
-
-    Raises
-    ------
-    InputError
-        There is no such table.
-    """
+    """Return a table of a run in memory."""
     from astropy.table import MaskedColumn, QTable
 
     require(name in ("attitudes", "observations"), f"there is no table {name!r}; there are attitudes and observations")

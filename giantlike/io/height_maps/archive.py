@@ -24,23 +24,7 @@ _MOST_COMPRESSION = 100  # arrays over file: heights are compressed to a half to
 
 
 def open_archive(path: Path, radii_km: Float | None) -> HeightGrid:
-    """Open the map of an archive: one array, or tiles that are read one by one.
-
-    Parameters
-    ----------
-    path : Path
-    radii_km : (3,) float64, km, or None
-        Of the reference, instead of those of the file.
-
-    Returns
-    -------
-    HeightGrid
-
-    Raises
-    ------
-    ValueError, exceptions of zipfile
-        The archive is damaged, or lacks something.
-    """
+    """Open the map of an archive: one array, or tiles that are read one by one."""
     archive = open_archive_of_arrays(path)
     names = set(archive.files)
     sizes = unpacked_sizes(archive)

@@ -19,27 +19,7 @@ from giantlike.io.height_maps.grid import MOST_AT_ONCE, HeightGrid, Read, put
 
 
 def open_geotiff(path: Path, radii_km: Float | None, unit_km: float | None) -> HeightGrid:
-    """Open the map of a GeoTIFF in degrees, or in meters of an equirectangular projection.
-
-    Parameters
-    ----------
-    path : Path
-    radii_km : (3,) float64, km, or None
-        Of the reference, instead of those of the file.
-    unit_km : float or None, km
-        Length of a stored unit; 1 m by default.
-
-    Returns
-    -------
-    HeightGrid
-
-    Raises
-    ------
-    ValueError, exceptions of tifffile
-        The file is damaged, has several bands, or is in another projection.
-    InputError
-        The package tifffile is not installed.
-    """
+    """Open the map of a GeoTIFF in degrees, or in meters of an equirectangular projection."""
     try:
         import tifffile
     except ImportError as error:

@@ -148,20 +148,7 @@ def require_usable(grid: HeightGrid, heights_km: NDArray[np.float32]) -> None:
 
 
 def tiles_of(rows: slice, columns: slice, size: int) -> Iterator[tuple[int, int]]:
-    """Tiles that a part of a grid touches.
-
-    Parameters
-    ----------
-    rows, columns : slice
-        With start and stop.
-    size : int
-        Samples along the side of a tile.
-
-    Yields
-    ------
-    int, int
-        Row and column of each, in tiles.
-    """
+    """Tiles that a part of a grid touches."""
     for i in range(rows.start // size, (rows.stop - 1) // size + 1):
         for j in range(columns.start // size, (columns.stop - 1) // size + 1):
             yield i, j
@@ -170,20 +157,8 @@ def tiles_of(rows: slice, columns: slice, size: int) -> Iterator[tuple[int, int]
 def put(result: NDArray[Any], corner: tuple[int, int], tile: NDArray[Any], tile_corner: tuple[int, int]) -> None:
     """Copy what a tile and a part of a grid have in common.
 
-    Parameters
-    ----------
-    result : (r, c) array
-        The part, which is filled.
-    corner : (int, int)
-        Row and column of its first sample in the grid.
-    tile : (h, w) array
-    tile_corner : (int, int)
-        Row and column of its first sample in the grid.
-
-    Raises
-    ------
-    ValueError
-        The tile has no rows and columns.
+    ``result`` (r, c); ``corner``: row and column of its first sample in the grid; ``tile`` (h, w); ``tile_corner``: row
+    and column of its first sample in the grid.
     """
     check(tile.ndim == 2, f"needed tiles of rows and columns, got one of shape {tile.shape}")
     first = [max(a, b) for a, b in zip(corner, tile_corner, strict=True)]

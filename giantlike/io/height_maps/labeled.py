@@ -28,30 +28,7 @@ _STEP_ERROR = 0.01  # of the step that a label states, over that by its limits: 
 def open_labeled(
     label_path: Path, start: bytes, image: Path, radii_km: Float | None, unit_km: float | None
 ) -> HeightGrid:
-    """Open the map of a PDS3 label, whose samples are mapped into memory and read by the system where they are used.
-
-    Parameters
-    ----------
-    label_path : Path
-        File that begins with the label.
-    start : bytes
-        Its beginning.
-    image : Path
-        The file that was asked for: the same, or the one with the samples.
-    radii_km : (3,) float64, km, or None
-        Of the reference, instead of those of the label.
-    unit_km : float or None, km
-        Length of a unit, instead of that of the label.
-
-    Returns
-    -------
-    HeightGrid
-
-    Raises
-    ------
-    ValueError
-        The label is incomplete, or its map is in another projection.
-    """
+    """Open the map of a PDS3 label, whose samples are mapped into memory and read by the system where they are used."""
     label = parse_pds3(label_path, start)
     pointer = image_pointer(label_path, label)
     if pointer.file is not None and image == label_path:

@@ -6,16 +6,7 @@ from giantlike.missions.replay import Replay, ReplaySettings
 
 
 def replay(settings: ReplaySettings) -> Replay:
-    """Replay "Artemis I Optical Navigation System Performance" (Inman, Holt, Christian, Smith and D'Souza).
-
-    Parameters
-    ----------
-    settings : ReplaySettings
-
-    Returns
-    -------
-    Replay
-    """
+    """Replay "Artemis I Optical Navigation System Performance" (Inman, Holt, Christian, Smith and D'Souza)."""
     from giantlike.missions.artemis1.story import tell
 
     return tell(settings)

@@ -32,12 +32,7 @@ _BIAS_SIGMA_KM = 20.0
 def filter_bias_km(setting: Setting, flown: FlownPass) -> tuple[Float, Float]:
     """Bias of the radius of the Earth in a filter that is given positions processed with the limb that flew.
 
-    Returns
-    -------
-    times_s : (n,) float64, s
-        From the first image.
-    biases_km : (n,) float64, km
-        By which the measured radius is too small, after each image.
+    Returns ``times_s`` (n,) and ``biases_km`` (n,).
     """
     track, one = flown.track, flown.one
     found = positions_of(setting, one, list(flown.points_px), setting.data["earth"]["assumed_limb_km"])

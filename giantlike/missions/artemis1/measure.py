@@ -57,11 +57,7 @@ def edges_of(setting: Setting, shot: Shot, sun: Float) -> EdgePoints:
 def non_iterative(setting: Setting, shot: Shot, sun: Float, figure: Figure) -> tuple[Float, Float] | Failure:
     """Christian-Robinson algorithm on edges by moments.
 
-    Returns
-    -------
-    position_camera_km : (3,) float64, km, camera axes
-    points_px : (n, 2) float64, px
-        Limb points used, in the frame of the camera.
+    Returns ``position_camera_km`` and ``points_px`` (n, 2).
     """
     edges = edges_of(setting, shot, sun)
     toward = sun[:2] / np.linalg.norm(sun[:2])

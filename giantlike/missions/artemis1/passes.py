@@ -110,12 +110,7 @@ class Setting(Value):
 
 
 def load() -> Setting:
-    """Read what is given.
-
-    Returns
-    -------
-    Setting
-    """
+    """Read what is given."""
     data = tomllib.loads((files("giantlike.missions.artemis1") / "artemis1.toml").read_text(encoding="utf-8"))
     rows, camera = data["pass"], data["camera"]
     passes = []

@@ -9,16 +9,7 @@ if TYPE_CHECKING:
 
 
 def replay(settings: ReplaySettings) -> Replay:
-    """Replay Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation (ODIN).
-
-    Parameters
-    ----------
-    settings : ReplaySettings
-
-    Returns
-    -------
-    Replay
-    """
+    """Replay Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation (ODIN)."""
     from giantlike.missions.odin.sections import whole_replay
 
     return whole_replay(settings)

@@ -62,17 +62,7 @@ class Sky(Value):
 
 
 def sky_at(et: float) -> Sky:
-    """Site, Moon and Sun by the series of ERFA that need no kernel.
-
-    Parameters
-    ----------
-    et : float, TDB seconds past J2000
-
-    Returns
-    -------
-    Sky
-        ``moon_km`` is apparent: light time and aberration are in it.
-    """
+    """Site, Moon and Sun by the series of ERFA that need no kernel."""
     import erfa  # slow to import
 
     tt = et / SECONDS_PER_DAY
@@ -109,9 +99,7 @@ def sky_at(et: float) -> Sky:
 def shell_refraction() -> tuple[Float, Float]:
     """Observed zenith distances (n,) and refraction (n,), rad, by Snell's law through shells of air.
 
-    Returns
-    -------
-    zenith_rad, refraction_rad : (n,) float64, rad
+    Returns ``zenith_rad``, ``refraction_rad`` (n,).
 
     Notes
     -----
@@ -177,22 +165,7 @@ def catalog() -> MemoryCatalog:
 def star_frame(
     sky: Sky, camera_from_inertial: Rotation, rng: np.random.Generator, *, air: bool = True, name: str = "stars"
 ) -> Image:
-    """Image of the stars by a narrow camera.
-
-    Parameters
-    ----------
-    sky : Sky
-    camera_from_inertial : Rotation
-    rng : Generator
-    air : bool
-        Refraction and image motion.
-    name : str
-
-    Returns
-    -------
-    Image
-        Without an attitude.
-    """
+    """Image of the stars by a narrow camera."""
     moved = camera_from_inertial
     if air:
         moved = Rotation.from_rotvec(rng.normal(0.0, IMAGE_MOTION_RAD, 3) * [1.0, 1.0, 0.0]) * moved
@@ -219,21 +192,7 @@ def _moon() -> EllipsoidBody:
 def moon_frame(
     sky: Sky, camera_from_inertial: Rotation, rng: np.random.Generator, *, air: bool = True, name: str = "moon"
 ) -> Image:
-    """Image of the Moon by a narrow camera: a smooth sphere with maria, lunar-Lambert, by the independent renderer.
-
-    Parameters
-    ----------
-    sky : Sky
-    camera_from_inertial : Rotation
-    rng : Generator
-    air : bool
-    name : str
-
-    Returns
-    -------
-    Image
-        Without an attitude.
-    """
+    """Image of the Moon by a narrow camera: a smooth sphere with maria, lunar-Lambert, by the independent renderer."""
     moved = camera_from_inertial
     if air:
         moved = Rotation.from_rotvec(rng.normal(0.0, IMAGE_MOTION_RAD, 3) * [1.0, 1.0, 0.0]) * moved

@@ -210,18 +210,7 @@ class Flight:
 
 
 def fly(rng: np.random.Generator, *, images: int) -> Flight:
-    """Command the modes one after the other, with what a state does not allow tried first.
-
-    Parameters
-    ----------
-    rng : Generator
-    images : int
-        Pairs of the calibration.
-
-    Returns
-    -------
-    Flight
-    """
+    """Command the modes one after the other, with what a state does not allow tried first."""
     vehicle = vehicle_in_space(rng)
     narrow, wide = sources_of(vehicle)
     sun = rotate(vehicle.instrument_from_inertial, unit(vehicle.scene.bodies_km["SUN"]))

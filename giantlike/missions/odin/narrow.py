@@ -48,18 +48,7 @@ class LensStudy:
 
 
 def calibrate_lens(count: int, rng: np.random.Generator) -> LensStudy | Failure:
-    """Calibrate a narrow camera from images of stars with nothing known but its size and field of view.
-
-    Parameters
-    ----------
-    count : int
-        Images.
-    rng : Generator
-
-    Returns
-    -------
-    LensStudy or Failure
-    """
+    """Calibrate a narrow camera from images of stars with nothing known but its size and field of view."""
     rough = rough_narrow_camera()
     navigation = StarNavigation(rough, catalog(), StarOptions(lost_in_space=True))
     found = []
@@ -148,19 +137,7 @@ class InterlockStudy(Value):
 def interlock_study(
     pairs: int, orientations: int, rng: np.random.Generator, progress: Callable[[int], None]
 ) -> InterlockStudy:
-    """Photograph stars with both cameras, the rig turned a couple of times.
-
-    Parameters
-    ----------
-    pairs, orientations : int
-    rng : Generator
-    progress : callable
-        Takes the number of pairs done.
-
-    Returns
-    -------
-    InterlockStudy
-    """
+    """Photograph stars with both cameras, the rig turned a couple of times."""
     camera = narrow_camera()
     seen, corrected, covariances, failed = [], [], [], 0
     which: list[int] = []
@@ -203,16 +180,7 @@ def turn_by_air(zenith_camera: Float) -> Rotation:
 def scatter_by_air(sets: int, orientations: int, rng: np.random.Generator) -> Float:
     """Standard deviation of the angle between the cameras by refraction alone, for random orientations.
 
-    Parameters
-    ----------
-    sets : int
-    orientations : int
-        In each set.
-    rng : Generator
-
-    Returns
-    -------
-    (sets,) float64, arcsec
+    Returns (sets,) arcsec.
     """
     sky, between = sky_at(NIGHT_ET), true_interlock()
     result = np.empty(sets)
@@ -268,19 +236,7 @@ def moon_scene(sky: Sky, error_km: Float) -> Scene:
 
 
 def moon_pair(sky: Sky, interlocks: tuple[Interlock, Interlock], rng: np.random.Generator) -> MoonPair | Failure:
-    """Photograph stars with the first camera and the Moon with the second, and find attitude and position.
-
-    Parameters
-    ----------
-    sky : Sky
-    interlocks : (2,) Interlock
-        As calibrated with refraction left in, and taken out.
-    rng : Generator
-
-    Returns
-    -------
-    MoonPair or Failure
-    """
+    """Photograph stars with the first camera and the Moon with the second, and find attitude and position."""
     import time
 
     camera = narrow_camera()

@@ -63,18 +63,7 @@ def choices() -> tuple[Choice, ...]:
 
 
 def range_sigma(focal_px: float, radius_km: float, range_km: float) -> float:
-    """Relative error of the range of a half-lit sphere from its limb, by the covariance of the paper (eqs. 14-20).
-
-    Parameters
-    ----------
-    focal_px : float, px
-    radius_km, range_km : float, km
-
-    Returns
-    -------
-    float
-        One limb point a pixel along half of the outline, each with :data:`EDGE_SIGMA_PX`.
-    """
+    """Relative error of the range of a half-lit sphere from its limb, by the covariance of the paper (eqs. 14-20)."""
     half_angle = float(np.arcsin(radius_km / range_km))
     count = max(int(np.pi * focal_px * np.tan(half_angle)), 4)
     turns = np.linspace(-np.pi / 2.0, np.pi / 2.0, count)
@@ -104,17 +93,8 @@ def dominated(choice: Choice, others: tuple[Choice, ...]) -> bool:
 def diameters_px(radius_km: float, ranges_km: Float, *, wide: bool) -> tuple[Float, Float]:
     """Diameter of a body in the middle and at the edge of the frame, px.
 
-    Parameters
-    ----------
-    radius_km : float, km
-    ranges_km : (n,) float64, km
-    wide : bool
-        The wide camera by Table 2; else the narrow one by Table 3.
-
-    Returns
-    -------
-    center, edge : (n,) float64, px
-        Of a circle as large as the image; the edge is the middle of the longer side of the frame.
+    ``ranges_km`` (n,); ``wide``: the wide camera by Table 2 (else the narrow one by Table 3); returns ``center``,
+    ``edge`` (n,) px.
     """
     camera = wide_camera() if wide else narrow_camera()
     middle = np.array([camera.model.parameters[2], camera.model.parameters[3]])  # cx_px, cy_px

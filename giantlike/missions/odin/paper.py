@@ -21,12 +21,7 @@ NARROW_BITS, WIDE_BITS = 16, 12
 
 @cache
 def paper() -> dict[str, Any]:
-    """Numbers of the paper by section.
-
-    Returns
-    -------
-    dict
-    """
+    """Numbers of the paper by section."""
     table: dict[str, Any] = tomllib.loads(files(__package__).joinpath("odin.toml").read_text(encoding="utf-8"))
     return table
 
@@ -37,16 +32,7 @@ def narrow_focal_px() -> float:
 
 
 def narrow_camera(name: str = "narrow") -> Camera:
-    """Narrow camera with the lens of Table 3.
-
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    Camera
-    """
+    """Narrow camera with the lens of Table 3."""
     size, lens, focal = paper()["narrow"], paper()["calibration"], narrow_focal_px()
     model = BrownModel(
         fx_px=focal,
@@ -61,16 +47,7 @@ def narrow_camera(name: str = "narrow") -> Camera:
 
 
 def rough_narrow_camera(name: str = "narrow") -> Camera:
-    """Narrow camera as it is known before calibration: its size and the field of view of Table 1.
-
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    Camera
-    """
+    """Narrow camera as it is known before calibration: its size and the field of view of Table 1."""
     size = paper()["narrow"]
     rough = Camera.from_fov(size["fov_deg"], size["columns"], size["rows"], type_name="brown")
     return replace(narrow_camera(name), model=rough.model)
@@ -91,16 +68,7 @@ def narrow_view() -> PinholeView:
 
 
 def wide_camera(name: str = "wide") -> Camera:
-    """Wide camera with the lens of Table 2.
-
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    Camera
-    """
+    """Wide camera with the lens of Table 2."""
     size, lens = paper()["wide"], paper()["fisheye"]
     model = ScaramuzzaModel.from_polynomial(
         a0_px=lens["a0"],
@@ -125,15 +93,6 @@ def _camera(name: str, size: dict[str, Any], model: CameraModel, bits: int) -> C
 
 
 def detector(bits: int) -> Detector:
-    """Detector whose full well fills the converter.
-
-    Parameters
-    ----------
-    bits : int
-
-    Returns
-    -------
-    Detector
-    """
+    """Detector whose full well fills the converter."""
     most = float(2**bits - 1)
     return Detector(gain_e_per_dn=FULL_WELL_E / most, read_noise_e=READ_NOISE_E, saturation_dn=most)

@@ -32,21 +32,7 @@ ORIENTATIONS = 3  # "the test unit was reoriented a couple of times"
 
 
 def whole_replay(settings: ReplaySettings) -> Replay:
-    """Run all studies.
-
-    Parameters
-    ----------
-    settings : ReplaySettings
-
-    Returns
-    -------
-    Replay
-
-    Raises
-    ------
-    EstimationError
-        The calibration, the interlock or the run of the modes failed as a whole.
-    """
+    """Run all studies."""
     streams = [np.random.default_rng([settings.seed, k]) for k in range(7)]
     small, report = settings.small, settings.progress
     every = choices()

@@ -84,15 +84,8 @@ def wide_aperture_m2() -> float:
 def electrons_of_spectrum(irradiance_of_sun: float) -> float:
     """Electrons per second of a body that reflects this share of the Sun's light at 1 au: eq. 22 with spectra.
 
-    Parameters
-    ----------
-    irradiance_of_sun : float
-        Irradiance at the camera over that of the Sun at 1 au, alike at all wavelengths.
-
-    Returns
-    -------
-    float
-        With the Sun as a blackbody and a sensor that peaks at 0.52 um: what the mean values of eq. 23 stand for.
+    ``irradiance_of_sun``: irradiance at the camera over that of the Sun at 1 au, alike at all wavelengths. The Sun is a
+    blackbody and the sensor peaks at 0.52 um: the mean values of eq. 23 stand for that.
     """
     h, c, boltzmann = 6.62607015e-34, 299_792_458.0, 1.380649e-23
     wavelengths = np.linspace(0.35e-6, 1.0e-6, 400)
@@ -126,20 +119,7 @@ def random_scene(rng: np.random.Generator) -> CislunarScene:
 
 
 def wide_image(scene: CislunarScene, index: int, rng: np.random.Generator, exposure_s: float) -> Image:
-    """Image of a wide camera.
-
-    Parameters
-    ----------
-    scene : CislunarScene
-    index : int
-        0 or 1.
-    rng : Generator
-    exposure_s : float, s
-
-    Returns
-    -------
-    Image
-    """
+    """Image of a wide camera."""
     camera = wide_camera(f"wide {index}")
     gain = float(np.exp(rng.normal(0.0, CALIBRATION_SIGMA)))
     electrons = np.full((camera.rows, camera.columns), 2.0)
@@ -244,10 +224,7 @@ def share_of_sun(name: str, place: Float, sun: Float, scene: CislunarScene) -> f
 def models(*, measured: bool) -> tuple[BodyLight, BodyLight]:
     """Brightness that the identification expects of a Lambert Earth and of the Moon.
 
-    Parameters
-    ----------
-    measured : bool
-        The Moon by its observed phase curve; else as the Chandrasekhar sphere of the paper.
+    ``measured``: the Moon by its observed phase curve (else as the Chandrasekhar sphere of the paper).
     """
     curves: dict[bool, Callable[[Float], Float]] = {
         True: lambda phase: GEOMETRIC_ALBEDO["MOON"] * moon_phase_law(phase),
@@ -276,19 +253,7 @@ class Found(Value):
 def search(images: Sequence[Image], sun_direction: Float | None, *, measured: bool = True) -> tuple[Found, ...]:
     """Search wide images and tell bodies by their brightness.
 
-    Parameters
-    ----------
-    images : sequence of Image
-        Of both cameras in turn, at one or several exposures; the longest that does not saturate a body tells it.
-    sun_direction : (3,), instrument axes, optional
-        From ephemeris and attitude, where known; else the Sun must be in an image: the brightest saturated patch.
-    measured : bool
-        As in :func:`models`.
-
-    Returns
-    -------
-    tuple of Found
-        Brightest first.
+    ``sun_direction`` in instrument axes; ``measured`` as in :func:`models`.
     """
     seen: list[tuple[SeenPatch, Float, float]] = []
     for k, image in enumerate(images):

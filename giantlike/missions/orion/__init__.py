@@ -8,16 +8,7 @@ __all__ = ["replay"]
 
 
 def replay(settings: ReplaySettings) -> Replay:
-    """Replay the paper on Orion's optical navigation.
-
-    Parameters
-    ----------
-    settings : ReplaySettings
-
-    Returns
-    -------
-    Replay
-    """
+    """Replay the paper on Orion's optical navigation."""
     from giantlike.missions.orion.constants import table
     from giantlike.missions.orion.sections import sections
 

@@ -15,43 +15,14 @@ MODEL = 0.5
 def near(
     what: str, paper: float, ours: float, *, kind: ComparisonKind, within: float, reference: str, because: str
 ) -> Comparison:
-    """Two numbers that agree within a relative tolerance.
-
-    Parameters
-    ----------
-    what : str
-    paper, ours : float
-    kind : ComparisonKind
-    within : float
-        Relative tolerance.
-    reference : str
-    because : str
-        Where ours comes from, or what makes the difference.
-
-    Returns
-    -------
-    Comparison
-    """
+    """Two numbers that agree within a relative tolerance."""
     because = f"Agrees within {100.0 * within:g} %. {because}"
     holds = abs(ours - paper) <= within * abs(paper)
     return stated(what, float(paper), float(ours), holds=holds, kind=kind, reference=reference, because=because)
 
 
 def bounded(what: str, paper: float, ours: float, *, kind: ComparisonKind, reference: str, because: str) -> Comparison:
-    """A number of ours that the paper's must not fall short of, such as an error within its model.
-
-    Parameters
-    ----------
-    what : str
-    paper, ours : float
-    kind : ComparisonKind
-    reference : str
-    because : str
-
-    Returns
-    -------
-    Comparison
-    """
+    """A number of ours that the paper's must not fall short of, such as an error within its model."""
     because, holds = f"Agrees where ours is not larger. {because}", abs(ours) <= abs(paper)
     return stated(what, float(paper), float(ours), holds=holds, kind=kind, reference=reference, because=because)
 
@@ -66,22 +37,7 @@ def stated(
     reference: str,
     because: str,
 ) -> Comparison:
-    """What the paper states, and whether ours bears it out.
-
-    Parameters
-    ----------
-    what : str
-    paper, ours : str or float
-    holds : bool
-        From a rule that ``because`` tells.
-    kind : ComparisonKind
-    reference : str
-    because : str
-
-    Returns
-    -------
-    Comparison
-    """
+    """What the paper states, and whether ours bears it out."""
     return Comparison(
         what=what, paper=paper, ours=ours, kind=kind, agrees=bool(holds), reason=because, reference=reference
     )

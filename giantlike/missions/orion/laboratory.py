@@ -27,13 +27,7 @@ POINTS = {False: 20, True: 8}
 
 
 def measured_grid(settings: ReplaySettings) -> Grid:
-    """The grid of the paper; a failure of the detection or the fit would be a defect.
-
-    Raises
-    ------
-    EstimationError
-        The points were not found, or not fitted.
-    """
+    """The grid of the paper; a failure of the detection or the fit would be a defect."""
     grid = measure_grid(settings.seed)
     return grid.unwrap() if isinstance(grid, Failure) else grid
 

@@ -8,16 +8,7 @@ from giantlike.missions.replay import ReplaySettings, Section
 
 
 def sections(settings: ReplaySettings) -> tuple[Section, ...]:
-    """Make everything.
-
-    Parameters
-    ----------
-    settings : ReplaySettings
-
-    Returns
-    -------
-    tuple of Section
-    """
+    """Make everything."""
     study = delivery.studied(settings)
     found = models.images_of_bodies(settings)
     grid = laboratory.measured_grid(settings)

@@ -18,23 +18,7 @@ _SMALL_CAMPAIGNS = {("approach", "mapcam"): (2, 7), ("preliminary_survey", "navc
 
 
 def replay(settings: ReplaySettings) -> Replay:
-    """Replay Liounis et al.: calibrations, then the phases as campaigns on simulated images.
-
-    Parameters
-    ----------
-    settings : ReplaySettings
-        ``data`` may hold kernels of the mission (``naif*.tls``, ``bennu*.tpc``, ``orx_*ALT*.bsp``) and a shape of Bennu
-        in km (``*ennu*.obj``), in folders below it too. A small replay has one calibration and two short campaigns.
-
-    Returns
-    -------
-    Replay
-
-    Raises
-    ------
-    DataError
-        ``data`` holds neither, or a file in it is damaged; or the output cannot be written.
-    """
+    """Replay Liounis et al.: calibrations, then the phases as campaigns on simulated images."""
     from giantlike.missions.osiris_rex.assumptions import assumptions_of
     from giantlike.missions.osiris_rex.body import true_body
     from giantlike.missions.osiris_rex.calibrations import calibrate_cameras

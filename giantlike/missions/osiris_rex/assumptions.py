@@ -8,18 +8,7 @@ from giantlike.missions.replay import ReplaySettings
 
 
 def assumptions_of(mission: Mission, inputs: UserInputs, settings: ReplaySettings) -> tuple[str, ...]:
-    """Return the assumptions of a replay, one sentence or two each.
-
-    Parameters
-    ----------
-    mission : Mission
-    inputs : UserInputs
-    settings : ReplaySettings
-
-    Returns
-    -------
-    tuple of str
-    """
+    """Return the assumptions of a replay, one sentence or two each."""
     shape = (
         "Bennu is made up: a spinning top of the published axes with lumps, craters and boulders."
         if inputs.shape is None

@@ -26,30 +26,7 @@ _LEAST_NEIGHBORS = 3
 
 
 def true_body(setup: BodySetup, shape: Path | None, *, seed: int, facets: int) -> TriangleMesh:
-    """Make Bennu as it is in the images.
-
-    Parameters
-    ----------
-    setup : BodySetup
-    shape : Path, optional
-        Shape of Bennu, to which finer relief is added; by default a spinning top with lumps and boulders is made up.
-    seed : int
-        Of relief and albedo.
-    facets : int
-        Least number of facets.
-
-    Returns
-    -------
-    TriangleMesh
-        With albedo; its origin is the center of figure, and each ray from there meets the surface once.
-
-    Raises
-    ------
-    DataError
-        The shape cannot be read.
-    InputError
-        A ray from its origin meets the shape more than once, or not at all.
-    """
+    """Make Bennu as it is in the images."""
     lumps = setup.lumps if shape is None else 0.0
     relief = irregular_body(seed, radii_km=(1.0, 1.0, 1.0), facets=facets, relief=lumps, roughness=setup.roughness)
     heights = np.linalg.norm(relief.vertices_km, axis=1)
@@ -66,22 +43,7 @@ def true_body(setup: BodySetup, shape: Path | None, *, seed: int, facets: int) -
 
 
 def model_of(truth: TriangleMesh, setup: ModelSetup, *, seed: int, facets: int | None = None) -> TriangleMesh:
-    """Make the shape model of a phase: a coarser mesh through the truth, with errors of heights and of scale.
-
-    Parameters
-    ----------
-    truth : TriangleMesh
-    setup : ModelSetup
-    seed : int
-        Of the errors.
-    facets : int, optional
-        Least number of facets; by default that of the setup.
-
-    Returns
-    -------
-    TriangleMesh
-        Without albedo. The origin is that of the truth, so that an error of its center of figure is one of the model.
-    """
+    """Make the shape model of a phase: a coarser mesh through the truth, with errors of heights and of scale."""
     facets = facets or setup.facets
     directions, faces = geodesic_directions(facets)
     count = max(round(len(truth.faces) / len(faces)), _LEAST_NEIGHBORS)

@@ -75,18 +75,7 @@ class CameraCalibration(Value):
         return float(np.std(self.result.residuals_px[self.result.used]))
 
     def structure(self, cells: int = 4) -> tuple[float, int]:
-        """Squared means of residuals in cells of the field over their variances, summed, and their number.
-
-        Parameters
-        ----------
-        cells : int
-            Along each side.
-
-        Returns
-        -------
-        float, int
-            Distributed as chi-square with that number of degrees of freedom where the residuals are independent.
-        """
+        """Squared means of residuals in cells of the field over their variances, summed, and their number."""
         used = self.result.used
         residuals = self.result.residuals_px[used] / self.result.sigma_px[used, None]
         scale = np.mean(residuals**2)
@@ -104,28 +93,7 @@ def calibrate_cameras(
     seed: int,
     progress: Callable[[str, int, int], None],
 ) -> tuple[CameraCalibration, ...]:
-    """Calibrate cameras of Table 1.
-
-    Parameters
-    ----------
-    mission : Mission
-    keys : sequence of str
-        Of the cameras.
-    images : int, optional
-        Of each; by default as many as the mission says.
-    seed : int
-    progress : callable
-        Takes the name of a step, the number done, and of all.
-
-    Returns
-    -------
-    tuple of CameraCalibration
-
-    Raises
-    ------
-    EstimationError
-        A calibration failed: with simulated images of enough stars that is a defect, and nothing after it has a camera.
-    """
+    """Calibrate cameras of Table 1."""
     return tuple(
         calibrate_camera(
             mission, key, images=images or mission.cameras[key].calibration_images, seed=seed, progress=progress
@@ -138,20 +106,6 @@ def calibrate_camera(
     mission: Mission, key: str, *, images: int, seed: int, progress: Callable[[str, int, int], None]
 ) -> CameraCalibration | Failure:
     """Take star images with a camera of Table 1 and calibrate it from them.
-
-    Parameters
-    ----------
-    mission : Mission
-    key : str
-        Of the camera.
-    images : int
-    seed : int
-    progress : callable
-        Takes the name of a step, the number done, and of all.
-
-    Returns
-    -------
-    CameraCalibration or Failure
 
     Notes
     -----

@@ -143,17 +143,7 @@ class CampaignJob(Value):
     workers: int
 
     def run(self, progress: Callable[[str, int, int], None]) -> CampaignResult:
-        """Take the images, run the campaign, and compare it with the truth.
-
-        Parameters
-        ----------
-        progress : callable
-            Takes the name of a step, the number done, and of all.
-
-        Returns
-        -------
-        CampaignResult
-        """
+        """Take the images, run the campaign, and compare it with the truth."""
         title = f"{self.planner.phase.title}, {self.planner.setup.label}"
         campaign = self._write(lambda done, total: progress(f"{title}: images", done, total))
         result = run_campaign(

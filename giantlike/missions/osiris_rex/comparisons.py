@@ -36,15 +36,6 @@ def fixes(result: CampaignResult, estimators: Sequence[str]) -> tuple[Observatio
     """Return what estimators found where the paper uses them, suspect or not: the paper flags nothing.
 
     Images without an attitude from stars have no residual of the center and are left out.
-
-    Parameters
-    ----------
-    result : CampaignResult
-    estimators : sequence of str
-
-    Returns
-    -------
-    tuple of ObservationError
     """
     made_for = {"unresolved": (0.0, UNRESOLVED_PX), "limb_matching": (LIMB_PX, np.inf)}
     found = []

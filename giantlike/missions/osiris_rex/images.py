@@ -179,18 +179,7 @@ class Planner(Value):
 
 
 def detector_model(mission: Mission, setup: CameraSetup, *, seed: int) -> DetectorModel:
-    """Return the detector of a camera with its uneven response and hot pixels.
-
-    Parameters
-    ----------
-    mission : Mission
-    setup : CameraSetup
-    seed : int
-
-    Returns
-    -------
-    DetectorModel
-    """
+    """Return the detector of a camera with its uneven response and hot pixels."""
     rng = np.random.default_rng([seed, 11, setup.columns])
     response = 1.0 + mission.detector.response_rms * rng.standard_normal((setup.rows, setup.columns))
     hot = HotPixels.scattered(
@@ -200,19 +189,7 @@ def detector_model(mission: Mission, setup: CameraSetup, *, seed: int) -> Detect
 
 
 def apparent_of(scene: Scene, shot: Shot, camera: Camera) -> ApparentGeometry:
-    """Apparent geometry of Bennu in an exposure, inertial axes.
-
-    Parameters
-    ----------
-    scene : Scene
-    shot : Shot
-        With an observer.
-    camera : Camera
-
-    Returns
-    -------
-    ApparentGeometry
-    """
+    """Apparent geometry of Bennu in an exposure, inertial axes."""
     apparent = scene.apparent(unexposed(shot, camera), scene.target(TARGET))
     assert isinstance(apparent, ApparentGeometry)
     return apparent
@@ -227,20 +204,7 @@ def _observer(visit: Visit, body: VisitedBody, et: float) -> ObserverState:
 def sky_for(mission: Mission, key: str, attitudes: Sequence[Rotation], *, seed: int) -> MemoryCatalog | None:
     """Make up the stars that a camera sees where the default catalog is not deep enough.
 
-    Parameters
-    ----------
-    mission : Mission
-    key : str
-        Of the camera.
-    attitudes : sequence of Rotation
-        ``camera_from_inertial`` of the images.
-    seed : int
-
-    Returns
-    -------
-    MemoryCatalog or None
-        As many stars to a square degree as the real sky has on average, without motions; None where the default
-        catalog serves.
+    Returns None where the default catalog serves.
     """
     if mission.max_magnitude(key) <= DEEPEST_DEFAULT:
         return None

@@ -44,18 +44,7 @@ class Stage(Value):
     def run(
         self, phase: PhaseSetup, chosen: Mapping[tuple[str, str], Sequence[int]] | None = None
     ) -> tuple[CampaignResult, ...]:
-        """Run the campaigns of a phase.
-
-        Parameters
-        ----------
-        phase : PhaseSetup
-        chosen : mapping, optional
-            Numbers of visits by phase and camera; by default all visits of all campaigns.
-
-        Returns
-        -------
-        tuple of CampaignResult
-        """
+        """Run the campaigns of a phase."""
         mission, settings = self.mission, self.settings
         results = []
         for setup in phase.campaigns:

@@ -71,21 +71,7 @@ class RangeErrorStudy(Value):
 
 
 def study_range_errors(*, small: bool, seed: int, progress: Callable[[str, int, int], None]) -> RangeErrorStudy:
-    """Match templates of a body at wrong ranges.
-
-    Parameters
-    ----------
-    small : bool
-        One phase angle and three errors.
-    seed : int
-        Of the noise, and of the turn of the body.
-    progress : callable
-        Takes the name of a step, the number done, and of all.
-
-    Returns
-    -------
-    RangeErrorStudy
-    """
+    """Match templates of a body at wrong ranges."""
     errors = _SMALL_RANGE_ERRORS if small else _RANGE_ERRORS
     phases = _PHASES_DEG[1:2] if small else _PHASES_DEG
     rows = []

@@ -212,22 +212,7 @@ class UserInputs:
 
 
 def user_inputs(folder: Path | None) -> UserInputs:
-    """Find kernels and shape in the folder of a user.
-
-    Parameters
-    ----------
-    folder : Path or None
-        Holds kernels of the mission and a shape of Bennu, itself or in folders below; None: nothing was brought.
-
-    Returns
-    -------
-    UserInputs
-
-    Raises
-    ------
-    DataError
-        It is no folder, or holds neither of the two.
-    """
+    """Find kernels and shape in the folder of a user."""
     if folder is None:
         return UserInputs()
     if not folder.is_dir():
@@ -242,12 +227,7 @@ def user_inputs(folder: Path | None) -> UserInputs:
 
 @lru_cache(maxsize=1)
 def mission() -> Mission:
-    """Read ``mission.toml``.
-
-    Returns
-    -------
-    Mission
-    """
+    """Read ``mission.toml``."""
     text = (files("giantlike.missions.osiris_rex") / "mission.toml").read_text(encoding="utf-8")
     table = tomllib.loads(text)
     cameras = {key: _camera_setup(key, each) for key, each in table["cameras"].items()}

@@ -160,24 +160,7 @@ class PlannedVisit:
 
 
 def visits_of(planned: Sequence[PlannedVisit], orbit: Orbit, kernels: Path | None) -> tuple[Visit, ...]:
-    """Place the spacecraft at the times of planned visits.
-
-    Parameters
-    ----------
-    planned : sequence of PlannedVisit
-    orbit : Orbit
-    kernels : Path, optional
-        Folder with kernels of the mission, itself or below; without it everything is rebuilt.
-
-    Returns
-    -------
-    tuple of Visit
-
-    Raises
-    ------
-    DataError
-        The folder lacks a kernel, or one is damaged.
-    """
+    """Place the spacecraft at the times of planned visits."""
     rebuilt = tuple(_rebuilt(each, orbit) for each in planned)
     if kernels is None:
         return rebuilt

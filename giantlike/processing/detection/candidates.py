@@ -71,16 +71,6 @@ def find_candidates(frame: Frame, filtered: FilteredImage, options: DetectionOpt
     """List the local maxima above the threshold.
 
     Of a component far larger than a star, or saturated, only the strongest.
-
-    Parameters
-    ----------
-    frame : Frame
-    filtered : FilteredImage
-    options : DetectionOptions
-
-    Returns
-    -------
-    Candidates
     """
     above = _above(filtered, options.threshold_sigma)
     columns = above.shape[1]

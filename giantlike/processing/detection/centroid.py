@@ -80,24 +80,7 @@ def fit_stars(
 ) -> StarFits:
     r"""Fit a pixel-integrated Gaussian to each patch.
 
-    Parameters
-    ----------
-    patches : Patches
-    flux_dn : (n,) float64, DN
-        First guess.
-    psf_sigma_px : float, px
-        Expected width; start and prior of the fitted one. At least ``MIN_PSF_SIGMA_PX``.
-    points_px : (n, 2) float64, px, optional
-        First guess; default: the middle of the central pixel of each patch.
-    width_prior : float
-        Standard deviation of the prior on ln sigma, by default 25 %: it keeps the fits of faint stars in bounds and
-        does not touch those of bright ones.
-    isolated : bool
-        True to ignore neighbors; by default close stars are fitted again with the fitted neighbors subtracted.
-
-    Returns
-    -------
-    StarFits
+    ``flux_dn`` (n,); ``points_px`` (n, 2).
 
     References
     ----------
@@ -141,16 +124,7 @@ def windowed_shape(patches: Patches, points_px: Float, background_dn: Float, psf
     Shifted by the moment of a star at the same place in its pixel, so that stars give 0.5 twice. Along a line or an
     edge it is 1, of a hot pixel 0.
 
-    Parameters
-    ----------
-    patches : Patches
-    points_px : (n, 2) float64, px
-    background_dn : (n,) float64, DN
-    psf_sigma_px : float, px
-
-    Returns
-    -------
-    (n, 2) float64
+    ``points_px`` (n, 2); ``background_dn`` (n,); returns (n, 2).
     """
     return windowed_moments(
         patches.values_dn,

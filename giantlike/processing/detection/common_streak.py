@@ -54,20 +54,7 @@ def find_common_streak(
 ) -> CommonStreak | None:
     """Find the line that most of the brightest sources agree on.
 
-    Parameters
-    ----------
-    frame : Frame
-    peaks_px : (n, 2) int64, px
-        One peak of each source, the most significant first.
-    noise_dn : (n,) float64, DN
-        Background noise of a pixel.
-    psf_sigma_px : float, px, optional
-        Width of the point spread function; by default the width that explains the brightest streaks best.
-
-    Returns
-    -------
-    CommonStreak or None
-        None where the sources are points or do not agree.
+    ``peaks_px`` (n, 2); ``noise_dn`` (n,); returns None where the sources are points or do not agree.
     """
     peaks_px, noise_dn = peaks_px[:_BRIGHTEST], noise_dn[:_BRIGHTEST]
     if len(peaks_px) < _LEAST_AGREEING or not _mostly_long(frame, peaks_px):
@@ -106,16 +93,7 @@ def _best_width_px(patches: Patches, guess: Lines) -> float:
 def fit_streaks(patches: Patches, streak: CommonStreak, flux_dn: Float) -> LineFits:
     """Fit a line to each patch, starting in its middle with the direction and length of the image.
 
-    Parameters
-    ----------
-    patches : Patches
-    streak : CommonStreak
-    flux_dn : (n,) float64, DN
-        First guess.
-
-    Returns
-    -------
-    LineFits
+    ``flux_dn`` (n,).
     """
     halves = np.tile(np.array(streak.half_px), (len(flux_dn), 1))
     start = Lines(patches.centers_px.astype(np.float64), halves, flux_dn, _level_dn(patches))
@@ -125,17 +103,7 @@ def fit_streaks(patches: Patches, streak: CommonStreak, flux_dn: Float) -> LineF
 def unexplained_power(patches: Patches, fits: LineFits, shares: Float) -> Float:
     """Share of the power of the light in each patch that its line does not explain.
 
-    Parameters
-    ----------
-    patches : Patches
-    fits : LineFits
-    shares : (n, w, w) float64
-        Share of the light of the fitted line in each pixel.
-
-    Returns
-    -------
-    (n,) float64
-        Power of the noise taken off; at least 0.
+    ``shares`` (n, w, w); returns (n,), at least 0.
     """
     patches = patches.leveled(fits.planes, fits.centers_px)
     light = np.where(patches.valid & ~patches.saturated, patches.values_dn - fits.background_dn[:, None, None], 0.0)

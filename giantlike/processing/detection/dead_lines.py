@@ -19,16 +19,7 @@ _LEAST_LENGTH, _LEAST_SHARE = 8, 0.9
 def dead_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:
     """Find rows and columns without signal by their neighbors on both sides, in front of something bright.
 
-    Parameters
-    ----------
-    frame : FrameLines
-    noise_dn : float, DN
-        Standard deviation of the noise without light.
-
-    Returns
-    -------
-    (rows, columns) bool, or None
-        True on whole lines; None where there are none.
+    Returns (rows, columns), True on whole lines, None where there are none.
 
     Notes
     -----
@@ -42,17 +33,8 @@ def dead_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:
 def whole_lines(shape: tuple[int, ...], rows: np.ndarray, columns: np.ndarray) -> Mask | None:
     """Mask of rows and columns.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns of the image.
-    rows, columns : (k,), (m,) int64
-        Their numbers.
-
-    Returns
-    -------
-    (rows, columns) bool, or None
-        True on whole lines; None where there are none.
+    ``shape``: rows and columns of the image; ``rows`` (k,), ``columns`` (m,); returns (rows, columns), True on whole
+    lines, None where there are none.
     """
     if not rows.size and not columns.size:
         return None

@@ -137,25 +137,7 @@ def detect_in_parts(
     mask: ArrayLike | None = None,
     options: DetectionOptions,
 ) -> Iterator[Detections | Failure]:
-    """Detect sources, and measure more of them as long as more are asked for.
-
-    Parameters
-    ----------
-    pixels, detector, psf_sigma_px, mask, options
-        As in :func:`detect_sources`; ``options.information`` is not looked at.
-    shares : sequence of float
-        Growing shares of the information, as ``options.information``.
-
-    Yields
-    ------
-    Detections or Failure
-        For each share; those measured for one before are not measured again. One failure is the last.
-
-    Raises
-    ------
-    InputError
-        As :func:`detect_sources`.
-    """
+    """Detect sources, and measure more of them as long as more are asked for."""
     if psf_sigma_px is not None:
         require_number(psf_sigma_px, "psf_sigma_px", least=0.0)
     frame = frame_of(pixels, mask, detector, options)

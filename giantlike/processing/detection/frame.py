@@ -63,24 +63,7 @@ def frame_of(
 ) -> Frame | Failure:
     """Check the pixels and mask of an image for detection.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) real, DN
-    mask : (rows, columns) bool or None
-        True where a pixel is bad; pixels that are not finite are bad too.
-    detector : Detector
-    options : DetectionOptions
-
-    Returns
-    -------
-    Frame or Failure
-        ``no_signal``: all good pixels are equal, or there are none. ``saturated``: more pixels are saturated than the
-        options allow.
-
-    Raises
-    ------
-    InputError
-        Pixels are not 2-D and real, or the mask has another shape.
+    ``pixels`` in DN; ``mask``: pixels that are not finite are bad too.
     """
     array = as_image(pixels, "pixels")
     bad = np.zeros((0, 0), dtype=bool) if mask is None else np.asarray(mask, dtype=bool)

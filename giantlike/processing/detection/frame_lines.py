@@ -37,18 +37,7 @@ class FrameLines(Value):
 
     @classmethod
     def of(cls, pixels: NDArray[Any], bias_dn: float) -> FrameLines:
-        """Take the bias off a frame.
-
-        Parameters
-        ----------
-        pixels : (rows, columns) real, DN
-            Finite.
-        bias_dn : float, DN
-
-        Returns
-        -------
-        FrameLines
-        """
+        """Take the bias off a frame."""
         rows, columns = pixels.shape
         light, native = np.empty(pixels.shape), pixels.dtype.newbyteorder("=")
         largest, across_largest = np.full(rows, -np.inf), np.full(columns, -np.inf)

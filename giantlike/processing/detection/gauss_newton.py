@@ -38,32 +38,11 @@ def fitted(
 ) -> tuple[Float, Float, Float, NDArray[np.int64], Mask]:
     """Fit every star from its start, by Gauss-Newton.
 
-    Parameters
-    ----------
-    values_dn : (n, w, w) float64, DN
-    valid, saturated : (n, w, w) bool
-        Pixels that count; and those that are lower bounds: they count only where the model is below them.
-    variance_dn2 : (n,) float64, DN^2
-        Of the background of a pixel.
-    corner_px : (n, 2) int64, px
-    start : (n, 7) float64
-        x, y, flux, background, ln sigma, slopes of the background along x and y.
-    most_steps : int
-    gain_e_per_dn, relative_noise : float
-    log_psf, width_prior : float
-        Mean and standard deviation of ln sigma a priori.
-
-    Returns
-    -------
-    parameters : (n, 7) float64
-    covariance : (n, 7, 7) float64
-        Before the last step, which is a third of a sigma at most; not finite where the matrix is singular.
-    chi2 : (n,) float64
-        Before the last step.
-    count : (n,) int64
-        Pixels that count.
-    settled : (n,) bool
-        False for stars that want more steps.
+    ``values_dn``, ``valid``, ``saturated`` (n, w, w); ``variance_dn2`` (n,); ``corner_px`` (n, 2); ``start`` (n, 7), x,
+    y, flux, background, ln sigma, slopes of the background along x and y; ``log_psf``, ``width_prior``: mean and
+    standard deviation of ln sigma a priori; returns ``parameters`` (n, 7); ``covariance`` (n, 7, 7), before the last
+    step, which is a third of a sigma at most, not finite where the matrix is singular; ``chi2`` (n,); ``count`` (n,);
+    ``settled`` (n,), False for stars that want more steps.
     """
     n, size = values_dn.shape[0], values_dn.shape[1]
     parameters, covariances = start.copy(), np.empty((n, 7, 7))
@@ -121,15 +100,7 @@ def fitted(
 def last_steps(steps: Float, parameters: Float, covariance: Float, reduced_chi2: Float) -> Mask:
     """True (n,) for steps (n, 7) after which another would not matter.
 
-    Parameters
-    ----------
-    steps, parameters : (n, 7) float64
-    covariance : (n, 7, 7) float64
-    reduced_chi2 : (n,) float64
-
-    Returns
-    -------
-    (n,) bool
+    ``steps``, ``parameters`` (n, 7); ``covariance`` (n, 7, 7); ``reduced_chi2`` (n,).
     """
     result = np.empty(len(steps), np.bool_)
     for star in range(len(steps)):
@@ -141,15 +112,7 @@ def last_steps(steps: Float, parameters: Float, covariance: Float, reduced_chi2:
 def subtract(values_dn: Float, corner_px: NDArray[np.int64], stars: NDArray[np.int64], neighbors: Float) -> None:
     """Take the light of neighbors off the pixels of stars.
 
-    Parameters
-    ----------
-    values_dn : (n, w, w) float64, DN
-        Changed.
-    corner_px : (n, 2) int64, px
-    stars : (m,) int64
-        Star of each pair.
-    neighbors : (m, 7) float64
-        Parameters of the other.
+    ``values_dn`` (n, w, w); ``corner_px`` (n, 2); ``stars`` (m,); ``neighbors`` (m, 7), parameters of the other.
     """
     size = values_dn.shape[1]
     columns, rows = np.empty((size, 3)), np.empty((size, 3))
@@ -178,27 +141,9 @@ def star_light(
 ) -> tuple[Float, Mask, Float]:
     """Light of the stars that fit best where only their fluxes are unknown, never negative.
 
-    Parameters
-    ----------
-    values_dn : (n, w, w) float64, DN
-    valid, saturated : (n, w, w) bool
-    variance_dn2 : (n,) float64, DN^2
-        Of the background of a pixel.
-    corner_px : (n, 2) int64, px
-    points_px, widths_px, background_dn : (n, 2), (n,), (n,) float64
-    radius_px : float, px
-        Pixels count whose middles are as near to the point.
-    gain_e_per_dn : float
-    model_error : float
-        Of the light of a star in a pixel, relative.
-
-    Returns
-    -------
-    light_dn : (n, w, w) float64, DN
-    used : (n, w, w) bool
-        Pixels that count: valid ones that are not saturated.
-    left : (n,) float64
-        Sum of their squared residuals over their variances.
+    ``values_dn``, ``valid``, ``saturated`` (n, w, w); ``variance_dn2`` (n,); ``corner_px`` (n, 2); ``points_px``
+    (n, 2), ``widths_px`` (n,), ``background_dn`` (n,); returns ``light_dn`` (n, w, w), ``used`` (n, w, w) and ``left``
+    (n,).
     """
     n, size = values_dn.shape[0], values_dn.shape[1]
     light, used, left = np.empty(values_dn.shape), np.zeros(values_dn.shape, np.bool_), np.zeros(n)
@@ -241,19 +186,8 @@ def windowed_moments(
 ) -> Float:
     """Second moments in Gaussian windows, see :func:`giantlike.processing.detection.centroid.windowed_shape`.
 
-    Parameters
-    ----------
-    values_dn : (n, w, w) float64, DN
-    valid : (n, w, w) bool
-    corner_px : (n, 2) int64, px
-    points_px, background_dn : (n, 2), (n,) float64
-    window_px, width_px : float, px
-        Widths of the window, and of a star without the integration over pixels.
-
-    Returns
-    -------
-    (n, 2) float64
-        Largest and smallest, in units of the window's; 0.5 of a star.
+    ``values_dn``, ``valid`` (n, w, w); ``corner_px`` (n, 2); ``points_px`` (n, 2), ``background_dn`` (n,); returns
+    (n, 2).
     """
     n, size = values_dn.shape[0], values_dn.shape[1]
     result, of_light, of_star = np.empty((n, 2)), np.empty(4), np.empty(4)

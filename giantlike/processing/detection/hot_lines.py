@@ -31,16 +31,7 @@ _MOST = 0.1
 def hot_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:
     """Find rows and columns that are brighter than their neighbors over the first or the second half of the frame.
 
-    Parameters
-    ----------
-    frame : FrameLines
-    noise_dn : float, DN
-        Standard deviation of the noise without light.
-
-    Returns
-    -------
-    (rows, columns) bool, or None
-        True on whole lines; None where there are none.
+    Returns (rows, columns), True on whole lines, None where there are none.
 
     Notes
     -----

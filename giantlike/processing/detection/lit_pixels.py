@@ -14,19 +14,7 @@ Indices = NDArray[np.int64]
 def connected(lit: Indices, columns: int) -> tuple[Indices, int]:
     """Number the groups of pixels that touch, along sides or at corners.
 
-    Parameters
-    ----------
-    lit : (n,) int64
-        Flat indices of pixels, growing.
-    columns : int
-        Of the frame.
-
-    Returns
-    -------
-    group : (n,) int64
-        Of each pixel, from 0.
-    count : int
-        Of groups.
+    ``lit`` (n,); returns ``group`` (n,) and ``count``.
     """
     parent = np.arange(len(lit))
     above = 0  # the first pixel that may touch from the row above
@@ -58,16 +46,7 @@ def connected(lit: Indices, columns: int) -> tuple[Indices, int]:
 def peaks_among(response: NDArray[np.float32], lit: Indices) -> Indices:
     """Find pixels above their eight neighbors; of equal ones only the first in reading order.
 
-    Parameters
-    ----------
-    response : (rows, columns) float32
-    lit : (n,) int64
-        Flat indices of the pixels to look at.
-
-    Returns
-    -------
-    (p,) int64
-        Positions in ``lit``.
+    ``response`` (rows, columns); ``lit`` (n,); returns (p,).
     """
     rows, columns = response.shape
     found, count = np.empty(len(lit), np.int64), 0

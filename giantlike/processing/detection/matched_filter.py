@@ -58,17 +58,7 @@ class FilteredImage(Value):
 
 
 def recorded_width_px(psf_sigma_px: float) -> float:
-    """Gaussian width of a star as recorded by pixels, ``sqrt(sigma^2 + 1/12)``.
-
-    Parameters
-    ----------
-    psf_sigma_px : float, px
-        Width of the point spread function.
-
-    Returns
-    -------
-    float, px
-    """
+    """Gaussian width of a star as recorded by pixels, ``sqrt(sigma^2 + 1/12)``."""
     return math.sqrt(psf_sigma_px**2 + 1.0 / 12.0)
 
 
@@ -83,25 +73,8 @@ def matched_filter(
 ) -> FilteredImage:
     """Filter an image for stars, or for streaks of one direction and length, and measure the noise of the result.
 
-    Parameters
-    ----------
-    image : (rows, columns) float32, DN
-        Best near zero on average (subtract a constant), for the sake of single precision. Values at bad pixels
-        do not matter but must be finite.
-    bad : (rows, columns) bool or None
-        Pixels to ignore: they are replaced by the mean of the good ones around, and respond with zero.
-    psf_sigma_px : float, px
-    noise_floor_dn : float, DN
-        Pixel noise is never taken to be smaller than this.
-    half_streak_px : (float, float), px, optional
-        Vector (x, y) from the middle of a streak to one end; stars by default.
-    stored : (rows, columns) real, DN, optional
-        The image before a constant was subtracted: of integers of up to 16 bits, boxes are summed as integers, which
-        takes a third of the time.
-
-    Returns
-    -------
-    FilteredImage
+    ``image`` in DN; ``half_streak_px``: vector (x, y) from the middle of a streak to one end (stars by default);
+    ``stored`` (rows, columns) DN.
     """
     width = recorded_width_px(psf_sigma_px)
     length = 0.0 if half_streak_px is None else math.hypot(*half_streak_px)
@@ -156,20 +129,7 @@ def noise_between(
     The first estimate includes stars, and the dip of the background box around them: suitable for a threshold, too
     large for a covariance.
 
-    Parameters
-    ----------
-    filtered : FilteredImage
-    bad : (rows, columns) bool or None
-    sources_px : (n, 2) int, px
-        Detected sources, (x, y).
-    noise_floor_dn : float, DN
-        Lower bound of the result.
-
-    Returns
-    -------
-    median : float, DN
-        Of the image.
-    at_sources : (n,) float64, DN
+    ``sources_px`` (n, 2), detected sources, (x, y); returns ``median`` in DN and ``at_sources`` (n,) DN.
     """
     grid = NoiseGrid.of(filtered.response.shape, filtered.width_px)
     sigma = grid.robust_sigma(filtered.response, bad, sources_px, filtered.reach_px)

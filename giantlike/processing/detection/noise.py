@@ -50,27 +50,7 @@ def predicted_noise_dn(
 ) -> NDArray[np.float32]:
     """Background noise of each pixel from a source other than the image around it.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) real, DN
-        Finite.
-    bad : (rows, columns) bool or None
-        Pixels to ignore.
-    source : NoiseSource
-        Not ``LOCAL``.
-    detector : Detector
-        Gain for the shot noise of the level; read noise and bias for ``DETECTOR``.
-    covered : (x, y, columns, rows), px, optional
-        Needed for ``COVERED``.
-
-    Returns
-    -------
-    (rows, columns) float32, DN
-
-    Raises
-    ------
-    InputError
-        The covered region is missing, reaches over the image, or holds fewer than 16 good pixels.
+    ``pixels`` in DN; ``covered`` (x, y, columns, rows) px; returns (rows, columns).
     """
     rows, columns = pixels.shape
     level = _level_dn(pixels, bad)

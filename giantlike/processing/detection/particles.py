@@ -72,22 +72,7 @@ def find_few_pixels(
 ) -> FewPixels:
     """Compare a star and light in a few pixels as explanations of sources.
 
-    Parameters
-    ----------
-    patches : Patches
-        Saturated pixels are left out.
-    points_px : (n, 2) float64, px
-        Fitted centroids.
-    widths_px : (n,) float64, px
-        Gaussian width that a star at that place has.
-    background_dn : (n,) float64, DN
-        Level under each source.
-    psf_sigma_px : float, px
-        Sets the size of the core.
-
-    Returns
-    -------
-    FewPixels
+    ``points_px`` (n, 2); ``widths_px``, ``background_dn`` (n,).
     """
     n, gain = len(points_px), patches.gain_e_per_dn
     star, used, left = star_light(

@@ -110,17 +110,7 @@ class Patches(Value):
     def residuals(self, light_dn: Float, planes: Float) -> tuple[Float, Float]:
         """Residuals and inverse variances (n, w * w), DN and 1/DN^2, of a model; zero where a pixel does not count.
 
-        Parameters
-        ----------
-        light_dn : (n, w, w) float64, DN
-            Light of the modeled sources.
-        planes : (n, 3) float64, DN, DN/px, DN/px
-            Background underneath, as factors of :meth:`plane_terms`.
-
-        Returns
-        -------
-        residual, weight : (n, w * w) float64
-            Saturated pixels are lower bounds: they count only where the model is below them.
+        ``light_dn`` (n, w, w); ``planes`` (n, 3) DN, DN/px, DN/px; returns ``residual``, ``weight`` (n, w * w).
         """
         model = np.tensordot(planes, self.plane_terms(), axes=1) + light_dn
         used = self.valid & ~(self.saturated & (model >= self.values_dn))
@@ -170,21 +160,8 @@ def cut_patches(
 ) -> Patches:
     """Cut squares of ``2 half_px + 1`` pixels out of an image.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) real, DN
-    bad : (rows, columns) bool or None
-    points_px : (n, 2) int, px
-        Central pixels (x, y); a square may reach over the edge of the image.
-    half_px : int, px
-    detector : Detector
-        Gain and saturation.
-    noise_dn : (n,) or float, DN
-        Background noise of a pixel; unimportant where only the values are used.
-
-    Returns
-    -------
-    Patches
+    ``pixels`` in DN; ``points_px`` (n, 2), central pixels (x, y) (a square may reach over the edge of the image);
+    ``noise_dn`` (n,).
     """
     corner = np.asarray(points_px - half_px, dtype=np.int64)
     values, valid = _squares(pixels, bad, corner, 2 * half_px + 1)
@@ -226,19 +203,8 @@ def _squares(
 def pixel_shares(first: NDArray[np.integer], size: int, center: Float, width: Float) -> tuple[Float, Float, Float]:
     """Share (n, size) of a unit Gaussian in each pixel along one axis, and its derivatives.
 
-    Parameters
-    ----------
-    first : (n,) int, px
-        First pixel.
-    size : int, px
-    center, width : (n,) float64, px
-
-    Returns
-    -------
-    share : (n, size) float64
-    by_center : (n, size) float64, 1/px
-    by_log_width : (n, size) float64
-        By the natural logarithm of the width.
+    ``first`` (n,) px; ``size`` in px; ``center``, ``width`` (n,) px; returns ``share`` (n, size); ``by_center``
+    (n, size) 1/px; ``by_log_width`` (n, size), by the natural logarithm of the width.
     """
     scale = 1.0 / (math.sqrt(2.0) * width)
     u = (first - center + np.arange(size + 1)[:, None] - 0.5) * scale  # one operation on all sources, pixel by pixel
@@ -252,17 +218,8 @@ def pixel_shares(first: NDArray[np.integer], size: int, center: Float, width: Fl
 def normal_equations(jacobian: Float, residual: Float, weight: Float) -> tuple[Float, Float]:
     """Form the normal equations of independent fits of p parameters.
 
-    Parameters
-    ----------
-    jacobian : (n, p, pixels) float64
-        Derivatives of the model by the parameters.
-    residual, weight : (n, pixels) float64
-        As given by :meth:`Patches.residuals`.
-
-    Returns
-    -------
-    normal : (n, p, p) float64
-    right : (n, p) float64
+    ``jacobian`` (n, p, pixels); ``residual``, ``weight`` (n, pixels), as given by :meth:`Patches.residuals`; returns
+    ``normal`` (n, p, p) and ``right`` (n, p).
     """
     weighted = jacobian * weight[:, None, :]
     return weighted @ jacobian.swapaxes(1, 2), (weighted @ residual[:, :, None])[:, :, 0]
@@ -271,15 +228,7 @@ def normal_equations(jacobian: Float, residual: Float, weight: Float) -> tuple[F
 def chi2_inflation(chi2: Float, freedom: NDArray[np.integer]) -> Float:
     """Factor (n,) on a covariance: the reduced chi-square where it exceeds what noise explains, else 1.
 
-    Parameters
-    ----------
-    chi2 : (n,) float64
-    freedom : (n,) int
-        Degrees of freedom, at least 1.
-
-    Returns
-    -------
-    (n,) float64
+    ``chi2``, ``freedom`` (n,).
     """
     reduced = chi2 / freedom
     return np.where(reduced > 1.0 + CHI2_SIGMAS * np.sqrt(2.0 / freedom), reduced, 1.0)

@@ -62,25 +62,7 @@ class FixedPattern(Value):
     n_images: int
 
     def removed_from(self, pixels: ArrayLike, *, saturation_dn: float = np.inf) -> NDArray[np.float32]:
-        """Subtract the pattern from an image.
-
-        Parameters
-        ----------
-        pixels : (rows, columns) real, DN
-        saturation_dn : float, DN
-            An integer image also saturates at the end of its dtype; the detection needs that limit, because the result
-            is floating.
-
-        Returns
-        -------
-        (rows, columns) float32, DN
-            Saturated pixels are unchanged.
-
-        Raises
-        ------
-        InputError
-            The size differs.
-        """
+        """Subtract the pattern from an image."""
         array = np.asarray(pixels)
         require(
             array.shape == self.level_dn.shape,
@@ -95,23 +77,7 @@ def fixed_pattern(images: Sequence[ArrayLike], *, detector: Detector | None = No
 
     Of an even number of images the lower of the two middle values is used, because stars only raise pixels.
 
-    Parameters
-    ----------
-    images : sequence of (rows, columns) real, DN
-        At least two of one size and of different stars; of more than 25, 25 spread over the sequence are used.
-    detector : Detector, optional
-        Gain and saturation for the detection of stars.
-
-    Returns
-    -------
-    FixedPattern or Failure
-        ``degenerate_geometry``: most of the brightest sources stay at their pixels, so that stars and pattern cannot
-        be separated.
-
-    Raises
-    ------
-    InputError
-        There are fewer than two images, or their sizes differ.
+    ``images`` sequence of (rows, columns) DN.
 
     Examples
     --------
@@ -180,16 +146,6 @@ def compare_sequence(detections: Sequence[Detections]) -> list[Detections]:
     - ``COSMIC_RAY``: sharper than a star and never found there again; or bright enough to be found again, and not
       found, neither with the stars nor at its pixel, in all of at least two images that show the place. So is a
       body that moves among the stars by more than 2 px from image to image.
-
-    Parameters
-    ----------
-    detections : sequence of Detections
-        In order of time; images of one camera.
-
-    Returns
-    -------
-    list of Detections
-        The same detections with these flags added.
     """
     if len(detections) < 2:
         return list(detections)

@@ -125,20 +125,8 @@ def _gauss_legendre(count: int) -> tuple[Float, Float]:
 def line_shares(patches: Patches, centers_px: Float, halves_px: Float, sigma_px: float) -> tuple[Float, Float]:
     """Share of a unit line in each pixel, and its derivatives.
 
-    Parameters
-    ----------
-    patches : Patches
-        Only corners and size are used.
-    centers_px, halves_px : (n, 2) float64, px
-        Middle, and vector from there to one end.
-    sigma_px : float, px
-        Gaussian width of the line, > 0.
-
-    Returns
-    -------
-    shares : (n, w, w) float64
-    derivatives : (n, 4, w, w) float64, 1/px
-        By center x, y and half x, y.
+    ``centers_px``, ``halves_px`` (n, 2); returns ``shares`` (n, w, w); ``derivatives`` (n, 4, w, w) 1/px, by center x,
+    y and half x, y.
     """
     size, n = patches.size_px, len(centers_px)
     longest = 2.0 * float(np.hypot(*halves_px.T).max(initial=0.0))
@@ -158,21 +146,7 @@ def line_shares(patches: Patches, centers_px: Float, halves_px: Float, sigma_px:
 
 
 def fit_lines(patches: Patches, start: Lines, sigma_px: float) -> LineFits:
-    """Fit a line to each patch.
-
-    Parameters
-    ----------
-    patches : Patches
-        Saturated pixels are lower bounds.
-    start : Lines
-        First guess; a half vector of no length stays so.
-    sigma_px : float, px
-        Gaussian width of the lines, > 0.
-
-    Returns
-    -------
-    LineFits
-    """
+    """Fit a line to each patch."""
     problem = _Problem(patches, sigma_px)
     slopes = np.zeros((len(start.flux_dn), 2))
     parameters = np.column_stack([start.centers_px, start.halves_px, start.flux_dn, start.background_dn, slopes])

@@ -37,28 +37,8 @@ def windowed_centroid(
 ) -> WindowedCentroid | None:
     """Centroid under a Gaussian window that follows the source.
 
-    Parameters
-    ----------
-    values : (rows, columns) float64
-        Background subtracted.
-    variance : (rows, columns) float64
-        Noise variance, in the squared unit of ``values``.
-    usable : (rows, columns) bool
-        True for pixels to use.
-    start_px : (2,), px
-        Within about one window width of the source.
-    window_sigma_px : float, px
-        Standard deviation of the window. That of the source itself makes the centroid nearly efficient.
-
-    Returns
-    -------
-    WindowedCentroid or None
-        None when the iteration leaves the array, finds no positive flux or does not settle.
-
-    Raises
-    ------
-    InputError
-        Shapes differ, or the window has no width.
+    ``values`` (rows, columns); ``variance`` (rows, columns), noise variance, in the squared unit of ``values``; returns
+    None when the iteration leaves the array, finds no positive flux or does not settle.
 
     Notes
     -----

@@ -73,25 +73,7 @@ def fit_ellipse(
 ) -> ConicFit | Failure:
     r"""Fit an ellipse to points by hyperaccurate least squares, reweighted.
 
-    Parameters
-    ----------
-    points : (n, 2), any unit
-        n >= 6, with ``correlation_length`` n >= 8.
-    sigma : (n,) or float, unit of the points
-        Standard deviation of each coordinate.
-    correlation_length : float, optional
-        Shortest correlation length of the errors. By default the points are independent and ``sigma`` is exact; else
-        both are estimated from the residuals.
-
-    Returns
-    -------
-    ConicFit or Failure
-        ``TOO_FEW_DETECTIONS``, or ``DEGENERATE_GEOMETRY`` if the points lie on a line or on no ellipse.
-
-    Raises
-    ------
-    InputError
-        Shapes disagree, or a value is not finite.
+    ``points`` (n, 2), any unit; ``sigma`` (n,).
 
     Notes
     -----

@@ -13,19 +13,8 @@ _REAL = 1e-4  # largest imaginary part of a real root over its size: rounding se
 def poses_of_three_points(points_body_km: Float, rays_camera: Float) -> tuple[Float, Float]:
     r"""All poses for which three points of a body lie on three rays, for many triples at once.
 
-    Parameters
-    ----------
-    points_body_km : (m, 3, 3) float64, km, body axes
-        Triples of points, coordinate last.
-    rays_camera : (m, 3, 3) float64, unitless, camera axes
-        Unit vectors from the camera to them.
-
-    Returns
-    -------
-    camera_from_body : (k, 3, 3) float64
-        Rotation matrices of the poses of all triples, up to four of each.
-    position_camera_km : (k, 3) float64, km, camera axes
-        From the camera to the origin of the body axes.
+    ``points_body_km`` (m, 3, 3); ``rays_camera`` (m, 3, 3), unit vectors from the camera to them; returns
+    ``camera_from_body`` (k, 3, 3) and ``position_camera_km`` (k, 3).
 
     Notes
     -----

@@ -109,28 +109,7 @@ def solve_pnp(
 ) -> PnpFix | Failure:
     r"""Estimate the pose of a body from its points, some of which may be misidentified.
 
-    Parameters
-    ----------
-    points_body_km : (n, 3) float64, km, body axes
-    observed_px : (n, 2) float64, px
-        Measured pixels.
-    covariance_px2 : (n, 2, 2) float64, px^2
-        Of the measured pixels.
-    model : CameraModel
-    camera_from_body : Rotation
-        A priori attitude, of the weight of ``options.attitude_sigma_rad``.
-    options : PnpOptions
-
-    Returns
-    -------
-    PnpFix or Failure
-        ``TOO_FEW_MATCHES`` if too few points agree, ``DEGENERATE_GEOMETRY`` if these do not determine the pose,
-        ``NOT_CONVERGED``.
-
-    Raises
-    ------
-    InputError
-        Shapes disagree, a number is not finite, or a covariance is not positive.
+    ``points_body_km`` (n, 3); ``observed_px`` (n, 2); ``covariance_px2`` (n, 2, 2).
 
     Notes
     -----

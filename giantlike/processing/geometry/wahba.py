@@ -45,29 +45,11 @@ def solve_wahba(
 
     Minimizes :math:`\frac12\sum_i \sigma_i^{-2} \|b_i - T a_i\|^2` over rotations T.
 
-    Parameters
-    ----------
-    vectors_inertial, vectors_camera : (n, 3) float64, unitless
-        Unit vectors a_i (inertial) and b_i (camera axes) of the same stars, n >= 2.
-    sigma_rad : (n,) or scalar, rad
-        Standard deviation of the angle between a_i and b_i, per axis across the line of sight.
-    method : WahbaMethod
-
-    Returns
-    -------
-    camera_from_inertial : Rotation
-    covariance_rad2 : (3, 3) float64, rad^2
-        Of the small rotation e about the camera axes with
-        ``camera_from_inertial_true = Rotation.from_rotvec(e) * camera_from_inertial``:
-        the inverse of :math:`\sum_i \sigma_i^{-2} (I - b_i b_i^T)`.
-
-    Or a :class:`~giantlike.core.outcomes.Failure` of reason ``degenerate_geometry``: fewer than two
-    directions, or all along one line, so that one axis stays free (sigma above ``MAX_SIGMA_RAD``).
-
-    Raises
-    ------
-    InputError
-        Shapes disagree, a vector is not unit to 1e-9, or a sigma is not positive.
+    ``vectors_inertial``, ``vectors_camera`` (n, 3), unit vectors a_i (inertial) and b_i (camera axes) of the same
+    stars, n >= 2; ``sigma_rad`` (n,) or scalar; returns ``camera_from_inertial``; ``covariance_rad2``: of the small
+    rotation e about the camera axes with
+    ``camera_from_inertial_true = Rotation.from_rotvec(e) * camera_from_inertial``: the inverse of
+    :math:`\sum_i \sigma_i^{-2} (I - b_i b_i^T)`.
 
     References
     ----------
@@ -99,16 +81,8 @@ def solve_wahba(
 def davenport_quaternions(vectors_inertial: Float, vectors_camera: Float, weights: ArrayLike = 1.0) -> Float:
     """Solve independent Wahba problems of n directions each by the q-method.
 
-    Parameters
-    ----------
-    vectors_inertial, vectors_camera : (..., n, 3) float64, unitless
-    weights : (..., n) array_like, optional
-        Default: all directions count the same.
-
-    Returns
-    -------
-    (..., 4) float64
-        Quaternions camera_from_inertial, scalar last.
+    ``vectors_inertial``, ``vectors_camera`` (..., n, 3); ``weights`` (..., n); returns (..., 4), quaternions
+    camera_from_inertial, scalar last.
     """
     weighted = np.asarray(weights)[..., None] * vectors_camera
     profile = np.swapaxes(weighted, -1, -2) @ vectors_inertial  # sum of w b a^T

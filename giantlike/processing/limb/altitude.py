@@ -21,21 +21,9 @@ def lifted(lift_px: Float, sights: Float, position_camera_km: Float, sun_directi
 
     Of an image, points are pixels, and their motions are the changes of its light.
 
-    Parameters
-    ----------
-    lift_px : (n,) float64, px or DN
-        Outward motion with one standard deviation of the altitude, or with 1 km.
-    sights : (n, 3) float64, unitless, camera axes
-        Unit vectors toward the points.
-    position_camera_km : (3,) float64, km
-        Center of the body.
-    sun_direction_camera : (3,) float64, unitless, camera axes
-        Unit vector from body to Sun.
-
-    Returns
-    -------
-    (n, 2) float64, px or DN
-        Two independent errors.
+    ``lift_px`` (n,) px or DN, outward motion with one standard deviation of the altitude, or with 1 km; ``sights``
+    (n, 3), camera axes, unit vectors toward the points; ``sun_direction_camera``: unit vector from body to Sun; returns
+    (n, 2) px or DN.
     """
     outward = np.linalg.norm(position_camera_km) * sights - position_camera_km
     height = outward @ sun_direction_camera / np.maximum(np.linalg.norm(outward, axis=1), 1e-300)

@@ -23,31 +23,8 @@ def contrasts(
 ) -> Float:
     """Sum up the contrast across an outline by nearest pixels.
 
-    Parameters
-    ----------
-    image : (rows, columns) float32, DN
-        NaN where a pixel counts nothing.
-    middle_px : (2,) float64, px
-        Point about which the outline grows.
-    arms_px : (n, 2) float64, px
-        From there to the points of the outline, at scale 1.
-    offsets_px : (n, 2) float64, px
-        From the outline to the pixel outside that is compared; as far inside lies the other.
-    weights : (n,) float64
-        Of the points.
-    shifts_px : (k,) float64, px
-        Shifts along both axes, every one of x with every one of y.
-    scales : (m,) float64
-    floor_dn : float, DN
-        Brightness added to the sum of both sides.
-    steepest : bool
-        Take the difference of both sides, DN, not its share of their sum.
-
-    Returns
-    -------
-    (m, k, k) float64
-        Weighted mean for each scale and shift along y and x. Outlines that lie mostly where nothing counts count as if
-        half did.
+    ``image`` in DN, NaN where a pixel counts nothing; ``arms_px``, ``offsets_px`` (n, 2); ``weights`` (n,);
+    ``shifts_px`` (k,); ``scales`` (m,); returns (m, k, k).
     """
     rows, columns = image.shape
     n, k = len(arms_px), len(shifts_px)

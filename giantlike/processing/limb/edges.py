@@ -67,14 +67,7 @@ class EdgePoints(Value):
     def moved(self, corner_px: tuple[int, int]) -> EdgePoints:
         """Return the edges of a part of an image in the pixels of the whole.
 
-        Parameters
-        ----------
-        corner_px : (int, int), px
-            Column and row of the first pixel of the part.
-
-        Returns
-        -------
-        EdgePoints
+        ``corner_px``: column and row of the first pixel of the part.
         """
         return replace(self, pixels_px=self.pixels_px + corner_px, points_px=self.points_px + corner_px)
 
@@ -84,27 +77,8 @@ def scan_edges(
 ) -> Pixels:
     """Find the pixels in which sunlight first meets a body, by parallel scan lines from the lit side.
 
-    Parameters
-    ----------
-    pixels_dn : (rows, columns) float64, DN
-    usable : (rows, columns) bool
-        Other pixels count as dark.
-    sunlight : (2,), unitless
-        Direction (x, y) in which sunlight travels in the image.
-    threshold_dn : float, DN
-        Pixels above are light: the background and several times its noise.
-    blur_sigma_px : float, px
-        Of the point spread function; edges are looked for so much farther behind the first light.
-
-    Returns
-    -------
-    (n, 2) int64, px
-        Pixels (x, y), each once. On a line the steepest rise near the first three lit samples in a row counts.
-
-    Raises
-    ------
-    InputError
-        Shapes disagree, or the direction is none.
+    ``pixels_dn`` (rows, columns); ``sunlight`` (2,), direction (x, y) in which sunlight travels in the image; returns
+    (n, 2) px, pixels (x, y), each once.
 
     References
     ----------
@@ -200,21 +174,8 @@ def measured_edges(
 ) -> EdgePoints:
     """Measure edges in windows about pixels, moving each window to where its edge goes through the middle pixel.
 
-    Parameters
-    ----------
-    pixels_dn : (rows, columns) float64, DN
-    usable : (rows, columns) bool
-    seeds_px : (n, 2) int64, px
-        Pixels (x, y) within two of an edge.
-    half_px : int, px
-        Windows have ``2 half_px + 1`` pixels a side; those that reach over the frame or bad pixels are left out.
-    measure : callable
-        From windows (n, side, side) to a :class:`WindowEdges`.
-
-    Returns
-    -------
-    EdgePoints
-        Each middle pixel once.
+    ``pixels_dn`` (rows, columns); ``seeds_px`` (n, 2), pixels (x, y) within two of an edge; ``half_px``: windows have
+    ``2 half_px + 1`` pixels a side (those that reach over the frame or bad pixels are left out).
     """
     require(pixels_dn.shape == usable.shape, f"pixels {pixels_dn.shape} and usable {usable.shape} differ in shape")
     side = 2 * half_px + 1

@@ -42,37 +42,9 @@ def started(
 ) -> tuple[Indices, Float, Float, Float, Float, Mask, Mask]:
     """Find where the expected profile of each line correlates best, or start from a given place.
 
-    Parameters
-    ----------
-    values : (n, m) float64, DN
-        Along the lines, m odd, the middle at zero.
-    usable : (n, m) bool
-    expected : (n, m) float64
-    about_px : (n,) float64, px
-        Where to start; NaN for where the correlation is best.
-    step_px : float, px
-        Between values.
-    half, most : int
-        Values to both sides that are compared, and by which a profile is shifted at most.
-    rival_px : float, px
-        Other places as good are looked for from this distance on.
-    least, core : int
-        Values of a window that are usable at least, and to both sides of its middle where all are.
-
-    Returns
-    -------
-    lag : (n,) int64
-        Steps from the innermost place that was tried.
-    shift_px : (n,) float64, px
-        From there to the given place, or 0.
-    best, rival : (n,) float64
-        Normalized correlation at that lag, and of the best other place; -1 where there is none.
-    light_dn : (n, w) float64, DN
-        Brightness there, fitted without weights.
-    used : (n, w) bool
-        Values there that count: those that are usable, or, of a line that is not complete, all.
-    complete : (n,) bool
-        Enough of the values there are usable.
+    ``values`` (n, m) DN; ``usable``, ``expected`` (n, m); ``about_px`` (n,), NaN for where the correlation is best;
+    returns ``lag`` (n,); ``shift_px`` (n,); ``best``, ``rival`` (n,), -1 where there is none; ``light_dn`` (n, w);
+    ``used`` (n, w); ``complete`` (n,).
     """
     n, middle, width, lags = len(values), values.shape[1] // 2, 2 * half + 1, 2 * most + 1
     lag, shift, best, rival = np.empty(n, np.int64), np.zeros(n), np.empty(n), np.full(n, -1.0)
@@ -149,28 +121,9 @@ def refined(
 ) -> tuple[Float, Float, Float, Float]:
     """Shift each line to its best place by linear steps, and fit it there with its slope left free.
 
-    Parameters
-    ----------
-    values, expected : (n, m) float64
-    lag : (n,) int64
-    shift_px : (n,) float64, px
-        As of :func:`started`.
-    fixed : (n,) bool
-        Lines that stay.
-    weights : (n, w) float64, 1/DN^2
-    step_px : float, px
-    half, most : int
-
-    Returns
-    -------
-    shift_px : (n,) float64, px
-        The lines are linear about this shift from their lag.
-    free : (n, 4) float64
-        Gain, offset, gain times what is left of the shift, gain times slope.
-    slope_variance : (n,) float64
-        Variance of the last of these; infinite where the expected profile is dark.
-    without_slope : (n, 2) float64
-        The gain and gain times shift without a slope.
+    ``values``, ``expected`` (n, m); ``lag`` (n,); ``shift_px`` (n,), as of :func:`started`; ``fixed`` (n,); ``weights``
+    (n, w) 1/DN^2; returns ``shift_px`` (n,); ``free`` (n, 4), gain, offset, gain times what is left of the shift, gain
+    times slope; ``slope_variance`` (n,), infinite where the expected profile is dark; ``without_slope`` (n, 2).
     """
     n, middle, width = len(values), values.shape[1] // 2, 2 * half + 1
     shifts, free, variance, without = shift_px.copy(), np.empty((n, _COLUMNS)), np.full(n, np.inf), np.empty((n, 2))
@@ -217,35 +170,10 @@ def matched(
 ) -> tuple[Float, Float, Float, Float, Float, Float]:
     """Fit each line with what is known of slopes, and find what it says of parameters that all lines share.
 
-    Parameters
-    ----------
-    values, expected : (n, m) float64
-    others : (n, m, c) float64
-        Change of the expected profiles with each of the shared parameters.
-    lag : (n,) int64
-    shift_px : (n,) float64, px
-        As of :func:`refined`.
-    weights, variance_dn2 : (n, w) float64
-    stiffness : (n,) float64, 1/DN^2
-        Information on gain times slope before the fit, that it is 0.
-    correlation : (w, w) float64
-        Of the noise of the values.
-    step_px : float, px
-    half, most : int
-
-    Returns
-    -------
-    solution : (n, 4) float64
-        As ``free`` of :func:`refined`.
-    noise : (n,) float64
-        Standard deviation of gain times shift by noise.
-    left_rms : (n,) float64, DN
-        Root mean square of what the fit leaves.
-    taken : (n, 4, c) float64
-        What a unit of each shared parameter does to the solution.
-    information : (n, c, c) float64
-    pull : (n, c) float64
-        Information times estimate.
+    ``values``, ``expected`` (n, m); ``others`` (n, m, c); ``lag`` (n,); ``shift_px`` (n,), as of :func:`refined`;
+    ``weights``, ``variance_dn2`` (n, w); ``stiffness`` (n,) 1/DN^2; ``correlation`` (w, w); returns ``solution``
+    (n, 4), as ``free`` of :func:`refined`; ``noise`` (n,); ``left_rms`` (n,) DN; ``taken`` (n, 4, c), what a unit of
+    each shared parameter does to the solution; ``information`` (n, c, c); ``pull`` (n, c).
     """
     n, middle, width, count = len(values), values.shape[1] // 2, 2 * half + 1, others.shape[2]
     solutions, noises, rms = np.empty((n, _COLUMNS)), np.empty(n), np.empty(n)
@@ -313,16 +241,7 @@ def matched(
 
 @compiled
 def quotient(shifted: float, gain: float) -> float:
-    """Shift of a solution: gain times shift over gain; 0 where there is no gain.
-
-    Parameters
-    ----------
-    shifted, gain : float
-
-    Returns
-    -------
-    float
-    """
+    """Shift of a solution: gain times shift over gain; 0 where there is no gain."""
     shift = shifted / gain
     return shift if np.isfinite(shift) else 0.0
 

@@ -15,19 +15,7 @@ from giantlike.core.compiled import compiled
 def sampled(images: Float, points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
     """Weighted means of 4 x 4 pixels, the weights a cubic B-spline about each place.
 
-    Parameters
-    ----------
-    images : (k, rows, columns) float64
-        Sampled at the same places.
-    points_px, normals_px : (n, 2) float64
-        Where the lines have their zero, and their directions.
-    offsets_px : (m,) float64, px
-        Places along every line.
-
-    Returns
-    -------
-    (k, n, m) float64
-        Outside the images those of their borders.
+    ``images`` (k, rows, columns); ``points_px``, ``normals_px`` (n, 2); ``offsets_px`` (m,); returns (k, n, m).
     """
     count, rows, columns = images.shape
     result = np.empty((count, len(points_px), len(offsets_px)))

@@ -55,14 +55,7 @@ class SmoothError:
     def covariance_px2(self, points_px: Float) -> Float:
         """Covariance of the error between points of a limb.
 
-        Parameters
-        ----------
-        points_px : (n, 2) float64, px
-
-        Returns
-        -------
-        (n, n) float64, px^2
-            Across the limb.
+        ``points_px`` (n, 2); returns (n, n).
         """
         places = points_px if self.along is None else points_px @ np.array(self.along)[:, None]
         square = sum((place[:, None] - place) ** 2 for place in places.T)  # half the time of norms of rows of two
@@ -205,14 +198,7 @@ class LimbMeasurement(Value):
     def select(self, which: NDArray[np.integer]) -> LimbMeasurement:
         """Measurement with some of its points.
 
-        Parameters
-        ----------
-        which : (k,) int
-            Indices of the points, in the order wanted.
-
-        Returns
-        -------
-        LimbMeasurement
+        ``which`` (k,), indices of the points, in the order wanted.
         """
         return replace(
             self,
@@ -230,14 +216,7 @@ class LimbMeasurement(Value):
     def smooth_covariances(self, gain: Float) -> dict[Cause, Float]:
         """Covariances of a solution by what the points share: the common and the smooth errors.
 
-        Parameters
-        ----------
-        gain : (k, m) float64
-            Takes the shifts of the m points that are kept to the solution.
-
-        Returns
-        -------
-        dict of Cause to (k, k) float64
+        ``gain`` (k, m); returns dict of Cause to (k, k).
         """
         parts: dict[Cause, Float] = {}
         for cause, common_px in self.common_px.items():
@@ -259,13 +238,7 @@ class LimbMeasurement(Value):
     def motion_sigma_px(self, step_km: Float) -> float:
         """Standard deviation of the limb where it is least certain, by the scatter of the points about a step.
 
-        Parameters
-        ----------
-        step_km : (3,) float64, km, camera axes
-
-        Returns
-        -------
-        float, px
+        ``step_km`` in camera axes.
         """
         design = self.design[self.keep]
         left = self.shift_px[self.keep] - design @ step_km
@@ -276,16 +249,7 @@ class LimbMeasurement(Value):
 def smooth_parts(errors: Iterable[SmoothError], points_px: Float, gain: Float) -> dict[Cause, Float]:
     """Covariances of a solution by smooth errors of the points that it is made from.
 
-    Parameters
-    ----------
-    errors : iterable of SmoothError
-    points_px : (n, 2) float64, px
-    gain : (k, n) float64
-        Takes shifts of the points to the solution.
-
-    Returns
-    -------
-    dict of Cause to (k, k) float64
+    ``points_px`` (n, 2); ``gain`` (k, n); returns dict of Cause to (k, k).
     """
     parts: dict[Cause, Float] = {}
     for error in errors:
@@ -305,26 +269,8 @@ def judge_points(
 ) -> tuple[Mask, dict[str, int]]:
     """Decide which points of a limb were measured well.
 
-    Parameters
-    ----------
-    complete : (n,) bool
-        Enough pixels are usable.
-    strong : (n,) bool
-        The limb stands out of the noise.
-    alike : (n,) bool
-        The brightness has the expected profile.
-    gain_dn : (n,) float64, DN
-        Brightness in the image over the expected one, in any unit.
-    even : bool
-        The gains of good points are alike; False where the expected brightness is not that of the body.
-    also : mapping of str to (n,) bool, optional
-        Other checks, by the reason for which points that fail them are rejected.
-
-    Returns
-    -------
-    good : (n,) bool
-    rejected : dict of str to int
-        Number of the others by reason, the first that applies.
+    ``complete``, ``strong``, ``alike``, ``gain_dn`` (n,); ``also`` mapping of str to (n,); returns ``good`` (n,) and
+    ``rejected``.
     """
     gain_ok = gain_dn > 0.0
     typical = complete & alike & gain_ok
@@ -349,21 +295,7 @@ def judge_points(
 def too_few(view: LimbView, area: Mask, good: Mask, rejected: Mapping[str, int], *, needed: int) -> Failure:
     """Return the failure of a limb with too few good points.
 
-    Parameters
-    ----------
-    view : LimbView
-    area : (rows, columns) bool
-        Pixels near the limb.
-    good : (n,) bool
-    rejected : mapping of str to int
-        As of :func:`judge_points`.
-    needed : int
-        Least number of good points.
-
-    Returns
-    -------
-    Failure
-        ``SATURATED`` where many of the pixels are, else ``NO_LIMB``.
+    ``area`` (rows, columns); ``good`` (n,); ``rejected`` as of :func:`judge_points`.
     """
     saturated = float(view.saturated[area].mean()) if area.any() else 0.0
     reasons = ", ".join(f"{count} {name}" for name, count in rejected.items() if count)
@@ -377,21 +309,7 @@ def too_few(view: LimbView, area: Mask, good: Mask, rejected: Mapping[str, int],
 def no_lit_limb(view: LimbView, outline_px: Float, inside: Mask, position_camera_km: Float) -> Failure:
     """Return the failure of a predicted outline of which no lit part lies in the frame.
 
-    Parameters
-    ----------
-    view : LimbView
-    outline_px : (k, 2) float64, px
-        All around; points that the camera does not image are NaN or left out.
-    inside : (k,) bool
-        Points in the frame.
-    position_camera_km : (3,) float64, km, camera axes
-        Of the body, for the phase angle in the text.
-
-    Returns
-    -------
-    Failure
-        ``NOT_LIT`` where all of it is in the frame; ``OUT_OF_FRAME`` where some is, so that the lit part is outside;
-        ``NO_LIMB`` where none is.
+    ``outline_px`` (k, 2), all around (points that the camera does not image are NaN or left out); ``inside`` (k,).
     """
     rows, columns = view.usable.shape
     if inside.any() and not inside.all():
@@ -420,18 +338,8 @@ def no_lit_limb(view: LimbView, outline_px: Float, inside: Mask, position_camera
 def pixels_near(points_px: Float, normals_px: Float, offsets_px: Float, shape: tuple[int, ...]) -> Mask:
     """Pixels on lines across a limb.
 
-    Parameters
-    ----------
-    points_px, normals_px : (n, 2) float64, px and unitless
-        Points of the limb and their normals.
-    offsets_px : (m,) float64, px
-        Places along every normal.
-    shape : (int, int)
-        Rows and columns of the image.
-
-    Returns
-    -------
-    (rows, columns) bool
+    ``points_px``, ``normals_px`` (n, 2); ``offsets_px`` (m,); ``shape``: rows and columns of the image; returns
+    (rows, columns).
     """
     area = np.zeros(shape, dtype=bool)
     columns, rows = (np.rint(points_px[:, axis, None] + offsets_px * normals_px[:, axis, None]) for axis in range(2))
@@ -443,16 +351,7 @@ def pixels_near(points_px: Float, normals_px: Float, offsets_px: Float, shape: t
 def limb_design(normals_px: Float, projection_jacobian: Float) -> Float:
     """Outward motion of limb points in the image with the position of the body.
 
-    Parameters
-    ----------
-    normals_px : (n, 2) float64, unitless
-        Outward normals of the limb.
-    projection_jacobian : (n, 2, 3) float64, px/km
-        Of the camera model at the limb points in space.
-
-    Returns
-    -------
-    (n, 3) float64, px/km
+    ``normals_px`` (n, 2), outward normals of the limb; ``projection_jacobian`` (n, 2, 3) px/km; returns (n, 3) px/km.
 
     Notes
     -----

@@ -24,25 +24,7 @@ def partial_area_edges(
 ) -> EdgePoints:
     r"""Measure edges as parabolas through three columns of pixels.
 
-    Parameters
-    ----------
-    pixels_dn : (rows, columns) float64, DN
-    usable : (rows, columns) bool
-    seeds_px : (n, 2) int64, px
-        Pixels (x, y) near the edge, as of ``scan_edges``.
-    variance_dn2 : callable
-        Noise variance of pixels of a brightness, DN^2 (:meth:`giantlike.core.detector.Detector.variance_dn2`).
-    blur_sigma_px : float, px
-        Standard deviation of the point spread function.
-
-    Returns
-    -------
-    EdgePoints
-
-    Raises
-    ------
-    InputError
-        Shapes that disagree, or a negative blur.
+    ``pixels_dn`` (rows, columns); ``seeds_px`` (n, 2), pixels (x, y) near the edge, as of ``scan_edges``.
 
     Notes
     -----

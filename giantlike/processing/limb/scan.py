@@ -135,14 +135,7 @@ class ProfileMatch(Value):
         Freeing the slope of the brightness moves a limb whose brightness is not as expected by about as much. Of that
         motion, median over the lines, what chance explains is taken off.
 
-        Parameters
-        ----------
-        good : (n,) bool
-            Lines that count.
-
-        Returns
-        -------
-        float, px
+        ``good`` (n,).
         """
         typical, scatter = float(np.median(self.without_slope_px[good])), robust_sigma(self.without_slope_px[good])
         chance = _MEDIAN_SIGMA * scatter / math.sqrt(max(np.count_nonzero(good) / _LINES_ALIKE, 1.0))
@@ -152,15 +145,7 @@ class ProfileMatch(Value):
 def line_offsets(reach_px: float, step_px: float) -> Float:
     """Even places along a line, symmetric about zero and zero among them.
 
-    Parameters
-    ----------
-    reach_px : float, px
-        The last place is as far or a part of a step farther.
-    step_px : float, px
-
-    Returns
-    -------
-    (m,) float64, px
+    Returns (m,) px.
 
     >>> line_offsets(1.0, 0.5).tolist()
     [-1.0, -0.5, 0.0, 0.5, 1.0]
@@ -172,22 +157,8 @@ def line_offsets(reach_px: float, step_px: float) -> Float:
 def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Float, offsets_px: Float) -> Scans:
     """Sample an image along lines.
 
-    Parameters
-    ----------
-    pixels_dn : (rows, columns) float64
-    usable : (rows, columns) bool
-    points_px, normals_px : (n, 2) float64
-    offsets_px : (m,) float64, px
-        As of :func:`line_offsets`.
-
-    Returns
-    -------
-    Scans
-
-    Raises
-    ------
-    InputError
-        Pixels and mask differ in shape.
+    ``pixels_dn`` (rows, columns); ``points_px``, ``normals_px`` (n, 2); ``offsets_px`` (m,), as of
+    :func:`line_offsets`.
 
     Notes
     -----
@@ -208,16 +179,7 @@ def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Flo
 def values_on_lines(images: Float, points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
     """Values of images along lines, as :func:`scan_lines` samples them.
 
-    Parameters
-    ----------
-    images : (k, rows, columns) float64
-    points_px, normals_px : (n, 2) float64
-    offsets_px : (m,) float64, px
-
-    Returns
-    -------
-    (k, n, m) float64
-        Outside the images those of their borders.
+    ``images`` (k, rows, columns); ``points_px``, ``normals_px`` (n, 2); ``offsets_px`` (m,); returns (k, n, m).
     """
     return sampled(np.ascontiguousarray(images), points_px, normals_px, offsets_px)
 
@@ -231,16 +193,7 @@ def _places(points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
 def step_profile(offsets_px: Float, width_px: float) -> Float:
     """Profile of a bright half-line up to zero, blurred by a Gaussian.
 
-    Parameters
-    ----------
-    offsets_px : (m,) float64, px
-    width_px : float, px
-        Standard deviation.
-
-    Returns
-    -------
-    (m,) float64
-        From 1 to 0.
+    ``offsets_px`` (m,); returns (m,).
     """
     result: Float = ndtr(-offsets_px / width_px)
     return result
@@ -258,33 +211,8 @@ def match_profiles(
 ) -> ProfileMatch:
     """Match the profile of every line with the one expected there, in shift, gain, offset and slope.
 
-    Parameters
-    ----------
-    scans : Scans
-        Must reach ``window_px + search_px`` to both sides.
-    expected : (n, m) float64
-        Expected brightness at the same places, any unit, the limb at zero.
-    variance_dn2 : callable
-        Noise variance of pixels of a brightness, DN^2 (:meth:`giantlike.core.detector.Detector.variance_dn2`).
-    window_px : float, px
-        How far to both sides of the limb profiles are compared.
-    search_px : float, px
-        Largest shift.
-    shared : (n, m, c) float64, optional
-        Change of the expected brightness with each of c parameters that all lines share; none by default.
-    about_px : (n,) float64, px, optional
-        Places about which the match is linear, from elsewhere than the noise of the line itself: the shifts and what
-        lines say about shared parameters are then linear in the noise and so without bias. NaN, and the default, is
-        the best shift of the line.
-
-    Returns
-    -------
-    ProfileMatch
-
-    Raises
-    ------
-    InputError
-        The lines are too short.
+    ``scans``: must reach ``window_px + search_px`` to both sides; ``expected`` (n, m); ``shared`` (n, m, c);
+    ``about_px`` (n,), NaN, and the default, is the best shift of the line.
 
     Notes
     -----
@@ -355,22 +283,7 @@ def edge_width_px(scans: Scans, *, variance_dn2: Callable[[Float], Float], windo
     All that blurs is in it: point spread, pixel (:data:`PIXEL_VARIANCE_PX2`) and sampling
     (:data:`SAMPLING_VARIANCE_PX2`).
 
-    Parameters
-    ----------
-    scans : Scans
-    variance_dn2 : callable
-        Noise variance of pixels of a brightness, DN^2.
-    window_px, search_px : float, px
-        As of :func:`match_profiles`.
-
-    Returns
-    -------
-    float, px
-
-    Raises
-    ------
-    InputError
-        There is no edge on any line.
+    ``window_px``, ``search_px`` as of :func:`match_profiles`.
     """
     misfit = []
     for width in _WIDTHS_PX:

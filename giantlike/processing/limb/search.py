@@ -60,25 +60,7 @@ class CoarseLimb(Value):
 def search_limb(
     view: LimbView, limb: PredictedLimb, center_px: Float, *, search_px: float, search_range: float
 ) -> CoarseLimb:
-    """Find shift and size of a whole outline by the contrast across it.
-
-    Parameters
-    ----------
-    view : LimbView
-    limb : PredictedLimb
-        Its brightness is the weight of each point.
-    center_px : (2,) float64, px
-        Point about which the outline grows.
-    search_px : float, px
-        Largest shift, in both coordinates.
-    search_range : float
-        Largest relative change of size: 0.03 means 3 %.
-
-    Returns
-    -------
-    CoarseLimb
-        Good to about a pixel.
-    """
+    """Find shift and size of a whole outline by the contrast across it."""
     points_px = limb.points_px
     radius_px = float(np.max(np.linalg.norm(points_px - center_px, axis=1)))
     step = float(np.clip(_COARSE_STEP * radius_px, _FINE_STEP_PX, _MAX_COARSE_STEP_PX))
@@ -135,23 +117,7 @@ def find_limb(
 ) -> tuple[Float, CoarseLimb] | Failure:
     """Find a whole outline and the position of its body, or tell that there is none.
 
-    Parameters
-    ----------
-    view : LimbView
-    limb : PredictedLimb
-        At the predicted position.
-    position_camera_km : (3,) float64, km, camera axes
-        That position.
-    search_px, search_range
-        As of :func:`search_limb`.
-    min_contrast : float
-        Contrast across the outline below which there is none.
-
-    Returns
-    -------
-    (position_camera_km, CoarseLimb) or Failure
-        ``NO_LIMB`` where the contrast across the best outline is too small, or best at the border of all that is
-        searched; ``OUT_OF_FRAME`` where the camera model images nothing there.
+    ``search_px``, ``search_range`` as of :func:`search_limb`.
     """
     center_px = view.model.project(position_camera_km)
     found = search_limb(view, limb, center_px, search_px=search_px, search_range=search_range)

@@ -22,28 +22,13 @@ _RIVAL_COST = 1.0  # an assignment that costs so little more is as good
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Background:
-    """Level and noise of what is dark.
-
-    Parameters
-    ----------
-    level_dn, sigma_dn : float, DN
-    """
+    """Level and noise of what is dark."""
 
     level_dn: float
     sigma_dn: float
 
     def threshold_dn(self, sigmas: float) -> float:
-        """Brightness above which pixels are light.
-
-        Parameters
-        ----------
-        sigmas : float
-            Standard deviations above the level.
-
-        Returns
-        -------
-        float, DN
-        """
+        """Brightness above which pixels are light."""
         return self.level_dn + sigmas * self.sigma_dn
 
 
@@ -115,22 +100,7 @@ class ExpectedBlob:
 def otsu_threshold(values: Float, *, bins: int = 1024) -> float:
     """Threshold that parts values into two classes with the largest variance between them.
 
-    Parameters
-    ----------
-    values : (n,) float64
-        Finite, not all equal.
-    bins : int
-        Of the histogram between the least and the largest value.
-
-    Returns
-    -------
-    float
-        Unit of the values.
-
-    Raises
-    ------
-    InputError
-        There is nothing to part.
+    ``values`` (n,).
 
     Notes
     -----
@@ -165,18 +135,7 @@ def background_of(values: Float) -> Background:
 
     Median and median absolute deviation, bright pixels clipped away.
 
-    Parameters
-    ----------
-    values : (n,) float64, DN
-
-    Returns
-    -------
-    Background
-
-    Raises
-    ------
-    InputError
-        There are no values.
+    ``values`` (n,) DN.
     """
     require(values.size > 0, "no pixels to take a background from")
     kept = values
@@ -193,23 +152,7 @@ def background_of(values: Float) -> Background:
 def connected_blobs(pixels_dn: Float, light: Mask, *, level_dn: float = 0.0, min_area_px: int = 1) -> Blobs:
     """Join neighboring light pixels (also across corners) and measure each patch.
 
-    Parameters
-    ----------
-    pixels_dn : (rows, columns) float64, DN
-    light : (rows, columns) bool
-    level_dn : float, DN
-        Of the background.
-    min_area_px : int
-        Smaller patches are left out.
-
-    Returns
-    -------
-    Blobs
-
-    Raises
-    ------
-    InputError
-        Shapes disagree.
+    ``pixels_dn``, ``light`` (rows, columns).
     """
     require(pixels_dn.shape == light.shape, f"pixels {pixels_dn.shape} and light {light.shape} differ in shape")
     count, labels, statistics, middles = cv2.connectedComponentsWithStats(light.astype(np.uint8), connectivity=8)
@@ -239,26 +182,6 @@ def identify_blobs(
     blobs: Blobs, expected: Sequence[ExpectedBlob], *, search_px: float, log_area_sigma: float = 0.3
 ) -> NDArray[np.int64] | Failure:
     """Assign blobs to bodies by place, size and, where it is known, brightness.
-
-    Parameters
-    ----------
-    blobs : Blobs
-    expected : sequence of ExpectedBlob
-    search_px : float, px
-        Largest error of the predicted places. Bodies of one image share most of it: their arrangement counts more.
-    log_area_sigma : float
-        Standard deviation of the logarithm of the predicted areas.
-
-    Returns
-    -------
-    (k,) int64 or Failure
-        Index of the blob of each body. ``NO_SIGNAL`` where one has none, ``AMBIGUOUS`` where another assignment is as
-        good.
-
-    Raises
-    ------
-    InputError
-        No body is expected, or a number is out of its range.
 
     Notes
     -----

@@ -60,23 +60,7 @@ def estimate_shared(
 ) -> SharedEstimate:
     """Estimate the parameters that all lines share.
 
-    Parameters
-    ----------
-    match : ProfileMatch
-    good : (n,) bool
-        Lines that count.
-    prior : (c,) float64
-        Information on each parameter before the measurement: one over its variance.
-    expected : (c,) float64
-        Values before the measurement, from those that the expected profiles were made with.
-    open_above : (c,) bool
-        Parameters that may lie far above what is known before: a blur has more causes than those that were counted, and
-        none makes an image sharper.
-
-    Returns
-    -------
-    SharedEstimate
-        Values from those that the expected profiles were made with.
+    ``good`` (n,); ``prior``, ``expected``, ``open_above`` (c,).
 
     Notes
     -----
@@ -133,17 +117,8 @@ def _scatter(scores: Float) -> Float:
 def smooth_places(match: ProfileMatch, good: Mask) -> Float:
     """Places of lines by those of their neighbors, about which the next match is made.
 
-    Parameters
-    ----------
-    match : ProfileMatch
-        Lines in order along the limb.
-    good : (n,) bool
-        Lines that count.
-
-    Returns
-    -------
-    (n,) float64, px
-        NaN for lines that are not good, or lie farther from their neighbors than noise explains: relief.
+    ``good`` (n,); returns (n,) px, NaN for lines that are not good, or lie farther from their neighbors than noise
+    explains: relief.
     """
     count = min(_SMOOTHED_LINES, int(good.sum()))
     shift, sigma = match.shift_px[good], match.sigma_px[good]

@@ -80,15 +80,8 @@ class LimbView(Value):
     def contains(self, points_px: Float, *, margin_px: float = 0.0) -> Mask:
         """Find the points that lie on the detector.
 
-        Parameters
-        ----------
-        points_px : (..., 2) float64, px
-        margin_px : float, px
-            Least distance from the edge; negative for points as far outside.
-
-        Returns
-        -------
-        (...) bool
+        ``points_px`` (..., 2); ``margin_px``: least distance from the edge (negative for points as far outside);
+        returns (...).
         """
         return in_frame(points_px, self.usable.shape, margin_px=margin_px)
 
@@ -117,17 +110,8 @@ class PredictedLimb(Value):
 def in_frame(points_px: Float, shape: tuple[int, ...], *, margin_px: float = 0.0) -> Mask:
     """Find the points that lie on the pixels of an image; NaN does not.
 
-    Parameters
-    ----------
-    points_px : (..., 2) float64, px
-    shape : (int, int)
-        Rows and columns.
-    margin_px : float, px
-        Least distance from the edge of the image; negative for points as far outside.
-
-    Returns
-    -------
-    (...) bool
+    ``points_px`` (..., 2); ``shape``: rows and columns; ``margin_px``: least distance from the edge of the image
+    (negative for points as far outside); returns (...).
     """
     low, high = margin_px - 0.5, np.array(shape[1::-1]) - 0.5 - margin_px
     result: Mask = np.all((points_px >= low) & (points_px <= high), axis=-1)

@@ -35,28 +35,8 @@ def zernike_edges(
 ) -> EdgePoints:
     r"""Measure edges by Zernike moments of windows of 5 x 5 or 7 x 7 pixels.
 
-    Parameters
-    ----------
-    pixels_dn : (rows, columns) float64, DN
-    usable : (rows, columns) bool
-    seeds_px : (n, 2) int64, px
-        Pixels (x, y) near the edge, as of ``scan_edges``.
-    variance_dn2 : callable
-        Noise variance of pixels of a brightness, DN^2 (:meth:`giantlike.core.detector.Detector.variance_dn2`).
-    blur_sigma_px : float, px
-        Standard deviation of the point spread function.
-    size : {5, 7}, px
-    curvature_px : float, 1/px
-        Of the edge: 1 over the radius of a bright disk, negative for a dark one.
-
-    Returns
-    -------
-    EdgePoints
-
-    Raises
-    ------
-    InputError
-        Another size, or shapes that disagree.
+    ``pixels_dn`` (rows, columns); ``seeds_px`` (n, 2), pixels (x, y) near the edge, as of ``scan_edges``; ``size`` in
+    px; ``curvature_px`` in 1/px, of the edge: 1 over the radius of a bright disk, negative for a dark one.
 
     Notes
     -----
@@ -80,14 +60,7 @@ def zernike_edges(
 def zernike_kernels(size: int) -> tuple[NDArray[np.complex128], Float]:
     """Kernels of the moments A11 and A20: ``x + iy`` and ``2 rho^2 - 1`` integrated over each pixel.
 
-    Parameters
-    ----------
-    size : int, px
-
-    Returns
-    -------
-    first : (size, size) complex128
-    second : (size, size) float64
+    ``size`` in px; returns ``first`` (size, size) and ``second`` (size, size).
 
     Notes
     -----

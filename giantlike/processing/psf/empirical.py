@@ -54,14 +54,7 @@ class EmpiricalPsf(Value):
     def shares_at(self, offsets_px: ArrayLike) -> Float:
         """Interpolate the shares of pixels at offsets from a star (cubic splines).
 
-        Parameters
-        ----------
-        offsets_px : (..., 2), px
-
-        Returns
-        -------
-        (...,) float64
-            0 beyond the grid.
+        ``offsets_px`` (..., 2); returns (...,), 0 beyond the grid.
         """
         offsets = np.asarray(offsets_px, dtype=np.float64)
         x, y = offsets.reshape(-1, 2).T / self.step_px + (len(self.shares) - 1) / 2
@@ -79,33 +72,7 @@ def empirical_psf(
     oversampling: int = 4,
     half_px: int = 5,
 ) -> EmpiricalPsf:
-    """Average the stars of an image on a grid.
-
-    Parameters
-    ----------
-    pixels : (rows, columns) real, DN
-    detections : Detections
-        Of this image, best with centroids from :func:`~giantlike.processing.psf.estimate.remeasure`: their errors widen
-        the result.
-    psf : PsfEstimate
-        Analytic shape: subtracted first, and the result without samples.
-    detector : Detector
-        Gain, for the shot noise.
-    mask : (rows, columns) bool, optional
-    oversampling : int
-        Nodes per pixel.
-    half_px : int, px
-        Half side of the grid.
-
-    Returns
-    -------
-    EmpiricalPsf
-
-    Raises
-    ------
-    InputError
-        A number is below 1.
-    """
+    """Average the stars of an image on a grid."""
     require(
         oversampling >= 1 and half_px >= 1, f"oversampling and half_px must be >= 1, got {oversampling} and {half_px}"
     )

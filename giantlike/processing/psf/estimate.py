@@ -84,12 +84,7 @@ class PsfEstimate(Value):
     n_rejected: int
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the estimate as a mapping for JSON.
-
-        Returns
-        -------
-        dict
-        """
+        """Return the estimate as a mapping for JSON."""
         errors = np.sqrt(np.diag(self.covariance)).reshape(self.coefficients.shape)
         return {
             "kind": str(self.kind),
@@ -107,14 +102,7 @@ class PsfEstimate(Value):
     def shapes_at(self, points_px: ArrayLike) -> Float:
         """Evaluate the shape at pixels.
 
-        Parameters
-        ----------
-        points_px : (n, 2), px
-
-        Returns
-        -------
-        (n, 4) float64
-            ln sigma (of px), e1, e2, 1/beta.
+        ``points_px`` (n, 2); returns (n, 4), ln sigma (of px), e1, e2, 1/beta.
         """
         points = np.atleast_2d(np.asarray(points_px, dtype=np.float64))
         free = field_terms(points, self.columns, self.rows, self.degree) @ self.coefficients.T
@@ -136,17 +124,7 @@ class PsfEstimate(Value):
 def field_terms(points_px: Float, columns: int, rows: int, degree: int) -> Float:
     """Terms of a polynomial of the position in the image.
 
-    Parameters
-    ----------
-    points_px : (n, 2) float64, px
-    columns, rows : int
-        Size of the image.
-    degree : int
-
-    Returns
-    -------
-    (n, t) float64
-        Constant first; coordinates go from -1 to 1 over the image.
+    ``points_px`` (n, 2); returns (n, t), constant first (coordinates go from -1 to 1 over the image).
     """
     half = np.array([columns - 1, rows - 1]) / 2.0
     x, y = ((points_px - half) / np.maximum(half, 1.0)).T
@@ -162,31 +140,7 @@ def estimate_psf(
     degree: int = 0,
     mask: ArrayLike | None = None,
 ) -> PsfEstimate | Failure:
-    """Estimate the point spread function from isolated, unsaturated stars of an image.
-
-    Parameters
-    ----------
-    pixels : (rows, columns) real, DN
-    detections : Detections
-        Of this image; the 200 brightest without flags and with a signal to noise ratio of 15 are used.
-    detector : Detector
-        Gain, for the shot noise, and saturation.
-    kind : PsfKind
-    degree : int
-        Of the polynomials of the position in the image, 0 to 3; 0 is one function for the whole image.
-    mask : (rows, columns) bool, optional
-        True where a pixel is bad.
-
-    Returns
-    -------
-    PsfEstimate or Failure
-        ``too_few_detections``: fewer than three usable stars for each term; ``not_converged``.
-
-    Raises
-    ------
-    InputError
-        The degree is out of range, or pixels and mask differ in size.
-    """
+    """Estimate the point spread function from isolated, unsaturated stars of an image."""
     array = np.asarray(pixels)
     require(0 <= degree <= 3, f"degree must be 0 to 3, got {degree}")
     require(array.ndim == 2, f"pixels must be a 2-D array, got shape {array.shape}")
@@ -230,22 +184,6 @@ def remeasure(
 
     Only isolated detections that may be stars: not those that are blended, cut, saturated or unlike stars. The others
     are unchanged, as are those whose fit moves by more than a pixel.
-
-    Parameters
-    ----------
-    pixels : (rows, columns) real, DN
-    detections : Detections
-        Of this image.
-    psf : PsfEstimate
-    detector : Detector
-        Gain, for the shot noise.
-    mask : (rows, columns) bool, optional
-
-    Returns
-    -------
-    Detections
-        In the same order; covariances are the inverse Fisher information, times the reduced chi-square if that is more
-        than noise explains.
     """
     chosen = np.flatnonzero((detections.flags & np.uint16(UNUSABLE)) == 0)
     if not chosen.size:
@@ -281,28 +219,7 @@ def star_patches(
     mask: ArrayLike | None = None,
     half_px: int | None = None,
 ) -> Patches:
-    """Cut-outs around stars, by default as large as the fit of their shape needs.
-
-    Parameters
-    ----------
-    pixels : (rows, columns) real, DN
-    stars : Detections
-    detector : Detector
-        Gain and saturation.
-    mask : (rows, columns) bool, optional
-        True where a pixel is bad.
-    half_px : int, px, optional
-        Half side; default four recorded widths of a star.
-
-    Returns
-    -------
-    Patches
-
-    Raises
-    ------
-    InputError
-        Pixels and mask differ in size.
-    """
+    """Cut-outs around stars, by default as large as the fit of their shape needs."""
     array, bad = np.asarray(pixels), None if mask is None else np.asarray(mask, dtype=bool)
     require(bad is None or bad.shape == array.shape, f"mask must have the shape of the pixels, {array.shape}")
     half = math.ceil(_PATCH_WIDTHS * recorded_width_px(stars.psf_sigma_px)) + 1 if half_px is None else half_px

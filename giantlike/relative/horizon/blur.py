@@ -40,17 +40,7 @@ class DepthBlur(Value):
     def of(cls, width_px: float, offsets_px: Float, count: int) -> DepthBlur:
         """Make the weights of a blur.
 
-        Parameters
-        ----------
-        width_px : float, px
-        offsets_px : (m,) float64, px
-            Distances from the horizon, positive outward; the first is the innermost.
-        count : int
-            Number of depths.
-
-        Returns
-        -------
-        DepthBlur
+        ``offsets_px`` (m,), distances from the horizon, positive outward (the first is the innermost).
         """
         deepest = float(-offsets_px[0]) + _REACH_WIDTHS * width_px
         places, shares = _depth_rule(count)
@@ -62,19 +52,7 @@ class DepthBlur(Value):
     def applied(self, light: Float, curvature: Float, normals_px: Float) -> Float:
         """Blur brightness inside points of a horizon.
 
-        Parameters
-        ----------
-        light : (b, k, q) float64
-            At the depths inside k points.
-        curvature : (k,) float64, 1/px
-            Of the horizon.
-        normals_px : (k, 2) float64, unitless
-            Of the horizon: pixels are squares.
-
-        Returns
-        -------
-        (b, k, 3, m) float64
-            Blurred brightness at the distances, and its first two derivatives by them.
+        ``light`` (b, k, q); ``curvature`` (k,) 1/px; ``normals_px`` (k, 2); returns (b, k, 3, m).
         """
         bend = curvature[:, None]
         bends = bend / np.maximum(1.0 - bend * self.depths_px, LEAST_RADIUS)  # of the lines of equal depth

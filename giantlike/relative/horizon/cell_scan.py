@@ -124,11 +124,7 @@ class CellMeasurement(LimbMeasurement):
     def about_shared(self) -> tuple[Float, Float]:
         """Add up what is known of the shared errors before and what the kept cells say, every shift left free.
 
-        Returns
-        -------
-        information : (s, s) float64
-        pull : (s,) float64
-            Information times estimate.
+        Returns ``information`` (s, s) and ``pull`` (s,).
         """
         information, pull = self.fits.about_shared(self.keep)
         scale2 = self.noise_scale2
@@ -138,11 +134,7 @@ class CellMeasurement(LimbMeasurement):
     def blur_and_law(self) -> tuple[Float, Float]:
         """Estimate the shared errors with every shift left free.
 
-        Returns
-        -------
-        estimate : (s,) float64
-            Variance of the blur beyond that assumed, px^2; errors of the law.
-        covariance : (s, s) float64
+        Returns ``estimate`` (s,) and ``covariance`` (s, s).
         """
         information, pull = self.about_shared()
         scale = np.sqrt(np.diagonal(information))
@@ -165,23 +157,6 @@ def measure_by_cells(
 
     What is left is for the solution that comes after: its profiles are linear in the shift to second order, so that a
     last step of s px leaves errors of s^2 over the width of the blur, about a pixel.
-
-    Parameters
-    ----------
-    view : LimbView
-    figure : Figure
-        As seen: with the altitude of the limb on its radii.
-    law : Reflectance
-    position_camera_km : (3,) float64, km, camera axes
-        Of the ellipsoid's center, predicted.
-    search : IteratedSearch
-    options : HorizonScan
-
-    Returns
-    -------
-    LimbMeasurement or Failure
-        ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME``, ``SATURATED``, ``NOT_CONVERGED``, ``LARGE_RESIDUALS`` or
-        ``DEGENERATE_GEOMETRY``.
     """
     scan = CellScan(view=view, figure=figure, law=law, search=search, options=options)
     lit = scan.lit(position_camera_km, reach_px=search.search_px)
@@ -275,21 +250,7 @@ class CellScan(Value):
     def lit(self, position_km: Float, *, reach_px: float) -> tuple[HorizonArc, Float, bool] | Failure:
         """Part of the horizon that is lit and in the frame, or not farther outside than ``reach_px``.
 
-        Parameters
-        ----------
-        position_km : (3,) float64, km, camera axes
-        reach_px : float, px
-
-        Returns
-        -------
-        arc : HorizonArc
-            Of k points.
-        light : (k,) float64
-            Brightness just inside.
-        cut_by_frame : bool
-            Part of the whole horizon lies outside the frame.
-
-        Or a Failure: ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME`` or ``DEGENERATE_GEOMETRY``.
+        ``position_km`` in camera axes; returns ``arc``, ``light`` (k,) and ``cut_by_frame``.
         """
         view, sun = self.view, self.view.sun_direction_camera
         whole = horizon_arc(view.model, self.figure, position_km)

@@ -35,32 +35,8 @@ def fitted(
 ) -> tuple[Float, Float, Float]:
     """Fit the profiles of each cell, leaving out pixels that are far from the fit.
 
-    Parameters
-    ----------
-    first : (c + 1,) int64
-        The first pixel of each cell, and n.
-    data_dn : (n,) float64, DN
-    along : (n,) float64
-        Place in the cell, over its length.
-    value : (n, p + q) float64
-        Brightness by p powers of the cosine of emission, of which the last is shared by all cells, as are q profiles
-        that may be mixed in.
-    slope, curve : (n, p) float64
-        Its derivatives by the distance from the horizon, 1/px and 1/px^2, for the powers.
-    largest_left : float
-        Share of the brightness inside that pixels may lie off the fit, beside noise.
-    dark_dn2, gain_e_per_dn, relative_noise : float
-        Noise: without light, DN^2; of light; of each pixel, over its light.
-
-    Returns
-    -------
-    information : (c, 1 + s, 1 + s) float64
-        On the shift of the horizon and the s = 2 + q shared errors, what is free in each cell left free.
-    pull : (c, 1 + s) float64
-        Information times estimate.
-    rest : (5, c) float64
-        Chi-square per degree of freedom, gain in DN, contrast, unexplained share and used share, as of
-        :class:`~giantlike.relative.horizon.cells.CellFits`.
+    ``first`` (c + 1,), the first pixel of each cell, and n; ``data_dn``, ``along`` (n,); ``value`` (n, p + q);
+    ``slope``, ``curve`` (n, p); returns ``information`` (c, 1 + s, 1 + s), ``pull`` (c, 1 + s) and ``rest`` (5, c).
     """
     cells, free = len(first) - 1, slope.shape[1] - 1
     inner = free + 2  # parameters of a cell: the powers that are free, growth along it, background
@@ -170,23 +146,8 @@ def _reduced(
 ) -> float:
     """Weighted squares that a cell leaves with all free; fill in what it says of the last of its terms and residuals.
 
-    Parameters
-    ----------
-    terms : (n, i + o) float64
-        Columns of what belongs to the cell and of what all cells share.
-    inner : int
-        The number i of the former.
-    data : (n,) float64, DN
-    weights : (n,) float64, 1/DN^2
-    freedom : int
-    information, pull : (o, o), (o,) float64
-        Filled in: hardly any information for a cell of which rounding alone is left.
-    left : (n,) float64, DN
-        Filled in.
-
-    Returns
-    -------
-    float
+    ``terms`` (n, i + o); ``data`` (n,) DN; ``weights`` (n,) 1/DN^2; ``information`` (o, o), ``pull`` (o,); ``left``
+    (n,) DN.
     """
     n, total = terms.shape
     outer = total - inner

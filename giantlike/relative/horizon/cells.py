@@ -74,15 +74,7 @@ class CellFits(Value):
     def about_shared(self, keep: Mask) -> tuple[Float, Float]:
         """Add up what cells say about the shared errors, every shift left free.
 
-        Parameters
-        ----------
-        keep : (c,) bool
-
-        Returns
-        -------
-        information : (s, s) float64
-        pull : (s,) float64
-            Information times estimate.
+        ``keep`` (c,); returns ``information`` (s, s) and ``pull`` (s,).
         """
         crossed = self.information[keep, 1:, 0]
         gained = self.information[keep, 1:, 1:] - crossed[:, :, None] * self.shared[keep, None, :]
@@ -99,22 +91,6 @@ def fit_cells(
     largest_left: float = math.inf,
 ) -> CellFits:
     """Fit the profiles of a table to the pixels of each cell.
-
-    Parameters
-    ----------
-    pixels : LimbPixels
-    data_dn : (rows, columns) float64, DN
-    table : ProfileTable
-        Its last power and the profiles after it are shared errors; the powers before are free in each cell.
-    detector : Detector
-        Its noise is that of the pixels.
-    largest_left : float
-        Pixels that are farther from the fit, with all free, than this share of the brightness inside and than noise,
-        are left out: dead columns, cosmic rays.
-
-    Returns
-    -------
-    CellFits
 
     Notes
     -----

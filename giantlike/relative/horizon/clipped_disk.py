@@ -19,20 +19,7 @@ def measure_clipped(
 ) -> LimbMeasurement | Failure:
     """Measure the horizon of an ellipsoid that is clipped all along by lines, whose template is clipped alike.
 
-    Parameters
-    ----------
-    view : LimbView
-    figure : Figure
-    law : Reflectance
-    position_km : (3,) float64, km, camera axes
-        Predicted.
-    search : IteratedSearch
-    options : ScanOptions
-
-    Returns
-    -------
-    LimbMeasurement or Failure
-        As of :func:`giantlike.relative.limb.line_scan.measure_by_lines`.
+    ``position_km`` in camera axes; returned as by :func:`giantlike.relative.limb.line_scan.measure_by_lines`.
     """
     body = Body(
         shape=Ellipsoid(radii_km=figure.radii_km),

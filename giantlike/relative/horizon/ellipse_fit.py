@@ -197,19 +197,7 @@ def limb_edges(
 ) -> LimbMeasurement | Failure:
     """Measure the edges of the lit limb near the predicted one.
 
-    Parameters
-    ----------
-    view : LimbView
-    stand_in : EllipsoidStandIn
-    sunlight : (2,) float64, unitless
-        Unit vector along which sunlight travels in the image; zero where it has no direction.
-    options : EllipseFitOptions
-
-    Returns
-    -------
-    LimbMeasurement or Failure
-        ``NO_LIMB`` or ``SATURATED``. Distances are from the ellipsoid where it is predicted, corrected for what
-        brightness that changes inside the limb does to edges.
+    ``sunlight`` (2,), unit vector along which sunlight travels in the image.
     """
     if not sunlight.any():
         return Failure(Reason.NO_LIMB, "the Sun stands behind the camera: sunlight has no direction in the image")
@@ -284,24 +272,7 @@ def fit_limb_ellipse(
     options: EllipseFitOptions,
     altitude: Altitude,
 ) -> tuple[LimbMeasurement, LimbSolution] | Failure:
-    """Fit an ellipse to edges of a limb, and the horizon of the body to those that lie on it.
-
-    Parameters
-    ----------
-    measured : LimbMeasurement
-    view : LimbView
-    stand_in : EllipsoidStandIn
-        As seen: with the altitude of the limb on its radii.
-    options : EllipseFitOptions
-    altitude : Altitude
-        Of the limb.
-
-    Returns
-    -------
-    (LimbMeasurement, LimbSolution) or Failure
-        The points that lie on the ellipse, and the position of the origin of the shape. ``NO_LIMB``,
-        ``NOT_CONVERGED`` or ``DEGENERATE_GEOMETRY``.
-    """
+    """Fit an ellipse to edges of a limb, and the horizon of the body to those that lie on it."""
     model, observed_px, figure = view.model, measured.observed_px, stand_in.figure
     plane = _Plane.touching(unit(stand_in.position_camera_km))
     points = plane.points(model, observed_px)

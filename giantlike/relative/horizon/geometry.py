@@ -80,23 +80,8 @@ class Figure(Value):
     def cone(self, position_camera_km: Float) -> tuple[Float, Float]:
         """Cone of the rays that graze the ellipsoid.
 
-        Parameters
-        ----------
-        position_camera_km : (3,) float64, km, camera axes
-            Center s of the ellipsoid.
-
-        Returns
-        -------
-        pull : (3,) float64, 1/km
-            The vector A s.
-        conic : (3, 3) float64, 1/km^2
-            The matrix ``M = A s s.A - (s.A.s - 1) A``: ``x.M.x`` is zero for rays x that graze the body, positive for
-            those that meet it.
-
-        Raises
-        ------
-        InputError
-            The camera is inside the ellipsoid.
+        Returns ``pull`` (3,) 1/km; ``conic`` (3, 3) 1/km^2, the matrix ``M = A s s.A - (s.A.s - 1) A``: ``x.M.x`` is
+        zero for rays x that graze the body, positive for those that meet it.
         """
         pull = self.shape_matrix @ position_camera_km
         strength = float(position_camera_km @ pull)
@@ -138,20 +123,7 @@ class Altitude:
     def after(self, left: Float, design: Float, covariance: Float, lift: Float) -> Altitude:
         """Estimate the altitude from a fit of the position; it stays as before where the range takes up all of it.
 
-        Parameters
-        ----------
-        left : (n,) float64, px
-            Residuals.
-        design : (n, 3) float64, px/km
-            Motion of the points with the position.
-        covariance : (n, n) float64, px^2
-            Of the residuals, that by the altitude in it.
-        lift : (n,) float64, px/km
-            Motion of the points with the altitude.
-
-        Returns
-        -------
-        Altitude
+        ``left`` (n,) px; ``design`` (n, 3) px/km; ``covariance`` (n, n) px^2; ``lift`` (n,) px/km.
         """
         variance = self.sigma_km**2
         if variance == 0.0:
@@ -199,25 +171,7 @@ def christian_robinson(
 ) -> Float | Failure:
     r"""Position of an ellipsoid from points on its horizon; no start value is needed.
 
-    Parameters
-    ----------
-    points_px : (n, 2), px
-        In the distorted image, n >= 4.
-    model : CameraModel
-    figure : Figure
-    method : CraMethod
-    sigma_px : (n,) or float, px
-        Standard deviations of the points along the normal of the horizon; weights of the maximum likelihood only.
-
-    Returns
-    -------
-    (3,) float64, km, camera axes, or Failure
-        From the camera to the center. ``TOO_FEW_DETECTIONS`` or ``DEGENERATE_GEOMETRY``.
-
-    Raises
-    ------
-    InputError
-        Shapes disagree, or a point lies where the model has no direction.
+    ``points_px`` (n, 2); ``sigma_px`` (n,); returns (3,) km, camera axes.
 
     Notes
     -----
@@ -272,23 +226,10 @@ def horizon_residuals(
 ) -> tuple[Float, Float, Float]:
     """Distances of image points from the horizon, and motion of the horizon with the body.
 
-    Parameters
-    ----------
-    points_px : (n, 2), px
-    model : CameraModel
-    figure : Figure
-    position_camera_km : (3,), km, camera axes
-        Of the center.
-
-    Returns
-    -------
-    residuals_px : (n,) float64, px
-        Distance from the nearest point of the horizon, positive outside; NaN where there is none.
-    jacobian : (n, 3) float64, px/km
-        Outward motion of the horizon at that point with the position, so that a step solves
-        ``jacobian @ step = residuals``.
-    normals_px : (n, 2) float64, unitless
-        Outward unit normals of the horizon there.
+    ``points_px`` (n, 2); returns ``residuals_px`` (n,), distance from the nearest point of the horizon, positive
+    outside, NaN where there is none; ``jacobian`` (n, 3) px/km, outward motion of the horizon at that point with the
+    position, so that a step solves ``jacobian @ step = residuals``; ``normals_px`` (n, 2), outward unit normals of the
+    horizon there.
 
     Notes
     -----
@@ -310,17 +251,7 @@ def altitude_design(points_px: ArrayLike, model: CameraModel, figure: Figure, po
     It is nearly that with a shorter range, times range over radius: what is not known of the altitude of a limb is
     lost for the range, unless the ellipsoid is seen from so near that the two differ.
 
-    Parameters
-    ----------
-    points_px : (n, 2), px
-        On the horizon.
-    model : CameraModel
-    figure : Figure
-    position_camera_km : (3,), km, camera axes
-
-    Returns
-    -------
-    (n,) float64, px/km
+    ``points_px`` (n, 2); returns (n,) px/km.
     """
     rays = PixelRays.through(_points(points_px), model)
     position = as_finite(position_camera_km, (3,), "position_camera_km")
@@ -333,17 +264,7 @@ def altitude_design(points_px: ArrayLike, model: CameraModel, figure: Figure, po
 def cone_weights(points_px: ArrayLike, model: CameraModel, figure: Figure, position_camera_km: ArrayLike) -> Float:
     """Weights that points have in the unweighted equations of the cone.
 
-    Parameters
-    ----------
-    points_px : (n, 2), px
-        On the horizon.
-    model : CameraModel
-    figure : Figure
-    position_camera_km : (3,), km, camera axes
-
-    Returns
-    -------
-    (n,) float64, 1/px^2
+    ``points_px`` (n, 2); returns (n,) 1/px^2.
     """
     points = _points(points_px)
     position = as_finite(position_camera_km, (3,), "position_camera_km")
@@ -370,24 +291,7 @@ def fit_horizon(
 ) -> LimbSolution:
     """Fit the position of an ellipsoid to all points of a measured limb at once.
 
-    Parameters
-    ----------
-    measured : LimbMeasurement
-    model : CameraModel
-    figure : Figure
-        As seen: with the altitude on its radii.
-    start_km : (3,) float64, km, camera axes
-        Near the solution.
-    altitude : Altitude
-    sun_direction_camera : (3,) float64, unitless, camera axes
-        Unit vector from body to Sun.
-    method : CraMethod
-        Other than maximum likelihood, the position is taken as it is and gets the covariance of that method.
-
-    Returns
-    -------
-    LimbSolution
-        Its position is that of the ellipsoid's center.
+    ``start_km`` in camera axes; ``sun_direction_camera``: unit vector from body to Sun.
 
     Notes
     -----

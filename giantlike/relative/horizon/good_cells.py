@@ -109,20 +109,6 @@ def good_cells(
     Profiles are linear in the shift to second order only. On a horizon with relief, cells that are fitted about where
     it was predicted take the squares of their shifts for more blur and another law, which moves the whole horizon: by
     0.3-0.5 px outward with relief of 0.6 px.
-
-    Parameters
-    ----------
-    view : LimbView
-    arc : HorizonArc
-        Of k points: the part of the horizon that counts.
-    table : ProfileTable
-    clear : (rows, columns) bool
-        Pixels that are used.
-    rules : CellRules
-
-    Returns
-    -------
-    GoodCells or NoCells
     """
     displaced_px = np.zeros(len(arc.points_px))
     cells = _fitted(view, arc, table, clear, displaced_px, rules)

@@ -56,16 +56,7 @@ class HorizonScan(ScanOptions):
             Rings(*self.rings_km)  # checks the values
 
     def about(self, target: Target) -> HorizonScan:
-        """Return the options with the rings of a target, where they tell none.
-
-        Parameters
-        ----------
-        target : Target
-
-        Returns
-        -------
-        HorizonScan
-        """
+        """Return the options with the rings of a target, where they tell none."""
         rings = target.rings
         return (
             self

@@ -54,23 +54,7 @@ def limb_pixels(
 ) -> LimbPixels | None:
     """Gather the pixels near a horizon in cells.
 
-    Parameters
-    ----------
-    arc : HorizonArc
-        Part of the horizon that counts.
-    usable : (rows, columns) bool
-    window_px : float, px
-        Reach to both sides of the horizon.
-    cell_px : float, px
-        Length of a cell along the horizon.
-    displaced_px : (k,) float64, px
-        How far outside the horizon of the ellipsoid the one in the image lies at each of its points: distances are from
-        there.
-
-    Returns
-    -------
-    LimbPixels or None
-        None where there is no usable pixel.
+    ``displaced_px`` (k,); returns None where there is no usable pixel.
     """
     pieces = max(round(arc.spacing_px / _ALONG_STEP_PX), 1)
     nearest, corner = _nearest_points(
@@ -122,21 +106,9 @@ def _nearest_points(
 ) -> tuple[NDArray[np.int32], Indices]:
     """Pixels of a grid about points of a horizon.
 
-    Parameters
-    ----------
-    points_px, normals_px : (k, 2) float64
-    displaced_px : (k,) float64, px
-        Outward, from where pixels are looked for.
-    usable : (rows, columns) bool
-    across_px, along_px : (a,), (b,) float64, px
-        The grid.
-
-    Returns
-    -------
-    nearest : (h, w) int32
-        The last of the points about which a pixel was found; -1 for all others and where pixels are not usable.
-    corner : (2,) int64, px
-        Column and row of its first.
+    ``points_px``, ``normals_px`` (k, 2); ``displaced_px`` (k,), outward, from where pixels are looked for;
+    ``across_px`` (a,), ``along_px`` (b,); returns ``nearest`` (h, w), -1 for all others and where pixels are not
+    usable; ``corner`` in px, column and row of its first.
     """
     reach = np.abs(across_px).max() + np.abs(displaced_px).max() + np.abs(along_px).max() + 1.0
     low, high = np.empty(2, np.int64), np.empty(2, np.int64)
@@ -169,29 +141,9 @@ def _places(
 ) -> tuple[Indices, Float, Indices]:
     """Places of pixels on a horizon, for which a piece of a circle through a point near each stands.
 
-    Parameters
-    ----------
-    nearest : (h, w) int32
-        A point of the horizon near each pixel, or -1.
-    corner : (2,) int64, px
-    points_px, normals_px : (k, 2) float64
-    curvature : (k,) float64, 1/px
-    along_px : (k,) float64, px
-        Length of the horizon from its start.
-    sense : float
-        1 where it grows along tangents, which are normals turned from x to y; else -1.
-    displaced_px : (k,) float64, px
-        How far outside of the horizon distances are from.
-    window_px : float, px
-        Largest distance.
-
-    Returns
-    -------
-    pixels : (n, 2) int64, px
-    places : (n, 2) float64, px
-        Length of the horizon from its start to the nearest point, and distance.
-    nodes : (n,) int64
-        Points of the horizon nearest to these.
+    ``nearest`` (h, w), a point of the horizon near each pixel, or -1; ``corner`` in px; ``points_px``, ``normals_px``
+    (k, 2); ``curvature`` (k,) 1/px; ``along_px`` (k,); ``sense``: else -1; ``displaced_px`` (k,); returns ``pixels``
+    (n, 2) px, ``places`` (n, 2) px and ``nodes`` (n,).
     """
     most = nearest.size
     pixels, places, nodes = np.empty((most, 2), np.int64), np.empty((most, 2)), np.empty(most, np.int64)

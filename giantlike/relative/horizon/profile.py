@@ -126,19 +126,7 @@ class HorizonArc(Value):
 
 
 def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -> HorizonArc | Failure:
-    """Lay points on the horizon of an ellipsoid.
-
-    Parameters
-    ----------
-    model : CameraModel
-    figure : Figure
-    position_camera_km : (3,) float64, km, camera axes
-
-    Returns
-    -------
-    HorizonArc or Failure
-        ``OUT_OF_FRAME`` when the model images none of it; ``DEGENERATE_GEOMETRY`` for a camera inside.
-    """
+    """Lay points on the horizon of an ellipsoid."""
     turn = figure.camera_from_axes
     ellipse = limb_ellipse(Ellipsoid(radii_km=figure.radii_km), rotate(turn.inv(), -position_camera_km))
     middle, first, second = (rotate(turn, vector) for vector in ellipse)
@@ -207,19 +195,7 @@ class ProfileTable(Value):
     def at(self, along_px: Float, outward_px: Float) -> tuple[Float, Float, Float]:
         """Interpolate the table.
 
-        Parameters
-        ----------
-        along_px : (n,) float64, px
-            Places along the horizon.
-        outward_px : (n,) float64, px
-            Distances from it.
-
-        Returns
-        -------
-        value : (n, p + q) float64
-            Brightness.
-        slope, curve : (n, p) float64
-            Its first two derivatives, 1/px and 1/px^2, for the powers.
+        ``along_px``, ``outward_px`` (n,); returns ``value`` (n, p + q) and ``slope``, ``curve`` (n, p).
         """
         return _interpolated(self.knots_px, self.first_px, self.step_px, self.values, self.powers, along_px, outward_px)
 
@@ -274,27 +250,8 @@ def profile_table(
 ) -> ProfileTable:
     r"""Tabulate the brightness that a blurred image of an ellipsoid has across its horizon.
 
-    Parameters
-    ----------
-    arc : HorizonArc
-    sun_direction_camera : (3,) float64, unitless, camera axes
-        Unit vector from body to Sun.
-    law : Reflectance or None
-        Brightness of the surface; None for surface of brightness 1, lit or not: a plain sigmoid.
-    width_px : float, px
-        Standard deviation of all that blurs.
-    window_px : float, px
-        How far from the horizon the table reaches.
-    powers : int
-        ``law mu^j`` is tabulated for j from 0 up to this, not included.
-    others : tuple of Reflectance
-        Other laws, tabulated after the powers.
-    wings_px : tuple of float, px
-        Standard deviations of all that blurs in wings of the point spread function, tabulated last.
-
-    Returns
-    -------
-    ProfileTable
+    ``sun_direction_camera``: unit vector from body to Sun; ``powers``: ``law mu^j`` is tabulated for j from 0 up to
+    this, not included.
 
     Notes
     -----
@@ -350,18 +307,7 @@ def brightness_inside(arc: HorizonArc, sun_direction_camera: Float, law: Reflect
     On the horizon itself the cosine of incidence says little: with the Sun behind the camera it is zero all around,
     however bright the limb.
 
-    Parameters
-    ----------
-    arc : HorizonArc
-        Of k points.
-    sun_direction_camera : (3,) float64, unitless, camera axes
-        Unit vector from body to Sun.
-    law : Reflectance
-
-    Returns
-    -------
-    (k,) float64
-        In the unit of the law.
+    ``sun_direction_camera``: unit vector from body to Sun; returns (k,), in the unit of the law.
     """
     light = _surface(arc, _LIT_DEPTHS_PX, sun_direction_camera).brightness(law)
     return np.asarray(light.mean(axis=1), dtype=np.float64)

@@ -16,28 +16,10 @@ def distances(
 ) -> tuple[Float, Float, Float]:
     """Find the nearest points of a horizon by Newton steps.
 
-    Parameters
-    ----------
-    directions : (n, 3) float64, unitless, camera axes
-        Of pixels.
-    by_pixel : (n, 3, 2) float64, 1/px
-        Their change with the pixel.
-    pull : (3,) float64, 1/km
-        Shape matrix of the ellipsoid times the position of its center.
-    conic : (3, 3) float64, 1/km^2
-        Of its cone: see :meth:`~giantlike.relative.horizon.geometry.Figure.cone`.
-    shape : (3, 3) float64, 1/km^2
-    steps : int
-        At least 1.
-
-    Returns
-    -------
-    outward_px : (n,) float64, px
-        Distances of the pixels from the horizon, positive outside.
-    by_position : (n, 3) float64, px/km
-        Motion of the horizon outward with the position.
-    normals_px : (n, 2) float64, unitless
-        Outward.
+    ``directions`` (n, 3), camera axes; ``by_pixel`` (n, 3, 2) 1/px; ``pull`` (3,) 1/km; ``conic`` (3, 3) 1/km^2, of its
+    cone: see :meth:`~giantlike.relative.horizon.geometry.Figure.cone`; ``shape`` (3, 3) 1/km^2; returns ``outward_px``
+    (n,), distances of the pixels from the horizon, positive outside; ``by_position`` (n, 3) px/km, motion of the
+    horizon outward with the position; ``normals_px`` (n, 2), outward.
     """
     count = len(directions)
     outward, by_position, normals = np.empty(count), np.empty((count, 3)), np.empty((count, 2))
@@ -73,15 +55,7 @@ def distances(
 def curvatures(directions: Float, by_pixel: Float, normals_px: Float, conic: Float) -> Float:
     """Curvature of a horizon in the image.
 
-    Parameters
-    ----------
-    directions, by_pixel, conic
-        As of :func:`distances`, at points of the horizon.
-    normals_px : (n, 2) float64, unitless
-
-    Returns
-    -------
-    (n,) float64, 1/px
+    ``normals_px`` (n, 2); returns (n,) 1/px.
     """
     result = np.empty(len(directions))
     for k in range(len(directions)):

@@ -37,15 +37,7 @@ class Surface(Value):
     def brightness(self, law: Reflectance | None) -> Float:
         """Brightness of the surface.
 
-        Parameters
-        ----------
-        law : Reflectance or None
-            None for a surface of brightness 1.
-
-        Returns
-        -------
-        (k, q) float64
-            0 where a ray meets nothing.
+        Returns (k, q), 0 where a ray meets nothing.
         """
         if law is None:
             return self.meets.astype(np.float64)
@@ -76,28 +68,11 @@ def traced(
 ) -> tuple[Mask, Float, Float, Float]:
     """Trace rays inside points of a horizon.
 
-    Parameters
-    ----------
-    directions : (k, 3) float64, unitless, camera axes
-        Of the points.
-    inward : (k, 3) float64, 1/px
-        Their change by one pixel inward.
-    depths_px : (q,) float64, px
-        Inside the points.
-    position_km : (3,) float64, km, camera axes
-        Of the center of the ellipsoid.
-    shape_matrix : (3, 3) float64, 1/km^2, camera axes
-        Points of its surface about the center have ``x.A.x == 1``.
-    conic : (3, 3) float64, 1/km^2
-        Directions of its horizon have ``x.M.x == 0``, those that meet it more.
-    sun : (3,) float64, unitless, camera axes
-        Unit vector from body to Sun.
-
-    Returns
-    -------
-    meets : (k, q) bool
-    incidence, emission, phase_rad : (k, q) float64
-        As of :class:`Surface`.
+    ``directions`` (k, 3), camera axes; ``inward`` (k, 3) 1/px, their change by one pixel inward; ``depths_px`` (q,);
+    ``position_km`` in camera axes; ``shape_matrix`` (3, 3) 1/km^2, camera axes, points of its surface about the center
+    have ``x.A.x == 1``; ``conic`` (3, 3) 1/km^2, directions of its horizon have ``x.M.x == 0``, those that meet it
+    more; ``sun`` in camera axes, unit vector from body to Sun; returns ``meets`` (k, q); ``incidence``, ``emission``,
+    ``phase_rad`` (k, q), as of :class:`Surface`.
     """
     shape = (len(directions), len(depths_px))
     meets, incidence = np.empty(shape, np.bool_), np.empty(shape)

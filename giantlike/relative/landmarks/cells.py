@@ -9,19 +9,7 @@ from giantlike.relative.inputs import EstimatorInputs
 
 
 def in_cells(inputs: EstimatorInputs, size_px: int) -> EstimatorInputs:
-    """Average the image of an estimator over cells.
-
-    Parameters
-    ----------
-    inputs : EstimatorInputs
-    size_px : int, px
-        Pixels along the side of a cell.
-
-    Returns
-    -------
-    EstimatorInputs
-        Cells are usable where all of their pixels are. Their noise is taken to be that of a pixel.
-    """
+    """Average the image of an estimator over cells."""
     usable, good = (whole_blocks(mask, size_px) for mask in (inputs.usable, ~inputs.masked))
     return replace(
         inputs,

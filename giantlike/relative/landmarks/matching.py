@@ -50,19 +50,7 @@ class LandmarkMatch(Value):
 def correlation_surface(pixels_dn: Float, usable: Mask, patch: Patch, search_px: int) -> Float:
     """Correlation of a patch with the image.
 
-    Parameters
-    ----------
-    pixels_dn : (rows, columns) float64, DN
-    usable : (rows, columns) bool
-    patch : Patch
-    search_px : int, px
-        Largest shift, along each axis. With a wide search the ground around the landmark is matched along with it, if
-        it is rendered: that makes the place more certain.
-
-    Returns
-    -------
-    (2 s + 1, 2 s + 1) float64
-        For all shifts by whole pixels; NaN where undefined.
+    ``pixels_dn`` (rows, columns); returns (2 s + 1, 2 s + 1), NaN where undefined.
     """
     light = patch.light[patch.core]
     low = np.array([patch.box.x + patch.core[1].start, patch.box.y + patch.core[0].start])
@@ -79,16 +67,7 @@ def correlation_surface(pixels_dn: Float, usable: Mask, patch: Patch, search_px:
 def common_shift(surfaces: Sequence[Float], radii_px: Float) -> NDArray[np.int64]:
     """Shift that most landmarks agree with.
 
-    Parameters
-    ----------
-    surfaces : sequence of (k, k) float64
-        Correlations of each landmark, from :func:`correlation_surface`.
-    radii_px : (n,) float64, px
-        Largest distance of each from the common shift.
-
-    Returns
-    -------
-    (2,) int64, px
+    ``surfaces`` sequence of (k, k); ``radii_px`` (n,); returns (2,) px.
     """
     total = np.zeros_like(surfaces[0])
     for surface, radius in zip(surfaces, radii_px, strict=True):
@@ -104,19 +83,7 @@ def common_shift(surfaces: Sequence[Float], radii_px: Float) -> NDArray[np.int64
 def peak_near(surface: Float, shift_px: NDArray[np.int64], radius_px: float) -> tuple[Float, float] | None:
     """Peak of a correlation surface near a shift.
 
-    Parameters
-    ----------
-    surface : (k, k) float64
-        From :func:`correlation_surface`.
-    shift_px : (2,) int64, px
-    radius_px : float, px
-        Largest distance from the shift.
-
-    Returns
-    -------
-    peak_px : (2,) float64, px
-    score : float
-        Correlation there. Both, or None where there is no peak within the radius.
+    ``surface`` (k, k); returns ``peak_px`` (2,) and ``score``.
     """
     half = (surface.shape[0] - 1) // 2
     reach = math.ceil(radius_px) + 1
@@ -134,20 +101,7 @@ def peak_near(surface: Float, shift_px: NDArray[np.int64], radius_px: float) -> 
 def fit_patch(pixels: BoxPixels, patch: Patch, shift_px: NDArray[np.int64], score: float) -> LandmarkMatch | None:
     """Fit a patch to the image near a whole shift.
 
-    Parameters
-    ----------
-    pixels : BoxPixels
-        The whole image.
-    patch : Patch
-    shift_px : (2,) int64, px
-        Of the correlation peak, rounded.
-    score : float
-        Correlation there.
-
-    Returns
-    -------
-    LandmarkMatch or None
-        None where too few pixels are usable, or the fit moves away from the peak.
+    Returns None where too few pixels are usable, or the fit moves away from the peak.
 
     Notes
     -----

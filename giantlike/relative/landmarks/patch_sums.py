@@ -15,20 +15,7 @@ SHARED = 4
 def pixels_of(image: Float, used: Mask, light: Float, other: Float) -> Float:
     """Values of some pixels that their model needs, side by side.
 
-    Parameters
-    ----------
-    image : (h, w) float64, DN
-    used : (h, w) bool
-        False within two pixels of the edges.
-    light, other : (h, w) float64
-        Brightness under two laws.
-
-    Returns
-    -------
-    (n, 11) float64
-        Of each pixel the image; place along x and y, from their means; brightness; its derivatives along x and y; what
-        these add to the derivatives of brightness times place; and brightness under the other law and its derivatives.
-        Derivatives are central, of fourth order, 1/px.
+    ``image`` (h, w) DN; ``used``, ``light``, ``other`` (h, w); returns (n, 11).
     """
     count, middle_x, middle_y = 0, 0.0, 0.0
     rows, columns = used.shape
@@ -72,21 +59,8 @@ def pixels_of(image: Float, used: Mask, light: Float, other: Float) -> Float:
 def normal_equations(pixels: Float, gains: Float, noise: Float) -> tuple[Float, Float]:
     """Sums of the linear fit of a patch, moved by a little, to pixels.
 
-    Parameters
-    ----------
-    pixels : (n, 11) float64
-        From :func:`pixels_of`.
-    gains : (k,) float64
-        Of the light, of the same times the places along x and y, of a constant and, if k is 5, of the other law, at
-        which the derivatives by the motion are taken.
-    noise : (n,) float64
-        Variance of the pixels.
-
-    Returns
-    -------
-    matrix : (2 + k, 2 + k) float64
-        Of the motion along x and y, px, and of the gains.
-    right : (2 + k,) float64
+    ``pixels`` (n, 11), from :func:`pixels_of`; ``gains`` (k,); ``noise`` (n,); returns ``matrix`` (2 + k, 2 + k) and
+    ``right`` (2 + k,).
     """
     count = 2 + gains.size
     matrix, right, terms = np.zeros((count, count)), np.zeros(count), np.empty(count)

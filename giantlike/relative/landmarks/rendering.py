@@ -166,11 +166,6 @@ class LandmarkRenderer(Value):
     surroundings : bool
         True to render the ground around landmarks too, where it is that of the shape.
 
-    Raises
-    ------
-    InputError
-        The camera model cannot be windowed.
-
     Notes
     -----
     Landmarks that were taken from the very shape of the target are cut from a render of that shape, with all the
@@ -196,24 +191,7 @@ class LandmarkRenderer(Value):
         traced: TracedGround | None = None,
         rough: TracedGround | None = None,
     ) -> tuple[tuple[Patch, ...], TracedGround | None]:
-        """Render the landmarks seen.
-
-        Parameters
-        ----------
-        body : Body
-        seen : SeenLandmarks
-        traced : TracedGround, optional
-            From a pose before, whose rays serve where that is near enough.
-        rough : TracedGround, optional
-            From another renderer of the same landmarks; no rays are sent to the Sun from ground that it saw lit.
-
-        Returns
-        -------
-        patches : tuple of Patch
-            In the order of ``seen``, without those of which too little can be rendered.
-        traced : TracedGround or None
-            Where all were rendered together.
-        """
+        """Render the landmarks seen."""
         landmarks = [self.catalog.landmarks[number] for number in seen.numbers]
         outlines = [self._outline(body, landmark) for landmark in landmarks]
         boxes = [self._box(outline, center) for outline, center in zip(outlines, seen.predicted_px, strict=True)]
@@ -359,14 +337,5 @@ def _filled(outline: Float, box: PixelBox) -> Mask:
 
 
 def rays_for(psf_sigma_px: float) -> int:
-    """Rays along each side of a pixel: more where the point spread function is too narrow to smooth their pattern.
-
-    Parameters
-    ----------
-    psf_sigma_px : float, px
-
-    Returns
-    -------
-    int
-    """
+    """Rays along each side of a pixel: more where the point spread function is too narrow to smooth their pattern."""
     return 3 if psf_sigma_px < 0.5 else math.ceil(1.4 / max(psf_sigma_px, 0.7))

@@ -40,11 +40,6 @@ class LandmarkBuildOptions:
         Heights along each side of a map.
     seed : int
         Of the places that are tried.
-
-    Raises
-    ------
-    InputError
-        A value is out of its range.
     """
 
     count: int = 150
@@ -66,21 +61,6 @@ DEFAULT_SIZE = 0.2  # of the mean radius
 
 def build_landmarks(mesh: TriangleMesh, options: LandmarkBuildOptions = DEFAULT_BUILD) -> LandmarkCatalog:
     """Choose landmarks on a mesh.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-    options : LandmarkBuildOptions
-
-    Returns
-    -------
-    LandmarkCatalog
-        The strongest texture first.
-
-    Raises
-    ------
-    InputError
-        A landmark would be as large as the body, or nowhere on it does a map of that size have heights throughout.
 
     Notes
     -----
@@ -115,21 +95,7 @@ _CATALOGS_LOCK = threading.Lock()
 
 
 def landmarks_of(mesh: TriangleMesh) -> LandmarkCatalog:
-    """Return the landmarks of a mesh by :data:`DEFAULT_BUILD`, chosen once for each mesh object.
-
-    Parameters
-    ----------
-    mesh : TriangleMesh
-
-    Returns
-    -------
-    LandmarkCatalog
-
-    Raises
-    ------
-    InputError
-        As :func:`build_landmarks`.
-    """
+    """Return the landmarks of a mesh by :data:`DEFAULT_BUILD`, chosen once for each mesh object."""
     with _CATALOGS_LOCK:
         catalog = _CATALOGS.get(mesh)
         if catalog is None:

@@ -43,11 +43,6 @@ class VisibilityOptions:
     max_landmarks : int
         If more can be used, those with the strongest texture, well spread over the image.
 
-    Raises
-    ------
-    InputError
-        A value is out of its range.
-
     Notes
     -----
     Half and double of each default: ``benchmarks/sensitivity.md``. The angles decide most: half of either leaves so few
@@ -104,14 +99,7 @@ class SeenLandmarks(Value):
 
 
 class LandmarkViewer:
-    """Landmarks with the ground around them: selects for any pose those that can be seen.
-
-    Parameters
-    ----------
-    catalog : LandmarkCatalog
-    shape : Shape
-        Of the target; it hides and shades landmarks where it is a mesh.
-    """
+    """Landmarks with the ground around them: selects for any pose those that can be seen."""
 
     def __init__(self, catalog: LandmarkCatalog, shape: Shape) -> None:
         self.points_body_km: Float = np.array([landmark.point_body_km for landmark in catalog.landmarks])
@@ -146,17 +134,7 @@ class LandmarkViewer:
     ) -> SeenLandmarks:
         """Select the landmarks that an image can be matched with, for one pose of the body.
 
-        Parameters
-        ----------
-        body : Body
-        plane : FocalPlane
-        sun_direction_camera : (3,) float64, unitless, camera axes
-            Unit vector from body to Sun.
-        options : VisibilityOptions
-
-        Returns
-        -------
-        SeenLandmarks
+        ``sun_direction_camera``: unit vector from body to Sun.
         """
         model, camera_km, sun = plane.model, body.camera_body_km, body.to_body(sun_direction_camera)
         predicted = model.project(body.to_camera(self.points_body_km) + body.position_camera_km)
@@ -219,17 +197,7 @@ _VIEWERS_LOCK = threading.Lock()
 
 
 def viewer_for(catalog: LandmarkCatalog, shape: Shape) -> LandmarkViewer:
-    """Return the viewer of a catalog on a shape, made once and cached with the catalog.
-
-    Parameters
-    ----------
-    catalog : LandmarkCatalog
-    shape : Shape
-
-    Returns
-    -------
-    LandmarkViewer
-    """
+    """Return the viewer of a catalog on a shape, made once and cached with the catalog."""
     with _VIEWERS_LOCK:
         viewers = _VIEWERS.setdefault(catalog, {})
         if shape.sha256 not in viewers:

@@ -17,20 +17,7 @@ _LEAST_GOOD = 0.5
 
 
 def averaged(inputs: EstimatorInputs, size: int) -> EstimatorInputs:
-    """Return the inputs on means over blocks of pixels.
-
-    Parameters
-    ----------
-    inputs : EstimatorInputs
-    size : int
-        Pixels along the side of a block.
-
-    Returns
-    -------
-    EstimatorInputs
-        Places and camera count blocks. Means are those of the pixels that are not bad; a block is saturated where all
-        of these are, so that its value is that at which the image was clipped.
-    """
+    """Return the inputs on means over blocks of pixels."""
     camera, psf = inputs.camera, inputs.camera.psf
     width_px = UNKNOWN_PSF_SIGMA_PX if psf is None else psf.sigma_px
     values, masked = _means(inputs.pixels_dn, inputs.masked, size)
@@ -49,20 +36,7 @@ def averaged(inputs: EstimatorInputs, size: int) -> EstimatorInputs:
 
 
 def on_pixels(fix: CenterFix, inputs: EstimatorInputs, size: int) -> CenterFix:
-    """Return a fix to means over blocks in pixels.
-
-    Parameters
-    ----------
-    fix : CenterFix
-        Of :func:`averaged` inputs; its residuals are those of whole blocks.
-    inputs : EstimatorInputs
-        Of pixels, for places and flags.
-    size : int
-
-    Returns
-    -------
-    CenterFix
-    """
+    """Return a fix to means over blocks in pixels."""
     half = 0.5 * (size - 1)
     used = np.zeros([-(-length // size) for length in inputs.masked.shape], bool)
     columns, rows = fix.residuals_at_px.astype(np.int64).T

@@ -103,14 +103,7 @@ class LawMixture(Value):
     def at(self, shares: Float) -> Template:
         """Return the body under the law assumed plus a share of each change.
 
-        Parameters
-        ----------
-        shares : (3,) float64
-            The first, towards the dark law, leaves the light in total as it is; the others are per rad.
-
-        Returns
-        -------
-        Template
+        ``shares`` (3,), the first, towards the dark law, leaves the light in total as it is (the others are per rad).
         """
         own, changes = np.ascontiguousarray(self.own.brightness), np.ascontiguousarray(self.changes)
         return replace(self.own, brightness=mixed(own, changes, shares * float(own.sum())))
@@ -249,19 +242,6 @@ def _settled(change: Float, covariance: Float) -> bool:
 
 def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
     """Fit the shares of a mixture of laws to the brightness of blocks of the body.
-
-    Parameters
-    ----------
-    light : BodyLight
-    laws : LawMixture
-        Of a body of the size that the image shows: one that is too small by 1 % looks darker towards its limb, as if
-        its law were 3 % of the way between two from what it is.
-    radius_px : float, px
-        Apparent radius of the body.
-
-    Returns
-    -------
-    LawFit
 
     Notes
     -----

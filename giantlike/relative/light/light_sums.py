@@ -12,20 +12,7 @@ from giantlike.core.compiled import compiled
 def kept_center(signal_dn: Float, threshold_dn: float, width: float) -> tuple[float, float, float]:
     """Center of the light that counts, as by ``separation.kept_light``.
 
-    Parameters
-    ----------
-    signal_dn : (h, w) float64, DN
-    threshold_dn : float, DN
-        Above 0.
-    width : float
-        Of the threshold, over it.
-
-    Returns
-    -------
-    x, y : float, px
-        Not finite where no light counts.
-    total_dn : float, DN
-        Of the light that counts.
+    ``signal_dn`` (h, w); returns ``x``, ``y`` in px, not finite where no light counts; ``total_dn``.
     """
     lowest, scale = (1.0 - 0.5 * width) * threshold_dn, 1.0 / (width * threshold_dn)
     total, along, down = 0.0, 0.0, 0.0

@@ -48,21 +48,7 @@ class LitSize:
 
 
 def first_scale(light: BodyLight, laws: LawMixture, *, range_sigma: float, trace: float) -> float:
-    """Size over that predicted, under the law assumed, by the faintest level; 1 where they are not consistent.
-
-    Parameters
-    ----------
-    light : BodyLight
-    laws : LawMixture
-    range_sigma : float
-        Of the prediction, relative.
-    trace : float
-        Share of the brightest pixel that is the faintest level.
-
-    Returns
-    -------
-    float
-    """
+    """Size over that predicted, under the law assumed, by the faintest level; 1 where they are not consistent."""
     level = _faintest_dn(light, trace)
     seen, own = _areas(light.signal_dn[light.region], level), _areas(light.expected_dn(laws.own.brightness), level)
     scale = math.sqrt(float(seen[0] / own[0]))
@@ -81,20 +67,7 @@ def measured_size(
 ) -> LitSize:
     """Size by areas under the law found, on which the faint ones depend little, and size predicted.
 
-    Parameters
-    ----------
-    light : BodyLight
-    laws : LawMixture
-        Of a body of the size predicted.
-    law : LawFit
-    range_sigma, trace : float
-        As for :func:`first_scale`.
-    psf_sigma_px, radius_px : float, px
-        Width of the point spread function as it is told, and radius predicted.
-
-    Returns
-    -------
-    LitSize
+    ``range_sigma``, ``trace`` as for :func:`first_scale`.
 
     Notes
     -----

@@ -43,20 +43,7 @@ def phase_correction_px(
 ) -> Float:
     """Correction from the center of the light to that of the figure.
 
-    Parameters
-    ----------
-    kind : Correction
-        Points get ``KAASALAINEN_TANGA`` for ``ELLIPSOID``.
-    rendered_px : (2,) float64, px
-        Correction of the rendered body.
-    geometry : TargetGeometry
-    model : CameraModel
-    radius_px : float, px
-        Apparent radius of the body.
-
-    Returns
-    -------
-    (2,) float64, px
+    ``rendered_px`` (2,); returns (2,).
     """
     if kind in (Correction.RENDERED, Correction.NONE):
         return rendered_px if kind is Correction.RENDERED else np.zeros(2)
@@ -77,15 +64,7 @@ def phase_correction_px(
 def sunlight_px(geometry: TargetGeometry, model: CameraModel) -> Float:
     """Direction of the sunlight in the image at the predicted center.
 
-    Parameters
-    ----------
-    geometry : TargetGeometry
-    model : CameraModel
-
-    Returns
-    -------
-    (2,) float64, unitless
-        Away from the Sun; zero at zero phase.
+    Returns (2,), zero at zero phase.
     """
     along = model.project_jacobian(geometry.position_camera_km) @ geometry.sun_direction_camera
     length = float(np.linalg.norm(along))
@@ -96,17 +75,8 @@ def sunlight_px(geometry: TargetGeometry, model: CameraModel) -> Float:
 def kaasalainen_tanga(sunlight: Float, *, radius_px: float, phase_angle_rad: float) -> Float:
     """Phase correction to add to a center of brightness.
 
-    Parameters
-    ----------
-    sunlight : (2,) float64, unitless, image axes
-        Unit vector along which the light travels in the image, away from the Sun.
-    radius_px : float, px
-        Apparent radius of the body.
-    phase_angle_rad : float, rad
-
-    Returns
-    -------
-    (2,) float64, px
+    ``sunlight`` (2,), image axes, unit vector along which the light travels in the image, away from the Sun; returns
+    (2,) px.
 
     References
     ----------
@@ -126,22 +96,8 @@ def ellipsoid_photocenter_km(
 ) -> Float:
     r"""Center of the light of a homogeneous ellipsoid that scatters by the law of Lommel and Seeliger.
 
-    Parameters
-    ----------
-    placed : PlacedEllipsoid
-    sun_direction_body, observer_direction_body : (3,), unitless, body
-        Unit vectors from the body to the Sun and to the observer, both far away.
-
-    Returns
-    -------
-    (3,) float64, km, body
-        From the origin of the shape to the mean place of the visible lit surface, weighted by its brightness; its
-        projection is the photocenter. Towards new phase it goes to the end of the crescent's middle.
-
-    Raises
-    ------
-    InputError
-        A direction is not a unit vector, or no light is seen (Sun behind the body).
+    ``sun_direction_body``, ``observer_direction_body``: unit vectors from the body to the Sun and to the observer, both
+    far away; returns (3,), body axes, towards new phase it goes to the end of the crescent's middle.
 
     Notes
     -----

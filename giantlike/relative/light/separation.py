@@ -79,17 +79,7 @@ class Prediction(Value):
 
 
 def seen_from(template: Template, corner_px: NDArray[np.int64]) -> Template:
-    """Return a template in coordinates that start at a pixel.
-
-    Parameters
-    ----------
-    template : Template
-    corner_px : (2,) int64, px
-
-    Returns
-    -------
-    Template
-    """
+    """Return a template in coordinates that start at a pixel."""
     return replace(
         template,
         corner_px=template.corner_px - corner_px,
@@ -173,17 +163,8 @@ class BodyLight(Value):
     def centroid(self, threshold_dn: float) -> tuple[Float, Float, Float]:
         """Center of the light above a threshold.
 
-        Parameters
-        ----------
-        threshold_dn : float, DN
-
-        Returns
-        -------
-        center_px : (2,) float64, px
-        noise_px2 : (2, 2) float64, px^2
-            Covariance by the noise of the pixels.
-        background_px2 : (2, 2) float64, px^2
-            Covariance by the errors of the plane under them, and by the bend of the sky, as one sigma.
+        Returns ``center_px``; ``noise_px2`` (2, 2), covariance by the noise of the pixels; ``background_px2`` (2, 2),
+        covariance by the errors of the plane under them, and by the bend of the sky, as one sigma.
         """
         rows, columns = np.nonzero(self.region & (self.signal_dn > (1.0 - 0.5 * _CUT) * threshold_dn))
         signal = self.signal_dn[rows, columns]
@@ -201,16 +182,7 @@ class BodyLight(Value):
     def expected_dn(self, brightness: Float, *, brighter: float = 1.0) -> Float:
         """Signal of a template: scaled to all of the light, and clipped where the image is.
 
-        Parameters
-        ----------
-        brightness : (h, w) float64
-            Of a template; any scale.
-        brighter : float
-            Factor on the brightness before it is clipped.
-
-        Returns
-        -------
-        (h, w) float64, DN
+        ``brightness`` (h, w); returns (h, w).
         """
         total = self.total_dn
         gain = total / float(brightness.sum())
@@ -228,18 +200,7 @@ class BodyLight(Value):
     ) -> Float:
         """From the center of a template's light, cut and filled like the image, to the center of its body.
 
-        Parameters
-        ----------
-        template : Template
-        threshold_dn : float, DN
-        brighter : float
-            As for :meth:`expected_dn`.
-        filled : bool
-            Fill the bad pixels of the image in the template too.
-
-        Returns
-        -------
-        (2,) float64, px
+        ``brighter`` as for :meth:`expected_dn`; returns (2,).
         """
         expected = self.expected_dn(template.brightness, brighter=brighter)
         if filled and self.bad.any():
@@ -252,15 +213,7 @@ class BodyLight(Value):
 def kept_light(signal_dn: Float, threshold_dn: float) -> Float:
     """Light that counts: none below half of a threshold, all from one and a half on, and between them a growing share.
 
-    Parameters
-    ----------
-    signal_dn : (...) float64, DN
-    threshold_dn : float, DN
-        Above 0.
-
-    Returns
-    -------
-    (...) float64, DN
+    ``signal_dn`` (...); returns (...) DN.
 
     Notes
     -----
@@ -287,22 +240,7 @@ def kept_center_of(light: Float, threshold_dn: float) -> Float:
 
 
 def light_of(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Prediction) -> BodyLight | Failure:
-    """Find the light of the body and separate it from the dark and from other bodies.
-
-    Parameters
-    ----------
-    image : BoxPixels
-        The whole image.
-    bad, saturated : (rows, columns) bool
-        Pixels to fill, and pixels whose light was clipped.
-    prediction : Prediction
-
-    Returns
-    -------
-    BodyLight or Failure
-        ``NO_SIGNAL``; ``AMBIGUOUS``, also where light at the edge of the image is joined to that of a body that is
-        predicted inside; ``SATURATED``; and ``OUT_OF_FRAME`` where the edge cuts the light of the body.
-    """
+    """Find the light of the body and separate it from the dark and from other bodies."""
     sky = _sky(image, prediction)
     if isinstance(sky, Failure):
         return sky

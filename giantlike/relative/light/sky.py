@@ -49,27 +49,7 @@ class SkyPlane(Value):
 
     @classmethod
     def through(cls, pixels_dn: Float, dark: Mask, *, step_px: int = 1, least_sigma_dn: float = 0.0) -> SkyPlane:
-        """Fit the dark pixels of an image; stars and other bodies among them are clipped away.
-
-        Parameters
-        ----------
-        pixels_dn : (rows, columns) float64, DN
-        dark : (rows, columns) bool
-            Pixels of the sky: at least 6, and less than half of them bright.
-        step_px : int, px
-            From one of these pixels of the image to the next.
-        least_sigma_dn : float, DN
-            Least noise of a pixel, for skies that were clipped.
-
-        Returns
-        -------
-        SkyPlane
-
-        Raises
-        ------
-        InputError
-            There are fewer than 6 pixels.
-        """
+        """Fit the dark pixels of an image; stars and other bodies among them are clipped away."""
         places = np.flatnonzero(dark)
         places = places[:: max(places.size // SKY_SAMPLE, 1)]
         require(places.size >= _N_BEND, f"a plane and its bend need {_N_BEND} dark pixels, got {places.size}")
@@ -102,42 +82,18 @@ class SkyPlane(Value):
         )
 
     def seen_from(self, corner_px: NDArray[np.int64]) -> SkyPlane:
-        """Return the same plane in coordinates that start at a pixel.
-
-        Parameters
-        ----------
-        corner_px : (2,) int64, px
-
-        Returns
-        -------
-        SkyPlane
-        """
+        """Return the same plane in coordinates that start at a pixel."""
         return replace(self, middle_px=self.middle_px - corner_px)
 
     def basis(self, columns: Float, rows: Float) -> Float:
         """Return the terms of the paraboloid at pixels; the first three are those of the plane.
 
-        Parameters
-        ----------
-        columns, rows : (n,) float64, px
-
-        Returns
-        -------
-        (n, 6) float64
+        ``columns``, ``rows`` (n,); returns (n, 6).
         """
         return _bend_basis((columns - self.middle_px[0]) / self.scale_px, (rows - self.middle_px[1]) / self.scale_px)
 
     def levels_dn(self, shape: tuple[int, ...]) -> Float:
-        """Brightness of the plane on every pixel of an image.
-
-        Parameters
-        ----------
-        shape : (rows, columns)
-
-        Returns
-        -------
-        (rows, columns) float64, DN
-        """
+        """Brightness of the plane on every pixel of an image."""
         x = (np.arange(shape[1]) - self.middle_px[0]) / self.scale_px
         y = (np.arange(shape[0]) - self.middle_px[1]) / self.scale_px
         return np.asarray(self.plane_dn[0] + self.plane_dn[1] * x[None, :] + self.plane_dn[2] * y[:, None])

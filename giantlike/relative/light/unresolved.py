@@ -188,17 +188,7 @@ def _excess(total: Float, part: Float) -> Float:
 
 
 def rays_across(diameter_px: float, phase_rad: float) -> int:
-    """Rays over a body: as many on the lit part of its disk at any phase, and enough through it.
-
-    Parameters
-    ----------
-    diameter_px : float, px
-    phase_rad : float, rad
-
-    Returns
-    -------
-    int
-    """
+    """Rays over a body: as many on the lit part of its disk at any phase, and enough through it."""
     lit = max(0.5 * (1.0 + math.cos(phase_rad)), _LEAST_LIT)
     across = float(np.clip(_RAYS_PER_PIXEL * diameter_px, *_RAYS_ACROSS)) / math.sqrt(lit)
     through = min(_RAYS_THROUGH_PER_PIXEL * diameter_px, _RAYS_THROUGH) / lit

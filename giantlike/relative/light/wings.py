@@ -29,19 +29,7 @@ _LEAST_PX, _LEAST_SIGMAS = 50, 5.0
 def wing_share(light: BodyLight, template: Template, *, psf_sigma_px: float, radius_px: float) -> float:
     """Share of the light of a body that lies in wings of the point spread function.
 
-    Parameters
-    ----------
-    light : BodyLight
-    template : Template
-        The body without wings.
-    psf_sigma_px : float, px
-    radius_px : float, px
-        Apparent radius of the body.
-
-    Returns
-    -------
-    float
-        From 0 to 0.5; 0 where the dark around the body shows none.
+    Returns 0 where the dark around the body shows none.
     """
     expected = light.expected_dn(template.brightness)
     wings = _blurred(expected, _WIDTHS * psf_sigma_px)
@@ -61,18 +49,7 @@ def wing_share(light: BodyLight, template: Template, *, psf_sigma_px: float, rad
 
 
 def with_wings(laws: LawMixture, share: float, psf_sigma_px: float) -> LawMixture:
-    """Return the body with a share of its light in wings.
-
-    Parameters
-    ----------
-    laws : LawMixture
-    share : float
-    psf_sigma_px : float, px
-
-    Returns
-    -------
-    LawMixture
-    """
+    """Return the body with a share of its light in wings."""
 
     def spread(brightness: Float) -> Float:
         return (1.0 - share) * brightness + share * _blurred(brightness, _WIDTHS * psf_sigma_px)

@@ -66,15 +66,7 @@ class ClippedProfiles(Value):
 def clipping_level_dn(view: LimbView, scans: Scans) -> float | None:
     """Level at which the pixels on lines across a limb are clipped.
 
-    Parameters
-    ----------
-    view : LimbView
-    scans : Scans
-
-    Returns
-    -------
-    float or None, DN
-        Over bias; None where no patch of saturated pixels lies on the lines.
+    Returns None where no patch of saturated pixels lies on the lines.
     """
     clipped = view.clipped
     if clipped.any():
@@ -87,20 +79,8 @@ def clipped_profiles(
 ) -> ClippedProfiles:
     """Clip a rendered body at a level, with the brightness that fits the image best.
 
-    Parameters
-    ----------
-    images : sequence of (rows, columns) float64
-        The body under its law, then under others in the same unit.
-    scans : Scans
-        The image along the lines, whose points are those of the rendered images.
-    level_dn : float, DN
-    view : LimbView
-    window_px, search_px : float, px
-        As of :func:`giantlike.processing.limb.scan.match_profiles`.
-
-    Returns
-    -------
-    ClippedProfiles
+    ``images`` sequence of (rows, columns); ``window_px``, ``search_px`` as of
+    :func:`giantlike.processing.limb.scan.match_profiles`.
     """
     variance = view.detector.variance_dn2
 
@@ -138,19 +118,7 @@ def clipped_profiles(
 def clipped_mean(mean: Float, level: float, sigma: Float) -> tuple[Float, Float]:
     """Mean of values with noise that are clipped at a level: less than the level even where it is the mean.
 
-    Parameters
-    ----------
-    mean : (...) float64
-        Without clipping.
-    level : float
-    sigma : (...) float64
-        Standard deviation of the noise, normal.
-
-    Returns
-    -------
-    clipped : (...) float64
-    below : (...) float64
-        Derivative of that by the mean: the chance that a value is not clipped.
+    ``mean``, ``sigma`` (...); returns ``clipped`` (...) and ``below`` (...).
 
     Examples
     --------

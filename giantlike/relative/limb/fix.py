@@ -149,16 +149,7 @@ class IteratedSearch(LimbSearch):
 
 
 def limb_view(inputs: EstimatorInputs) -> LimbView:
-    """Take what measurements of a limb need from the inputs of an estimator.
-
-    Parameters
-    ----------
-    inputs : EstimatorInputs
-
-    Returns
-    -------
-    LimbView
-    """
+    """Take what measurements of a limb need from the inputs of an estimator."""
     camera = inputs.camera
     return LimbView(
         pixels_dn=inputs.pixels_dn,
@@ -234,24 +225,7 @@ class LimbScan(Protocol[Measured]):
 def settle_limb(
     scan: LimbScan[Measured], start: LimbState, search: IteratedSearch, *, min_points: int, closest_km: float
 ) -> Measured | Failure:
-    """Measure a limb and move the body until the limb stands still.
-
-    Parameters
-    ----------
-    scan : LimbScan
-    start : LimbState
-        Good to a few pixels.
-    search : IteratedSearch
-    min_points : int
-        Number of good points below which there is no limb.
-    closest_km : float, km
-        Distance from the center of the body that the camera cannot go below.
-
-    Returns
-    -------
-    LimbMeasurement or Failure
-        What ``scan`` fails for, ``NOT_CONVERGED`` or ``LARGE_RESIDUALS``.
-    """
+    """Measure a limb and move the body until the limb stands still."""
     state = start
     for _ in range(search.max_iterations):
         measured = scan.measure(state)
@@ -284,18 +258,7 @@ def settle_limb(
 
 
 def agreeing_step(measured: LimbMeasurement, outlier_mad: float) -> LimbStep:
-    """Take a robust least-squares step of the position.
-
-    Parameters
-    ----------
-    measured : LimbMeasurement
-    outlier_mad : float
-        Points beyond so many robust sigmas do not agree.
-
-    Returns
-    -------
-    LimbStep
-    """
+    """Take a robust least-squares step of the position."""
     step, keep = robust_solution(measured.shift_px, measured.design, measured.sigma_px, outlier_mad=outlier_mad)
     return LimbStep(position_km=step, keep=keep)
 
@@ -305,15 +268,7 @@ def next_motion_px(before_px: float, moved_px: float) -> float:
 
     The iteration converges by about the same factor each time; after the first step nothing is known of it.
 
-    Parameters
-    ----------
-    before_px : float, px
-        Infinite where there was no step before.
-    moved_px : float, px
-
-    Returns
-    -------
-    float, px
+    ``before_px``: infinite where there was no step before.
 
     Examples
     --------
@@ -364,24 +319,7 @@ def limb_fix(
     *,
     allowed_rms_px: float = math.inf,
 ) -> PositionFix | Failure:
-    """Judge a position from a limb and put it into a :class:`PositionFix`.
-
-    Parameters
-    ----------
-    inputs : EstimatorInputs
-    measured : LimbMeasurement
-    solution : LimbSolution
-    search : LimbSearch
-    allowed_rms_px : float, px
-        Larger residuals are a failure.
-
-    Returns
-    -------
-    PositionFix or Failure
-        ``LARGE_RESIDUALS``, ``DEGENERATE_GEOMETRY``, ``WRONG_SHAPE`` where the ellipsoid that stands for a shape
-        leaves so much of the range open that right fixes lie beyond the search, or ``NO_LIMB`` where the outline was
-        found beyond the search and most of it is unlike a limb there.
-    """
+    """Judge a position from a limb and put it into a :class:`PositionFix`."""
     place = _Place.of(inputs, solution)
     refused = _refused(place, inputs, measured, search, allowed_rms_px)
     if refused is not None:

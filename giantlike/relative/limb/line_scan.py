@@ -172,20 +172,8 @@ def lay_lines(
 ) -> LimbLines | None:
     """Lay lines across the lit limb in even steps.
 
-    Parameters
-    ----------
-    view : LimbView
-    outline : Outline
-    spacing_px : float, px
-        Along the limb; longer where ``max_lines`` are not enough.
-    max_lines : int
-    margin_px : float, px
-        Distance of the limb from the edge of the frame; negative for limb outside.
-
-    Returns
-    -------
-    LimbLines or None
-        None where no lit limb lies in the frame.
+    ``margin_px``: distance of the limb from the edge of the frame (negative for limb outside); returns None where no
+    lit limb lies in the frame.
     """
     points, angles = outline.silhouette.points_px, outline.silhouette.angles_rad
     chord = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
@@ -218,25 +206,7 @@ def measure_by_lines(
     relief: SmoothError | None = None,
     other_laws: tuple[Reflectance, ...] = OTHER_LAWS,
 ) -> LineMeasurement | Failure:
-    """Find the limb of a body and measure it line by line until it stands still.
-
-    Parameters
-    ----------
-    view : LimbView
-    body : Body
-        At the predicted position.
-    search : IteratedSearch
-    options : LimbScanOptions
-    relief : SmoothError, optional
-        Departure of the true outline from that of the body.
-    other_laws : tuple of Reflectance
-        Laws of what the light may have instead or besides.
-
-    Returns
-    -------
-    LineMeasurement or Failure
-        ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME``, ``SATURATED``, ``NOT_CONVERGED`` or ``LARGE_RESIDUALS``.
-    """
+    """Find the limb of a body and measure it line by line until it stands still."""
     outline = Outline.traced(view, body)
     lines = lay_lines(
         view, outline, spacing_px=_COARSE_SPACING_PX, max_lines=_COARSE_LINES, margin_px=-search.search_px
@@ -278,23 +248,7 @@ def measure_by_lines(
 def measure_once(
     view: LimbView, body: Body, search: IteratedSearch, options: LimbScanOptions, *, psf_px2: float
 ) -> LineMeasurement | Failure:
-    """Measure the limb of a body line by line where it is.
-
-    Parameters
-    ----------
-    view : LimbView
-    body : Body
-        Where and as it was found.
-    search : IteratedSearch
-    options : LimbScanOptions
-    psf_px2 : float, px^2
-        Variance of the point spread function as it was found.
-
-    Returns
-    -------
-    LineMeasurement or Failure
-        ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME`` or ``SATURATED``.
-    """
+    """Measure the limb of a body line by line where it is."""
     outline = Outline.traced(view, body)
     lines = lay_lines(
         view, outline, spacing_px=options.spacing_px, max_lines=options.max_lines, margin_px=options.margin_px
@@ -381,22 +335,7 @@ class LineScan(Value):
     def measured(
         self, position_camera_km: Float, *, psf_px2: float | None = None, extra_px: float = 0.0
     ) -> LineMeasurement | Failure:
-        """Measure the limb across the body at a position.
-
-        Parameters
-        ----------
-        position_camera_km : (3,) float64, km, camera axes
-            Good to a few pixels.
-        psf_px2 : float, px^2, optional
-            Variance of the point spread function; None for a first, rough measurement with what is known of it.
-        extra_px : float, px
-            How much farther than ``options`` say each line is searched.
-
-        Returns
-        -------
-        LineMeasurement or Failure
-            ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME`` or ``SATURATED``.
-        """
+        """Measure the limb across the body at a position."""
         view, options, body = self.view, self.options, self.body.at(position_camera_km)
         limb = self._limb(body, first=psf_px2 is None)
         if isinstance(limb, Failure):

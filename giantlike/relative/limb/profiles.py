@@ -196,24 +196,7 @@ def expected_profiles(
 ) -> ExpectedProfiles | Failure:
     """Profiles that lines should show.
 
-    Parameters
-    ----------
-    view : LimbView
-    body : Body
-    scans : Scans
-        The lines.
-    psf_px2 : float, px^2
-        Variance of the point spread function.
-    options : LimbScanOptions
-    other_laws : sequence of Reflectance
-        Laws of what the light may have instead or besides.
-    first : bool
-        For a first, rough measurement: with fewer rays and without shared parameters.
-
-    Returns
-    -------
-    ExpectedProfiles or Failure
-        As of :func:`giantlike.ray_tracing.render_near`.
+    Failures are those of :func:`giantlike.ray_tracing.render_near`.
     """
     if options.edges is EdgeModel.STEP:
         return _alone(np.tile(_step_profile(scans, psf_px2), (len(scans.points_px), 1)))
@@ -292,21 +275,7 @@ def _alone(values: Float) -> ExpectedProfiles:
 
 
 def step_shortfall(scans: Scans, psf_px2: float, view: LimbView, options: LimbScanOptions) -> float:
-    """How far a step with a slope misses the limb of a disk that darkens towards it, over what the slope changes.
-
-    Parameters
-    ----------
-    scans : Scans
-    psf_px2 : float, px^2
-    view : LimbView
-    options : LimbScanOptions
-
-    Returns
-    -------
-    float
-        Root of the sum of the squares of both, over the second: by so much the shift that freeing the slope makes is to
-        be multiplied to cover what no slope can describe. That of a sphere as bright as the cosine of emission.
-    """
+    """How far a step with a slope misses the limb of a disk that darkens towards it, over what the slope changes."""
     width = math.sqrt(psf_px2 + PIXEL_VARIANCE_PX2 + SAMPLING_VARIANCE_PX2)
     depth = np.arange(0.5 * _DEPTH_STEP_PX, scans.offsets_px[-1] + 6.0 * width, _DEPTH_STEP_PX)
     cosine = np.sqrt(np.maximum(1.0 - np.maximum(1.0 - depth / view.radius_px, 0.0) ** 2, 0.0))
@@ -329,19 +298,7 @@ def match_lines(
 ) -> MatchedLines:
     """Match the lines of an image with the profiles expected there, and find what all lines share.
 
-    Parameters
-    ----------
-    view : LimbView
-    scans : Scans
-    profiles : ExpectedProfiles
-    window_px, search_px : float, px
-        As of :func:`giantlike.processing.limb.scan.match_profiles`.
-    loose : bool
-        The profiles are not those of the body itself: good lines need to be less alike.
-
-    Returns
-    -------
-    MatchedLines
+    ``window_px``, ``search_px`` as of :func:`giantlike.processing.limb.scan.match_profiles`.
     """
     variance = view.detector.variance_dn2
     layout, found = profiles.layout, np.zeros(profiles.layout.count)

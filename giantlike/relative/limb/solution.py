@@ -37,19 +37,7 @@ class Weighted(Value):
 def weighted(measured: LimbMeasurement, design: Float, radius_px: float, *, min_length_px: float) -> Weighted:
     """Weight the points that are kept by the errors that their residuals show.
 
-    Parameters
-    ----------
-    measured : LimbMeasurement
-    design : (n, k) float64
-        Outward motion of the n points that are kept with each parameter, px per unit.
-    radius_px : float, px
-        Apparent radius of the body.
-    min_length_px : float, px
-        Shortest correlation length along the limb that is considered.
-
-    Returns
-    -------
-    Weighted
+    ``design`` (n, k), outward motion of the n points that are kept with each parameter, px per unit.
     """
     keep = measured.keep
     shift_px, sigma_px, points = measured.shift_px[keep], measured.sigma_px[keep], measured.predicted_px[keep]
@@ -65,20 +53,7 @@ def weighted(measured: LimbMeasurement, design: Float, radius_px: float, *, min_
 
 
 def solve_limb(measured: LimbMeasurement, radius_px: float, *, min_length_px: float = 1.5) -> LimbSolution:
-    """Take the last step of the iteration, with the covariance that the residuals show.
-
-    Parameters
-    ----------
-    measured : LimbMeasurement
-    radius_px : float, px
-        Apparent radius of the body.
-    min_length_px : float, px
-        Shortest correlation length along the limb that is considered.
-
-    Returns
-    -------
-    LimbSolution
-    """
+    """Take the last step of the iteration, with the covariance that the residuals show."""
     keep = measured.keep
     shift_px, design = measured.shift_px[keep], measured.design[keep]
     solved = weighted(measured, design, radius_px, min_length_px=min_length_px)

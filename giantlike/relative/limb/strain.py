@@ -23,20 +23,7 @@ _STRAINS = 2
 def fix_of_strained(
     inputs: EstimatorInputs, measured: LimbMeasurement, solution: LimbSolution, search: IteratedSearch
 ) -> PositionFix | Failure:
-    """Judge a position from a limb, with the factor by which its variances are too small for a strain of the outline.
-
-    Parameters
-    ----------
-    inputs : EstimatorInputs
-    measured : LimbMeasurement
-        Settled.
-    solution : LimbSolution
-    search : IteratedSearch
-
-    Returns
-    -------
-    PositionFix or Failure
-    """
+    """Return the fix of a limb, with the factor by which its variances are too small for a strain of the outline."""
     fix = limb_fix(inputs, measured, solution, search, allowed_rms_px=search.allowed_rms_px(measured))
     tension = strain_tension(measured, inputs)
     if isinstance(fix, Failure) or tension == 1.0:
@@ -50,19 +37,6 @@ def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
     A pole, a roll or axes that are told wrong, and a smear of the image, stretch an outline along one direction. So do
     the longest waves of relief, but these come with shorter ones, which the strain leaves among the residuals: how much
     relief there is follows from them.
-
-    Parameters
-    ----------
-    measured : LimbMeasurement
-        Settled.
-    inputs : EstimatorInputs
-        Haze may stand higher over some of the limb than over the rest by as much as its altitude is uncertain.
-
-    Returns
-    -------
-    float
-        1 where too few points tell, where the outline is not that of the body (a stand-in, or one with a height map),
-        and where only the place is wanted.
 
     Notes
     -----

@@ -37,22 +37,6 @@ def with_terrain(
 ) -> LimbMeasurement:
     """Take the relief of the height map of a target off the points of its measured limb.
 
-    Parameters
-    ----------
-    measured : LimbMeasurement
-        Against the ellipsoid of the target.
-    inputs : EstimatorInputs
-    outlier_mad : float
-        Points beyond so many robust sigmas of one position are left out; those that relief alone moved come back.
-    slope_error : float
-        Error of the limb by light on the slopes of its relief, over the root mean square of that.
-
-    Returns
-    -------
-    LimbMeasurement
-        The same for a target without a map. Else its shifts are those that the ellipsoid would show, ``terrain`` tells
-        what was taken off, and its errors hold what is not known of that.
-
     Notes
     -----
     The profile is that of the predicted geometry. A body that is found elsewhere in the image turns no other side to
@@ -109,23 +93,7 @@ def with_terrain(
 def judged(measured: LimbMeasurement, terrain_px: Float, *, known_px: float, scatter_px: float) -> tuple[float, float]:
     """Compare a limb with and without its relief.
 
-    Parameters
-    ----------
-    measured : LimbMeasurement
-        Without it.
-    terrain_px : (n,) float64, px
-        The relief as predicted.
-    known_px : float, px
-        Standard deviation of what neighbors share of the errors of that.
-    scatter_px : float, px
-        Of what is new in each step of the map, that of the map being a step of the limb.
-
-    Returns
-    -------
-    log_odds : float
-        Logarithm of the odds that the limb is smooth, against that the relief is right.
-    misfit : float
-        Residuals with the relief over what its errors and the noise come to.
+    ``terrain_px`` (n,); returns ``log_odds`` and ``misfit``.
 
     Notes
     -----

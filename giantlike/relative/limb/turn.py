@@ -41,26 +41,7 @@ def limb_turn(
 ) -> BodyTurn | None:
     """Find the turn of a body about the line of sight, and its place with it.
 
-    Parameters
-    ----------
-    measured : LimbMeasurement
-        The settled limb of the body as told.
-    again : callable
-        Measures the limb at a position (3,), km, of the body turned from what was told by a rotation vector (3,),
-        rad, both in camera axes.
-    camera : Camera
-        Its uncertainty counts: an image that is stretched looks like a turned outline.
-    radius_px : float, px
-        Apparent radius of the body.
-    search : IteratedSearch
-        Whose outliers are left out, and whose tolerance says when the limb stands still.
-    min_length_px : float, px
-        Shortest correlation length along the limb that is considered.
-
-    Returns
-    -------
-    BodyTurn or None
-        None where the outline is too round, or does not come to rest.
+    Returns None where the outline is too round, or does not come to rest.
     """
     axis, turn_rad, before_px = unit(measured.position_camera_km), 0.0, math.inf
     for _ in range(search.max_iterations):

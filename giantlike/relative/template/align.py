@@ -28,20 +28,7 @@ def align_template(
 ) -> TemplateState:
     """Improve a rough start from one render by moving and scaling it, on images reduced in size and then less so.
 
-    Parameters
-    ----------
-    pixels : BoxPixels
-    lights : (k, h, w) float64
-        A template rendered for the state ``rendered``, under the law of the target first, then under others: with one
-        law alone, a limb that is brighter or darker than it says looks like another size.
-    rendered, start : TemplateState
-    radius_px : float, px
-        Of the body; the first reduction leaves 12 px of it, the last 40.
-
-    Returns
-    -------
-    TemplateState
-        The best state on the way, which may be the start.
+    ``lights`` (k, h, w).
     """
     state = start
     for radius in _RADII_PX:

@@ -65,17 +65,7 @@ class Blocks(Value):
 
 
 def blocks_of(inputs: EstimatorInputs) -> Blocks:
-    """Average the image of an estimator over blocks as large as the body allows.
-
-    Parameters
-    ----------
-    inputs : EstimatorInputs
-
-    Returns
-    -------
-    Blocks
-        Of one pixel where the body is small.
-    """
+    """Average the image of an estimator over blocks as large as the body allows."""
     wanted = max(round(math.sqrt(2.0 * inputs.radius_px / _DIAMETER_PX)), 1)
     sound = float(np.count_nonzero(inputs.usable))
     for size in range(min(wanted, *inputs.usable.shape), 1, -1):

@@ -163,26 +163,7 @@ def robust_fit(
 ) -> RobustFit | None:
     """Weighted least squares, with weights that allow for errors of the model.
 
-    Parameters
-    ----------
-    layout : Layout
-    matrix : (k, h, w) float64
-        Derivatives of the values by the parameters.
-    measured : Measured
-    prior : Prior
-    clip_sigma : float
-        Values with larger residuals, in standard deviations, are rejected.
-    start : (m,) float64, optional
-        Sizes of the errors from a fit nearby.
-    markings : MarkingModes, optional
-        Undeclared markings of the body.
-    approach : bool
-        Keep the sizes of the errors and the variances of the markings as they are at the start.
-
-    Returns
-    -------
-    RobustFit or None
-        None when the values do not determine the parameters.
+    ``matrix`` (k, h, w); ``start`` (m,); returns None when the values do not determine the parameters.
     """
     shape, variances, certain = matrix.shape[1:], measured.variances, measured.offered & ~measured.censored
     noise, shapes = variances.noise, variances.shapes
@@ -214,19 +195,7 @@ def robust_fit(
 def model_errors(residuals: Float, variances: VarianceModel, start: Float, *, clip_sigma: float) -> Float:
     """Sizes of several kinds of model error under which Gaussian residuals are most likely.
 
-    Parameters
-    ----------
-    residuals : (n,) float64
-    variances : VarianceModel
-    start : (m,) float64
-        Positive.
-    clip_sigma : float
-        Residuals beyond so many standard deviations count as if they lay there.
-
-    Returns
-    -------
-    (m,) float64
-        Not negative; from a sample where the values are many.
+    ``residuals`` (n,); ``start`` (m,), positive; returns (m,), not negative (from a sample where the values are many).
     """
     thin = slice(None, None, max(residuals.size // _VARIANCE_SAMPLES, 1))
     shapes = np.ascontiguousarray(variances.shapes[:, thin])
@@ -271,16 +240,8 @@ class LinearFit(Solution):
     def error_covariance(self, error: Float, *, length_px: float) -> Float:
         """Covariance of the parameters from an error of the model of known size.
 
-        Parameters
-        ----------
-        error : (h, w) float64
-            Image that one standard deviation of the error makes, with its sign.
-        length_px : float, px
-            Errors at a distance d have the correlation ``exp(-d^2 / (2 length_px^2))``.
-
-        Returns
-        -------
-        (k, k) float64
+        ``error`` (h, w); ``length_px``: errors at a distance d have the correlation ``exp(-d^2 / (2 length_px^2))``;
+        returns (k, k).
         """
         columns = self.columns
         scores = columns.projected * (columns.weights * error)
@@ -289,20 +250,7 @@ class LinearFit(Solution):
     def full_covariance(self, error: Float, *, of_noise: Float, blur_px: float, block_px: int) -> Float:
         """Covariance of the parameters from noise and from correlated errors of the model.
 
-        Parameters
-        ----------
-        error : (h, w) float64
-            Variance of the part that the point spread function spreads.
-        of_noise : (k, k) float64
-            From :meth:`noise_covariance`, of the part that is independent from pixel to pixel.
-        blur_px : float, px
-            Standard deviation of the point spread function.
-        block_px : int, px
-            Side of the blocks of the jackknife.
-
-        Returns
-        -------
-        (k, k) float64
+        ``error`` (h, w); ``of_noise`` (k, k); returns (k, k).
 
         Notes
         -----
@@ -331,15 +279,7 @@ class LinearFit(Solution):
     def jackknife(self, block_px: int) -> Float | None:
         """Covariance of the parameters from what changes when one block of pixels at a time is left out.
 
-        Parameters
-        ----------
-        block_px : int, px
-            Side of the blocks.
-
-        Returns
-        -------
-        (k, k) float64 or None
-            None where so few blocks hold the information that their scatter says little.
+        Returns (k, k), None where so few blocks hold the information that their scatter says little.
         """
         offsets = (0, block_px // 2) if self.residuals.size < _MANY_BLOCKS * block_px**2 else (0,)
         found = [self._jackknife(block_px, offset) for offset in offsets]

@@ -317,21 +317,7 @@ class TemplateMatch(Value):
     def fitted(
         self, image: BoxPixels, *, response: Response | None = None, smear: Smear | None = None
     ) -> TemplateMatch | Failure:
-        """Return the match with a response or a smear estimated beside the rest.
-
-        Parameters
-        ----------
-        image : BoxPixels
-            The whole image, in proportion to light by the response.
-        response : Response, optional
-            None is that of the options.
-        smear : Smear, optional
-            To start from; None is that of the fit.
-
-        Returns
-        -------
-        TemplateMatch or Failure
-        """
+        """Return the match with a response or a smear estimated beside the rest."""
         options = replace(self.options, response=response or self.options.response)
         start = replace(self.start, smear=smear or self.fit.state.smear)
         fit = fit_template(image.cut(self.box), self.synthesis, start, options=options)
@@ -350,32 +336,7 @@ def match_template(
     smear: Smear | None = None,
     altitude_sigma: float = 0.0,
 ) -> TemplateMatch | Failure:
-    """Find a body in an image by correlation with its template, and fit the template to the pixels.
-
-    Parameters
-    ----------
-    image : BoxPixels
-        The whole image.
-    good : (rows, columns) bool
-        Pixels for the correlation: those that are not bad. Saturated ones still say that it is bright there.
-    renderer : TemplateRenderer
-    psf_known : bool
-        True if the width of the point spread function is that of the camera, not a guess.
-    options : CrossCorrelationOptions
-    block_px : int, px
-        Pixels of the camera along the side of those of the image.
-    response : Response, optional
-        By which the pixels were made proportional to light; its bend is estimated along with the rest.
-    smear : Smear, optional
-        By which the template is smeared in the fit; what is left of it is estimated along with the rest.
-    altitude_sigma : float
-        Standard deviation of the altitude of the limb by haze, as a fraction of the radius.
-
-    Returns
-    -------
-    TemplateMatch or Failure
-        Failures are those of :class:`CrossCorrelation`.
-    """
+    """Find a body in an image by correlation with its template, and fit the template to the pixels."""
     radius_px = renderer.radius_px
     located = _located(image, good, renderer, options)
     if isinstance(located, Failure):

@@ -95,11 +95,6 @@ class TemplateFitOptions:
         A priori standard deviation of the variances of a smear.
     complete : bool
         Leave out no effect that nobody declared: none is looked for in the residuals.
-
-    Raises
-    ------
-    InputError
-        A value is out of its range.
     """
 
     max_iterations: int = 8
@@ -192,15 +187,7 @@ class TemplateFit(Value):
     def used_at_px(self, block_px: int = 1) -> Float:
         """Return the places in the image of the pixels used.
 
-        Parameters
-        ----------
-        block_px : int, px
-            Pixels of the image along the side of one of the fit.
-
-        Returns
-        -------
-        (n, 2) float64, px
-            Middles, in the order of ``residuals_dn[used]``.
+        Returns (n, 2), middles, in the order of ``residuals_dn[used]``.
         """
         rows, columns = np.nonzero(self.used)
         places = np.column_stack([columns, rows]) + np.array(self.corner_px)
@@ -211,17 +198,7 @@ class TemplateFit(Value):
         return self.undeclared[effect].chance if effect in self.undeclared else 0.0
 
     def log_evidence(self, parts: float) -> float:
-        """Return the logarithm of the likelihood of the pixels.
-
-        Parameters
-        ----------
-        parts : float
-            Number of independent values that the pixels stand for, the same for fits that are compared.
-
-        Returns
-        -------
-        float
-        """
+        """Return the logarithm of the likelihood of the pixels."""
         n_used = np.count_nonzero(self.columns.weights)
         share = n_used / (n_used + self.n_rejected)
         return self.columns.log_evidence(share * parts) - 0.5 * parts * self.log_variance
@@ -250,21 +227,6 @@ def fit_template(
     options: TemplateFitOptions = TemplateFitOptions(),
 ) -> TemplateFit | Failure:
     r"""Fit a rendered template to the pixels of a box.
-
-    Parameters
-    ----------
-    pixels : BoxPixels
-    synthesize : callable
-        Renders a :class:`TemplateState` into the box, finely where its second argument is True.
-    start : TemplateState
-        Within a pixel or two, in center and limb.
-    options : TemplateFitOptions
-
-    Returns
-    -------
-    TemplateFit or Failure
-        ``DEGENERATE_GEOMETRY`` when the pixels do not fix the parameters, ``NOT_CONVERGED``, or what ``synthesize``
-        failed with.
 
     Notes
     -----

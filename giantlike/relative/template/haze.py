@@ -47,32 +47,15 @@ class _Veil(SurfaceLaw):
 
 
 def haze_laws(ground: Reflectance, *, depth: float = VEIL_DEPTH) -> tuple[Reflectance, ...]:
-    """Return the laws whose images show haze: what it takes, what it sends, and a body as bright at its limb as inside.
-
-    Parameters
-    ----------
-    ground : Reflectance
-    depth : float
-        Vertical optical depth of the haze.
-
-    Returns
-    -------
-    tuple of Reflectance
-    """
+    """Return laws whose images show haze: what it takes, what it sends, and a body as bright at its limb as inside."""
     return _Veil(ground, depth), _Veil(None, depth), LommelSeeliger()
 
 
 def haze_block(images: Float) -> Block:
     """Return the unknowns of haze.
 
-    Parameters
-    ----------
-    images : (3, h, w) float64, DN
-        What haze takes, what it sends, and the change of a body of even brightness with the logarithm of its range.
-
-    Returns
-    -------
-    Block
+    ``images`` (3, h, w) DN, what haze takes, what it sends, and the change of a body of even brightness with the
+    logarithm of its range.
     """
     prior = Prior(np.array([-1.0, 1.0, 0.0]), np.array([1.0, 1.0, _RING**-2]))
     return Block(effect="haze", cause=Cause.ALTITUDE, matrix=images, prior=prior, use=Use.WHEN_SEEN)
@@ -81,20 +64,8 @@ def haze_block(images: Float) -> Block:
 def haze_altitude(step: Float, altitude: Float, *, blur: float) -> float:
     """Return how uncertain the altitude of the limb is by haze.
 
-    Parameters
-    ----------
-    step : (3,) float64
-        Change of center and range with the haze in the model.
-    altitude : (3, 3) float64
-        Covariance of center and range by an altitude whose standard deviation is the radius.
-    blur : float
-        Blur of the image beyond that of the camera, over the radius: about the scale height of the haze.
-
-    Returns
-    -------
-    float
-        Standard deviation over the radius, from half of the blur and from the step: with it, that is one standard
-        deviation of both errors of the altitude together.
+    ``step`` (3,); ``altitude`` (3, 3), covariance of center and range by an altitude whose standard deviation is the
+    radius; ``blur``: blur of the image beyond that of the camera, over the radius: about the scale height of the haze.
     """
     unit = np.sqrt(np.diag(altitude))
     values, vectors = np.linalg.eigh(altitude / unit / unit[:, None])

@@ -69,17 +69,7 @@ class Problem:
     The model is linear in its photometry: the light, a constant and a slope of the background, and the differences that
     other laws and wings of the point spread function make.
 
-    Parameters
-    ----------
-    pixels : BoxPixels
-    images : TemplateImages
-        Rendered for ``state``.
-    state : TemplateState
-    photometry : (k,) float64, optional
-        Coefficients of the photometric columns from a problem nearby, which may lack the last; None finds them by plain
-        least squares, with the law of the target alone.
-    response : Response, optional
-        By which the pixels were made proportional to light; its changes are estimated.
+    ``photometry`` (k,).
     """
 
     def __init__(
@@ -288,15 +278,7 @@ class Problem:
 def unweighted(basis: Float, pixels: BoxPixels) -> Float:
     """Plain least squares.
 
-    Parameters
-    ----------
-    basis : (k, h, w) float64
-    pixels : BoxPixels
-
-    Returns
-    -------
-    (k,) float64
-        Coefficients of the images, over the usable pixels.
+    ``basis`` (k, h, w); returns (k,).
     """
     rows, values = _chosen(basis, pixels.usable), pixels.values_dn[pixels.usable]
     normal = rows @ rows.T

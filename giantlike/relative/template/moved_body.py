@@ -64,15 +64,7 @@ class MovedBody(Value):
     def daylight(self, state: TemplateState) -> Daylight | None:
         """Tell a finer trace where the body is lit.
 
-        Parameters
-        ----------
-        state : TemplateState
-            Where it will be traced.
-
-        Returns
-        -------
-        Daylight or None
-            None of a refined trace.
+        Returns None of a refined trace.
         """
         if isinstance(self.trace, RefinedTrace):
             return None
@@ -85,17 +77,7 @@ class MovedBody(Value):
         )
 
     def shaded(self, laws: tuple[Reflectance, ...]) -> ShadedRays:
-        """Light that the rays bring.
-
-        Parameters
-        ----------
-        laws : tuple of Reflectance
-
-        Returns
-        -------
-        ShadedRays
-            Under each law.
-        """
+        """Light that the rays bring."""
         trace, (x, y) = self.trace, self.trace.cells
         cells = np.empty((x.count, len(laws), y.count))
         for number, law in enumerate(laws):
@@ -108,20 +90,7 @@ class MovedBody(Value):
     def lights(self, box: PixelBox, state: TemplateState, rays: ShadedRays) -> tuple[Float, Callable[[Float], Float]]:
         """Light on the pixels of a box, and its derivatives.
 
-        Parameters
-        ----------
-        box : PixelBox
-        state : TemplateState
-        rays : ShadedRays
-            From :meth:`shaded`.
-
-        Returns
-        -------
-        lights : (k, h, w) float64
-            Under each law.
-        derivatives : callable
-            Takes the weights (j,) of the first ``j`` and returns the derivatives (4, h, w) of their sum, by x and y of
-            the center in px, the logarithm of the range and the variance of the point spread function in px^2.
+        Returns ``lights`` (k, h, w) and ``derivatives``.
         """
         x, y = self.trace.cells
         down = self._row(y, 1, state).on_pixels(box.y, box.height)

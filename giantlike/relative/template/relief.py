@@ -21,19 +21,8 @@ _LEAST_SECTORS = 8
 def relief_covariance(fit: LinearFit, center_px: Float, sun: Float, *, radius_px: float) -> Float:
     r"""Covariance of the parameters of a template from relief that its shape does not hold.
 
-    Parameters
-    ----------
-    fit : LinearFit
-    center_px : (2,) float64, px
-        Center of the body, from the first pixel of the images.
-    sun : (2,) float64
-        Direction to the Sun in the image, of any length.
-    radius_px : float, px
-
-    Returns
-    -------
-    (k, k) float64
-        Zero where too few sectors of the limb are in view.
+    ``center_px``: center of the body, from the first pixel of the images; ``sun`` (2,); returns (k, k), zero where too
+    few sectors of the limb are in view.
 
     Notes
     -----

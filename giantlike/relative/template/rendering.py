@@ -159,17 +159,7 @@ class TemplateRenderer(Value):
     def sampling(self, margin_px: int, *, spacing: float = 1.0, min_rays: int = 1) -> RenderOptions:
         """Return options for renders that reach over the frame.
 
-        Parameters
-        ----------
-        margin_px : int, px
-        spacing : float
-            Distance between rays over that of ``rays_across``.
-        min_rays : int
-            Rays along the side of a pixel, at least.
-
-        Returns
-        -------
-        RenderOptions
+        ``spacing``: distance between rays over that of ``rays_across``.
         """
         rays_across = self.rays_across / spacing
         rays = math.ceil(rays_across / max(2.0 * self.radius_px, _POINT_PX))
@@ -193,19 +183,6 @@ class TemplateRenderer(Value):
         Under air, one of the others is black ground, which leaves the light of the air; it is mixed in from the first.
         The body is traced once roughly and once finely, and anew only where it is seen from elsewhere. How brightness
         changes with the phase angle over the disk is mixed in last, in fine renders, which alone can tell.
-
-        Parameters
-        ----------
-        box : PixelBox
-        other_law : bool
-        most_laws : int, optional
-            Other laws at most; by default as many as a body of that size can show.
-        traced : MovedBody, optional
-            A rough trace that is there already.
-
-        Returns
-        -------
-        callable
         """
         small = self.radius_px < _SMALL_RADIUS_PX
         air = self.target.air
@@ -286,19 +263,7 @@ class TemplateRenderer(Value):
 
 
 def contrasting_laws(law: Reflectance) -> tuple[Reflectance, ...]:
-    """Return laws that a fit mixes into that of the target, so that a wrong law does not pull the center.
-
-    Parameters
-    ----------
-    law : Reflectance
-        Of the target.
-
-    Returns
-    -------
-    tuple of Reflectance
-        The one that differs most first: Lambert, or Lommel-Seeliger for a target with Lambert's law. A small body shows
-        no more than that.
-    """
+    """Return laws that a fit mixes into that of the target, so that a wrong law does not pull the center."""
     first: Reflectance = LommelSeeliger() if isinstance(law, Lambert) else Lambert()
     return first, *_OTHER_LAWS
 

@@ -16,16 +16,7 @@ _STEP = 0.05
 
 
 def smeared_renders(synthesize: Synthesis) -> Synthesis:
-    """Return a function that renders a body with the smear of its state.
-
-    Parameters
-    ----------
-    synthesize : callable
-
-    Returns
-    -------
-    callable
-    """
+    """Return a function that renders a body with the smear of its state."""
 
     def images(state: TemplateState, fine: bool) -> TemplateImages | Failure:
         made, smear = synthesize(state, fine), state.smear

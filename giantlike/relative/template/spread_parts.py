@@ -15,22 +15,8 @@ def spread(
 ) -> Float:
     """Sum the light of parts over rows of parts and columns of pixels.
 
-    Parameters
-    ----------
-    light : (n, k) float64
-        Of each part, in k kinds.
-    columns, rows : (n,) int64
-        Of each part.
-    shares : (m, c, w) float64
-        Of the light of a part in each of c columns that falls on each of w pixels, m kinds of them.
-    first_px : (c,) int64
-        First of these pixels; those outside of the image count for nothing.
-    row_count, width : int
-        Rows of parts, pixels along a row of the image.
-
-    Returns
-    -------
-    (m, row_count, width, k) float64
+    ``light`` (n, k); ``columns``, ``rows`` (n,); ``shares`` (m, c, w); ``first_px`` (c,); returns
+    (m, row_count, width, k).
     """
     kinds, _, reach = shares.shape
     result = np.zeros((kinds, row_count, width, light.shape[1]))
@@ -49,18 +35,7 @@ def spread(
 def banded(shares: Float, first: Indices, light: Float) -> Float:
     """Sum the light of cells along one axis over pixels.
 
-    Parameters
-    ----------
-    shares : (m, p, w) float64
-        Of the light of w cells side by side that falls on each of p pixels, m kinds of them.
-    first : (p,) int64
-        Number of the first of these cells; those outside of the grid hold none.
-    light : (n, k) float64
-        Of n cells, in k kinds.
-
-    Returns
-    -------
-    (m, p, k) float64
+    ``shares`` (m, p, w); ``first`` (p,); ``light`` (n, k); returns (m, p, k).
     """
     kinds, pixels, reach = shares.shape
     result = np.zeros((kinds, pixels, light.shape[1]))

@@ -81,17 +81,7 @@ Synthesis = Callable[[TemplateState, bool], TemplateImages | Failure]
 def warped(light: Float, corner_px: tuple[int, int], rendered: TemplateState, to: TemplateState) -> Float:
     """Move and scale a template to another state within the same box.
 
-    Parameters
-    ----------
-    light : (h, w) float64
-        Rendered for the state ``rendered``.
-    corner_px : (int, int), px
-        Column and row of its first element.
-    rendered, to : TemplateState
-
-    Returns
-    -------
-    (h, w) float64
+    ``light`` (h, w); ``corner_px``: column and row of its first element; returns (h, w).
     """
     scale = math.exp(to.log_range - rendered.log_range)
     corner = np.asarray(corner_px, dtype=np.float64)

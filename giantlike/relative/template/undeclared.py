@@ -42,20 +42,7 @@ class Undeclared(Value):
 
 
 def undeclared_effects(fit: Solution, blocks: Mapping[Block, float]) -> dict[str, Undeclared]:
-    """Return the probabilities of effects of which at most one is there.
-
-    Parameters
-    ----------
-    fit : Solution
-        Of the model without them.
-    blocks : mapping of Block to float
-        Effects with priors of finite width, and the independent values that the pixels stand for beside each.
-
-    Returns
-    -------
-    dict of str to Undeclared
-        By the name of the effect.
-    """
+    """Return the probabilities of effects of which at most one is there."""
     columns = fit.columns
     log_odds = [
         np.log(UNDECLARED / (1.0 - UNDECLARED)) + columns.odds_of([block], parts) for block, parts in blocks.items()

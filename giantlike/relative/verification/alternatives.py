@@ -96,17 +96,7 @@ class CellScores:
 def other_outline(scores: CellScores, growth: Float, center: Float) -> float:
     """Logarithm of the odds of another outline: of another body, in a waves along it that no strain has.
 
-    Parameters
-    ----------
-    scores : CellScores
-    growth : (n, n) float64
-        Derivative of the data by the growth of the body, relative.
-    center : (2,) float64, cells
-        Column and row of its center.
-
-    Returns
-    -------
-    float
+    ``growth`` (n, n); ``center`` in cells, column and row of its center.
     """
     rows, columns = np.indices(growth.shape)
     angle = np.arctan2(rows - center[1], columns - center[0])
@@ -117,17 +107,7 @@ def other_outline(scores: CellScores, growth: Float, center: Float) -> float:
 def second_light(scores: CellScores, light: Float, radius: float, blur: float) -> float:
     """Logarithm of the odds of a second image of the body beside the first: another exposure, a ghost or a second body.
 
-    Parameters
-    ----------
-    scores : CellScores
-    light : (n, n) float64
-        Of the body in the cells, in their unit.
-    radius, blur : float, cells
-        Of the body, and standard deviation of the point spread function.
-
-    Returns
-    -------
-    float
+    ``light`` (n, n); ``radius``, ``blur`` in cells.
     """
     from scipy.fft import irfft2, rfft2
 
@@ -156,16 +136,7 @@ def second_light(scores: CellScores, light: Float, radius: float, blur: float) -
 def shifted_lines(scores: CellScores, motion: Float, axis: int) -> float:
     """Logarithm of the odds that all rows (axis 0), or columns (1), from one on are shifted along themselves.
 
-    Parameters
-    ----------
-    scores : CellScores
-    motion : (n, n) float64
-        Derivative of the data by a motion along the lines, per radius.
-    axis : int
-
-    Returns
-    -------
-    float
+    ``motion`` (n, n).
     """
     size = len(motion)
     told = np.flatnonzero(np.abs(motion).sum(axis=1 - axis) > _REACHED * float(np.abs(motion).sum(axis=1 - axis).max()))

@@ -17,31 +17,10 @@ def design_of(
 ) -> tuple[Float, Float, Float, Float, Float, Float, Float]:
     """Columns that the light of cells may be a sum of.
 
-    Parameters
-    ----------
-    light : (n, n) float64
-        Of the body under its law.
-    others : (k, n, n) float64
-        Under other laws.
-    scattered : (n, n) float64
-        Light around the body.
-    x, y : float
-        Column and row of its center.
-    radius : float
-        Cells.
-
-    Returns
-    -------
-    laws : (k, n, n) float64
-        Differences of the light under other laws, of the same sum, to the light.
-    background : (3, n, n) float64
-        A plane, places in radii.
-    stray : (3, n, n) float64
-        Stray light, along columns, along rows, and around the body.
-    place, strain, blur : (3, n, n) float64
-        Derivatives, places in radii.
-    slope : (n, n) float64
-        Steepness of the light, per cell.
+    ``light`` (n, n); ``others`` (k, n, n); ``scattered`` (n, n); ``x``, ``y``: column and row of its center; returns
+    ``laws`` (k, n, n); ``background`` (3, n, n), a plane, places in radii; ``stray`` (3, n, n), stray light, along
+    columns, along rows, and around the body; ``place``, ``strain``, ``blur`` (3, n, n), derivatives, places in radii;
+    ``slope`` (n, n).
     """
     size, laws, slope = len(light), np.empty_like(others), np.empty_like(light)
     background, stray = np.empty((3, size, size)), np.empty((3, size, size))
@@ -100,18 +79,8 @@ def _difference(line: Float, at: int) -> float:
 def least_unexplained(values: Float, good: Mask, lights: Float) -> Float:
     """Share of the variance of an image that bodies leave at their best shift, with a gain and a level fitted.
 
-    Parameters
-    ----------
-    values : (n, n) float64, DN
-    good : (n, n) bool
-        Those that count.
-    lights : (k, m, m) float64
-        Bodies in the middle of the image; shifted by (n - m) / 2 cells at most.
-
-    Returns
-    -------
-    (k,) float64
-        1 where only a negative gain would explain anything.
+    ``values`` (n, n) DN; ``good`` (n, n); ``lights`` (k, m, m); returns (k,), 1 where only a negative gain would
+    explain anything.
 
     Notes
     -----

@@ -112,15 +112,7 @@ class Cells(Value):
         Rays to the Sun start where one ray in the middle of each cell around meets a shadow; where none does, lone
         shadows less than a cell wide are lost.
 
-        Parameters
-        ----------
-        body : Body
-        sun_direction_camera : (3,) float64, unitless, camera axes
-
-        Returns
-        -------
-        Trace or None
-            None where nothing of it is seen.
+        Returns None where nothing of it is seen.
         """
         camera = self.camera
         shadows_later = self.has_face and not isinstance(body.shape, Ellipsoid)
@@ -175,24 +167,8 @@ def cells_around(
 ) -> Cells | None:
     """Average blocks of pixels around a body.
 
-    Parameters
-    ----------
-    pixels_dn : (rows, columns) float64, DN
-        Bias subtracted.
-    good, saturated : (rows, columns) bool
-        Pixels that are not bad, and those that were clipped.
-    camera : Camera
-    body : Body
-        Where it is taken to be.
-    room_px : float or None, px
-        Room for shifts of the body, one radius at least; None for none.
-    per_radius : int
-        Cells to a radius of the body, as far as pixels are not larger.
-
-    Returns
-    -------
-    Cells or None
-        None where the image is smaller than two cells, or the camera model images nothing there.
+    ``pixels_dn`` (rows, columns); returns None where the image is smaller than two cells, or the camera model images
+    nothing there.
     """
     center_px = body.center_px(camera.model)
     if not np.isfinite(center_px).all():

@@ -56,28 +56,7 @@ def verified(
     again: Callable[[EstimatorInputs], AnyFix | Failure] | None = None,
     false_alarm: float = FALSE_ALARM,
 ) -> AnyFix:
-    """Return a fix with the flags and numbers of its checks; unchanged where it has them already.
-
-    Parameters
-    ----------
-    fix : CenterFix or PositionFix
-        With its error budget.
-    inputs : EstimatorInputs
-    search_px : float, px
-        Declared search: largest error of the prediction, in both coordinates.
-    by_light : bool
-        The fix is that of all light, which moves with whatever is wrong with the figure; estimators on limbs and
-        templates know errors of relief themselves.
-    again : callable, optional
-        Runs the estimator on other inputs: a fix that takes values for light is made again where the coarse render
-        shows that they are not in proportion to it, and one of a limb where it shows undeclared haze.
-    false_alarm : float
-        Rate of false alarms of each test.
-
-    Returns
-    -------
-    CenterFix or PositionFix
-    """
+    """Return a fix with the flags and numbers of its checks; unchanged where it has them already."""
     if "tension" in fix.findings.checks:
         return fix
     coarse = _coarse(fix, inputs, search_px)
@@ -113,18 +92,6 @@ def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
     """Factor by which the variances of a fix are too small for what a coarse fit asks for beyond it.
 
     The largest factor by motion, strain and, where the point spread function is declared, smear, and at least 1.
-
-    Parameters
-    ----------
-    fix : CenterFix or PositionFix
-    fit : CoarseFit
-        At the place of the fix.
-    psf_known : bool
-        True where the camera tells its point spread function.
-
-    Returns
-    -------
-    float
     """
     own = _own(fix)
     size = len(own)
@@ -150,14 +117,7 @@ def _own(fix: CenterFix) -> Float:
 def chance_of(difference: Float, covariance: Float) -> float:
     """Probability that errors of a covariance come to as much.
 
-    Parameters
-    ----------
-    difference : (k,) float64
-    covariance : (k, k) float64
-
-    Returns
-    -------
-    float
+    ``difference`` (k,); ``covariance`` (k, k).
     """
     return _chance(_squared(difference, covariance), len(difference))
 

@@ -263,29 +263,7 @@ def fit_cells(
 ) -> CoarseFit | None:
     """Fit gain, law, a plane and small changes of the place to the cells around a body.
 
-    Parameters
-    ----------
-    cells : Cells
-    trace : Trace
-        Of the body at the place found.
-    own : Template
-        The body under its law.
-    albedo : float
-        Standard deviation of the brightness of its surface about its law, where effects are looked for that a field of
-        markings could take up: a response, and those that residuals are asked about.
-    turn_rad : float, rad
-        Standard deviation of the orientation of the body, about any axis.
-    response : Response, optional
-        By which the values were made proportional to light.
-    smear : Smear, optional
-        Motion of the body during the exposure, in pixels of the image.
-    asked : (a, n, n) float64, optional
-        Changes of the light in :attr:`Cells.inner` that the residuals are asked about: what is fitted stays without.
-
-    Returns
-    -------
-    CoarseFit or None
-        None where too few cells hold the body.
+    ``asked`` (a, n, n); returns None where too few cells hold the body.
     """
     fresh, design = cells.cropped(cells.fresh), _design(cells, trace, own, smear)
     if np.count_nonzero(fresh & _lit(design.own)) <= design.layout.count:

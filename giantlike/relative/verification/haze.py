@@ -58,19 +58,7 @@ Coarse = TypeVar("Coarse", bound=Looked)
 
 
 def may_be_hazy(fix: CenterFix, inputs: EstimatorInputs) -> bool:
-    """Return True for fixes behind which haze is looked for.
-
-    Parameters
-    ----------
-    fix : CenterFix or PositionFix
-    inputs : EstimatorInputs
-
-    Returns
-    -------
-    bool
-        False for an airless target, where the altitude of the limb is declared, no limb was measured, or it is sharper
-        than the camera by more than is not known of that, which no limb in haze is.
-    """
+    """Return True for fixes behind which haze is looked for."""
     target, blur = inputs.geometry.target, fix.corrections.limb_blur_px2
     told = target.airless or target.atmosphere is not None or target.terrain is not None
     return not told and blur is not None and blur > -_optics_px2(inputs) and isinstance(target.shape, Ellipsoid)
@@ -79,16 +67,7 @@ def may_be_hazy(fix: CenterFix, inputs: EstimatorInputs) -> bool:
 def veils(cells: Cells, trace: Trace) -> Float:
     """Images of what haze changes in the light of a body, to ask residuals about.
 
-    Parameters
-    ----------
-    cells : Cells
-    trace : Trace
-        Of the body where it was found.
-
-    Returns
-    -------
-    (6, n, n) float64
-        Of thin haze that is dark to bright, and of thick.
+    Returns (6, n, n), of thin haze that is dark to bright, and of thick.
     """
     images = []
     for depth in _DEPTHS:
@@ -108,22 +87,7 @@ def in_haze(
 ) -> tuple[AnyFix, Coarse, EstimatorInputs] | None:
     """Make a fix of a limb again with an altitude that is not known, where the face of the body shows haze.
 
-    Parameters
-    ----------
-    fix : CenterFix or PositionFix
-    fine : Looked or None
-        What a render in fine cells shows of it.
-    inputs : EstimatorInputs
-        Of the estimator.
-    again : callable
-        Runs the estimator on other inputs.
-    look : callable
-        Renders a fix coarsely where it lies.
-
-    Returns
-    -------
-    (CenterFix or PositionFix, Looked, EstimatorInputs) or None
-        The fix, its coarse render and its inputs; None where no haze is seen.
+    Returns None where no haze is seen.
     """
     blur = fix.corrections.limb_blur_px2
     depth = 0.0 if fine is None or fine.fit is None else haze_depth(fine.fit)
@@ -145,18 +109,7 @@ def in_haze(
 
 
 def hint_of_haze(fix: CenterFix, fit: CoarseFit | None, inputs: EstimatorInputs) -> bool:
-    """Return True where cells of a face ask for some haze, so that finer ones are worth their cost.
-
-    Parameters
-    ----------
-    fix : CenterFix or PositionFix
-    fit : CoarseFit or None
-    inputs : EstimatorInputs
-
-    Returns
-    -------
-    bool
-    """
+    """Return True where cells of a face ask for some haze, so that finer ones are worth their cost."""
     blur = fix.corrections.limb_blur_px2
     if fit is None or blur is None or not np.any(_sigmas(fit) > _HINT_SIGMAS):
         return False
@@ -164,16 +117,7 @@ def hint_of_haze(fix: CenterFix, fit: CoarseFit | None, inputs: EstimatorInputs)
 
 
 def haze_depth(fit: CoarseFit) -> float:
-    """Vertical optical depth of the haze that a fit in fine cells shows; 0 where it shows none, or something else.
-
-    Parameters
-    ----------
-    fit : CoarseFit
-
-    Returns
-    -------
-    float
-    """
+    """Vertical optical depth of the haze that a fit in fine cells shows; 0 where it shows none, or something else."""
     sigmas = np.where(fit.omitted.explains > _LEAST_EXPLAINED, _sigmas(fit), 0.0)
     if not np.any(sigmas > _HAZY_SIGMAS):
         return 0.0
@@ -192,19 +136,7 @@ def _sigmas(fit: CoarseFit) -> Float:
 
 
 def haze_altitude_px(depth: float, blur_px2: float, radius_px: float) -> float:
-    """Altitude at which a limb is seen in haze of some depth that blurs it by as much as is not explained otherwise.
-
-    Parameters
-    ----------
-    depth : float
-        Vertical optical depth.
-    blur_px2 : float, px^2
-    radius_px : float, px
-
-    Returns
-    -------
-    float, px
-    """
+    """Altitude at which a limb is seen in haze of some depth that blurs it by as much as is not explained otherwise."""
     unit = Atmosphere(scale_height_km=1.0, optical_depth=depth, sigma_km=0.0)
     height_px = math.sqrt(blur_px2) / unit.limb_width_km
     return replace(unit, scale_height_km=height_px).limb_altitude_km(radius_px)

@@ -50,22 +50,7 @@ class LightSide:
 def light_side(cells: Cells, trace: Trace, own: Template, sun_direction_camera: Float) -> LightSide | None:
     """Compare an image with a body that is lit from the side of the Sun, and from the others.
 
-    Parameters
-    ----------
-    cells : Cells
-        The image; saturated pixels still say that it is bright there. The body may move by a radius: a center that
-        is found by light taken from the wrong side is off by 0.85 radii at a phase angle of 60 deg.
-    trace : Trace
-        Of the body at the place found.
-    own : Template
-        The same, lit from the side of the Sun.
-    sun_direction_camera : (3,) float64, unitless, camera axes
-        Unit vector from body to Sun.
-
-    Returns
-    -------
-    LightSide or None
-        None where too little of the body lies in the frame.
+    ``sun_direction_camera``: unit vector from body to Sun; returns None where too little of the body lies in the frame.
 
     Notes
     -----
@@ -116,18 +101,7 @@ def _left_of_halved(cells: Cells, trace: Trace, turned: list[Float]) -> tuple[fl
 
 
 def independent_parts(cells: Cells, template: Template) -> float:
-    """Parts of a body in the frame whose departures from a model are independent; 0 where too little of it shows.
-
-    Parameters
-    ----------
-    cells : Cells
-    template : Template
-        The body in the cells.
-
-    Returns
-    -------
-    float
-    """
+    """Parts of a body in the frame whose departures from a model are independent; 0 where too little of it shows."""
     coverage = cells.place(template.coverage, template)
     seen = float(coverage[cells.cropped(cells.good)].sum())
     enough = seen > _LEAST_SHARE * float(template.coverage.sum())

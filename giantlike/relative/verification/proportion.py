@@ -31,16 +31,7 @@ Coarse = TypeVar("Coarse", bound=Looked)
 
 
 def looks_bent(coarse: Looked | None) -> bool:
-    """Return True where a coarse render speaks for values in another proportion.
-
-    Parameters
-    ----------
-    coarse : Looked or None
-
-    Returns
-    -------
-    bool
-    """
+    """Return True where a coarse render speaks for values in another proportion."""
     fit = None if coarse is None else coarse.fit
     return fit is not None and fit.response.bend > LEAST_BEND and fit.bend_log_odds > 0.0
 
@@ -54,23 +45,7 @@ def in_proportion(
 ) -> tuple[AnyFix, Coarse, EstimatorInputs] | None:
     """Make a fix again with values straightened until they are in proportion to light.
 
-    Parameters
-    ----------
-    fix : CenterFix or PositionFix
-    coarse : Looked
-        What the coarse render shows of it.
-    inputs : EstimatorInputs
-        Of the estimator.
-    again : callable
-        Runs the estimator on inputs with other values.
-    look : callable
-        Renders a fix coarsely where it lies.
-
-    Returns
-    -------
-    (CenterFix or PositionFix, Looked, EstimatorInputs) or None
-        The fix, with the error of the response as a part, its coarse render and its inputs; None where straightened
-        values explain little more: what is wrong with the image is something else.
+    Returns None where straightened values explain little more: what is wrong with the image is something else.
     """
 
     def tried(response: Response) -> tuple[AnyFix, Coarse, EstimatorInputs] | None:

@@ -29,25 +29,7 @@ a point between four pixels is like it to 0.8, which made it 10^4 times less lik
 def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: float, albedo: float) -> float:
     """Logarithm of the odds for the best other place in the search region.
 
-    Parameters
-    ----------
-    cells : Cells
-        With room for the search.
-    own : Template
-        The body at the place found.
-    predicted_px : (2,) float64, px
-        Place predicted, in the pixels of the image.
-    search_px : float, px
-        Largest error of the prediction, in both coordinates.
-    albedo : float
-        Standard deviation of the brightness of the surface of the body about its law. Of a right model it leaves its
-        square of the variance: a place that leaves less is no better for it.
-
-    Returns
-    -------
-    float
-        Of the likelihood at that place over that at the place found, as for sides of the Sun; minus infinity where no
-        other place is far enough away, or none holds as much light.
+    Returns minus infinity where no other place is far enough away, or none holds as much light.
     """
     room = min(math.ceil((search_px + np.abs(predicted_px - cells.center_px).max()) / cells.size), cells.room)
     apart = _APART * cells.radius + _APART_BLUR * cells.blur

@@ -41,18 +41,7 @@ class ShiftedMatches(Value):
 
     @classmethod
     def of(cls, cells: Cells, room: int) -> ShiftedMatches:
-        """Transform an image.
-
-        Parameters
-        ----------
-        cells : Cells
-        room : int
-            Cells by which templates are shifted at most; not more than the room of the cells.
-
-        Returns
-        -------
-        ShiftedMatches
-        """
+        """Transform an image."""
         from scipy.fft import next_fast_len, rfft2
 
         first = cells.room - room
@@ -81,30 +70,16 @@ class ShiftedMatches(Value):
     def unexplained(self, model: Float) -> Float:
         """Share of the variance of the image that a template leaves, with its gain and a level fitted.
 
-        Parameters
-        ----------
-        model : (..., m, m) float64
-            In the middle of the image, without the room for shifts.
-
-        Returns
-        -------
-        (..., shifts, shifts) float64
-            By shift along rows and columns; 1 where only a negative gain would explain anything.
+        ``model`` (..., m, m); returns (..., shifts, shifts), by shift along rows and columns, 1 where only a negative
+        gain would explain anything.
         """
         return 1.0 - self.explained(model)[0]
 
     def explained(self, model: Float) -> tuple[Float, Float]:
         """Share of the variance of the image that a template explains, and its gain, at each shift.
 
-        Parameters
-        ----------
-        model : (..., m, m) float64
-
-        Returns
-        -------
-        share : (..., shifts, shifts) float64
-        gain : (..., shifts, shifts) float64, DN
-            Zero where it would be negative or where nothing is to be seen.
+        ``model`` (..., m, m); returns ``share`` (..., shifts, shifts); ``gain`` (..., shifts, shifts) DN, zero where it
+        would be negative or where nothing is to be seen.
         """
         model = model[..., None, :, :]
         if self.whole:
