@@ -78,7 +78,7 @@ def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     common. A cause that only one of them has counts by the square of its weight. One that both have (noise of the same
     pixels, the law, the shape, camera and attitude) is taken to be the same error in both, which does not average out:
     the variance of a mean of two errors is at most the mean of their variances. The weight is the one with the
-    smallest determinant of the covariance. Where the two differ by more than their covariances, the parts that they
+    smallest determinant of the covariance, without the scale of the shape, which both share. Where the two differ by more than their covariances, the parts that they
     do not share grow, see :func:`~giantlike.relative.judge.inflation`.
     """
     squared, size = _squared_difference(first, second)
@@ -86,7 +86,7 @@ def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     if not first.parts or not second.parts or isinstance(first, PositionFix) != isinstance(second, PositionFix):
         return with_larger_errors(first, model, grown, _OWN)
     fusions = [_fused_parts(first, second, float(weight)) for weight in _WEIGHTS]
-    sizes = [float(np.linalg.slogdet(summed(parts))[1]) for parts in fusions]
+    sizes = [float(np.linalg.slogdet(summed(parts, _OWN))[1]) for parts in fusions]
     best = int(np.argmin(sizes))
     weight, parts = float(_WEIGHTS[best]), fusions[best]
     if weight == 1.0:
