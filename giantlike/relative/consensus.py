@@ -78,8 +78,9 @@ def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     common. A cause that only one of them has counts by the square of its weight. One that both have (noise of the same
     pixels, the law, the shape, camera and attitude) is taken to be the same error in both, which does not average out:
     the variance of a mean of two errors is at most the mean of their variances. The weight is the one with the
-    smallest determinant of the covariance, without the scale of the shape, which both share. Where the two differ by more than their covariances, the parts that they
-    do not share grow, see :func:`~giantlike.relative.judge.inflation`.
+    smallest determinant of the covariance, without the scale of the shape, which both share. Where the two differ by
+    more than their covariances, the parts that they do not share grow, see
+    :func:`~giantlike.relative.judge.inflation`.
     """
     squared, size = _squared_difference(first, second)
     grown = inflation(squared, size)
