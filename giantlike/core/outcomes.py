@@ -328,7 +328,7 @@ class BodyTurn(Value):
     Parameters
     ----------
     turn_rad : float, rad
-        Of the body as seen from the body as told, about the direction from the camera to it.
+        Of the body relative to the declared orientation, about the direction from the camera to it.
     center_px : (2,) float64, px
         Place of its center when it is turned.
     covariance : (3, 3) float64

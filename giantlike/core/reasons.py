@@ -120,7 +120,7 @@ class Reason(StrEnum):
     Look at the residuals: shape, distortion or blur may be wrong.
     """
     WRONG_SHAPE = "wrong_shape"
-    """The shape that was told is not the one that the image shows.
+    """The declared shape is not the one in the image.
 
     Use a mesh for a body that is no ellipsoid, or an estimator that takes its relief.
     """
