@@ -137,8 +137,9 @@ class ExpectedProfiles(Value):
     changes : (n, m, c) float64
         By each of c parameters.
     layout : Layout
-        Of the parameters: shares of other laws and of wings, logarithm of a brightness that is clipped, variance of the
-        point spread function, px^2.
+        Of the parameters: shares of other laws and of wings, logarithm of a brightness that is clipped, and, px^2, the
+        variance of the point spread function, half the excess of that along columns over that along rows, and the
+        covariance of both.
     prior : Prior
         Of the parameters, from those that the profiles are made with.
     beyond : (n,) float64
@@ -220,18 +221,20 @@ def expected_profiles(
         changes = [
             *(scale * law - values for scale, law in zip(scales, laws, strict=True)),
             _wings(values, scans, psf_px2, options.window_px),
-            0.5 * second,
         ]
+        blur = 0.5 * second
     else:
         scaled = [images[0], *(scale * image for scale, image in zip(scales, images[1:], strict=True))]
         reach_px = scans.offsets_px[-1] - options.window_px
         clipped = clipped_profiles(scaled, there, level_dn, view, window_px=options.window_px, search_px=reach_px)
         values, beyond = clipped.values, clipped.beyond
-        changes = [*np.moveaxis(clipped.laws, -1, 0), clipped.brightness, clipped.blur]
+        changes, blur = [*np.moveaxis(clipped.laws, -1, 0), clipped.brightness], clipped.blur
     if first:
         return _alone(values)
+    changes += [blur, *(blur * part[:, None] for part in ovality(scans.normals_px))]
     layout = _layout(laws=len(laws), wings=level_dn is None, brightness=level_dn is not None, blur=True)
-    sigmas = {"laws": LAW_SIGMA, "wings": _WING_SIGMA, "brightness": LOG_GAIN_SIGMA, "blur": psf_sigma}
+    sigmas = {"laws": LAW_SIGMA, "wings": _WING_SIGMA, "brightness": LOG_GAIN_SIGMA}
+    sigmas |= {"blur": psf_sigma, "ovality": psf_sigma}
     return ExpectedProfiles(
         values=values,
         changes=np.stack(changes, axis=-1),
@@ -249,8 +252,15 @@ def _layout(*, laws: int = 0, wings: bool = False, brightness: bool = False, blu
             ("wings", Cause.PSF, int(wings)),
             ("brightness", Cause.EDGE, int(brightness)),
             ("blur", Cause.PSF, int(blur)),
+            ("ovality", Cause.PSF, 2 * int(blur)),
         )
     )
+
+
+def ovality(normals_px: Float) -> Float:
+    """Change (2, n) of the variance along normals (n, 2) by half the excess along x over y, and by the covariance."""
+    x, y = normals_px.T
+    return np.stack([x**2 - y**2, 2.0 * x * y])
 
 
 def _wings(values: Float, scans: Scans, psf_px2: float, window_px: float) -> Float:
