@@ -472,6 +472,25 @@ def chance_of_odds(log_odds: float, before: float = UNDECLARED) -> float:
     return float(0.5 * (1.0 + np.tanh(0.5 * (log_odds + np.log(before / (1.0 - before))))))
 
 
+def when_seen(
+    values: Float, covariance: Float, effect: slice, prior: Prior, before: float = UNDECLARED
+) -> tuple[Float, Float]:
+    """Average an estimate with and without an effect that an exact model does not need.
+
+    ``values`` (k,) and ``covariance`` (k, k) are posterior to ``prior``, at whose mean the effect is absent. The Bayes
+    factor is the ratio of the prior to the posterior density there, of Savage and Dickey.
+    """
+    own = covariance[effect, effect]
+    if not own.size:
+        return values, covariance
+    off, gain = values[effect] - prior.mean[effect], np.linalg.solve(own, covariance[effect]).T
+    log_odds = 0.5 * (off @ np.linalg.solve(own, off) + np.linalg.slogdet(own * prior.information[effect])[1])
+    chance, moved = chance_of_odds(float(log_odds), before), gain @ off
+    without = covariance - gain @ covariance[effect]
+    both = chance * covariance + (1.0 - chance) * without + chance * (1.0 - chance) * np.outer(moved, moved)
+    return values - (1.0 - chance) * moved, 0.5 * (both + both.T)
+
+
 def split_noise(covariance: Float, layout: Layout, causes: Iterable[Cause]) -> dict[Cause, Float]:
     """Split a covariance from noise by the effects without which it would not be there.
 

@@ -209,7 +209,8 @@ class ObservableRow:
     )
 
     turn_rad: float | None = column(
-        "Turn of the body about the line of sight, relative to the declared orientation; null where none was measured.", "rad"
+        "Turn of the body about the line of sight, relative to the declared orientation; null where none was measured.",
+        "rad",
     )
     turn_pixel_px: float | None = column("Measured column of the body when it is turned.", "px", "distorted image")
     turn_line_px: float | None = column("Measured row of the body when it is turned.", "px", "distorted image")

@@ -12,7 +12,8 @@ from giantlike.core.causes import Cause
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value, select_rows
-from giantlike.image_model.columns import Layout, Prior
+from giantlike.image_model.columns import Layout, Prior, when_seen
+from giantlike.image_model.optics import ovality
 from giantlike.processing.limb.measurement import (
     MIN_BRIGHTNESS,
     LimbMeasurement,
@@ -104,7 +105,7 @@ class CellMeasurement(LimbMeasurement):
     fits : CellFits
         Of the good cells.
     shared : Layout
-        Of the shared errors: blur, law, other laws and wings.
+        Of the shared errors: blur, law, other laws, wings, and ovality of the point spread function.
     prior : Prior
         Of the shared errors.
     whole : bool
@@ -140,7 +141,7 @@ class CellMeasurement(LimbMeasurement):
         scale = np.sqrt(np.diagonal(information))
         covariance = np.asarray(np.linalg.inv(information / np.outer(scale, scale)), dtype=np.float64)
         covariance /= np.outer(scale, scale)
-        return covariance @ pull, covariance
+        return when_seen(covariance @ pull, covariance, self.shared.span("ovality"), self.prior)
 
 
 def measure_by_cells(
@@ -314,13 +315,14 @@ class CellScan(Value):
         if isinstance(cells, NoCells):
             return too_few(view, area, cells.good, cells.rejected, needed=options.min_cells)
         shared, sigmas = self._shared(first)
+        fits = cells.fits if first else cells.fits.with_ovality(ovality(arc.normals_px[cells.middles]))
         mean = shared.vector({"blur": self.nominal_psf_px2 - psf_px2})
         return CellMeasurement(
             predicted_px=arc.points_px[cells.middles],
             normals_px=arc.normals_px[cells.middles],
             design=arc.design[cells.middles],
             shift_px=cells.shift_px,
-            sigma_px=cells.fits.sigma_px,
+            sigma_px=fits.sigma_px,
             keep=np.ones(cells.middles.size, dtype=bool),
             common_px={},
             smooth_errors=(),
@@ -330,7 +332,7 @@ class CellScan(Value):
             cut_by_frame=cut_by_frame,
             rejected=cells.rejected,
             area=area,
-            fits=cells.fits,
+            fits=fits,
             shared=shared,
             prior=Prior.of_sigmas(sigmas, mean),
             whole=whole,
@@ -347,7 +349,7 @@ class CellScan(Value):
         design = np.concatenate([measured.design, measured.fits.shared], axis=1)[keep] / sigma[:, None]
         information, pull = measured.about_shared()
         layout = Layout((("position", Cause.NOISE, 3), *measured.shared.effects))
-        shared, normal = layout.span("blur", "wings"), design.T @ design
+        shared, normal = layout.span("blur", "ovality"), design.T @ design
         normal[shared, shared] += information + stiff * np.eye(len(information))
         right = design.T @ (measured.shift_px[keep] / sigma)
         right[shared] += pull + stiff * measured.prior.mean
@@ -384,10 +386,7 @@ class CellScan(Value):
             kept,
             wider_px2=wider_px2 if known else None,
             shift_px=kept.shift_px - kept.fits.shared @ estimate,
-            common_px={
-                Cause.PSF: shared_px[:, layout.span("blur")],
-                Cause.REFLECTANCE: shared_px[:, layout.span("law", "wings")],
-            },
+            common_px={cause: shared_px[:, layout.of_cause(cause)] for cause in (Cause.PSF, Cause.REFLECTANCE)},
             smooth_errors=(SmoothError(cause=Cause.REFLECTANCE, sigma_px=brightness_px, length_px=radius_px),),
         )
 
@@ -402,10 +401,12 @@ class CellScan(Value):
                 ("law", Cause.REFLECTANCE, 1),
                 ("laws", Cause.REFLECTANCE, 0 if first else len(self.other_laws)),
                 ("wings", Cause.REFLECTANCE, 0 if first else len(_WING_RATIOS)),
+                ("ovality", Cause.PSF, 0 if first else 2),
             )
         )
         law_sigma = _LAW_SIGMA if self.options.edges is EdgeModel.TEMPLATE else _STEP_LAW_SIGMA
         sigmas = {"blur": sigma_px2, "law": law_sigma, "laws": _OTHER_LAW_SIGMA, "wings": _WING_SIGMA}
+        sigmas["ovality"] = sigma_px2
         return layout, layout.vector(sigmas)
 
     def _clear(self, position_km: Float) -> Mask:

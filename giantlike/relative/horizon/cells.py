@@ -8,7 +8,7 @@ used cell by cell (the Christian-Robinson algorithm) or added up over all of the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -70,6 +70,16 @@ class CellFits(Value):
         """Shift (c,) with all that is shared as assumed."""
         result: Float = self.pull[:, 0] / self.information[:, 0, 0]
         return result
+
+    def with_ovality(self, ovality: Float) -> CellFits:
+        """Add two shared errors (2, c), by which the variance of the blur differs from cell to cell."""
+        count = self.information.shape[1]
+        by_shared = np.zeros((ovality.shape[1], count, count + 2))
+        by_shared[:, np.arange(count), np.arange(count)] = 1.0
+        by_shared[:, 1, count:] = ovality.T
+        across = by_shared.transpose(0, 2, 1)
+        pull = (across @ self.pull[:, :, None])[:, :, 0]
+        return replace(self, information=across @ self.information @ by_shared, pull=pull)
 
     def about_shared(self, keep: Mask) -> tuple[Float, Float]:
         """Add up what cells say about the shared errors, every shift left free.

@@ -14,7 +14,8 @@ from giantlike.core.causes import Cause
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
 from giantlike.core.values import Value
-from giantlike.image_model.columns import Layout, Prior
+from giantlike.image_model.columns import Layout, Prior, when_seen
+from giantlike.image_model.optics import ovality
 from giantlike.processing.limb.measurement import judge_points
 from giantlike.processing.limb.scan import (
     PIXEL_VARIANCE_PX2,
@@ -257,12 +258,6 @@ def _layout(*, laws: int = 0, wings: bool = False, brightness: bool = False, blu
     )
 
 
-def ovality(normals_px: Float) -> Float:
-    """Change (2, n) of the variance along normals (n, 2) by half the excess along x over y, and by the covariance."""
-    x, y = normals_px.T
-    return np.stack([x**2 - y**2, 2.0 * x * y])
-
-
 def _wings(values: Float, scans: Scans, psf_px2: float, window_px: float) -> Float:
     """Change of profiles (n, m) where all light goes into the wings of the point spread function, which are wide."""
     far = np.abs(scans.offsets_px) > window_px
@@ -330,7 +325,9 @@ def match_lines(
         if found.size == 0 or not good.any():
             break
         mean, information = profiles.prior.parts
-        estimate = estimate_shared(match, good, prior=information, expected=mean, open_above=of_blur)
+        free = estimate_shared(match, good, prior=information, expected=mean, open_above=of_blur)
+        values, covariance = when_seen(free.values, free.covariance, layout.span("ovality"), profiles.prior)
+        estimate = SharedEstimate(values=values, covariance=covariance)
         last = number > 0 and float(np.median(np.abs(match.shared_px[good] @ estimate.values))) < _SETTLED_PX
         if last or number == _ROUNDS - 1:
             break
