@@ -16,7 +16,7 @@ SIGMA = 0.05
 
 def posterior(data: Float) -> tuple[Float, Float]:
     information = DESIGN.T @ DESIGN / SIGMA**2 + np.diag(PRIOR.information)
-    covariance: Float = np.linalg.inv(information)
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return covariance @ (DESIGN.T @ data / SIGMA**2 + PRIOR.information * PRIOR.mean), covariance
 
 
