@@ -65,7 +65,7 @@ def _response_to_directions(solution: AttitudeSolution, field: StarField, shifts
 
 
 def _aberration(directions: Float) -> Float:
-    """Shifts (n, 3, 3) of directions (n, 3) by a velocity over that of light, to first order."""
+    """Shifts (n, 3, 3) of directions (n, 3) by a velocity in units of the speed of light, to first order."""
     return np.eye(3) - directions[:, :, None] * directions[:, None, :]
 
 

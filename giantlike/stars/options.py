@@ -19,7 +19,7 @@ class StarOptions:
     Parameters
     ----------
     max_magnitude : float, optional
-        Faintest catalog star, in the band of the catalog. Default: as deep as the number of detections asks for.
+        Faintest catalog star, in the band of the catalog. Default: by the number of detections.
     lost_in_space : bool
         Search the whole sky if there is no a priori attitude or no stars are found with it.
     estimate_scale : bool
@@ -37,7 +37,7 @@ class StarOptions:
         of stars are searched among all attitudes within this angle. Default 5: benchmarks/identification.py solves all
         fields with errors up to 3 degrees.
     inlier_px : float, px
-        Largest distance of a star from its place under the right attitude. Default 3: below the 4 px at which
+        Largest distance of a star from its position under the correct attitude. Default 3: below the 4 px at which
         stars blend; no study yet, see benchmarks/sensitivity.py.
     ransac_iterations : int
         Number of random samples of four stars. Default 300: with half of the pairs wrong, all samples contain a wrong
@@ -55,7 +55,7 @@ class StarOptions:
         A star further from its place than this many standard deviations is rejected. Default 4: of 100 good stars, a
         two-dimensional normal error exceeds it once in 30 images.
     max_false_match_probability : float
-        An identification that chance makes with a higher probability is refused. Default 1e-6: one wrong attitude
+        An identification that is random with a higher probability is refused. Default 1e-6: one wrong attitude
         in a million images at most.
     attitude_method : AttitudeMethod
         Solver of the attitude; all but ``weighted`` need a known scale. Default: the only one that uses the full
@@ -138,7 +138,7 @@ def bright_enough(snr: Float, min_snr: float) -> Mask:
     Returns
     -------
     (k,) bool
-        True for those of at least ``min_snr``, and for the 20 brightest whatever their ratio.
+        True for detections of at least ``min_snr``, and for the 20 brightest whatever their ratio.
     """
     bright: Mask = snr >= min_snr
     bright[np.argsort(-snr, kind="stable")[:_ALWAYS_KEPT]] = True

@@ -252,7 +252,7 @@ def sky_index(
 ) -> StarIndex:
     """Index of the whole sky of a catalog, from memory, from the cache folder, or made now.
 
-    Making one takes well below a second for fields from 10 degrees up, and some 10 s at 1 degree, where it holds
+    Making one takes well below a second for fields from 10 degrees up, and about 10 s at 1 degree, where it holds
     half a million stars. The names of cached files contain a hash of the stars, so that the patterns of a changed
     catalog are made again.
     """

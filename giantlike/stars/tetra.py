@@ -29,7 +29,7 @@ _MATCH_RADIUS = 0.01  # match radius of tetra3rs over the field of view
 _MATCH_THRESHOLD = 1e-3  # false-match probability accepted by tetra3rs: high, because each candidate is verified
 _MAX_PATTERNS = 2_000_000  # checked in one attempt: bounds the time of failures
 _MANY_PATTERN_STARS = _BRIGHTEST = 40  # detections that form patterns in the last two attempts
-_FEWEST = 12  # brightest detections of an attempt of their own: 495 patterns, of which 5 stars give 5
+_FEWEST = 12  # brightest detections of a separate attempt: 495 patterns, of which 5 stars give 5
 _DISTORTED_EDGE_ERROR = 0.004  # tolerance of edge ratios: the distortion by a k1 of -0.4 over 14 degrees
 _HALF_EDGE_ERROR = 0.002  # the same for patterns of half the image
 _MARGIN = 1.3  # half size of the region used over that of the pinhole image: distorted images are larger
@@ -39,8 +39,8 @@ def tetra_hypotheses(points_px: Float, camera: Camera, sky: Sky, *, options: Sta
     """Attitudes found by tetra3rs from the brightest detections, in several attempts, lazily.
 
     The attempts use all detections with tight and with loose tolerance of the shape of patterns (an unknown lens
-    distorts them), those of each half of the image (trees, a planet or a limb may fill the other), the brightest alone
-    (a few stars among hundreds of hot pixels), and patterns of more detections.
+    distorts them), detections of each half of the image (trees, a planet or a limb may fill the other), the brightest
+    alone (a few stars among hundreds of hot pixels), and patterns of more detections.
 
     ``points_px`` (m, 2), detections, brightest first; yields None for fields below ``MIN_FOV_DEG`` and for mirrored
     images.
@@ -103,7 +103,7 @@ def _attempts(points_px: Float, camera: Camera) -> Iterator[_Attempt]:
 
 
 def _pattern_fov_deg(camera: Camera) -> float:
-    """Field of view along x that is searched, degrees: that of the lens, at most ``MAX_FOV_DEG``."""
+    """Field of view along x that is searched, degrees: the lens's, at most ``MAX_FOV_DEG``."""
     middle = camera.center_px[1]
     left, right = camera.model.unproject([[-0.5, middle], [camera.columns - 0.5, middle]])
     seen = math.degrees(math.acos(float(np.clip(left @ right, -1.0, 1.0))))
@@ -155,7 +155,7 @@ def _database(step: int) -> tetra3rs.SolverDatabase:
         lattice_field_oversampling=oversampling,
         patterns_per_lattice_field=patterns,
         verification_stars_per_fov=verification_stars,
-        epoch_proper_motion_year=None,  # what that catalog calls proper motion is none: see catalogs.default
+        epoch_proper_motion_year=None,  # its column of proper motion holds none: see catalogs.default
     )
     write_to_cache(name, lambda target: database.save_to_file(str(target)))
     return database

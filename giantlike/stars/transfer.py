@@ -49,7 +49,7 @@ class TransferOptions:
     drift_arcsec_per_sqrt_s : float, arcsec/s^0.5
         Random walk per axis of the rotation that the method does not model. It is zero at every star solution used,
         so between two of them it grows and shrinks again. Default 0.1: a quiet platform, 1 arcsec in 100 s; set it to
-        that of the spacecraft.
+        the value of the spacecraft.
     max_disagreement_deg : float, deg
         Where a priori attitudes exist, the largest angle between the rotation by them and the rotation assumed by the
         method: it detects slews between two images. Default 1: above the error of most a priori attitudes; 180 turns
