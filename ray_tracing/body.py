@@ -109,7 +109,7 @@ class Body(Value):
         Parameters
         ----------
         turn : Rotation
-            From the camera axes to those of the turned camera.
+            From the camera axes to the axes of the rotated camera.
 
         Returns
         -------

@@ -17,8 +17,8 @@ from giantlike.ray_tracing.tracer import Indices
 class Daylight(Value):
     """Light and dark parts of a body, from the rays of a rough trace of it.
 
-    A ray that ends where all around is dark brings nothing, and one that ends where all around is lit need not be
-    followed to the Sun. Lit spots and shadows less than a rough cell wide are lost where they lie by themselves.
+    A ray that ends in full shadow is dark, and one that ends in full illumination need not be
+    followed to the Sun. Isolated bright spots and shadows narrower than a rough cell are lost.
 
     Parameters
     ----------

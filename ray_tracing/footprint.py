@@ -134,7 +134,7 @@ class Footprint(Value):
 
     @cached_property
     def spread(self) -> tuple[Spread, Spread]:
-        """Shares of the light of columns and of rows of cells on those of pixels."""
+        """Fractions of the light of columns and rows of cells on columns and rows of pixels."""
         parts = zip(self.cells, self.corner_px.tolist(), self.size_px, strict=True)
         across, down = (cells.spread(first, count, self.plane.psf_sigma_px) for cells, first, count in parts)
         return across, down

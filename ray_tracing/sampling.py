@@ -14,7 +14,7 @@ from giantlike.ray_tracing.spread import Spread
 PSF_REACH_SIGMA = 5.0  # of the point spread function: less than 4e-6 of its light lies beyond
 _NODES = (9, 25)  # of the interpolation, tried in turn: enough for narrow fields and for strong distortion
 _DIRECTION_TOLERANCE_RAD = 1e-11  # 1e-7 px of 0.1 mrad
-_BLAS_PRODUCTS = 200_000  # few enough that BLAS does not start threads of its own
+_BLAS_PRODUCTS = 200_000  # few enough that BLAS does not start its own threads
 _CHECK = np.array([-0.93, -0.41, 0.17, 0.66, 0.98])  # places between the nodes, of the half width: uneven, both ends
 
 

@@ -27,7 +27,7 @@ _RAYS = ((100.0, 4), (250.0, 3), (math.inf, 2))
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shot(Value):
-    """One image: the window around the body, and what is true of it.
+    """One image: the window around the body, and its truth.
 
     Parameters
     ----------

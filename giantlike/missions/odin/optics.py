@@ -26,7 +26,7 @@ LENSES_MM = (6.0, 8.5, 12.0, 16.0, 25.0, 35.0, 50.0)  # the series of the paper'
 
 @dataclass(frozen=True)
 class Choice:
-    """A sensor with a lens: what it sees and how well."""
+    """A sensor with a lens: its field of view and resolution."""
 
     sensor: str
     focal_mm: float

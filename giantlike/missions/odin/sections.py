@@ -1,4 +1,4 @@
-"""The replay: studies in the order of the paper, figures, comparisons, and what was assumed."""
+"""The replay: studies in the order of the paper, figures, comparisons, and assumptions."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ CALIBRATION_SIGMA = 0.05  # of the photometric calibration
 MOON_SCATTERING = 0.604
 """Single-scattering albedo of a Chandrasekhar sphere with the Moon's geometric albedo of 0.12."""
 MODEL_SIGMA = {"EARTH": 0.25, "MOON": 0.15}
-"""Relative errors of the models told to the identification: clouds, and the side of the Moon that is seen."""
+"""Relative errors of the models given to the identification: clouds, and the side of the Moon that is seen."""
 SUNLIT_EFFICIENCY = 0.397  # by which eq. 23 gives what eq. 22 gives for sunlight on the sensor assumed here
 STEEPEST_RAD = np.radians(87.0)  # from the boresight: beyond, the foreshortened aperture is no measure of light
 EXPOSURES_S = (4e-6, 4e-5)
@@ -84,8 +84,8 @@ def wide_aperture_m2() -> float:
 def electrons_of_spectrum(irradiance_of_sun: float) -> float:
     """Electrons per second of a body that reflects this share of the Sun's light at 1 au: eq. 22 with spectra.
 
-    ``irradiance_of_sun``: irradiance at the camera over that of the Sun at 1 au, alike at all wavelengths. The Sun is a
-    blackbody and the sensor peaks at 0.52 um: the mean values of eq. 23 stand for that.
+    ``irradiance_of_sun``: irradiance at the camera relative to the Sun at 1 au, the same at all wavelengths. The Sun is
+    a blackbody and the sensor peaks at 0.52 um: the mean values of eq. 23 stand for that.
     """
     h, c, boltzmann = 6.62607015e-34, 299_792_458.0, 1.380649e-23
     wavelengths = np.linspace(0.35e-6, 1.0e-6, 400)
@@ -212,7 +212,7 @@ def whole_disk(half_angle: float, toward: Float, sun: Float | None, law: str, ca
 
 
 def share_of_sun(name: str, place: Float, sun: Float, scene: CislunarScene) -> float:
-    """Irradiance of a body at the camera over that of the Sun at 1 au."""
+    """Irradiance of a body at the camera relative to the Sun at 1 au."""
     if name == "SUN":
         return 1.0
     ratio = RADII_KM[name] / float(np.linalg.norm(place))
@@ -276,7 +276,7 @@ def search(images: Sequence[Image], sun_direction: Float | None, *, measured: bo
 
 
 def _told_once(seen: list[tuple[SeenPatch, Float, float]]) -> list[tuple[SeenPatch, Float, float]]:
-    """Of patches at one place, that of the longest exposure not saturated, else of the shortest; brightest first."""
+    """One patch per position: longest exposure not saturated, else the shortest; brightest first."""
     best = sorted(seen, key=lambda each: (each[0].saturated, each[2] if each[0].saturated else -each[2]))
     kept: list[tuple[SeenPatch, Float, float]] = []
     for each in best:
@@ -321,7 +321,7 @@ def named(patch: SeenPatch, direction: Float, sun: Float, exposure_s: float, *, 
 
 
 def wide_axes(patch: SeenPatch, direction: Float) -> Rotation:
-    """Axes of the wide camera that saw a patch, from those of the instrument."""
+    """Axes of the wide camera that saw a patch, from the axes of the instrument."""
     errors = [float(np.linalg.norm(rotate(turn, direction) - patch.direction_camera)) for turn in OUTWARD]
     return OUTWARD[int(np.argmin(errors))]
 
@@ -353,7 +353,7 @@ class WideStudy(Value):
 
 
 def wide_study(scenes: int, rng: np.random.Generator, progress: Callable[[int], None]) -> WideStudy:
-    """Search simulated scenes; the direction of the Sun is that of its ephemeris."""
+    """Search simulated scenes; the direction of the Sun is from its ephemeris."""
     rows: list[tuple[str, str | None, str | None, str, float, float, float]] = []
     missed = []
     camera = wide_camera()

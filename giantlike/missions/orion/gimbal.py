@@ -20,10 +20,10 @@ from giantlike.missions.orion.constants import focal_px, table
 from giantlike.processing import detect_sources
 
 FOCAL_ERROR, K1, P1, P2 = 1.002, -0.08, 1e-4, -5e-5
-"""The made-up lens: the paper shows that of the flight camera as a picture only."""
+"""Assumed lens: the paper shows the flight camera's in a figure only."""
 OFF_CENTER_PX = (3.2, -2.1)
 STAR_DN = 13_000.0
-"""Of a collimated point over all pixels: its peak of some 3,600 DN does not saturate."""
+"""Of a collimated point over all pixels: its peak of about 3,600 DN does not saturate."""
 FOCUSED_PX, STAKED_PX = 0.1, 0.7
 """Blur of the lens in focus, and as it is staked."""
 READ_NOISE_DN = 5.0
@@ -121,7 +121,7 @@ def equation_39(points_px: Float, azimuth_rad: Float, elevation_rad: Float) -> F
 
 
 def pinhole_error_px(azimuth_rad: Float, elevation_rad: Float) -> Float:
-    """Error (n,) that eq. 39 finds in a pinhole without any: its angles are not those of a gimbal, px."""
+    """Error (n,), px, by eq. 39 of an ideal pinhole: its angles differ from gimbal angles."""
     directions = collimator_directions(azimuth_rad, elevation_rad)
     points = focal_px() * directions[:, :2] / directions[:, 2:]
     return equation_39(points, azimuth_rad, elevation_rad)

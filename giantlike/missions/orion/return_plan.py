@@ -86,7 +86,7 @@ def filter_model(longest_step_s: float) -> FilterModel:
 
 
 def make_plan(longest_step_s: float, image_every_s: float) -> Plan:
-    """Fly the reference and set down what happens on it, the pass near the Moon that the paper leaves out included."""
+    """Fly the reference and record its events, the pass near the Moon that the paper leaves out included."""
     numbers = table("return_leg")
     trajectory, schedule, paper = numbers["trajectory"], numbers["schedule"], table("paper")["passes"]
     model = filter_model(longest_step_s)

@@ -1,4 +1,4 @@
-"""Pairs of a long exposure for the stars and a short one for Bennu: planned with their truth and with what is told."""
+"""Pairs of a long exposure for the stars and a short one for Bennu: with their truth and the declared values."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ class Planner(Value):
         )
 
     def _frame(self, shot: Shot, scene: Scene, apriori: Rotation, error_km: Float, seed: tuple[int, int]) -> Frame:
-        """An exposure with what is told of it: position, attitude and prime meridian in error."""
+        """An exposure with its declared values: position, attitude and prime meridian in error."""
         apparent, observer = apparent_of(scene, shot, self.camera), shot.observer
         body = scene.target(TARGET).ephemeris
         assert observer is not None
