@@ -99,8 +99,8 @@ class Target(Value):
     air : bool, optional
         True for a body with air or haze: an ellipsoid without an ``atmosphere`` or ``terrain`` gets the one that
         :data:`~giantlike.atmosphere.ATMOSPHERES` has by its name. False for an airless one: no estimator looks for
-        haze on it, and markings are not mistaken for it. None where it is not known, and haze is looked for; bodies of
-        :data:`~giantlike.atmosphere.AIRLESS` are airless without being declared so.
+        haze on it, and albedo variations are not mistaken for it. None where it is not known, and haze is looked for;
+        bodies of :data:`~giantlike.atmosphere.AIRLESS` are airless without being declared so.
     rings : Rings, optional
         Rings in the equator of an ellipsoid. Limbs that they hide or shade are left out of limbs in cells and of the
         checks that are made of every fix.
@@ -109,7 +109,7 @@ class Target(Value):
     ------
     InputError
         There is a height map, an atmosphere or rings and the shape is no ellipsoid, or there are both of the first: a
-        limb is that of one; or an airless body has an atmosphere.
+        limb has only one of them; or an airless body has an atmosphere.
     """
 
     name: str

@@ -14,7 +14,7 @@ _PARTS = 3  # parts of the field along each axis: center, edges and corners
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationCriteria:
-    """Acceptance criteria of a calibration; the defaults are for stars with centroids of some 0.1 px.
+    """Acceptance criteria of a calibration; the defaults are for stars with centroids of about 0.1 px.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ class CalibrationCriteria:
         Largest radial residual rms of the observations kept, with their weights in the fit. Default 0.5: real frames
         have 0.16 to 0.26.
     max_image_residual_px : float, px
-        Largest residual rms of a single image. Default 1: twice that of all.
+        Largest residual rms of a single image. Default 1: twice the limit for all.
     max_rejected : float
         Largest share of observations rejected. Default a quarter; no study yet.
     max_map_sigma_px : float, px
@@ -59,7 +59,7 @@ class CalibrationCriteria:
         Returns
         -------
         tuple of str
-            Each with what is needed and what came.
+            Each with the required and the actual value.
         """
         missed = []
         weighted_px = result.weighted_rms_px()

@@ -103,7 +103,7 @@ class CalibrationResult(Pictured, Value):
     image_index : (n,) int
         Image of each observation; the arrays below contain all observations, used or not.
     observed_px, predicted_px : (n, 2) float64, px
-        The prediction is that of the calibrated model, NaN for targets that it cannot project.
+        The prediction is by the calibrated model, NaN for targets that it cannot project.
     sigma_px, magnitudes : (n,) float64
     labels : (n,) int64
     used : (n,) bool

@@ -86,7 +86,7 @@ class AllStars:
         Limit of the stars used for calibration; the others here include fainter ones.
     count : int
     rms_px : float, px
-        Radial residual; larger than that of the calibration, because faint stars have more noise.
+        Radial residual; larger than in the calibration, because faint stars have more noise.
     noise_px : float, px
         Radial rms expected from their sigmas.
     """

@@ -25,7 +25,7 @@ _WIDEST_RAD = np.radians(89.9)  # largest angle from the axis at which folds are
 class PlaneModel(AffineModel):
     """A camera whose lens moves the points of the gnomonic plane.
 
-    It images what lies in front of it and inside :attr:`max_radius`: there the derivative of the distortion is
+    It images points in front of it and inside :attr:`max_radius`: there the derivative of the distortion is
     positive definite, so that no two directions share a pixel. Beyond, points give NaN, and a pixel that only a
     folded-over branch of the polynomial reaches gives NaN too.
 

@@ -1,6 +1,6 @@
 """CCSDS Tracking Data Messages (TDM) 2.0 in keyword-value notation: angles of a target, and its range.
 
-Keywords and their order are those of the schema of TDM 2.0 (NDM/XML of SANA), as ``ccsds-ndm`` reads it.
+Keywords and their order follow the schema of TDM 2.0 (NDM/XML of SANA), as ``ccsds-ndm`` reads it.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class TdmSegment:
     points : sequence of TdmPoint
         In order of time; at least one.
     comments : sequence of str
-        Lines for the metadata: what is removed of the angles.
+        Lines for the metadata: effects removed from the angles.
     """
 
     spacecraft: str

@@ -20,9 +20,9 @@ from giantlike.core.values import Value
 from giantlike.io.decoded import HeaderValue
 
 _POLE_WEIGHT = 1e-6
-"""Weight of the azimuth of the pole beside the direction to the viewer, which is met exactly."""
+"""Weight of the azimuth of the pole relative to the direction to the viewer, which is met exactly."""
 MSI_FROM_NEAR = Rotation.from_matrix([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-"""Axes of NEAR MSI from those of the spacecraft: boresight along +X, samples along +Z, lines along -Y."""
+"""Axes of NEAR MSI from the spacecraft's axes: boresight along +X, samples along +Z, lines along -Y."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -76,7 +76,7 @@ def geometry_of_label(header: Mapping[str, HeaderValue], model: CameraModel) -> 
     first being 1), ``TARGET``, ``TARGET_CENTER_DISTANCE``, planetocentric latitude and west longitude below the
     spacecraft and the Sun (``SUB_SPACECRAFT_LATITUDE``, ``SUB_SPACECRAFT_LONGITUDE``, ``SUB_SOLAR_LATITUDE``,
     ``SUB_SOLAR_LONGITUDE``), and ``NORAZ``, the azimuth of the north pole clockwise from the right of the image. The
-    pixel is as good as the pointing was, some 10 px. NEAR MSI: positions of spacecraft and target from the Sun and the
+    pixel is as good as the pointing was, about 10 px. NEAR MSI: positions of spacecraft and target from the Sun and the
     spacecraft quaternion, J2000 (``NEAR-019`` to ``NEAR-029``), and the name of the target (``NEAR-047``).
     """
     if "SUB_SPACECRAFT_SAMPLE" in header:

@@ -34,7 +34,7 @@ _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT",
 
 
 class PsfKind(StrEnum):
-    """What an image in a picture is of."""
+    """Kind of object in a picture."""
 
     PLANET = "PLAN"
     SATELLITE = "SAT"
@@ -74,7 +74,7 @@ class PsfImage(Value):
     observed_px : (2,) float64, px
         Measured pixel and line.
     correction_px : (2,) float64, px
-        What the lens moved it by: without it the camera of the file holds.
+        Shift by the lens: without it the camera of the file holds.
     sigma_px : (2,) float64, px
     radec_deg : (float, float), deg, optional
         Of a star: its catalog place at the epoch, without aberration.

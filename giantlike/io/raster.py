@@ -1,6 +1,6 @@
 """PNG, TIFF and JPEG images through OpenCV, at their full depth, and checks that they are whole.
 
-OpenCV fills what is missing of a cut-off file with zeros or gray and says nothing, so each format is
+OpenCV fills the missing part of a truncated file with zeros or gray without an error, so each format is
 checked here first: PNG by its chunks and their checksums, JPEG by its markers, TIFF by its strip table.
 """
 

@@ -23,7 +23,7 @@ from giantlike.core.values import Value
 if TYPE_CHECKING:
     from astropy.time import Time
 
-_FIRST_PIXEL = 1.0  # what SPC calls the center of the first pixel
+_FIRST_PIXEL = 1.0  # coordinate of the center of the first pixel in SPC
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 _ORTHOGONAL = (
     1e-6  # largest departure of the camera's axes from orthogonal unit vectors: they are written with 10 digits

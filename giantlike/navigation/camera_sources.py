@@ -175,7 +175,7 @@ class TriggerPlan:
     primary : int
         0 or 1: the camera with the longer exposure, which triggers the other.
     delay_s : float, s
-        From the start of the primary to that of the secondary: the middles of both exposures then coincide.
+        From the start of the primary to the start of the secondary: the middles of both exposures then coincide.
     """
 
     primary: int

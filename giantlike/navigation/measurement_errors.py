@@ -29,7 +29,7 @@ class BodyErrorModel(Value):
     relief_px_km : (3,) float64, px km
         Sigma of relief, times the focal length.
     bias_px : (3,) float64, px
-        Bias of a body far away.
+        Bias of a distant body.
     bias_px_km : (3,) float64, px km
         Bias that shrinks with the range, times the focal length.
 

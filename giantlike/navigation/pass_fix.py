@@ -70,8 +70,8 @@ class WeakCombination:
         Fraction of each parameter, in units of the standard deviation that it would have were all others known; the
         largest first, small ones left out.
     inflation : float
-        Ratio of the standard deviation of the combination by the measurements alone to that of one of its parameters
-        with all others known; infinite where the measurements do not determine it.
+        Ratio of the standard deviation of the combination by the measurements alone to the standard deviation of one of
+        its parameters with all others known; infinite where the measurements do not determine it.
     """
 
     weights: Mapping[str, float]

@@ -62,7 +62,7 @@ class ObservationError(Value):
     error_px, sigma_px : (2,) float64, px, or None
         Found minus true center; stated sigmas. None without a fix.
     nees : float or None
-        Squared error over the stated covariance (2 x 2): 2 on average where the covariance is right.
+        Squared error normalized by the reported covariance (2 x 2): 2 on average where the covariance is correct.
     range_error, range_sigma : float or None
         Found minus true range, and its stated sigma, over the true range.
     """

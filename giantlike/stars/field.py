@@ -16,7 +16,7 @@ from giantlike.core.values import Value, select_rows
 
 EPOCH_WHEN_UNKNOWN = 2016.0
 """Julian epoch of the stars for an image without time, years: the epoch of most positions in the default catalog."""
-_MARGIN = 1.05  # radius of the sky looked up over that of the field of view: the focal length may still change by 5 %
+_MARGIN = 1.05  # radius of the catalog cone / radius of the field of view: the focal length may change by 5 %
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.stars.attitude import AttitudeMethod
 
-_ALWAYS_KEPT = 20  # detections of an image kept whatever their signal to noise ratio: 40 equations for 3 unknowns
+_ALWAYS_KEPT = 20  # detections of an image kept at any signal to noise ratio: 40 equations for 3 unknowns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +69,7 @@ class StarOptions:
         with 35, Mars with 24; that is 12 arcsec about each axis across the line of sight.
     unknown_epoch_years : float, years
         Standard deviation of the time from J2016.0 of an image without an epoch: the proper motion of its stars enters
-        the covariance. Default 15: images of this century lie within one of them, those of Voyager within three.
+        the covariance. Default 15: images of this century lie within one of them, images of Voyager within three.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def bright_enough(snr: Float, min_snr: float) -> Mask:
     Returns
     -------
     (k,) bool
-        True for detections of at least ``min_snr``, and for the 20 brightest whatever their ratio.
+        True for detections of at least ``min_snr``, and for the 20 brightest at any ratio.
     """
     bright: Mask = snr >= min_snr
     bright[np.argsort(-snr, kind="stable")[:_ALWAYS_KEPT]] = True

@@ -32,7 +32,7 @@ _MANY_PATTERN_STARS = _BRIGHTEST = 40  # detections that form patterns in the la
 _FEWEST = 12  # brightest detections of a separate attempt: 495 patterns, of which 5 stars give 5
 _DISTORTED_EDGE_ERROR = 0.004  # tolerance of edge ratios: the distortion by a k1 of -0.4 over 14 degrees
 _HALF_EDGE_ERROR = 0.002  # the same for patterns of half the image
-_MARGIN = 1.3  # half size of the region used over that of the pinhole image: distorted images are larger
+_MARGIN = 1.3  # half size of the region used / half size of the pinhole image: distorted images are larger
 
 
 def tetra_hypotheses(points_px: Float, camera: Camera, sky: Sky, *, options: StarOptions) -> Iterator[Hypothesis]:
@@ -86,7 +86,7 @@ class _Attempt:
 
     chosen: Mask
     pattern_stars: int = 24
-    edge_error: float | None = None  # None: that of the database, 0.001
+    edge_error: float | None = None  # None: the database's, 0.001
 
 
 def _attempts(points_px: Float, camera: Camera) -> Iterator[_Attempt]:

@@ -50,7 +50,7 @@ class Hapke(SurfaceLaw):
     and no porosity factor. The roughness leaves out light between slopes and is meant for slopes well under 45 degrees;
     its effective cosines are not let fall below 0. Slopes that the shape itself shows must not be counted twice.
 
-    The parameters mean what Wh, B0, Hh, Theta, Hg1 and Hg2 mean in ISIS, so that those can be used; ISIS leaves the
+    The parameters equal Wh, B0, Hh, Theta, Hg1 and Hg2 of ISIS, whose values can be used; ISIS leaves the
     surge out of its scale.
 
     References

@@ -14,8 +14,8 @@ from giantlike.shapes.local_map import LocalMap
 
 _RECORD = 72  # bytes before the pixels [1]_ of read_maplet
 _ALBEDO_STEP = 0.01  # of the stored albedo, same source
-_MAX_HALF_SIZE = 4096  # bounds the memory that a damaged header can ask for
-_SKEW = 1e-3  # axes in single precision are square to 1e-7; what is worse than this is damage
+_MAX_HALF_SIZE = 4096  # bounds the memory that a damaged header can request
+_SKEW = 1e-3  # axes in single precision are perpendicular to 1e-7; more is damage
 
 
 @reads("an SPC maplet")

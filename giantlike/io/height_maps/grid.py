@@ -121,7 +121,7 @@ class HeightGrid(Value):
 
 
 def require_usable(grid: HeightGrid, heights_km: NDArray[np.float32]) -> None:
-    """Raise unless heights are those of relief.
+    """Raise unless heights are plausible for relief.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def tiles_of(rows: slice, columns: slice, size: int) -> Iterator[tuple[int, int]
 
 
 def put(result: NDArray[Any], corner: tuple[int, int], tile: NDArray[Any], tile_corner: tuple[int, int]) -> None:
-    """Copy what a tile and a part of a grid have in common.
+    """Copy the overlap of a tile and a part of a grid.
 
     ``result`` (r, c); ``corner``: row and column of its first sample in the grid; ``tile`` (h, w); ``tile_corner``: row
     and column of its first sample in the grid.

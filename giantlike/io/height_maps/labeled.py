@@ -1,4 +1,4 @@
-"""Height maps in PDS3 images with a label, attached or in a file of its own.
+"""Height maps in PDS3 images with a label, attached or in a separate file.
 
 References
 ----------

@@ -28,7 +28,7 @@ def near(
 def holds(
     what: str, values: tuple[str | float, str | float], true: bool, kind: ComparisonKind, reference: str, reason: str
 ) -> Comparison:
-    """Compare a statement of the paper with what we find: it agrees where the rule in ``reason`` is met."""
+    """Compare a statement of the paper with our result: it agrees where the rule in ``reason`` is met."""
     paper, ours = values
     return Comparison(
         what=what,

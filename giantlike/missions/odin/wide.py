@@ -39,7 +39,7 @@ MOON_SCATTERING = 0.604
 """Single-scattering albedo of a Chandrasekhar sphere with the Moon's geometric albedo of 0.12."""
 MODEL_SIGMA = {"EARTH": 0.25, "MOON": 0.15}
 """Relative errors of the models given to the identification: clouds, and the side of the Moon that is seen."""
-SUNLIT_EFFICIENCY = 0.397  # by which eq. 23 gives what eq. 22 gives for sunlight on the sensor assumed here
+SUNLIT_EFFICIENCY = 0.397  # by which eq. 23 equals eq. 22 for sunlight on the sensor assumed here
 STEEPEST_RAD = np.radians(87.0)  # from the boresight: beyond, the foreshortened aperture is no measure of light
 EXPOSURES_S = (4e-6, 4e-5)
 """For the sunlit Earth, which fills 60 % of the well through 1.45 mm in the shorter one, and for the Moon."""

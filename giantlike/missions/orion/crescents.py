@@ -1,4 +1,4 @@
-"""Figs. 9 and 10: the field of the camera, images of Earth and Moon, and crescents as thin as that of Fig. 10c."""
+"""Figs. 9 and 10: the field of the camera, images of Earth and Moon, and crescents as thin as in Fig. 10c."""
 
 from __future__ import annotations
 

@@ -322,7 +322,7 @@ def orbit_size_comparison(mission: Mission, phase: PhaseSetup) -> Comparison:
 
 
 def mapcam_field_comparison(mission: Mission) -> Comparison:
-    """Whether Bennu is larger than the field of MapCam in Detailed Survey."""
+    """Compare the size of Bennu with the field of MapCam in Detailed Survey."""
     ratio = mission.cameras["mapcam"].model.focal_length_px / mission.cameras["navcam1"].model.focal_length_px
     low, high, side = 200.0 * ratio, 600.0 * ratio, float(mission.cameras["mapcam"].columns)
     return Comparison(
