@@ -25,7 +25,7 @@ class StarCatalog(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the catalog, for people."""
+        """Name of the catalog, for display."""
         ...
 
     @property
@@ -98,7 +98,7 @@ class MemoryCatalog:
 
     @property
     def name(self) -> str:
-        """Name of the catalog, for people."""
+        """Name of the catalog, for display."""
         return self._name
 
     @property

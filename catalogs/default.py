@@ -80,7 +80,7 @@ def default_catalog() -> MemoryCatalog:
     name = f"default-catalog-{_FORMAT}-" + "-".join(versions.values()) + SUFFIX
     try:
         return open_catalog(cache_folder() / name)
-    except DataError:  # absent, damaged or of an older form: made again and replaced
+    except DataError:  # absent, damaged or of an older form: rebuilt and replaced
         _LOG.info("merging the catalog packages, once for %s", cache_folder())
         built = MemoryCatalog(build_default_stars(), name="default", band="Gaia G", version=text)
     if write_to_cache(name, lambda path: save_catalog(built, path)):

@@ -1,7 +1,7 @@
 """Proper names of bright stars, by position and magnitude, in any catalog.
 
 ``iau_star_names.csv`` has the names that the IAU Working Group on Star Names approved for single stars of Hipparcos
-brighter than V = 6.5 [1]_, with the place at J2000.0 and Hp of the Hipparcos entry that the group names [2]_. Alula
+brighter than V = 6.5 [1]_, with the position at J2000.0 and Hp of the Hipparcos entry that the group names [2]_. Alula
 Australis is left out: the new reduction of Hipparcos does not have it.
 
 References
@@ -52,7 +52,7 @@ def proper_names(stars: StarTable) -> tuple[str, ...]:
     Returns
     -------
     tuple of n str
-        Empty for the many that have none. A name is given once, to the star nearest to its place.
+        Empty for the many that have none. A name is given once, to the star nearest to its position.
 
     Examples
     --------
@@ -80,7 +80,7 @@ def proper_names(stars: StarTable) -> tuple[str, ...]:
 
 @lru_cache(maxsize=1)
 def _named() -> _Named:
-    """The names of the file with places and magnitudes."""
+    """The names of the file with positions and magnitudes."""
     with _FILE.open(encoding="ascii", newline="") as file:
         rows = list(csv.DictReader(file))
     ra, dec, magnitude = (

@@ -47,7 +47,7 @@ class StarTable(Value):
     color_bp_rp : (n,) float64, optional
         Gaia BP-RP, NaN where unknown.
     is_double : (n,) bool, optional
-        Known doubles: the catalog has a companion within a few arcseconds or says that the star is none alone,
+        Known doubles: the catalog has a companion within a few arcseconds or flags the star as not single,
         or :func:`~giantlike.catalogs.blended` made one of several. Position, motion and magnitude of such a star are
         less accurate than their standard deviations.
     """

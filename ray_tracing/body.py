@@ -104,7 +104,7 @@ class Body(Value):
         return replace(self, position_camera_km=np.asarray(position_camera_km, dtype=np.float64))
 
     def turned(self, turn: Rotation) -> Body:
-        """Return the same body in the axes of a camera rotated in place: position and attitude turn together.
+        """Return the same body in the axes of a camera rotated in place: position and attitude rotate together.
 
         Parameters
         ----------

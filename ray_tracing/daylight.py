@@ -29,7 +29,7 @@ class Daylight(Value):
     center_px, traced_center_px : (2,) float64, px
         Of the body, now and where it was traced roughly.
     scale : float
-        Size of the body now over that in the rough trace.
+        Ratio of the current size of the body to the size in the rough trace.
     whole : bool
         False where rays were sent through a part of the cells: none is known to be dark.
     """

@@ -97,7 +97,7 @@ def render_near(
     Notes
     -----
     The light of a ray is spread over the pixels as from its cell; cell, point spread and pixel together and exactly,
-    as by :func:`giantlike.ray_tracing.render`. The place of a ray in its cell differs from row to row, so that an
+    as by :func:`giantlike.ray_tracing.render`. The position of a ray in its cell differs from row to row, so that an
     outline along the rows does not meet all of a row's rays at once.
     """
     view = view_of(body, plane.model, sun_direction_camera, _OPTIONS)
@@ -156,7 +156,7 @@ def outline_brightness(
     Returns
     -------
     (n,) float64
-        Over the largest of the values; 0 everywhere where none of the places is lit.
+        Over the largest of the values; 0 everywhere where none of the points is illuminated.
 
     Raises
     ------
@@ -165,8 +165,8 @@ def outline_brightness(
 
     Notes
     -----
-    On the outline itself the cosine of the incidence angle says little: with the Sun behind the camera it is zero all
-    around, however bright the limb.
+    On the outline itself the cosine of the incidence angle is of little use: with the Sun behind the camera it is zero
+    all around, however bright the limb.
     """
     view = view_of(body, model, sun_direction_camera, _OPTIONS)
     across = np.stack([-normals_px[:, 1], normals_px[:, 0]], axis=-1)
@@ -180,7 +180,7 @@ def outline_brightness(
 
 
 def _pixels_near(places_px: Float, size_px: tuple[int, int], reach_px: int) -> tuple[NDArray[np.int64], Mask]:
-    """Pixels (n, 2) whose light falls near places (k, 2): those in the frame, and as many beyond as it takes.
+    """Pixels (n, 2) whose light falls near positions (k, 2): those in the frame, and as many beyond as it takes.
 
     And which of them (n,) lie near enough themselves.
     """

@@ -46,7 +46,7 @@ class Template(Value):
     lit_fraction : float
         Part of the rays on the body that end on lit surface.
     rendered_from_camera : Rotation
-        Takes camera axes to those that the body was rendered in: no turn, unless it was recentered.
+        Takes camera axes to the axes that the body was rendered in: identity, unless it was recentered.
     """
 
     brightness: Float

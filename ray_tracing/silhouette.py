@@ -26,7 +26,7 @@ from giantlike.shapes.limbs import crossings, largest_of_each, limb_ellipse, sil
 _TANGENT_PX = 0.5  # px to either side over which a normal is taken: one pixel of the outline
 _FAR_FOCAL_LENGTHS = 10.0  # 84 deg off the axis of a pinhole camera
 _HALVINGS = 40  # of that distance, to find the end of the image: 1e-8 px where the focal length is a thousand
-_BEYOND = np.linspace(0.02, 1.0, 12)  # places between outline and the end of the image, as fractions
+_BEYOND = np.linspace(0.02, 1.0, 12)  # positions between outline and the end of the image, as fractions
 _TURN = 2.0 * np.pi  # rad
 _NEWTON_STEPS = 4  # at most, from the chord, with quadratic convergence: distortion hardly bends a single edge
 _STILL = 1e-7  # of the length of an edge: the step after such a one is shorter than rounding

@@ -14,7 +14,7 @@ from giantlike.core.values import Value
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spread(Value):
-    """Shares of the light of cells, side by side, that fall on pixels.
+    """Fractions of the light of cells, side by side, that fall on pixels.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ _HULL_FACETS = 500  # directions of the points of a hull: they lie at most 1 % o
 _EDGE = 1e-5
 """Distance to an edge of a facet, across the ray and over the body radius, within which float64 chooses the facet.
 
-Float32 resolves 6e-8 of the radius; the rest is room for glancing rays.
+Float32 resolves 6e-8 of the radius; the rest is margin for glancing rays.
 """
 _SHADOW_OFFSET = 1e-6
 """Height over the surface at which a shadow ray starts, as a fraction of the body radius.

@@ -15,7 +15,7 @@ from giantlike.shapes.surface import Surface
 
 _MIN_FACETS = 4  # a tetrahedron
 _MAX_SAMPLES = 20_000  # vertices of each mesh; their largest distance approximates the largest of all
-_CANDIDATES = 24  # facets nearest by centroid among which the nearest by distance is looked for
+_CANDIDATES = 24  # facets nearest by centroid among which the nearest by distance is searched
 _HASTES = (7, 6, 5, 8)
 """Aggressiveness of fast-simplification (7 is its default): a surface torn at one can stay whole at another."""
 

@@ -1,4 +1,4 @@
-"""Landmarks: local maps of places on a body, to be matched with images, and catalogs of them in files."""
+"""Landmarks: local maps of points on a body, to be matched with images, and catalogs of them in files."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _FORMAT, _VERSION = "giantlike landmarks", 1
 
 @dataclass(frozen=True, eq=False)
 class Landmark(Value):
-    """A landmark: a local map of a place on a body.
+    """A landmark: a local map around a point on a body.
 
     Parameters
     ----------
     map : LocalMap
-        Heights, and albedo if it is known; its z axis is the normal of the place.
+        Heights, and albedo if it is known; its z axis is the normal of the point.
     texture : float
         Contrast to match with: rms tilt of the surface, rad, about a uniform curvature, and rms relative albedo, added
         in quadrature.

@@ -74,7 +74,7 @@ def limb(shape: Shape, camera_body_km: ArrayLike, directions_body: ArrayLike) ->
 
     Notes
     -----
-    Derivatives hold the direction fixed in body axes: the half-plane turns about it as the camera moves.
+    Derivatives hold the direction fixed in body axes: the half-plane rotates about it as the camera moves.
 
     The outermost point of a half-plane is always seen: a point that hid it would reach farther out. So the silhouette
     edges of a mesh need no test of visibility here. The limb of a mesh moves along one edge and jumps to

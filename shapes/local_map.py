@@ -37,7 +37,7 @@ class LocalMap(Value):
     spacing_km : float, km
         Distance of neighboring heights: the ground sample distance.
     albedo : (rows, columns) float64, optional
-        Relative albedo at the same places.
+        Relative albedo at the same positions.
     name : str
 
     Raises

@@ -31,7 +31,7 @@ _OPEN = 0.2  # sum of area vectors over area: above it a surface counts as a she
 class TriangleMesh(Value):
     """A body as a surface of triangles, in body axes.
 
-    Facets without area are dropped, and all facets are turned over when the volume they enclose comes
+    Facets without area are dropped, and all facets are reversed when the volume they enclose comes
     out negative, so that normals point outward; a sheet that encloses nothing stays as it is. Derived arrays are
     computed once, at first use.
 

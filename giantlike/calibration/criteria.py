@@ -24,13 +24,13 @@ class CalibrationCriteria:
     max_image_residual_px : float, px
         Largest residual rms of a single image. Default 1: twice the limit for all.
     max_rejected : float
-        Largest share of observations rejected. Default a quarter; no study yet.
+        Largest fraction of observations rejected. Default a quarter; no study yet.
     max_map_sigma_px : float, px
         Largest uncertainty of the camera map over the field (radial, modulo a rotation). Default 0.5, as the residuals.
     min_observations_per_parameter : float
         Smallest number of observations kept per parameter of the camera. Default 3, six equations.
     min_covered : float
-        Smallest share of nine equal parts of the field with observations. Default 0.6: six of nine.
+        Smallest fraction of nine equal parts of the field with observations. Default 0.6: six of nine.
 
     Raises
     ------
@@ -93,7 +93,7 @@ class CalibrationCriteria:
 
 
 def _covered(result: CalibrationResult) -> float:
-    """Share of the equal parts of the field in which something was observed."""
+    """Fraction of the equal parts of the field in which something was observed."""
     points = result.observed_px[result.used]
     edges = [np.linspace(-0.5, size - 0.5, _PARTS + 1) for size in (result.columns, result.rows)]
     counts, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=edges)

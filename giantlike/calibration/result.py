@@ -178,7 +178,7 @@ class CalibrationResult(Pictured, Value):
     def weighted_rms_px(self, image: int | None = None) -> float:
         """Radial residual rms of the observations used, with their weights in the fit.
 
-        Faint stars, whose noise says nothing about the camera, count little in it.
+        Faint stars, dominated by noise, have little weight in it.
 
         Parameters
         ----------

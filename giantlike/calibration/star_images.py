@@ -1,4 +1,4 @@
-"""Calibration from star images: identification and camera model by turns, until the matches stop changing."""
+"""Calibration from star images: identification and camera model alternately, until the matches stop changing."""
 
 from __future__ import annotations
 

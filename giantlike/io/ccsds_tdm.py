@@ -69,7 +69,7 @@ class TdmSegment:
 def write_tdm(path: str | Path, segments: Sequence[TdmSegment], *, originator: str = "UNKNOWN") -> None:
     """Write a TDM: right ascension and declination in ICRF at the time of reception in UTC, and the range in km.
 
-    The light goes from participant 2, the target, to participant 1. A TDM has no place for covariances; the
+    The light goes from participant 2, the target, to participant 1. A TDM has no covariances; the
     observables file of a run has them.
     """
     require(len(segments) > 0, "a TDM needs a segment")

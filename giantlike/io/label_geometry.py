@@ -1,4 +1,4 @@
-"""Geometry that stands in the labels of images: where the target is, how it is turned and where the Sun is.
+"""Geometry in the labels of images: position and orientation of the target, direction of the Sun.
 
 Galileo SSI and NEAR MSI labels hold it. Voyager labels hold none: their frame count leads to it by SPICE kernels.
 """
@@ -38,9 +38,9 @@ class LabelGeometry(Value):
     sun_direction_camera : (3,) float64, unitless, camera axes
         From the target to the Sun.
     camera_from_body : Rotation, optional
-        Orientation of the target; None where the label does not tell it.
+        Orientation of the target; None where the label does not give it.
     camera_from_inertial : Rotation, optional
-        Attitude of the camera; None where the label does not tell it.
+        Attitude of the camera; None where the label does not give it.
     """
 
     target: str
@@ -68,7 +68,7 @@ def geometry_of_label(header: Mapping[str, HeaderValue], model: CameraModel) -> 
     Raises
     ------
     InputError
-        An item of the label is no number.
+        An item of the label is not a number.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Picture sequence files (PSF) of JPL's orbit programs: cameras, pointing and places in images as FORTRAN namelists.
+"""Picture sequence files (PSF) of JPL's orbit programs: cameras, pointing and image positions as FORTRAN namelists.
 
 Sources opened: the description at ``https://ssd.jpl.nasa.gov/dat/sats/format.txt`` (order and names of the namelists,
 and the variables of the first two), and for the other variables and their meaning the reader of Tudat (``readPsfFile``,
@@ -77,7 +77,7 @@ class PsfImage(Value):
         Shift by the lens: without it the camera of the file holds.
     sigma_px : (2,) float64, px
     radec_deg : (float, float), deg, optional
-        Of a star: its catalog place at the epoch, without aberration.
+        Of a star: its catalog position at the epoch, without aberration.
     """
 
     kind: PsfKind

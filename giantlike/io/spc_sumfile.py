@@ -148,7 +148,7 @@ def read_sumfile(path: str | Path) -> Sumfile:
 
 
 def _read_landmarks(path: Path, lines: list[str]) -> Iterator[tuple[str, Float]]:
-    """Yield names and places of the landmarks, from the line after ``LANDMARKS`` to one of a single word or two."""
+    """Yield names and positions of the landmarks, from the line after ``LANDMARKS`` to one of a single word or two."""
     start = next((number for number, line in enumerate(lines) if line.strip() == "LANDMARKS"), len(lines))
     for number in range(start + 1, len(lines)):
         words = lines[number].split()

@@ -111,7 +111,7 @@ def find_kernels(patterns: Sequence[str | Path], base: str | Path) -> tuple[Path
 def load_kernels(patterns: Sequence[str | Path], base: str | Path, *, trusted: bool = False) -> SpiceKernels:
     """Load SPICE kernels into this process.
 
-    All files are looked for and checked before the first is loaded. SPICE itself reads files that are cut off
+    All files are searched and checked before the first is loaded. SPICE itself reads files that are cut off
     or no kernels at all without complaint; they are refused here. A damaged one can end the process: all are
     loaded in another process first. A meta-kernel is replaced by the kernels it
     lists, whose paths are relative to the meta-kernel's own folder (SPICE alone takes them from the
@@ -294,7 +294,7 @@ def _expanded(path: Path, depth: int = 0) -> list[Path]:
 
 @reads("a SPICE kernel")
 def _kernel_text(path: Path) -> str | None:
-    """Content of a text kernel, None for a binary one; refuses files that are no whole kernel."""
+    """Content of a text kernel, None for a binary one; refuses files that are not complete kernels."""
     with path.open("rb") as file:
         head = file.read(_FILE_RECORD)
     if head.startswith(_TRANSFER):

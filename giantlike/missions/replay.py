@@ -40,7 +40,7 @@ class ComparisonKind(StrEnum):
     """Relation of our number to the paper's."""
 
     INPUT = "input"
-    """The paper's number was put in and is found again: this is no agreement."""
+    """The paper's number is an input that is recovered: this is not an agreement."""
     DERIVED = "derived"
     """Follows from numbers of the paper by its own formulas."""
     INDEPENDENT = "independent"
@@ -91,7 +91,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayFigure:
-    """A figure of the paper, made again.
+    """A figure of the paper, reproduced.
 
     Parameters
     ----------

@@ -134,7 +134,7 @@ class BodyLight:
         Phase angle (rad) to the brightness relative to a white Lambert disk facing the Sun, such as
         :func:`chandrasekhar_sphere`.
     relative_sigma : float
-        Relative error of that brightness: markings, clouds, the law.
+        Relative error of that brightness: albedo variations, clouds, the law.
     """
 
     name: str

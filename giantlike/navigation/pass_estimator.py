@@ -32,7 +32,7 @@ from giantlike.navigation.pass_terms import PassOptions, PassTerm
 WEAK = 30.0
 """Inflation from which a combination is reported: its parts then correlate by more than 0.999."""
 _JITTER_REACH = 1e3
-"""Factor, down and up, within which the jitter is looked for around the first guess."""
+"""Factor, down and up, within which the jitter is searched around the first guess."""
 _LOG_STEP = 0.05
 """Step in the logarithm of the jitter by which the curvature of its likelihood is taken."""
 
@@ -190,7 +190,7 @@ def _weak(layout: Layout, normal: Normal) -> tuple[WeakCombination, ...]:
 
 
 def _untold(layout: Layout, normal: Normal) -> Failure | None:
-    """The failure of a pass that does not tell parameters of which nothing was known before."""
+    """The failure of a pass that does not determine parameters without a priori information."""
     if normal.count == 0:
         return Failure(Reason.TOO_FEW_DETECTIONS, "no point or position of the pass agrees with the others")
     which = np.flatnonzero(layout.estimated)

@@ -123,7 +123,7 @@ class PassFix(Value):
     apriori, apriori_sigmas : (k,) float64
         Values and standard deviations before; infinite where nothing was known.
     learned : (k,) float64
-        Share of the a priori variance that the pass removed; 1 where nothing was known.
+        Fraction of the a priori variance that the pass removed; 1 where nothing was known.
     tests : tuple of TermTest
     weak : tuple of WeakCombination
     jitter : TimetagJitter or None
@@ -265,7 +265,7 @@ def term_test(term: str, departure: Float, covariance: Float, freedom: int | Non
 
 
 def weak_combinations(names: tuple[str, ...], information: Float, *, above: float) -> tuple[WeakCombination, ...]:
-    """Find combinations of parameters that measurements tell much worse than their parts.
+    """Find combinations of parameters that measurements determine much worse than their parts.
 
     ``information`` (k, k).
     """

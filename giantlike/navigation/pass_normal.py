@@ -159,7 +159,7 @@ def normal_of(layout: Layout, sums: list[ImageSums]) -> Normal:
 def agreeing(
     given: NavigationPass, measured: list[tuple[Float, Float]], sums: list[ImageSums], outlier_sigmas: float
 ) -> list[Mask]:
-    """Residuals of every image that are no outliers; a position is kept or left out as a whole."""
+    """Residuals of every image that are not outliers; a position is kept or left out as a whole."""
     left = [
         residuals - design @ (image.random @ image.new_errors)
         for (residuals, design), image in zip(measured, sums, strict=True)

@@ -46,12 +46,12 @@ class Sightline(Value):
         taken as exact. Lines of the same image use the covariance of the first.
     aberration : bool
         True where the direction is as the moving camera sees it; False where stellar aberration is out of it, as by an
-        attitude from stars that were taken at their places without aberration (world coordinates of FITS headers).
+        attitude from stars that were used at their positions without aberration (world coordinates of FITS headers).
 
     Raises
     ------
     InputError
-        The direction is no unit vector, or a matrix is no covariance.
+        The direction is not a unit vector, or a matrix is not a covariance.
     """
 
     target: str
@@ -104,7 +104,7 @@ def sightline_of_fix(fix: CenterFix, image: Image, camera: Camera) -> Sightline 
 def sightline_of_pixel(
     target: str, center_px: ArrayLike, covariance_px2: ArrayLike, image: Image, camera: Camera
 ) -> Sightline | Failure:
-    """Turn a place in an image into a line of sight.
+    """Convert a position in an image into a line of sight.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def without_aberration(sightlines: Sequence[Sightline], velocity_km_s: ArrayLike
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StarEphemeris(Value):
-    """A star with a parallax as a place in space, to be triangulated from like a planet.
+    """A star with a parallax as a position in space, to be triangulated from like a planet.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ class TriangulationMethod(StrEnum):
     LOST = "lost"
     """Linear optimal sine triangulation: weighted by ranges that follow from pairs of lines, without iteration."""
     MAXIMUM_LIKELIHOOD = "maximum_likelihood"
-    """Gauss-Newton steps from there, to the place whose directions the measured ones are likeliest to come from."""
+    """Gauss-Newton steps from there, to the position of maximum likelihood."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,7 +131,7 @@ def triangulate(
     ephemeris_covariances_km2: Mapping[str, ArrayLike] | None = None,
     options: TriangulationOptions | None = None,
 ) -> TriangulatedPosition | Failure:
-    r"""Find where lines of sight to known places meet.
+    r"""Find where lines of sight to known positions meet.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def locate(
 
     The steps: 1. stellar aberration is removed by the velocity; 2. each target is taken where it was when the light
     left it, with light times of the position found so far, from the barycenter at first; 3. lines of other epochs are
-    moved to this one by the velocity; 4. :func:`triangulate`; 2 to 4 are repeated until the position stands still.
+    moved to this one by the velocity; 4. :func:`triangulate`; 2 to 4 are repeated until the position converges.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ def locate(
     et : float, TDB seconds past J2000
         Epoch of the position.
     velocity_km_s : (3,), km/s, ICRF axes
-        Of the spacecraft with respect to the solar system barycenter. An error of 1 m/s turns every line alike by
+        Of the spacecraft with respect to the solar system barycenter. An error of 1 m/s rotates every line alike by
         0.7 mas.
     ephemeris_covariances_km2 : mapping of str to (3, 3), km^2, ICRF axes, optional
         By target; none by default.

@@ -66,7 +66,7 @@ def udu_factors(covariance: ArrayLike) -> UduFactors:
     Raises
     ------
     InputError
-        The matrix is no covariance.
+        The matrix is not a covariance.
 
     References
     ----------

@@ -416,7 +416,7 @@ class _Planner(Value):
         )
 
     def _attitudes(self, apparent_km: Float, shape: Shape) -> tuple[Rotation, ...]:
-        """True attitudes of the three images of a visit, with the body at a random place of the frame."""
+        """True attitudes of the three images of a visit, with the body at a random position in the frame."""
         camera, options = self.camera, self.options
         reach_px = camera.model.focal_length_px * shape.circumscribing_radius_km / float(np.linalg.norm(apparent_km))
         free_px = max(min(camera.columns, camera.rows) / 2 - reach_px - options.frame_margin_px, 0.0)

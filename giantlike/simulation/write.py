@@ -43,7 +43,7 @@ STAR_IMAGE, BODY_IMAGE = "stars", "body"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TruthRow:
-    """Row of ``truth.csv``: the true attitude of an image and the true apparent place of the body in view."""
+    """Row of ``truth.csv``: the true attitude of an image and the true apparent position of the body in view."""
 
     file: str = column("Image file")
     kind: str | None = column("``stars`` or ``body``: what the image was taken for")

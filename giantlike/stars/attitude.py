@@ -130,7 +130,7 @@ def fit_attitude(
     scatter estimated by its median. If the remaining residuals exceed their covariances, these are scaled by a factor
     and an error floor common to all stars is added in quadrature, so that chi-square equals its degrees of freedom
     (:func:`~giantlike.core.statistics.error_terms`): the covariance of the attitude then includes the unmodeled error.
-    No star weighs more than half of all others together, which could not tell of its unmodeled error.
+    No star weighs more than half of all others together, whose residuals could not show its unmodeled error.
 
     Parameters
     ----------

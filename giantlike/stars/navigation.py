@@ -41,7 +41,8 @@ _IDENTIFIED_FIRST = 200
 """Brightest detections that an a priori attitude is tried with before all are: twice those that vote for a shift."""
 _DETECTIONS_PER_STAR, _SPARE_DETECTIONS = 4, 30  # detections used per catalog star expected: fainter ones are noise
 _INFORMATION = 0.95
-"""Share of the information of all stars that an attitude must hold: all of them would shrink its covariance by 5 %."""
+"""Fraction of the information of all stars that an attitude must hold: all of them would shrink its covariance by 5
+%."""
 _MEASURED_FIRST = 0.96
 """Share measured first. Of 57 star images, 27 fell short of the share above when just as much was measured, because
 errors of catalog and neighbors count most for the brightest, and had to be measured once more; with this share 2."""
@@ -55,7 +56,7 @@ _ROUND = 0.25
 0.37-0.86 in six of seven star images (0.05 in one of 15 faint stars) and 0.47-0.79 for fields of 12 stars; below 0 for
 motion of 2 px and less. On three images of another seed: 0.79, 0.33 and 0.07."""
 _MOST_ALONE = 1 / 3
-"""Shares of sources and of catalog stars, each of the brighter half, that have no partner. On 200 star images of the
+"""Fractions of sources and of catalog stars, each of the brighter half, that have no partner. On 200 star images of the
 gauntlet (seed 7) the smaller of the two is at most 0.04 where nothing is wrong, 0.28 with lines or blocks missing, and
 0.4-0.76 where half of the rows have slipped or the focal length is wrong."""
 _LARGE_FLOOR_PX = 1.0  # error floor, px, above which they are; real calibrated cameras leave 0.1 to 0.2 px
@@ -267,7 +268,7 @@ class StarNavigation:
         found: Identification | Failure = Failure(Reason.TOO_FEW_MATCHES, "not tried")
         for number in sorted(
             {min(_IDENTIFIED_FIRST, len(points)), len(points)}
-        ):  # the brightest tell as well, and fast
+        ):  # the brightest alone suffice, and are fast
             found = identify_apriori(
                 wide[: depth_for(number)], points[:number], camera, camera_from_inertial, options=options
             )

@@ -29,8 +29,8 @@ class StarOptions:
         Relative error that the rough field of view may have, in (0, 0.2]; used with ``estimate_scale``. Default 5 %:
         benchmarks/identification.py solves all of 30 fields with it.
     max_pixel_distance : float, px
-        Search radius around the predicted place of a star in the first attempt with the a priori attitude (RANSAC over
-        nearest neighbors). Default 100 px: 0.2 degrees for a camera of 4 degrees and 2,000 pixels; larger errors
+        Search radius around the predicted position of a star in the first attempt with the a priori attitude (RANSAC
+        over nearest neighbors). Default 100 px: 0.2 degrees for a camera of 4 degrees and 2,000 pixels; larger errors
         are left to the patterns of stars.
     attitude_error_deg : float, deg
         Largest error of the a priori attitude about any axis, in (0, 180]. If nearest neighbors find no stars, patterns
@@ -52,7 +52,7 @@ class StarOptions:
     min_matches : int
         Fewest stars of a solution, at least 3. Default 4: one more than an unambiguous attitude needs.
     outlier_sigma : float
-        A star further from its place than this many standard deviations is rejected. Default 4: of 100 good stars, a
+        A star further from its position than this many standard deviations is rejected. Default 4: of 100 good stars, a
         two-dimensional normal error exceeds it once in 30 images.
     max_false_match_probability : float
         An identification that is random with a higher probability is refused. Default 1e-6: one wrong attitude

@@ -1,9 +1,9 @@
 """Errors of stars beyond their own: distortion that is not modeled, rows that slipped, turbulence, pixels.
 
-The residuals of a fit should have no pattern. Where stars that lie side by side are off in the same direction, the
-errors do not average out over the number of stars, and a part of them of the same size hides in the attitude itself.
-Few stars tell little of such errors, and one that is far better than the others hides its own: all that the errors may
-be is weighed with its probability.
+The residuals of a fit should have no pattern. Where stars that lie side by side have residuals in the same direction,
+the errors do not average out over the number of stars, and a part of them of the same size hides in the attitude
+itself. Few stars determine such errors poorly, and one that is far better than the others hides its own: all that the
+errors may be is weighed with its probability.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _NONE = 0.5
 """A priori probability of no errors beyond those of the stars themselves. The rest is shared equally by underestimated
 noise, errors of each star, a scale error of the camera, and errors that neighbors share."""
 _STEPPED, _SMOOTH = (1.0, 3.0, 9.0), (0.5, 1.0, 2.0, 4.0)
-"""Lengths over which neighbors share errors, over the standard deviation of the places of the stars by axis, from 0.15
+"""Lengths over which neighbors share errors, in standard deviations of the positions of the stars by axis, from 0.15
 to 2.6 times the side of a field: fields with steps, as of rows that slipped, and smooth ones, as of distortion."""
 _KINDS = 4
 _PRIOR = (1.0 - _NONE) / _KINDS
@@ -217,6 +217,6 @@ def _kernels(points_px: Float) -> Float:
 
 
 def _told(shared: Float) -> Float:
-    """Shares (m,) of the variances of shared errors by which :class:`UnmodeledErrors` tells them."""
+    """Fractions (m,) of the variances of shared errors by which :class:`UnmodeledErrors` reports them."""
     smooth = 1.0 - shared[len(_STEPPED) :].mean(axis=(1, 2))
     return np.concatenate([np.ones(len(_STEPPED)), smooth])

@@ -147,7 +147,7 @@ def _database(step: int) -> tetra3rs.SolverDatabase:
         try:
             return tetra3rs.SolverDatabase.load_from_file(str(path))
         except (OSError, ValueError, RuntimeError):
-            pass  # damaged: made again and replaced
+            pass  # damaged: rebuilt and replaced
     _, oversampling, patterns, verification_stars = next(row for row in _DENSITIES if fov_deg >= row[0])
     database = tetra3rs.SolverDatabase.generate_from_gaia(
         max_fov_deg=fov_deg * math.sqrt(_STEP),

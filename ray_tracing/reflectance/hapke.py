@@ -42,7 +42,7 @@ class Hapke(SurfaceLaw):
     hg1 : float
         Asymmetry of the first lobe, in (-1, 1); negative scatters back to the Sun.
     hg2 : float
-        Share of the second lobe, in [0, 1]. Hapke's later (b, c) are ``hg1 = -b, hg2 = (1 - c) / 2``.
+        Fraction of the second lobe, in [0, 1]. Hapke's later (b, c) are ``hg1 = -b, hg2 = (1 - c) / 2``.
 
     Notes
     -----

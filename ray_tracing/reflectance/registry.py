@@ -49,7 +49,7 @@ def reflectance_from_mapping(table: Mapping[str, Any]) -> Reflectance:
     Raises
     ------
     InputError
-        The model or a key is unknown, a key is missing, or a value is no number or out of range.
+        The model or a key is unknown, a key is missing, or a value is not a number or out of range.
     """
     values = dict(table)
     name = values.pop("model", None)

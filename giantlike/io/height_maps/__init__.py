@@ -23,7 +23,7 @@ from giantlike.io.pds3 import LABEL_START
 __all__ = ["HeightGrid", "joined_grid", "read_height_grid", "require_usable", "write_height_archive"]
 
 _LABEL_BYTES = 1_000_000
-"""Beginning of a file in which a label is looked for; labels of maps have some kilobytes."""
+"""Beginning of a file in which a label is searched; labels of maps have some kilobytes."""
 
 
 def read_height_grid(
@@ -36,9 +36,9 @@ def read_height_grid(
     path : path-like
         Of a PDS3 image its label, or the image with the label in it or next to it.
     reference_radii_km : (3,), km, optional
-        Semi-axes of the reference ellipsoid, where the file does not tell them or tells others.
+        Semi-axes of the reference ellipsoid, where the file gives none or wrong ones.
     unit_km : float, km, optional
-        Length of one stored unit, where the file does not tell it.
+        Length of one stored unit, where the file does not give it.
 
     Returns
     -------

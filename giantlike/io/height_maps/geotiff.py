@@ -79,7 +79,7 @@ def _number(tags: Mapping[str, Any], name: str, default: float) -> float:
 
 
 def _numbers(tags: Mapping[str, Any], name: str, least: int) -> tuple[float, ...]:
-    """Numbers of a tag that tells where the map lies."""
+    """Numbers of a georeferencing tag."""
     values = tags.get(name, ())
     if not isinstance(values, tuple | list) or len(values) < least:
         raise ValueError(f"nothing tells where the map lies: {name} is {values!r}, where {least} numbers are needed")

@@ -108,7 +108,7 @@ def _fit(
 def _interlock_arcsec(
     result: CalibrationResult, field: _Field, turn: Rotation, rules: Mapping[str, Any], rng: np.random.Generator
 ) -> float:
-    """Angle, arcsec, by which a star tracker is found turned from where it was on the ground."""
+    """Angle, arcsec, between the estimated attitude of a star tracker and its attitude on the ground."""
     sigma = np.array(rules["tracker_arcsec"]) / ARCSEC_PER_RAD
     noise = Rotation.from_rotvec(sigma * rng.normal(size=(len(field.observations), 3)))
     tracker_from_inertial = noise * turn * field.attitudes  # on the ground both have the same axes

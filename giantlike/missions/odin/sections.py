@@ -130,7 +130,7 @@ def _positions(pairs: tuple[MoonPair, ...], failed: int) -> Section:
 
 
 def share_within(pairs: tuple[MoonPair, ...]) -> float:
-    """Share of the residuals of the position within three sigmas."""
+    """Fraction of the residuals of the position within three sigmas."""
     errors, sigmas = figures.camera_residuals_km(pairs)
     return float(np.mean(np.abs(errors) < 3.0 * sigmas))
 

@@ -1,4 +1,4 @@
-"""The figures of the paper, made again; photographs of hardware (Figs. 6 to 8) are left out."""
+"""The figures of the paper, reproduced; photographs of hardware (Figs. 6 to 8) are left out."""
 
 from __future__ import annotations
 

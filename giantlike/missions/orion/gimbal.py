@@ -1,4 +1,4 @@
-"""The laboratory calibration of III.A: a collimated point at every place of a gimbal grid, eq. 39, and the fit."""
+"""The laboratory calibration of III.A: a collimated point at every position of a gimbal grid, eq. 39, and the fit."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def pinhole_error_px(azimuth_rad: Float, elevation_rad: Float) -> Float:
 
 
 def centroid_errors_px(blur_px: float, count: int, seed: int) -> float:
-    """Root mean square error of centroids per axis, px, of points at random places on the pixels."""
+    """Root mean square error of centroids per axis, px, of points at random positions on the pixels."""
     rng, spacing, size = np.random.default_rng(seed), 20, 20 * count
     view = PinholeView(focal_px(), ((size - 1) / 2.0, (size - 1) / 2.0), size, size)
     rows, columns = np.mgrid[0:count, 0:count] * spacing + spacing / 2.0
@@ -147,7 +147,7 @@ def centroid_errors_px(blur_px: float, count: int, seed: int) -> float:
 
 
 def _nearest(places_px: Float, points_px: Float) -> tuple[NDArray[np.intp], Float]:
-    """Index of the point nearest to each place, and its distance, px."""
+    """Index of the point nearest to each position, and its distance, px."""
     if not len(points_px):
         return np.zeros(len(places_px), dtype=np.intp), np.full(len(places_px), np.inf)
     distances = np.linalg.norm(places_px[:, None] - points_px, axis=2)

@@ -177,7 +177,7 @@ def _camera(toward: Float, sun: Float) -> Float:
 
 
 def _guided(legs: list[Leg]) -> tuple[Leg, ...]:
-    """Legs whose corrections aim at the place of the reference at entry, at the same time."""
+    """Legs whose corrections aim at the position of the reference at entry, at the same time."""
     to_entry, guided = np.eye(6), []
     for leg in reversed(legs):
         if leg.guidance is not None:

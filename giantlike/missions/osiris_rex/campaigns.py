@@ -48,7 +48,7 @@ _RAYS_ACROSS = 1500
 _LEAST_RAYS, _MOST_RAYS = 2, 5
 """Rays along a pixel's side."""
 _STARS_SHARE = 0.9
-"""Exposures of at least this share of the long one are star images."""
+"""Exposures of at least this fraction of the long one are star images."""
 _MODEL_FILE, _SKY_FILE = "model.obj", "sky.csv"
 _OPTIONS = {"unresolved": {"correction": "kaasalainen_tanga"}, "moment": {"correction": "kaasalainen_tanga"}}
 """Options of estimators that are the paper's and not the default: the correction of its eq. 3."""
@@ -169,7 +169,7 @@ class CampaignJob(Value):
         )
 
     def _residuals(self, result: RunResult) -> Iterator[ObservationError]:
-        """Observations against the place where attitude and camera of the run expect the true body."""
+        """Observations against the position of the true body predicted by attitude and camera of the run."""
         compared = compare_run(result.folder, self.folder / TRUTH_FILE, self.told)
         found = {
             record.file: record.attitude.rotation

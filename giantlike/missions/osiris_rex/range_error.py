@@ -2,7 +2,7 @@
 
 The paper says that correlation "can begin to become biased" by an error of range or size and that there is another way.
 Its study lies elsewhere, with poorly detailed bodies. Here a body of the independent renderer, with relief that its
-shape model does not have, is looked for at wrong ranges: by the peak of the correlation with one template, and by the
+shape model does not have, is searched at wrong ranges: by the peak of the correlation with one template, and by the
 template that is fitted in range too.
 """
 
@@ -38,7 +38,7 @@ _DIAMETER_PX = 200.0
 _CENTER_ERROR_PX = np.array([6.3, -4.7])
 """Error of the predicted center [assumed]; the search has to find it at every range."""
 _UNLISTED_RELIEF = 0.01
-"""Rms of the relief that the shape model lacks, as a share of the radius: a poorly detailed object [assumed]."""
+"""Rms of the relief that the shape model lacks, as a fraction of the radius: a poorly detailed object [assumed]."""
 _RANGE_ERRORS = (-0.08, -0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06, 0.08)
 _SMALL_RANGE_ERRORS = (-0.04, 0.0, 0.04)
 _PHASES_DEG = (20.0, 60.0, 90.0)
