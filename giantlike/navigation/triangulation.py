@@ -109,7 +109,7 @@ class _Lines:
     """Lines as arrays: positions and directions (n, 3), axes across (n, 3, 2), and the causes of their errors.
 
     ``by_range`` holds covariances (2n, 2n), rad^2, of errors that grow with range (noise, attitude); ``by_place``,
-    km^2, of of errors that do not (ephemerides).
+    km^2, of errors that do not (ephemerides).
     """
 
     positions_km: Float
