@@ -50,7 +50,7 @@ def load_catalog(name: str | Path = "default", *, band: str | Band | None = None
     DataError
         The file is missing or damaged.
     InputError
-        The catalog's magnitudes cannot be turned into those of the band.
+        The catalog's magnitudes cannot be turned into the band.
     """
     if str(name) == "default":
         from giantlike.catalogs.default import default_catalog

@@ -21,7 +21,7 @@ from giantlike.core.units import (
 SUN_SCHWARZSCHILD_AU = 1.97412574336e-8
 """2 G M / c^2 of the Sun, in au: the value that ERFA uses (``ERFA_SRS`` in erfam.h)."""
 _LIGHT_YEARS_PER_AU = AU_KM / SPEED_OF_LIGHT_KM_S / SECONDS_PER_JULIAN_YEAR
-_SMALLEST_PARALLAX_RAD = 5e-7 * RAD_PER_ARCSEC  # taken for stars of unknown distance, as ERFA's pmsafe does (PXMIN)
+_SMALLEST_PARALLAX_RAD = 5e-7 * RAD_PER_ARCSEC  # used for stars of unknown distance, as ERFA's pmsafe does (PXMIN)
 _SLOWEST_PARALLAX = 326.0 * RAD_PER_ARCSEC  # over proper motion per year: more would be 1 % of the speed of light
 _ITERATIONS = 20  # the slowest, a radial velocity of a third of light's, gains half a digit in each
 
@@ -36,10 +36,10 @@ def apparent_directions(
 ) -> Float:
     """Unit vectors to stars as an observer sees them.
 
-    Stars move in straight lines at constant speed, radial motion included. Light time is that of the star's
+    Stars move in straight lines at constant speed, radial motion included. Light time is from the star's
     distance at either epoch and across the observer's place (Roemer delay). The observer's distance from the solar
-    system barycenter gives parallax; its velocity gives relativistic aberration. Light deflection by the Sun is left
-    out unless asked for: 1.75 arcsec at the limb of the Sun, 0.0041 at 90 degrees from it, from 1 au.
+    system barycenter gives parallax; its velocity gives relativistic aberration. Light deflection by the Sun is
+    neglected by default: 1.75 arcsec at the limb of the Sun, 0.0041 at 90 degrees from it, from 1 au.
 
     Parameters
     ----------
@@ -60,8 +60,8 @@ def apparent_directions(
     Raises
     ------
     InputError
-        A vector has a wrong shape or is not finite, the speed is not below that of light, or light deflection is
-        asked for without a position.
+        A vector has a wrong shape or is not finite, the speed is not below the speed of light, or light deflection is
+        requested without a position.
 
     Notes
     -----
@@ -70,7 +70,7 @@ def apparent_directions(
     A catalog gives motions as they are seen: the time between two events on an approaching star appears shortened.
     They become true velocities as in ERFA's ``starpv``, the star moves between the two times of emission as in
     ``starpm``, and parallaxes that would make a star faster than 1 % of light are treated as in ``pmsafe`` [1]_, so
-    that all three agree. A straight line without these terms is off by 4 mas in a century for Barnard's star.
+    that all three agree. A straight line without these terms is in error by 4 mas in a century for Barnard's star.
 
     References
     ----------
@@ -114,7 +114,7 @@ def sun_position_km(et: float) -> Float:
     Notes
     -----
     From the analytic ephemeris of ERFA, ``epv00``, that astropy has built in: no kernel is needed. Good to tens of
-    kilometers from 1900 to 2100, where light deflection asks for some thousand.
+    kilometers from 1900 to 2100, where light deflection needs about a thousand.
     """
     from astropy.coordinates import get_body_barycentric
 

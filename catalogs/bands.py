@@ -36,7 +36,7 @@ _TYPICAL = MappingProxyType({"color_bp_rp": 1.15, "color_bv": 0.95})  # mag, med
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Band:
-    """A band whose magnitudes are those of another one plus a polynomial in a color.
+    """A band whose magnitudes are the magnitudes of another one plus a polynomial in a color.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class Band:
     color : str
         ``"color_bp_rp"`` (Gaia BP-RP) or ``"color_bv"`` (Johnson B-V).
     color_range : (float, float)
-        Bluer and redder stars are taken as of the bluest and the reddest color here.
+        Bluer and redder stars are treated as having the bluest and the reddest color here.
     typical_color : float, optional
         Color of stars whose colors are all unknown; default the median of the default catalog.
 

@@ -20,7 +20,7 @@ def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
 
     Each star, the brightest first, takes in all fainter ones within ``radius_rad`` that no brighter one has taken.
     The merged star has the identifier, colors and radial velocity of the brightest, the flux of all, and at ``et``
-    the place, motion and parallax of the center of light: what a fit to the blended image finds while the separation
+    the position, motion and parallax of the photocenter, as a fit to the blended image measures while the separation
     is well below the width of the PSF. It is marked as double. Stars alone stay as they are.
 
     Parameters
@@ -45,8 +45,8 @@ def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
 
     Notes
     -----
-    The merged place is a catalog place again: its epoch is that of ``et``, so that the other functions can move
-    it, take parallax and aberration from there. The direction of the center of light is right to second order in the
+    The merged position is a catalog position at the epoch ``et``, so that the other functions can move
+    it, take parallax and aberration from there. The direction of the photocenter is correct to second order in the
     separation; the motions of the members are averaged with their flux as weight.
     """
     require(0.0 < radius_rad < np.inf, f"radius_rad must be positive, got {radius_rad}")
@@ -83,7 +83,7 @@ def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
 def blend_leaders(directions: Float, radius_rad: float) -> NDArray[np.intp]:
     """Number of the star that each star is merged into.
 
-    ``directions`` (n, 3), unit vectors, those of the brightest stars first; returns (n,).
+    ``directions`` (n, 3), unit vectors, brightest stars first; returns (n,).
     """
     count = len(directions)
     leader = np.arange(count)

@@ -1,4 +1,4 @@
-"""The user's cache folder, for files that are slow to make and can always be made again."""
+"""The user's cache folder, for files that are slow to make and can always be rebuilt."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def write_to_cache(name: str, write: Callable[[Path], None]) -> bool:
     Returns
     -------
     bool
-        False when the folder cannot be written; that is no error.
+        False when the folder cannot be written; this is not an error.
     """
     folder = cache_folder()
     try:

@@ -25,7 +25,7 @@ class StarCatalog(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the catalog, for people."""
+        """Name of the catalog, for display."""
         ...
 
     @property
@@ -98,7 +98,7 @@ class MemoryCatalog:
 
     @property
     def name(self) -> str:
-        """Name of the catalog, for people."""
+        """Name of the catalog, for display."""
         return self._name
 
     @property
@@ -149,7 +149,7 @@ class MemoryCatalog:
     ) -> StarTable:
         """Return the stars within an angle of a direction, brightest first.
 
-        The cone is a little wider, so that none is missed that is inside at some epoch within 125 years of its own,
+        The cone is a little wider, so that none is missed that is inside at some epoch within 125 years of its epoch,
         from an observer within 100 au, with aberration up to 45 km/s (``catalogs.cells``). A faster observer adds
         the difference to ``radius_rad``.
 
@@ -197,7 +197,7 @@ class MemoryCatalog:
         Raises
         ------
         InputError
-            No relation is known between the band of this catalog and the one asked for.
+            No relation is known between the band of this catalog and the requested one.
         """
         steps = band_between(self._band, band)
         if not steps:

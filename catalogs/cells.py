@@ -2,7 +2,7 @@
 
 The sky is cut into ``ZONES`` zones of declination and each zone into cells of right ascension about as wide as it
 is high. Stars stand zone after zone, cell after cell, the brightest first in each. A cone touches one or two runs of
-cells in each zone. Stars that may be seen far from their catalog place, because they are fast or near, stand at
+cells in each zone. Stars that may be seen far from their catalog position, because they are fast or near, stand at
 the end, in no cell, and every cone looks at each of them; so they do not widen it.
 """
 
@@ -25,7 +25,7 @@ YEARS_FROM_EPOCH = 125.0
 OBSERVER_AU = 100.0
 """A cone holds every star that parallax brings into it for an observer this far from the barycenter."""
 ABERRATION_RAD = 1.5e-4
-"""A cone is this much wider than asked for: aberration at 45 km/s, 45 over the speed of light."""
+"""Margin, rad, added to the radius of a cone: aberration at 45 km/s, 45 km/s / c."""
 FAST_RAD = 60.0 * RAD_PER_ARCSEC
 """Stars that may be seen farther than this from their catalog position are kept apart from the cells."""
 _ROUNDING_RAD = 5e-7  # of directions in single precision

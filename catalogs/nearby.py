@@ -2,7 +2,7 @@
 
 Radial motion changes the proper motion of a near star (Barnard's by 1.3 mas/yr each year) and neither catalog of
 the default one has radial velocities. Orbits spoil the displacement between two epochs, and Hipparcos gives the two
-components of alpha Centauri parallaxes that differ by 42 mas. These values replace what the merge has.
+components of alpha Centauri parallaxes that differ by 42 mas. These values replace the merged ones.
 
 Values and where they come from; every number was read there:
 
@@ -106,7 +106,7 @@ def radial_velocities(ids: Sequence[int] | np.ndarray[tuple[int], np.dtype[np.in
 
 
 def with_nearby(stars: StarTable) -> StarTable:
-    """Replace values of stars by those of :data:`NEARBY`."""
+    """Replace values of stars by the values of :data:`NEARBY`."""
     columns = stars.columns()
     order = np.argsort(stars.ids)
     for star in NEARBY:

@@ -1,7 +1,7 @@
-"""Proper names of bright stars, by place and magnitude, whatever catalog they come from.
+"""Proper names of bright stars, by position and magnitude, in any catalog.
 
 ``iau_star_names.csv`` has the names that the IAU Working Group on Star Names approved for single stars of Hipparcos
-brighter than V = 6.5 [1]_, with the place at J2000.0 and Hp of the Hipparcos entry that the group names [2]_. Alula
+brighter than V = 6.5 [1]_, with the position at J2000.0 and Hp of the Hipparcos entry that the group names [2]_. Alula
 Australis is left out: the new reduction of Hipparcos does not have it.
 
 References
@@ -28,9 +28,10 @@ from giantlike.core.units import RAD_PER_ARCSEC
 
 _FILE = Path(__file__).with_name("iau_star_names.csv")
 _RADIUS_ARCSEC = 5.0
-"""Places of one star in two catalogs differ by less at J2000.0, orbits of double stars included."""
+"""Maximum distance of one star in two catalogs at J2000.0, orbits of double stars included."""
 _MAGNITUDES = 2.0
-"""Hp of a named star and its magnitude in any band differ by less; much fainter companions do not get its name."""
+"""Maximum difference of Hp and the magnitude of a named star in any band; much fainter companions do not get its
+name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +52,7 @@ def proper_names(stars: StarTable) -> tuple[str, ...]:
     Returns
     -------
     tuple of n str
-        Empty for the many that have none. A name is given once, to the star nearest to its place.
+        Empty for the many that have none. A name is given once, to the star nearest to its position.
 
     Examples
     --------
@@ -79,7 +80,7 @@ def proper_names(stars: StarTable) -> tuple[str, ...]:
 
 @lru_cache(maxsize=1)
 def _named() -> _Named:
-    """The names of the file with places and magnitudes."""
+    """The names of the file with positions and magnitudes."""
     with _FILE.open(encoding="ascii", newline="") as file:
         rows = list(csv.DictReader(file))
     ra, dec, magnitude = (

@@ -17,7 +17,7 @@ with sha256), ``sha256`` (of everything after the header), ``size`` (of the whol
 which all stars are equal, with their value; null stands for NaN) and ``columns`` (name, dtype, shape and offset from
 the start of the file).
 
-The columns are those of :class:`~giantlike.catalogs.StarTable`, angles, epochs and ids in 64 bit, the others in single
+The columns are as in :class:`~giantlike.catalogs.StarTable`, angles, epochs and ids in 64 bit, the others in single
 precision, in the order of :class:`~giantlike.catalogs.cells.SkyIndex`, and the index itself: ``directions``,
 ``rank``, ``starts``, ``fast_margin_rad``.
 """
@@ -137,7 +137,7 @@ def save_catalog(catalog: MemoryCatalog, path: str | Path, *, sources: Sequence[
 
 
 def open_catalog(path: str | Path) -> MemoryCatalog:
-    """Open a built catalog; its columns stay in the file until a cone asks for them."""
+    """Open a built catalog; its columns stay in the file until a cone reads them."""
     header, raw = _opened(Path(path))
     arrays = _arrays(Path(path), header, raw)
     columns: dict[str, Column] = {name: arrays[name] for name in COLUMN_TYPES if name in arrays}

@@ -47,9 +47,9 @@ class StarTable(Value):
     color_bp_rp : (n,) float64, optional
         Gaia BP-RP, NaN where unknown.
     is_double : (n,) bool, optional
-        Known doubles: the catalog has a companion within a few arcseconds or says that the star is none alone,
-        or :func:`~giantlike.catalogs.blended` made one of several. Place, motion and magnitude of such a star are
-        good for less than their standard deviations say.
+        Known doubles: the catalog has a companion within a few arcseconds or flags the star as not single,
+        or :func:`~giantlike.catalogs.blended` made one of several. Position, motion and magnitude of such a star are
+        less accurate than their standard deviations.
     """
 
     ids: NDArray[np.int64]
@@ -111,7 +111,7 @@ class StarTable(Value):
         return StarTable(**{name: getattr(self, name)[chosen] for name in COLUMN_TYPES})
 
     def sigma_rad(self, et: float) -> Float:
-        """Standard deviations of the directions at an epoch, from those of position and proper motion.
+        """Standard deviations of the directions at an epoch, from the errors of position and proper motion.
 
         Parameters
         ----------

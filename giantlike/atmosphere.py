@@ -77,7 +77,7 @@ class Atmosphere:
 
     @classmethod
     def of(cls, body: str) -> Atmosphere:
-        """Atmosphere of a body that is known: those of :data:`ATMOSPHERES`.
+        """Atmosphere of a body from :data:`ATMOSPHERES`.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class Atmosphere:
         return self.vertical_depth * math.sqrt(2.0 * math.pi * curve_km / max(self.scale_height_km, 1e-9 * curve_km))
 
     def brightness(self, altitude_km: ArrayLike, radius_km: float) -> Float:
-        """Brightness of the limb over that of haze without end, by single scattering.
+        """Brightness of the limb relative to infinitely deep haze, by single scattering.
 
         Parameters
         ----------
@@ -199,7 +199,7 @@ ATMOSPHERES = MappingProxyType(
         "PLUTO": Atmosphere.at(5.0, sigma_km=5.0),
     }
 )
-"""Atmospheres by NAIF name, with sigmas as wide as what is left open: a limb measured in the same filter beats them.
+"""Atmospheres by NAIF name, with conservative sigmas: a limb measured in the same filter is better.
 
 Earth: scattering by air with the cross-section of Nicolet (1984, abstract: 0.2 to 0.55 um) and 2.15e25 molecules over a
 square centimeter; the scale height is about the mean below 30 km. Clouds and multiple scattering raise the limb: paper
@@ -207,7 +207,7 @@ square centimeter; the scale height is about the mean below 30 km. Clouds and mu
 0.6 % a day (Lemmon et al. 2004, abstract); seasons go below and far beyond. Venus: a vertical depth of 0.01 at 80 to
 85 km with a scale height of 1 to 3 km (Lane and Opstbaum 1983, abstract), above the solid surface.
 
-Titan: scale height and exponent are those of the main haze above 80 km by the Huygens probe at 10 degrees south
+Titan: scale height and exponent belong to the main haze above 80 km by the Huygens probe at 10 degrees south
 (Tomasko et al. 2008), by the numbers that the code SRTC++ (``atmosphere::DISR08``) states from there. The depth is the
 one whose limb is at the median of 49 published fits of circles to the limb in images of Cassini from 2004 to 2017 (SETI
 Institute, rms-spindoctor, ``util/titan_cohort/final_run_summary.csv``, rows ``committed``): 146 to 376 km above 2574.7
@@ -223,8 +223,8 @@ Triton: its principal haze lies 3 to 6 km above the surface, fainter haze up to 
 haze up to 200 km (Cheng et al. 2017, abstract, arXiv:1702.07771), through which its ground is seen too. Both sigmas
 reach from the ground to the haze.
 
-Of giant planets the radii are those of a pressure of 1 bar, and the limb is haze above the clouds, with sigmas that
-cover what lies between. Jupiter: clouds end near 0.2 bar, with haze of a vertical depth of 0.3 to 0.6 above (Kuehn and
+The radii of giant planets are for a pressure of 1 bar, and the limb is haze above the clouds, with sigmas that
+cover the range between. Jupiter: clouds end near 0.2 bar, with haze of a vertical depth of 0.3 to 0.6 above (Kuehn and
 Beebe, Vertical structure of Jupiter's atmosphere at the Galileo probe entry latitude, abstract): with 19 km of scale
 height at 130 K rays that graze are dark from 31 km, and up to 120 km if haze is mixed with the gas. Saturn: hazes
 between 0.5 and 0.01 bar over 130 km (Sanchez-Lavega et al. 2020, abstract), which starts 34 km up. Scattering by
@@ -255,7 +255,7 @@ of Io and Enceladus are local. Comets are not among them.
 
 
 def is_airless(body: str) -> bool:
-    """Return True for a body that is known to have no haze around it: those of :data:`AIRLESS`.
+    """Return True for a body in :data:`AIRLESS`, known to have no haze around it.
 
     Parameters
     ----------

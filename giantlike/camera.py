@@ -374,7 +374,7 @@ class Camera(Pictured):
 
     @property
     def frame_name(self) -> str:
-        """Name of the camera axes: the name of the camera, or empty for a camera without a name of its own."""
+        """Name of the camera axes: the name of the camera, or empty for a camera without a name."""
         return "" if self.name == DEFAULT_NAME else self.name
 
     def require_image(self, image: Image) -> None:

@@ -76,7 +76,7 @@ class SpiceEphemeris:
     body : str
         NAIF name or number as text.
     frame : str, optional
-        Body-fixed frame; default: that of the body. Used for the orientation only.
+        Body-fixed frame; default: the frame of the body. Used for the orientation only.
     origin : str
         NAIF name of the origin of positions.
     """
@@ -317,7 +317,7 @@ class ApparentGeometry(Value):
 
     @classmethod
     def from_row(cls, row: GeometryRow) -> ApparentGeometry:
-        """Return what a row of a geometry table says of its target.
+        """Return the target's geometry in a row of a geometry table.
 
         Parameters
         ----------

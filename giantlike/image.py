@@ -35,7 +35,7 @@ __all__ = ["AttitudeSource", "Image", "ObserverState"]
 
 
 class AttitudeSource(StrEnum):
-    """Source of the attitude of an image; the values are those of ``attitudes.csv``."""
+    """Source of the attitude of an image; with the values used in ``attitudes.csv``."""
 
     NONE = "none"
     A_PRIORI = "a_priori"
@@ -79,7 +79,7 @@ class Image(Pictured, Value):
     camera_name : str
         Name of the camera that took the image and whose axes the attitude refers to; empty when unknown.
     detector : Detector, optional
-        Noise and limits of these pixels where they are not those of the camera, as after :meth:`calibrated`.
+        Noise and limits of these pixels where they differ from the camera's, as after :meth:`calibrated`.
     eight_bit : EightBitValues, optional
         Of the values of an 8-bit JPEG or PNG file as stored, which may be coded for display.
 
@@ -195,12 +195,12 @@ class Image(Pictured, Value):
         return float(np.iinfo(self.pixels.dtype).max) if self.pixels.dtype.kind in "iu" else math.inf
 
     def linearized(self, detector: Detector) -> Image:
-        """Return the image with values in proportion to light, where a detector declares their gamma.
+        """Return the image with linearized values, where a detector declares their gamma.
 
         Parameters
         ----------
         detector : Detector
-            Of the camera; that of the image, where it has one, wins.
+            Of the camera; a detector of the image takes precedence.
 
         Returns
         -------

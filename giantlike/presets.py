@@ -1,6 +1,6 @@
 """Real cameras as data that ships with the package: model, size, order of rows, and where the numbers come from.
 
-Each is a TOML file in ``giantlike/camera_models/presets``. A preset holds what its sources state and nothing else: a
+Each is a TOML file in ``giantlike/camera_models/presets``. A preset holds only values that its sources state: a
 camera without a ``psf`` or a detector noise has none in them, and estimators take both from the image. A calibration
 from stars of one's own images is better than any preset.
 """
@@ -19,7 +19,7 @@ _FOLDER = files("giantlike.camera_models") / "presets"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraPreset:
-    """A real camera and what is to be known about its images.
+    """A real camera with notes about its images.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class CameraPreset:
     bottom_up : bool
         True if image files store the bottom row first, as ``images.bottom_up`` of a campaign says.
     about : str
-        What frames it is for, and what it leaves out.
+        Frames that it describes, and effects that it neglects.
     sources : tuple of str
         Where the numbers come from.
     """

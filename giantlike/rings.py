@@ -49,7 +49,7 @@ class Rings:
 
     @classmethod
     def of(cls, body: str) -> Rings:
-        """Rings of a body that are known: those of :data:`RINGS_KM`.
+        """Rings of a body from :data:`RINGS_KM`.
 
         Parameters
         ----------
@@ -183,7 +183,7 @@ class Rings:
 
 
 RINGS_KM = MappingProxyType({"SATURN": (74_491.0, 140_600.0)})
-"""Inner and outer radius, km, of rings that hide what is behind them, by NAIF name.
+"""Inner and outer radius, km, of opaque rings, by NAIF name.
 
 Saturn: from the inner edge of the C ring (PDS Ring-Moon Systems Node, Vital Statistics for Saturn's Rings and Inner
 Satellites) to the F ring (its distance in tables of the Voyager results), which encloses the A ring.

@@ -32,15 +32,15 @@ _SUBPIXEL_BITS = 4  # fractional bits of the corners that OpenCV fills between: 
 _SUBPIXELS = 1 << _SUBPIXEL_BITS  # to a pixel
 _FAR_SUBPIXELS = 1 << 24  # limit of the corners, a million pixels: OpenCV's int32 arithmetic overflows beyond
 _ONE_AT_A_TIME = threading.RLock()
-"""Held while ephemerides are asked: CSPICE bears one thread at a time, and estimators may run in several."""
+"""Lock of the ephemerides: CSPICE is not thread safe, and estimators may run in several threads."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TargetUncertainty:
-    """Standard deviations of what is given of a body; each is one error, the same in all images.
+    """Standard deviations of the declared values of a body; each is one error, the same in all images.
 
-    The defaults are 0, for what is declared exact: no general value would be right for radii of the Moon, known to a
-    few meters, and for those of a body seen for the first time. Only markings are expected on every body.
+    The defaults are 0, exact: no general value is valid both for radii of the Moon, known to a
+    few meters, and for radii of a body seen for the first time. Only albedo variations are expected on every body.
 
     Parameters
     ----------
@@ -53,8 +53,8 @@ class TargetUncertainty:
     ephemeris_km : float, km
         Error of the predicted position, along each axis.
     albedo : float
-        Relative standard deviation of the brightness of the surface about its law: markings. What they leave of the
-        light is then no other body, shape or Sun. 0.5 and more for clouds above sea.
+        Relative standard deviation of the brightness of the surface about its law (albedo variations), which are not
+        attributed to another body, shape or Sun. 0.5 and more for clouds above sea.
 
     Raises
     ------
@@ -99,17 +99,17 @@ class Target(Value):
     air : bool, optional
         True for a body with air or haze: an ellipsoid without an ``atmosphere`` or ``terrain`` gets the one that
         :data:`~giantlike.atmosphere.ATMOSPHERES` has by its name. False for an airless one: no estimator looks for
-        haze on it, and markings are not mistaken for it. None where it is not known, and haze is looked for; bodies of
-        :data:`~giantlike.atmosphere.AIRLESS` are airless without being declared so.
+        haze on it, and albedo variations are not mistaken for it. None where it is not known, and haze is looked for;
+        bodies of :data:`~giantlike.atmosphere.AIRLESS` are airless without being declared so.
     rings : Rings, optional
-        Rings in the equator of an ellipsoid. What they hide or shade is left out of limbs in cells and of the checks
-        that are made of every fix.
+        Rings in the equator of an ellipsoid. Limbs that they hide or shade are left out of limbs in cells and of the
+        checks that are made of every fix.
 
     Raises
     ------
     InputError
         There is a height map, an atmosphere or rings and the shape is no ellipsoid, or there are both of the first: a
-        limb is that of one; or an airless body has an atmosphere.
+        limb has only one of them; or an airless body has an atmosphere.
     """
 
     name: str
@@ -388,7 +388,7 @@ class Scene(Pictured, Value):
         The steps: 1. observer at mid-exposure; 2. target when the light left it; 3. its orientation then; 4. the Sun
         as seen from the target then; 5. the motion of the observer: stellar aberration, and the distance by which the
         size of the body goes (:func:`~giantlike.core.light.boosted`); 6. the side that the body turns to a camera that
-        moves with respect to it, and the Sun's own aberration there, up to some 1e-4 rad.
+        moves with respect to it, and the Sun's own aberration there, up to about 1e-4 rad.
 
         Parameters
         ----------
@@ -449,7 +449,7 @@ class Scene(Pictured, Value):
         -------
         Circumstances or None
             None where epoch or observer are not known. Of a target whose apparent geometry is given, the motion is
-            that of its velocity, where that is known.
+            given by its velocity, where known.
 
         Raises
         ------
@@ -505,7 +505,7 @@ def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 
     scene : Scene
         Bodies.
     image : Image
-        Needs what :meth:`Scene.geometry` needs.
+        With the attributes that :meth:`Scene.geometry` needs.
     camera : Camera
         Camera of the image.
     margin_px : float, px

@@ -1,4 +1,4 @@
-"""Air over a surface: what it takes of the light of the ground, and the sunlight that it scatters itself.
+"""Air over a surface: extinction of the light of the ground, and sunlight scattered by the air.
 
 Near the limb and the terminator rays pass through much air: the ground fades, and air is lit beyond the terminator, up
 to where the shadow of the body stands as high as the air does.
@@ -18,11 +18,11 @@ from giantlike.core.arrays import Float, require_number
 from giantlike.ray_tracing.reflectance.law import Reflectance, SurfaceLaw
 
 _SENT = 0.5
-"""Brightness of air without end over that of the ground, both at normal incidence: 1/8 by single scattering into all
-directions alike, up to 3/16 by Rayleigh's phase function, over ground of an albedo of 0.3, that of the Earth. A mixture
+"""Brightness of infinitely deep air relative to the ground, both at normal incidence: 1/8 by single scattering into all
+directions alike, up to 3/16 by Rayleigh's phase function, over ground of the Earth's albedo, 0.3. A mixture
 with :class:`Black` ground has any other."""
 _REACH = 3.0
-"""Largest depression of the Sun in units of ``sqrt(2 H / R)``: air sends exp(-9) of what it does at the terminator."""
+"""Largest depression of the Sun in units of ``sqrt(2 H / R)``: brightness is exp(-9) of the value at the terminator."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +43,7 @@ class Air:
 
     Notes
     -----
-    A ray that leaves the ground under the angle of cosine c stands at the altitude ``c s + s^2 / (2 R)`` after a length
+    A ray that leaves the ground under the angle of cosine c is at the altitude ``c s + s^2 / (2 R)`` after a length
     s, as long as that is much less than R. The integral of ``exp(-altitude / H) / H`` along it, the depth over the
     vertical one (Chapman's function of a thin layer), is ``sqrt(pi X / 2) erfcx(sqrt(X / 2) c)`` with ``X = R / H``;
     far from the horizon it is 1/c. Its inverse takes the place of the cosine here: positive at the horizon, falling as
@@ -103,7 +103,7 @@ class Air:
 
 @dataclass(frozen=True, slots=True)
 class Black(SurfaceLaw):
-    """A surface that sends no light: under air, that of the air remains."""
+    """A surface that sends no light: under air, only the air is bright."""
 
     type_name: ClassVar[str] = "black"
 

@@ -23,7 +23,7 @@ from giantlike.ray_tracing.spread import Spread
 from giantlike.ray_tracing.tracer import Indices
 
 _UNEVEN = 0.3
-"""As that of ``refined``: of a center of light at 300 px, blocks of 2 px leave 0.020 px with 0.3 and 0.024 px with 0.1,
+"""As in ``refined``. Error of a photocenter at 300 px: blocks of 2 px leave 0.020 px with 0.3 and 0.024 px with 0.1,
 0.029 px are left by a ray to every pixel and 0.075 px by one to every block (nine rocks)."""
 _CELL_VARIANCE = 1.0 / 12.0
 """Of light that is even over a cell, in squares of its side: a ray says only in which cell the light is, so that the

@@ -104,12 +104,12 @@ class Body(Value):
         return replace(self, position_camera_km=np.asarray(position_camera_km, dtype=np.float64))
 
     def turned(self, turn: Rotation) -> Body:
-        """Return the same body in the axes of a camera rotated in place: position and attitude turn together.
+        """Return the same body in the axes of a camera rotated in place: position and attitude rotate together.
 
         Parameters
         ----------
         turn : Rotation
-            From the camera axes to those of the turned camera.
+            From the camera axes to the axes of the rotated camera.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""A cached trace: another reflectance law, point spread function or Sun costs only what it changes."""
+"""A cached trace: another reflectance law, point spread function or Sun recomputes only the steps it affects."""
 
 from __future__ import annotations
 

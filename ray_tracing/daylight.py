@@ -17,8 +17,8 @@ from giantlike.ray_tracing.tracer import Indices
 class Daylight(Value):
     """Light and dark parts of a body, from the rays of a rough trace of it.
 
-    A ray that ends where all around is dark brings nothing, and one that ends where all around is lit need not be
-    followed to the Sun. Lit spots and shadows less than a rough cell wide are lost where they lie by themselves.
+    A ray that ends in full shadow is dark, and one that ends in full illumination need not be
+    followed to the Sun. Isolated bright spots and shadows narrower than a rough cell are lost.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class Daylight(Value):
     center_px, traced_center_px : (2,) float64, px
         Of the body, now and where it was traced roughly.
     scale : float
-        Size of the body now over that in the rough trace.
+        Ratio of the current size of the body to the size in the rough trace.
     whole : bool
         False where rays were sent through a part of the cells: none is known to be dark.
     """

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from giantlike.core.arrays import Float, as_floats, require
 from giantlike.ray_tracing.reflectance import Reflectance
 
-_NODES = 96  # of the quadrature along either side of the mirror meridian: right to 1e-9 for smooth laws
+_NODES = 96  # of the quadrature along either side of the mirror meridian: accurate to 1e-9 for smooth laws
 
 
 def disk_integrated(law: Reflectance, phase_rad: ArrayLike) -> Float:

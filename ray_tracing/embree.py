@@ -22,7 +22,7 @@ Int32 = NDArray[np.int32]
 Number = TypeVar("Number", np.float32, np.float64)
 
 _ADDED_ROWS = 256  # rows added at a time, see moved
-_BLAS_ROWS = 2048  # rows of four in a product: few enough that BLAS does not start threads of its own
+_BLAS_ROWS = 2048  # rows of four in a product: few enough that BLAS does not start its own threads
 
 
 class EmbreeSurface:

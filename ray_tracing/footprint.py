@@ -20,8 +20,8 @@ from giantlike.ray_tracing.sampling import PSF_REACH_SIGMA, Cells, Tile, finite_
 from giantlike.ray_tracing.spread import Spread
 
 _BOUND_MARGIN = 0.02
-"""Extra room around the convex hull of the body, over its extent: hull points lie up to 1 % inside the surface, and a
-hull of points before the distortion is only nearly one after it."""
+"""Margin around the convex hull of the body, relative to its extent: hull points lie up to 1 % inside the surface, and
+a hull of points before the distortion is only nearly one after it."""
 _RAYS_PER_TILE, _ROWS_PER_TILE = 32_768, 8
 """Size of a tile in rays, and least number of its rows: larger tiles leave the caches, smaller ones share less work."""
 _TANGENTS_RAD = (np.arange(32) + 0.5) * (2.0 * np.pi / 32)
@@ -134,7 +134,7 @@ class Footprint(Value):
 
     @cached_property
     def spread(self) -> tuple[Spread, Spread]:
-        """Shares of the light of columns and of rows of cells on those of pixels."""
+        """Fractions of the light of columns and rows of cells on columns and rows of pixels."""
         parts = zip(self.cells, self.corner_px.tolist(), self.size_px, strict=True)
         across, down = (cells.spread(first, count, self.plane.psf_sigma_px) for cells, first, count in parts)
         return across, down

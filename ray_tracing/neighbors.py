@@ -24,7 +24,7 @@ class Neighbor(Value):
     tracer : Tracer
     neighbor_from_body : (3, 3) float64
     offset_km : (3,) float64, km, axes of the neighbor
-        From the origin of the neighbor to that of the body.
+        From the origin of the neighbor to the origin of the body.
     hides, shades : bool
         True if it can stand before the body, and between body and Sun.
     """

@@ -24,7 +24,7 @@ class RenderOptions:
     margin_px : int, px
         Margin around the detector that is rendered too: the search range of a correlation.
     jitter_seed : int, optional
-        Send each ray through a random place of its cell instead of the center, so that a simulated truth and a
+        Send each ray through a random position in its cell instead of the center, so that a simulated truth and a
         template do not share their sampling.
     sun_radius_rad : float, rad
         Angular radius of the Sun at the body; 0 is a point. An extended Sun gives penumbrae and a soft terminator. Its
@@ -32,7 +32,7 @@ class RenderOptions:
     sun_samples : int
         Points of the solar disk that each ray is bounced to, where the Sun is extended.
     sun_seed : int
-        Seed of the places of those points in their strata; equal seeds give equal images.
+        Seed of the positions of these points in their strata; equal seeds give equal images.
     threads : int
         Number of threads; the image is the same, to the last bit, for any number.
 

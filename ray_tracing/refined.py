@@ -16,7 +16,7 @@ from giantlike.ray_tracing.trace import TracedRays, trace_rays
 from giantlike.ray_tracing.tracer import Indices
 
 UNEVEN = 0.1
-"""Range of the light of neighboring cells over that of the brightest, from which a cell is refined."""
+"""Range of the light of neighboring cells relative to the brightest, from which a cell is refined."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,7 +87,7 @@ def refined(trace: Trace, factor: int, *, uneven: float = UNEVEN) -> RefinedTrac
 
     Parts of a cell that is lit, as all around it are, are taken to be lit.
 
-    ``uneven``: range of the light of neighboring cells over that of the brightest, from which a cell is split.
+    ``uneven``: range of the light of neighboring cells relative to the brightest, from which a cell is split.
     """
     columns, rows = np.nonzero(_uneven(trace.cell_brightness(trace.body.reflectance), uneven))
     (x, y), model = trace.cells, trace.footprint.plane.model

@@ -46,7 +46,7 @@ class Template(Value):
     lit_fraction : float
         Part of the rays on the body that end on lit surface.
     rendered_from_camera : Rotation
-        Takes camera axes to those that the body was rendered in: no turn, unless it was recentered.
+        Takes camera axes to the axes that the body was rendered in: identity, unless it was recentered.
     """
 
     brightness: Float
@@ -68,7 +68,7 @@ class Template(Value):
         Returns
         -------
         (rows, columns) float64
-            0 outside the template; what lies outside the frame is cut off.
+            0 outside the template; cropped to the frame.
         """
         x, y = self.corner_px.tolist()
         return PixelBox(x=0, y=0, width=columns, height=rows).cut(self.brightness, (x, y))
@@ -84,7 +84,7 @@ class SceneRender(Value):
         Size of the frame.
     templates : tuple of Template or Failure
         One for each body, in the order they were given: its visible part, with the shadows of the others. A body that
-        is seen but wholly in the dark is a black template with a NaN photocenter, not a failure.
+        is seen but wholly in shadow is a black template with a NaN photocenter, not a failure.
         Failures: ``OUT_OF_FRAME``, ``NO_SIGNAL`` for a body behind others, and ``DEGENERATE_GEOMETRY`` for one around
         the camera, which hides nothing.
     """
@@ -163,8 +163,8 @@ def render(
         Size of the detector; the template is cut at its edges plus ``options.margin_px``.
     options : RenderOptions
     recenter : bool
-        Where no light of the body can fall on the frame, turn the camera until its middle points at the body and render
-        that; ``Template.rendered_from_camera`` is the turn, and pixels are those of the turned camera.
+        Where no light of the body can fall on the frame, rotate the camera until its middle points at the body and
+        render that; ``Template.rendered_from_camera`` is the rotation, and pixels belong to the rotated camera.
 
     Returns
     -------
@@ -221,7 +221,7 @@ def render_scene(
     psf : GaussianPsf, optional
     columns, rows : int, px
     options : RenderOptions
-        For every body; each is sampled as finely as its size in the image asks for.
+        For every body; each is sampled as finely as its size in the image needs.
 
     Returns
     -------
@@ -255,7 +255,7 @@ def rendered(
     options: RenderOptions,
     neighbors: tuple[Neighbor, ...] = (),
 ) -> Template | Failure:
-    """Render a body among neighbors; one that is seen in the dark is a black template with a NaN photocenter."""
+    """Render a body among neighbors; one that is seen in shadow is a black template with a NaN photocenter."""
     view = view_of(body, plane.model, sun_direction_camera, options, neighbors)
     footprint = footprint_of(view.body, plane, options)
     if isinstance(footprint, Failure):

@@ -14,8 +14,8 @@ from giantlike.ray_tracing.spread import Spread
 PSF_REACH_SIGMA = 5.0  # of the point spread function: less than 4e-6 of its light lies beyond
 _NODES = (9, 25)  # of the interpolation, tried in turn: enough for narrow fields and for strong distortion
 _DIRECTION_TOLERANCE_RAD = 1e-11  # 1e-7 px of 0.1 mrad
-_BLAS_PRODUCTS = 200_000  # few enough that BLAS does not start threads of its own
-_CHECK = np.array([-0.93, -0.41, 0.17, 0.66, 0.98])  # places between the nodes, of the half width: uneven, both ends
+_BLAS_PRODUCTS = 200_000  # few enough that BLAS does not start its own threads
+_CHECK = np.array([-0.93, -0.41, 0.17, 0.66, 0.98])  # positions between the nodes, of the half width: uneven, both ends
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Cells:
         return number, (self.first + number) // self.per_px
 
     def spread(self, first_px: int, count_px: int, sigma_px: float) -> Spread:
-        """Share of the light of each cell that falls on each pixel.
+        """Fraction of the light of each cell that falls on each pixel.
 
         The light of a cell is even over the cell, blurred by a Gaussian, and summed over the pixel; all three
         exactly, by the second antiderivative of the Gaussian.

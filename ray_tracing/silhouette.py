@@ -26,7 +26,7 @@ from giantlike.shapes.limbs import crossings, largest_of_each, limb_ellipse, sil
 _TANGENT_PX = 0.5  # px to either side over which a normal is taken: one pixel of the outline
 _FAR_FOCAL_LENGTHS = 10.0  # 84 deg off the axis of a pinhole camera
 _HALVINGS = 40  # of that distance, to find the end of the image: 1e-8 px where the focal length is a thousand
-_BEYOND = np.linspace(0.02, 1.0, 12)  # places between outline and the end of the image, as fractions
+_BEYOND = np.linspace(0.02, 1.0, 12)  # positions between outline and the end of the image, as fractions
 _TURN = 2.0 * np.pi  # rad
 _NEWTON_STEPS = 4  # at most, from the chord, with quadratic convergence: distortion hardly bends a single edge
 _STILL = 1e-7  # of the length of an edge: the step after such a one is shorter than rounding
@@ -54,7 +54,7 @@ class Silhouette(Value):
         Outward unit normals of the outline in the image, taken over one pixel of it.
     points_by_position : (k, 2, 3) float64, px/km
         Derivative of ``points_px`` with respect to the body's position in camera axes, for fixed directions and a
-        fixed ``center_px``. On a mesh that of the edge at hand: it jumps from edge to edge.
+        fixed ``center_px``. On a mesh, of the current edge: it jumps from edge to edge.
     cos_incidence : (k,) float64
         Cosine of the angle from surface normal to Sun.
     lit : (k,) bool
@@ -104,7 +104,7 @@ def trace_silhouette(
 
     Notes
     -----
-    The outline of a mesh is the outermost of its silhouette edges and that of an ellipsoid an ellipse, cut by the
+    The outline of a mesh is the outermost of its silhouette edges and of an ellipsoid an ellipse, cut by the
     lines in float64: exact at any range. Only where the camera model images part of the outline are rays shot along
     the line, to see that the body does not go on beyond; edges that it images in part are left out. To first order a
     limb point moves along its normal by ``normal @ model.project_jacobian(point) @ dposition`` when the
@@ -241,7 +241,8 @@ class Crossings(Value):
     points_camera_km : (k, 3) float64, km, camera axes
         On the shape.
     normals_camera : (k, 3) float64, unitless, camera axes
-        Outward and square to the ray: of an ellipsoid, or of the plane through the camera and the edge of a mesh.
+        Outward and perpendicular to the ray: of an ellipsoid, or of the plane through the camera and the edge of a
+        mesh.
     facets : (k,) int64
         Facet at the edge that faces the camera, 0 on an ellipsoid; -1 for none.
     """
@@ -316,7 +317,7 @@ class EdgeOutline(Value):
     def _cut(self, which: Indices, center_px: Float, steps: Float) -> tuple[Float, Mask]:
         """Fractions (p,) along edges at which they cross lines, and True (p,) for edges that do so at an angle.
 
-        Without distortion the crossing is that of an edge and a plane; Newton steps do the rest.
+        Without distortion an edge crosses a plane; Newton steps do the rest.
         """
         starts, stops = self.starts_km[which], self.stops_km[which]
         begin, end = _aside(self.starts_px[which] - center_px, steps), _aside(self.stops_px[which] - center_px, steps)

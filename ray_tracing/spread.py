@@ -14,14 +14,14 @@ from giantlike.core.values import Value
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spread(Value):
-    """Shares of the light of cells, side by side, that fall on pixels.
+    """Fractions of the light of cells, side by side, that fall on pixels.
 
     Parameters
     ----------
     shares : (k, w) float64
         Of a cell on w pixels, in k kinds that follow each other over and over.
     first : (n,) int64
-        First of these pixels, for each of n cells; what falls on pixels that are not counted is lost.
+        First of these pixels, for each of n cells; light on other pixels is lost.
     count_px : int
         Number of pixels.
     """
@@ -31,7 +31,7 @@ class Spread(Value):
     count_px: int
 
     def of(self, light: Float) -> Float:
-        """Light (count_px, m) on the pixels from that of the cells (n, m)."""
+        """Light (count_px, m) on the pixels, from the light of the cells (n, m)."""
         return _spread(self.shares, self.first, self.count_px, np.ascontiguousarray(light, np.float64))
 
     def matrix(self) -> Float:
@@ -41,7 +41,7 @@ class Spread(Value):
 
 @compiled
 def _spread(shares: Float, first: NDArray[np.int64], count: int, light: Float) -> Float:
-    """Sum the light of cells, as of :class:`Spread`."""
+    """Sum the light of cells, as in :class:`Spread`."""
     result = np.zeros((count, light.shape[1]))
     kinds, width = shares.shape
     for cell in range(len(first)):

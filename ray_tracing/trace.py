@@ -23,7 +23,7 @@ from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.tracer import Indices, Sight
 from giantlike.shapes import Shape, TriangleMesh
 
-_GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))  # spreads points evenly over a disk, whatever their number
+_GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))  # spreads points evenly over a disk, for any number
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -24,12 +24,12 @@ from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, geodesic_directions
 
 Indices = NDArray[np.int64]
 
-_SPHERE_MARGIN = 1.0001  # radius of the sphere to which rays are moved, over that of the body: room for rounding
+_SPHERE_MARGIN = 1.0001  # radius of the sphere to which rays are moved, relative to the body's: margin for rounding
 _HULL_FACETS = 500  # directions of the points of a hull: they lie at most 1 % of the extent inside it
 _EDGE = 1e-5
 """Distance to an edge of a facet, across the ray and over the body radius, within which float64 chooses the facet.
 
-Float32 resolves 6e-8 of the radius; the rest is room for glancing rays.
+Float32 resolves 6e-8 of the radius; the rest is margin for glancing rays.
 """
 _SHADOW_OFFSET = 1e-6
 """Height over the surface at which a shadow ray starts, as a fraction of the body radius.
@@ -120,7 +120,7 @@ class MeshTracer:
 
     @cached_property
     def hull_points_km(self) -> Float:
-        """Points (k, 3), km, whose convex hull is that of the body, to 1 % of its extent: its farthest vertices."""
+        """Points (k, 3), km, whose convex hull is the body's, to 1 % of its extent: its farthest vertices."""
         used = self._vertices_km[np.unique(self._faces)]
         extent = np.ptp(used, axis=0)
         scaled = used / np.where(extent > 0.0, extent, 1.0)  # a long body has its directions where it needs them
@@ -180,7 +180,7 @@ class MeshTracer:
         return bool(self.intersect(point_body_km, outward[None]).normals[0] @ outward > 0.0)
 
     def shadowed(self, hits: Hits, sun_body: Float) -> Mask:
-        """Return True for hits in the dark: none, facing away from the Sun, or with the body in the way.
+        """Return True for hits in shadow: none, facing away from the Sun, or with the body in the way.
 
         ``sun_body``: unit vector to the Sun; returns (n,).
         """
@@ -219,7 +219,7 @@ class MeshTracer:
 
 
 class EllipsoidTracer:
-    """Rays against an ellipsoid about the origin, by algebra in float64; methods are those of :class:`MeshTracer`.
+    """Rays against an ellipsoid about the origin, by algebra in float64; methods are as in :class:`MeshTracer`.
 
     Convex: it never shadows itself.
     """
@@ -257,7 +257,7 @@ class EllipsoidTracer:
         return np.asarray(~(hits.normals @ sun_body > 0.0))
 
     def sight(self, origin_body_km: Float, directions_body: Float) -> Sight:
-        """Trace the rays of an image: as :meth:`intersect`, axis by axis and without what the rays that miss need."""
+        """Trace the rays of an image: as :meth:`intersect`, axis by axis, without the values for rays that miss."""
         reach = max(float(np.linalg.norm(origin_body_km)) - _SPHERE_MARGIN * self.radius_km, 0.0)
         step = np.ascontiguousarray(directions_body[:, :3].T) / self._radii_km[:, None]
         start = (origin_body_km / self._radii_km)[:, None] + reach * step
@@ -319,7 +319,7 @@ _TRACERS_LOCK = threading.Lock()
 
 
 def tracer_for(shape: Shape) -> Tracer:
-    """Return the tracer of a shape; that of a mesh is built once and lives as long as the mesh object."""
+    """Return the tracer of a shape; for a mesh it is built once and lives as long as the mesh object."""
     if isinstance(shape, Ellipsoid):
         return EllipsoidTracer(shape)
     if not isinstance(shape, TriangleMesh):

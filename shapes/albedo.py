@@ -1,6 +1,6 @@
 """Relative albedo of a surface: by facet, by vertex, or from a map of longitude and latitude.
 
-Relative albedo multiplies what the reflectance law gives: 1 leaves it as it is, 0 is black.
+Relative albedo multiplies the value of the reflectance law: 1 leaves it as it is, 0 is black.
 """
 
 from __future__ import annotations

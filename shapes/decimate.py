@@ -14,8 +14,8 @@ from giantlike.shapes.mesh import TriangleMesh
 from giantlike.shapes.surface import Surface
 
 _MIN_FACETS = 4  # a tetrahedron
-_MAX_SAMPLES = 20_000  # vertices of each mesh; their largest distance stands for that of all
-_CANDIDATES = 24  # facets nearest by centroid among which the nearest by distance is looked for
+_MAX_SAMPLES = 20_000  # vertices of each mesh; their largest distance approximates the largest of all
+_CANDIDATES = 24  # facets nearest by centroid among which the nearest by distance is searched
 _HASTES = (7, 6, 5, 8)
 """Aggressiveness of fast-simplification (7 is its default): a surface torn at one can stay whole at another."""
 
@@ -30,7 +30,7 @@ class Deviation:
         Distances of the vertices of each surface from the other one; the maximum over both is the Hausdorff distance
         of the vertices.
     volume_change : float
-        Volume of the second over that of the first, minus 1.
+        Volume of the second / volume of the first, minus 1.
     """
 
     rms_km: float

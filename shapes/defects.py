@@ -18,7 +18,7 @@ class Defects:
     """Numbers of the defects of a surface, by kind; all zero is a clean closed surface.
 
     Coincident vertices are merged before anything that has to do with edges is counted: they are the normal state
-    of an STL file. Edges are those of the facets that remain without invalid, degenerate and duplicate ones.
+    of an STL file. Edges belong to the facets that remain without invalid, degenerate and duplicate ones.
 
     Parameters
     ----------

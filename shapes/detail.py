@@ -128,8 +128,8 @@ def levels_of_detail(
     mesh : TriangleMesh
         The finest level.
     facets : sequence of int, optional
-        Facets of the coarser levels; None takes a quarter again and again, down to a thousand, and leaves out what
-        would break the surface.
+        Facets of the coarser levels; None takes a quarter again and again, down to a thousand, and leaves out steps
+        that would break the surface.
     facet_px : float, px
         As in :class:`LevelsOfDetail`.
     simplify : callable
@@ -149,7 +149,7 @@ def levels_of_detail(
     Notes
     -----
     A camera that sees facets of half a pixel sees no difference in the outline: over a facet of length l the surface of
-    radius R bends by l^2 / 8 R, for 0.5 px on a disk of 300 px 0.0002 px. What is lost is relief of less than a facet.
+    radius R bends by l^2 / 8 R, for 0.5 px on a disk of 300 px 0.0002 px. Only relief smaller than a facet is lost.
     """
     require(
         not isinstance(mesh.albedo, FacetAlbedo | VertexAlbedo),

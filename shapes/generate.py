@@ -11,7 +11,7 @@ from giantlike.core.arrays import Float, as_finite, require, unit
 from giantlike.shapes.base import Ellipsoid
 from giantlike.shapes.mesh import Faces, TriangleMesh
 
-_MAX_FACETS = 20_000_000  # bounds the memory that a mistyped number can ask for
+_MAX_FACETS = 20_000_000  # bounds the memory that a mistyped number can request
 # Relief of the synthetic asteroids: made up, no result of a real body depends on it.
 _CRATERS, _BOULDERS = 60, 500  # numbers of them
 _CRATER_CHORD = (0.08, 0.55)  # smallest and largest rim radius over body radius

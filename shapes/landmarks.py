@@ -1,4 +1,4 @@
-"""Landmarks: local maps of places on a body, to be matched with images, and catalogs of them in files."""
+"""Landmarks: local maps of points on a body, to be matched with images, and catalogs of them in files."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ _FORMAT, _VERSION = "giantlike landmarks", 1
 
 @dataclass(frozen=True, eq=False)
 class Landmark(Value):
-    """A landmark: a local map of a place on a body.
+    """A landmark: a local map around a point on a body.
 
     Parameters
     ----------
     map : LocalMap
-        Heights, and albedo if it is known; its z axis is the normal of the place.
+        Heights, and albedo if it is known; its z axis is the normal of the point.
     texture : float
-        Contrast to match with: rms tilt of the surface, rad, about an even bend, and rms relative albedo, added in
-        quadrature.
+        Contrast to match with: rms tilt of the surface, rad, about a uniform curvature, and rms relative albedo, added
+        in quadrature.
     """
 
     map: LocalMap
@@ -179,7 +179,7 @@ def landmark_of(local: LocalMap) -> Landmark:
     tilts = np.arctan(np.stack([np.gradient(local.heights_km, local.spacing_km, axis=axis) for axis in (0, 1)]))
     known = np.isfinite(tilts).all(axis=0)
     rows, columns = np.nonzero(known)
-    bend = np.column_stack([np.ones(rows.size), rows, columns])  # an even bend shades evenly: nothing to match
+    bend = np.column_stack([np.ones(rows.size), rows, columns])  # uniform curvature: nothing to match
     residual = tilts[:, known].T - bend @ np.linalg.lstsq(bend, tilts[:, known].T, rcond=None)[0]
     roughness = float(np.sum(residual**2)) / max(rows.size, 1)
     contrast = 0.0

@@ -33,12 +33,12 @@ class Limb(Value):
         False where the half-plane of a direction meets no limb; the other arrays hold NaN there.
     points_body_km : (k, 3) float64, km, body
     normals : (k, 3) float64, unitless, body
-        Outward, and square to the ray from the camera: of the surface on an ellipsoid; on a mesh, whose facets meet
-        in an edge there, of the plane through the edge and the camera.
+        Outward, and perpendicular to the ray from the camera: of the surface on an ellipsoid; on a mesh, whose facets
+        meet in an edge there, of the plane through the edge and the camera.
     points_by_camera : (k, 3, 3) float64
         Derivative of the points with respect to the position of the camera in body axes.
     normals_by_camera : (k, 3, 3) float64, 1/km
-        The same of the normals.
+        Derivative of the normals.
     """
 
     valid: Mask
@@ -74,17 +74,17 @@ def limb(shape: Shape, camera_body_km: ArrayLike, directions_body: ArrayLike) ->
 
     Notes
     -----
-    Derivatives hold the direction fixed in body axes: the half-plane turns about it as the camera moves.
+    Derivatives hold the direction fixed in body axes: the half-plane rotates about it as the camera moves.
 
-    The outermost point of a half-plane is always seen: whatever hid it would reach farther out. So the silhouette
+    The outermost point of a half-plane is always seen: a point that hid it would reach farther out. So the silhouette
     edges of a mesh need no test of visibility here. The limb of a mesh moves along one edge and jumps to
     another where the half-plane passes a vertex (the point is continuous there, its derivative is not), where one part
     of the body comes out behind another, and where a facet turns edge-on (there only the depth jumps: the ray to the
-    point is continuous). Derivatives are those of the edge at hand.
+    point is continuous). Derivatives are for the current edge.
 
     An ellipsoid x.D.x = 1 has its limb in the polar plane x.D.C = 1 of the camera C. With all lengths divided
     by the semi-axes it becomes the unit sphere, planes through the origin stay such planes, and the limb is
-    ``c / q + sqrt(1 - 1/q) u`` with q = c.c and u the unit vector of the direction square to c.
+    ``c / q + sqrt(1 - 1/q) u`` with q = c.c and u the unit vector of the direction perpendicular to c.
     """
     camera = as_finite(camera_body_km, (3,), "camera_body_km")
     directions = as_floats(directions_body, (3,), "directions_body")
@@ -237,7 +237,7 @@ def _mesh_limb(mesh: TriangleMesh, camera_km: Float, directions: Float) -> Limb:
 
 
 def _square_to(axis: Float) -> Float:
-    """Two unit vectors (2, 3) square to an axis (3,) and to each other."""
+    """Two unit vectors (2, 3) perpendicular to an axis (3,) and to each other."""
     x, y, z = axis.tolist()
     size = [abs(x), abs(y), abs(z)]
     rights = ([0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0])  # products with the axes of coordinates

@@ -36,7 +36,7 @@ def load_shape(path: str | Path, *, units: str = "km") -> TriangleMesh:
         ``.icq``, ``.txt``, ``.tab``; SPICE DSK type 2 ``.bds``, ``.dsk``; archives ``.npz`` of :func:`save_shape`.
     units : {"km", "m", "auto"}
         Unit of the coordinates in the file; a DSK and an ``.npz`` are always in km. ``auto`` takes a largest radius
-        below 30 as km and one above 3000 as m, and warns; it refuses what lies between, where both exist (Bennu is
+        below 30 as km and one above 3000 as m, and warns; it refuses values in between, where both exist (Bennu is
         290 m, Vesta 290 km).
 
     Returns
@@ -60,7 +60,7 @@ def load_shape(path: str | Path, *, units: str = "km") -> TriangleMesh:
     Notes
     -----
     A plate table holds either ``v x y z`` and ``f i j k`` rows, or counts, vertex rows and plate rows, each with
-    or without a leading row number. Indices from 0 and from 1 are told apart. Quadrilaterals are split.
+    or without a leading row number. Indices from 0 and from 1 are distinguished. Quadrilaterals are split.
     """
     return mesh_of(path, read_surface(path, units=units))
 

@@ -1,6 +1,6 @@
 """Local maps: grids of heights over a patch of a body, alone or laid over a coarse global shape.
 
-They are the maplets of stereophotoclinometry: a place on the body, axes of its own, and heights on a square grid.
+They are the maplets of stereophotoclinometry: a position on the body, local axes, and heights on a square grid.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class LocalMap(Value):
     spacing_km : float, km
         Distance of neighboring heights: the ground sample distance.
     albedo : (rows, columns) float64, optional
-        Relative albedo at the same places.
+        Relative albedo at the same positions.
     name : str
 
     Raises
@@ -85,7 +85,7 @@ class LocalMap(Value):
         return TriangleMesh(self.to_body(np.nan_to_num(self._grid())), self._faces(), self.name, albedo=albedo)
 
     def to_map(self, points_body_km: Float) -> Float:
-        """Transform points from body axes to those of the map.
+        """Transform points from body axes to the axes of the map.
 
         Parameters
         ----------
@@ -142,7 +142,7 @@ def overlaid(body: TriangleMesh, maps: Sequence[LocalMap], *, reach_km: float | 
     Returns
     -------
     TriangleMesh
-        Its facets are those of the body that are left, then those of the last map, at the end its seam.
+        Facets: the remaining ones of the body, then the facets of the last map, at the end its seam.
 
     Raises
     ------
@@ -244,7 +244,7 @@ def _laid_over(body: TriangleMesh, local: LocalMap, reach_km: float) -> Triangle
 
 
 def _with_vertex_albedo(body: TriangleMesh) -> tuple[Float, Faces, Float]:
-    """Vertices, facets, and albedo (n,) of the vertices; facets with an albedo of their own share no vertices."""
+    """Vertices, facets, and albedo (n,) of the vertices; facets with a separate albedo share no vertices."""
     vertices, faces, albedo = body.vertices_km, body.faces, body.albedo
     if albedo is None:
         return vertices, faces, np.ones(len(vertices))
@@ -261,7 +261,7 @@ def _albedo_of(local: LocalMap) -> Float:
 
 
 def _overlapping(points: Float, faces: Faces, local: LocalMap, reach_km: float) -> Mask:
-    """Facets (m,) whose bounding box touches that of a map, widened by ``reach_km`` along z."""
+    """Facets (m,) whose bounding box touches the bounding box of a map, widened by ``reach_km`` along z."""
     half_x, half_y = local.half_extent_km
     top, bottom = float(local.heights_km.max()) + reach_km, float(local.heights_km.min()) - reach_km
     low, high = (extreme(points[faces], axis=1) for extreme in (np.min, np.max))

@@ -25,7 +25,7 @@ class Measures(Value):
     volume_km3, area_km2 : float
     center_of_figure_km : (3,) float64, km, body
     principal_axes : (3, 3) float64, unitless, body
-        One unit vector per row, right-handed, that of the smallest moment (the longest axis) first.
+        One unit vector per row, right-handed, smallest moment (longest axis) first.
     principal_moments : (3,) float64, km^5
         Moments of inertia about those axes through the center of figure for a density of 1: over the volume they are
         moments per mass, km^2.
@@ -57,7 +57,7 @@ def measured(mesh: TriangleMesh) -> Measures:
     Notes
     -----
     A uniform ellipsoid of radii a, b, c has the central second moments a^2 / 5, b^2 / 5, c^2 / 5 per volume, so that
-    its moment of inertia about a is V (b^2 + c^2) / 5; the best-fit ellipsoid has those of the mesh.
+    its moment of inertia about a is V (b^2 + c^2) / 5; the best-fit ellipsoid has the moments of the mesh.
     """
     placed = mesh.best_fit_ellipsoid
     squares = placed.ellipsoid.radii_km**2

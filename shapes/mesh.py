@@ -21,7 +21,8 @@ Indices = NDArray[np.int64]
 Float32 = NDArray[np.float32]
 
 FLAT = 1e-20
-"""Facets with less area, over the square of the extent of the body, count as without area: rounding of float64."""
+"""Ratio of the area of a facet to the square of the body's extent, below which the area counts as zero: rounding of
+float64."""
 _BEND_ROUNDING = 1e-6  # of unit vectors: float32 rounds products of them by a third of that
 _OPEN = 0.2  # sum of area vectors over area: above it a surface counts as a sheet, which has no inside
 
@@ -30,9 +31,9 @@ _OPEN = 0.2  # sum of area vectors over area: above it a surface counts as a she
 class TriangleMesh(Value):
     """A body as a surface of triangles, in body axes.
 
-    Facets without area are dropped, and all facets are turned over when the volume they enclose comes
+    Facets without area are dropped, and all facets are reversed when the volume they enclose comes
     out negative, so that normals point outward; a sheet that encloses nothing stays as it is. Derived arrays are
-    computed once, when first asked for.
+    computed once, at first use.
 
     Parameters
     ----------
@@ -158,7 +159,7 @@ class TriangleMesh(Value):
         """Normals (3, m) and plane offsets (m,), km, in single precision, and the bends (m,) of the surface.
 
         A bend bounds how much the normals of the facets at the corners of a facet differ from its own, as a length: by
-        way of the mean normal at each corner, with room for rounding. It is infinite at borders.
+        way of the mean normal at each corner, with a margin for rounding. It is infinite at borders.
         """
         count = len(self.vertices_km)
         sums = np.zeros((count, 3))
@@ -184,7 +185,7 @@ class TriangleMesh(Value):
         center, second = self._moments
         eigenvalues, axes = np.linalg.eigh(second)
         axes = axes[:, ::-1]
-        axes = axes * np.sign(axes[np.abs(axes).argmax(axis=0), range(3)])  # eigenvectors have no sign of their own
+        axes = axes * np.sign(axes[np.abs(axes).argmax(axis=0), range(3)])  # the sign of an eigenvector is arbitrary
         axes[:, 2] *= np.sign(np.linalg.det(axes))
         radii = np.sqrt(5.0 * eigenvalues[::-1])
         return PlacedEllipsoid(
@@ -234,7 +235,7 @@ class TriangleMesh(Value):
         return TriangleMesh(self.vertices_km, self.faces, self.name, self._surface_sha256, albedo)
 
     def translated(self, offset_body_km: ArrayLike) -> TriangleMesh:
-        """Return the mesh translated in body axes, with a hash of its own; the albedo moves with it.
+        """Return the mesh translated in body axes, with a new hash; the albedo moves with it.
 
         Parameters
         ----------

@@ -44,7 +44,7 @@ def repaired(surface: Surface, *, max_hole_width: float = 0.2) -> Repair:
 
     In order: facets that are invalid, without area or doubled are left out; vertices that coincide to 1e-9 of the
     extent are merged and unreferenced ones left out; the facets of each connected piece are wound alike, and outward
-    by the volume that the piece encloses (so that a cavity becomes a body of its own); each hole whose rim is one
+    by the volume that the piece encloses (so that a cavity becomes a separate body); each hole whose rim is one
     loop that is narrow enough is closed by a fan around the mean of the rim, a hole of three edges by one triangle.
     Edges of more than two facets stay as they are.
     """
@@ -141,7 +141,7 @@ def _closed(surface: Surface, max_hole_width: float) -> tuple[Surface, int]:
         return surface, 0
     albedo = surface.albedo
     added = (number - len(surface.vertices), sum(map(len, faces)) - len(surface.faces))
-    if albedo is not None:  # what was not there gets the mean of what is
+    if albedo is not None:  # new vertices or facets get the mean
         missing = added[0 if isinstance(albedo, VertexAlbedo) else 1]
         values = np.concatenate([albedo.values, np.full(missing, albedo.values.mean())])
         albedo = VertexAlbedo(values) if isinstance(albedo, VertexAlbedo) else FacetAlbedo(values)
@@ -157,7 +157,7 @@ def _rims(faces: Faces) -> list[Faces]:
     start, end = faces.ravel()[sides], np.roll(faces, -1, axis=1).ravel()[sides]
     following = dict(zip(end.tolist(), start.tolist(), strict=True))
     unique, counts = np.unique(np.concatenate([start, end]), return_counts=True)
-    pinched = set(unique[counts != 2].tolist())  # two holes meet here: which loop is which cannot be told
+    pinched = set(unique[counts != 2].tolist())  # two holes meet here: the loops cannot be distinguished
     loops = []
     while following:
         first, at = following.popitem()

@@ -68,7 +68,7 @@ def build_catalog(
     max_magnitude: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Built:
-    """Read published files and make one catalog; all stars are in memory at once, some 400 bytes each at the peak.
+    """Read published files and make one catalog; all stars are in memory at once, about 400 bytes each at the peak.
 
     Parameters
     ----------

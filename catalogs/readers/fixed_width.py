@@ -17,7 +17,7 @@ from giantlike.core.values import Value
 Places = Mapping[str, tuple[int, int]]
 """First and last byte of each column, counted from 1, as in the byte-by-byte descriptions of the CDS."""
 _LARGEST = 2.0**53
-"""Whole numbers beyond this are not exact as float64; no column of these catalogs has room for one."""
+"""Whole numbers beyond this are not exact as float64; no column of these catalogs holds one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +152,7 @@ TYCHO_SUPPLEMENT: Places = {
     "magnitude_flag": (82, 82), "bt": (84, 89), "vt": (97, 102), "near": (110, 112),
 }  # fmt: skip
 _TEXT = ("mean_flag", "solution", "magnitude_flag")
-_USUAL_BT_VT = 0.8  # mag, taken for stars that lack one of the two
+_USUAL_BT_VT = 0.8  # mag, assumed for stars that lack one of the two
 TYCHO_BYTES, TYCHO_SUPPLEMENT_BYTES, TYCHO_SUPPLEMENT_SHORT_BYTES = 206, 122, 115
 """Width of a line of ``tyc2.dat`` and of the supplements, with and without their last columns (CDS ReadMe of I/259)."""
 
@@ -161,7 +161,7 @@ TYCHO_BYTES, TYCHO_SUPPLEMENT_BYTES, TYCHO_SUPPLEMENT_SHORT_BYTES = 206, 122, 11
 def read_tycho2(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
     """Read ``tyc2.dat`` or a part of it, or ``suppl_1.dat`` (I/259); magnitudes are Johnson V.
 
-    Lines have 206 bytes, those of the supplements 122. Positions are ICRS: mean ones at J2000, or where there is
+    Lines have 206 bytes, in the supplements 122. Positions are ICRS: mean ones at J2000, or where there is
     none (flag X) the one observed at about J1991.5; in the supplement J1991.25. The errors of mean positions, which
     are given at their mean epochs, are propagated to J2000. Johnson magnitudes follow from Tycho's by
     ``V = VT - 0.090 (BT - VT)`` and ``B - V = 0.850 (BT - VT)`` (Note 7); where one of the two is missing, BT - VT is

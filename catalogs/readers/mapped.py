@@ -29,7 +29,7 @@ from giantlike.core.reading import check, reads, toml_table
 
 Term = str | float
 """``NAME`` or ``NAME*FACTOR`` of a column, or a number that all stars have in common."""
-_SHOWN_COLUMNS = 30  # of the names of a table in an error message: enough to find the right one on a screen
+_SHOWN_COLUMNS = 30  # of the names of a table in an error message: enough to find the correct one on a screen
 _ARCHIVE_DEFAULTS = MappingProxyType({**DEFAULTS, "epoch_jyear": GAIA_EPOCH})
 
 
@@ -72,7 +72,7 @@ def read_gaia(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
     """Read an extract of the Gaia archive: CSV, ECSV, FITS, Parquet or VOTable with the names of ``gaia_source``.
 
     Needed are ``source_id``, ``ra``, ``dec`` and ``phot_g_mean_mag``; used when there are ``ref_epoch`` (else J2016.0,
-    that of DR3), ``pmra``, ``pmdec``, ``parallax``, ``radial_velocity``, ``bp_rp`` or ``phot_bp_mean_mag`` and
+    the epoch of DR3), ``pmra``, ``pmdec``, ``parallax``, ``radial_velocity``, ``bp_rp`` or ``phot_bp_mean_mag`` and
     ``phot_rp_mean_mag``, ``ra_error``, ``dec_error``, ``pmra_error``, ``pmdec_error`` and ``non_single_star``.
 
     References
@@ -166,7 +166,7 @@ def column_map(settings: Sequence[str], *, file: Path | None = None, band: str |
     settings : sequence of str
     file : Path, optional
     band : str, optional
-        Photometric band of the magnitudes; that of the file, or ``user``, by default.
+        Photometric band of the magnitudes; default: the file's, or ``user``.
 
     Returns
     -------

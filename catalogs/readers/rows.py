@@ -114,7 +114,7 @@ def rms(a: Float, b: Float) -> Float:
 
 
 def parsed(word: str | bytes, of_text: Callable[[str | bytes], float] = float) -> float | None:
-    """Number that a word stands for; None for one that is no number."""
+    """Number that a word stands for; None if it is not a number."""
     try:
         return of_text(word)
     except ValueError:

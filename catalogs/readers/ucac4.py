@@ -34,12 +34,12 @@ _LARGE_ERRORS = np.concatenate([np.arange(251), [275, 325, 375, 425, 500]]).asty
 def read_ucac4(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
     """Read one zone file, ``z001`` to ``z900``; magnitudes are about Johnson V.
 
-    A zone file is nothing but records of 78 bytes, little endian: right ascension and south pole distance in mas
+    A zone file consists of records of 78 bytes, little endian: right ascension and south pole distance in mas
     (ICRS, epoch J2000), magnitudes in mmag with 20000 for none, proper motions in 0.1 mas/yr, standard errors offset
     by 128. The magnitude is V from APASS where there is one, else the model or aperture magnitude of UCAC4, whose
     band is between V and R: red stars are then some tenths too bright. Errors of position, given at the mean epochs,
-    are propagated to J2000. Proper motions of the some 30 fastest stars are in ``u4hpm.dat``, looked for beside the
-    zone file and in a folder ``u4i`` beside its folder. Identifiers are ``zone * 1,000,000 + record``, as in the name
+    are propagated to J2000. Proper motions of the about 30 fastest stars are in ``u4hpm.dat``, searched next to the
+    zone file and in a folder ``u4i`` next to its folder. Identifiers are ``zone * 1,000,000 + record``, as in the name
     UCAC4-zzz-rrrrrr. Stars with a double star flag are double.
 
     References

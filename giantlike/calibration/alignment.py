@@ -241,7 +241,7 @@ def _residuals(rotations: Rotation, rotation: Rotation, rate: Float, offsets_c: 
 
 
 def _step(residuals: Float, covariances: Float, offsets_c: Float, used: Mask, drifts: bool) -> tuple[Float, Float]:
-    """Correction (6,) of rotation and rate, and their covariance (6, 6); those of a rate not estimated are zero."""
+    """Correction (6,) of rotation and rate, and their covariance (6, 6); zero for a rate not estimated."""
     size = 6 if drifts else 3
     design = np.concatenate(
         [np.broadcast_to(np.eye(3), covariances.shape), offsets_c[:, None, None] * np.eye(3)], axis=2

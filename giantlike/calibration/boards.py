@@ -17,10 +17,10 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image
 
 CORNER_SIGMA_PX = 0.05
-"""Standard deviation of a corner per axis, px: the scatter in sharp images of boards with squares of some 20 px. If
+"""Standard deviation of a corner per axis, px: the scatter in sharp images of boards with squares of about 20 px. If
 the residuals are larger, the covariance of a calibration is scaled with them."""
 _DARKEST, _BRIGHTEST = 0.5, 99.5  # percentiles of the pixels mapped to black and white: ignores hot and dead pixels
-_WINDOW = 0.3  # half the refinement window over the distance of the nearest corners: it contains no other corner
+_WINDOW = 0.3  # half the refinement window / distance of the nearest corners: it contains no other corner
 _WINDOWS_PX = (2, 5)  # smallest and largest half window, px: lines are straight over this length in any lens
 _STEPS, _LAST_STEP_PX = 60, 1e-3  # of the refinement: a fiftieth of the scatter of a corner
 
@@ -45,7 +45,7 @@ def find_board(pixels: NDArray[np.float64], *, across: int, down: int) -> Float 
     Notes
     -----
     Pixel coordinates in OpenCV are integer at the centers of pixels, as here. With a fisheye the detector alone has an
-    error of some 0.1 px, the refinement of 0.05 px.
+    error of about 0.1 px, the refinement of 0.05 px.
     """
     import cv2
 
@@ -115,7 +115,7 @@ def board_observations(
     across, down : int
         Inner corners of the board.
     square : float
-        Side of a square in any unit of length, that of the poses; the camera model does not depend on it.
+        Side of a square in any unit of length, the same as for the poses; the camera model does not depend on it.
     sigma_px : float, px
         Standard deviation of a corner per axis.
 

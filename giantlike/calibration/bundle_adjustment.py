@@ -1,6 +1,6 @@
 """Bundle adjustment: Levenberg-Marquardt fit of one camera model and the poses of all images.
 
-Each image adds the same few camera parameters and a pose of its own, so the matrix is an arrow: camera block, pose
+Each image adds the same few camera parameters and its own pose, so the matrix is an arrow: camera block, pose
 blocks on the diagonal, zero between images. Poses are eliminated block by block (Schur complement), so that the cost
 grows with the number of images and not with its cube.
 """
@@ -242,7 +242,7 @@ class NormalEquations(Value):
         return shifts
 
     def pose_covariance(self, camera_covariance: Float) -> Float:
-        """Covariance (m, p, p) of the poses, that of the camera (k, k) included, rad^2 (and squares of lengths)."""
+        """Covariance (m, p, p) of the poses, with that (k, k) of the camera, rad^2 (and squares of lengths)."""
         by_camera, _ = self._pose_steps()
         return np.linalg.inv(self.poses) + by_camera @ camera_covariance @ np.swapaxes(by_camera, 1, 2)
 

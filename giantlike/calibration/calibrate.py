@@ -239,7 +239,7 @@ def _result(
 
 
 def _degrees_of_freedom(fit: _Fit, covariance: Float) -> float:
-    """Number of observations minus that of the unknowns, less the share of these that a priori values determine."""
+    """Number of observations minus number of unknowns, without the fraction determined a priori."""
     data = fit.data
     poses = fit.minimum.normal.pose_covariance(covariance)[:, :3, :3]
     from_priors = float(data.prior_weight @ np.diag(covariance))

@@ -14,7 +14,7 @@ _PARTS = 3  # parts of the field along each axis: center, edges and corners
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationCriteria:
-    """Acceptance criteria of a calibration; the defaults are for stars with centroids of some 0.1 px.
+    """Acceptance criteria of a calibration; the defaults are for stars with centroids of about 0.1 px.
 
     Parameters
     ----------
@@ -22,15 +22,15 @@ class CalibrationCriteria:
         Largest radial residual rms of the observations kept, with their weights in the fit. Default 0.5: real frames
         have 0.16 to 0.26.
     max_image_residual_px : float, px
-        Largest residual rms of a single image. Default 1: twice that of all.
+        Largest residual rms of a single image. Default 1: twice the limit for all.
     max_rejected : float
-        Largest share of observations rejected. Default a quarter; no study yet.
+        Largest fraction of observations rejected. Default a quarter; no study yet.
     max_map_sigma_px : float, px
         Largest uncertainty of the camera map over the field (radial, modulo a rotation). Default 0.5, as the residuals.
     min_observations_per_parameter : float
         Smallest number of observations kept per parameter of the camera. Default 3, six equations.
     min_covered : float
-        Smallest share of nine equal parts of the field with observations. Default 0.6: six of nine.
+        Smallest fraction of nine equal parts of the field with observations. Default 0.6: six of nine.
 
     Raises
     ------
@@ -59,7 +59,7 @@ class CalibrationCriteria:
         Returns
         -------
         tuple of str
-            Each with what is needed and what came.
+            Each with the required and the actual value.
         """
         missed = []
         weighted_px = result.weighted_rms_px()
@@ -93,7 +93,7 @@ class CalibrationCriteria:
 
 
 def _covered(result: CalibrationResult) -> float:
-    """Share of the equal parts of the field in which something was observed."""
+    """Fraction of the equal parts of the field in which something was observed."""
     points = result.observed_px[result.used]
     edges = [np.linspace(-0.5, size - 0.5, _PARTS + 1) for size in (result.columns, result.rows)]
     counts, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=edges)

@@ -1,4 +1,4 @@
-"""Observability of the parameters of a calibration: verdicts on each of them."""
+"""Observability of the parameters of a calibration: classification of each of them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from giantlike.calibration.bundle_adjustment import Data
 from giantlike.calibration.field_map import FieldSensitivity
 from giantlike.core.arrays import Float
 
-_SIGNIFICANT = 3.0  # sigma from zero: chance exceeds it once in 370
-_MOSTLY_PRIOR = 0.9  # sigma over the a priori sigma: the observations contribute a fifth of the information or less
+_SIGNIFICANT = 3.0  # sigma from zero: p-value 1/370
+_MOSTLY_PRIOR = 0.9  # ratio of sigma to a priori sigma: the observations contribute a fifth of the information or less
 _ENTANGLED = 0.99  # correlation: the sigma of the parameter alone is 7 times smaller
 
 
@@ -22,16 +22,16 @@ class Verdict(StrEnum):
 
     SUPPORTED = "supported"
     NOT_SIGNIFICANT = "not_significant"
-    """A distortion or temperature term less than three sigma from zero: the data do not need it."""
+    """A distortion or temperature term within three sigma of zero: the data do not need it."""
     ENTANGLED = "entangled"
     """Correlated above 0.99 with another parameter: only their combination is known."""
     PRIOR_ONLY = "prior_only"
-    """Its sigma is that of the a priori value: the observations add hardly any information."""
+    """Its sigma equals the a priori sigma: the observations add hardly any information."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterSupport:
-    """Estimate, effect and verdict of one parameter.
+    """Estimate, effect and classification of one parameter.
 
     Parameters
     ----------

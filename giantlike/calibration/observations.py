@@ -97,7 +97,7 @@ class ImageObservations(Value):
 def collimator_directions(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Float:
     """Directions of a fixed collimator in the axes of the gimbal stage that carries the camera.
 
-    The stage turns about its vertical axis (azimuth, toward +x) and then about its horizontal axis (elevation,
+    The stage rotates about its vertical axis (azimuth, toward +x) and then about its horizontal axis (elevation,
     toward -y, up in an image); at zero the collimator is on its +z axis. Seen from the stage the collimator moves
     the other way. All images of a grid form one composite: one :class:`ImageObservations` whose
     ``camera_from_reference`` is the orientation of the camera on the stage.

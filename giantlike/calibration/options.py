@@ -52,7 +52,7 @@ class CalibrationOptions:
         Standard deviation of the starting value of a parameter, in its unit: an a priori weight. In a narrow field the
         principal point is degenerate with the attitude: give it an a priori sigma here, or do not estimate it.
     loss : Loss
-        Loss of the last fit; the fits before, which search for outliers, use at least that of Huber. Default: least
+        Loss of the last fit; the fits before, which search for outliers, use at least Huber's. Default: least
         squares, whose covariance is exact once outliers are rejected.
     false_rejections : float
         Expected number of good observations that a whole calibration rejects as outliers. Default 0.01: one

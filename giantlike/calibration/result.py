@@ -103,7 +103,7 @@ class CalibrationResult(Pictured, Value):
     image_index : (n,) int
         Image of each observation; the arrays below contain all observations, used or not.
     observed_px, predicted_px : (n, 2) float64, px
-        The prediction is that of the calibrated model, NaN for targets that it cannot project.
+        The prediction is by the calibrated model, NaN for targets that it cannot project.
     sigma_px, magnitudes : (n,) float64
     labels : (n,) int64
     used : (n,) bool
@@ -178,7 +178,7 @@ class CalibrationResult(Pictured, Value):
     def weighted_rms_px(self, image: int | None = None) -> float:
         """Radial residual rms of the observations used, with their weights in the fit.
 
-        Faint stars, whose noise says nothing about the camera, count little in it.
+        Faint stars, dominated by noise, have little weight in it.
 
         Parameters
         ----------

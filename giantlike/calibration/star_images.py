@@ -1,4 +1,4 @@
-"""Calibration from star images: identification and camera model by turns, until the matches stop changing."""
+"""Calibration from star images: identification and camera model alternately, until the matches stop changing."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class AllStars:
         Limit of the stars used for calibration; the others here include fainter ones.
     count : int
     rms_px : float, px
-        Radial residual; larger than that of the calibration, because faint stars have more noise.
+        Radial residual; larger than in the calibration, because faint stars have more noise.
     noise_px : float, px
         Radial rms expected from their sigmas.
     """

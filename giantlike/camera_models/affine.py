@@ -195,7 +195,7 @@ class AffineModel(ABC):
         Returns
         -------
         (..., 2, k) float64, px per unit of each parameter
-            Columns in the order of :attr:`parameter_names`; those of the temperature terms are zero at 0 degrees.
+            Columns in the order of :attr:`parameter_names`; temperature terms are zero at 0 degrees.
         """
         points = as_floats(points_camera, (3,), "points_camera")
         scale = self._magnification(temperature_c)

@@ -26,7 +26,7 @@ class CameraModel(Protocol):
     """Name in camera files."""
 
     def __hash__(self) -> int:
-        """Hash of the value: what follows from a model alone is kept by it."""
+        """Hash of the value: key of caches of values that depend on the model alone."""
         ...
 
     @property
@@ -129,7 +129,7 @@ class CameraModel(Protocol):
         Returns
         -------
         (..., 2, k) float64, px per unit of each parameter
-            Columns in the order of :attr:`parameter_names`; those of the temperature terms are zero at 0 degrees.
+            Columns in the order of :attr:`parameter_names`; temperature terms are zero at 0 degrees.
         """
         ...
 

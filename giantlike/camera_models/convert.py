@@ -32,11 +32,11 @@ class Conversion(Value):
     Parameters
     ----------
     model : AffineModel
-        The fitted model; temperature terms are those of the original.
+        The fitted model; temperature terms as in the original.
     points_px : (rows, columns, 2) float64, px
         Grid of pixels at which the two are compared.
     residuals_px : (rows, columns, 2) float64, px
-        Pixel of the fitted model minus that of the original, for the same direction; NaN where one of them has none.
+        Pixel of the fitted model minus pixel of the original, for the same direction; NaN where one of them has none.
     """
 
     model: AffineModel

@@ -25,7 +25,7 @@ class GridCorrectedModel(Value):
 
     The spline is uniform, cubic and twice continuously differentiable. Its control values surround the pixels they
     act on: control ``[j, i]`` sits at ``corner_px + ((i - 1) step_px, (j - 1) step_px)``, and the spline reaches from
-    the control ``[1, 1]`` to the last but one; beyond, it keeps the value of its edge. :attr:`parameters` are those of
+    the control ``[1, 1]`` to the last but one; beyond, it keeps the value of its edge. :attr:`parameters` belong to
     the base; the correction is fixed while they are estimated.
 
     Parameters
@@ -79,7 +79,7 @@ class GridCorrectedModel(Value):
         columns, rows : int
             Size of the frame.
         step_px : float, px
-            Spacing of the control values: for a fit, not less than that of neighboring measurements, all images
+            Spacing of the control values: for a fit, not less than the spacing of neighboring measurements, all images
             together.
 
         Returns
@@ -191,7 +191,7 @@ class GridCorrectedModel(Value):
         Returns
         -------
         (..., 2, k) float64, px per unit of each parameter
-            Columns in the order of :attr:`parameter_names`; those of the temperature terms are zero at 0 degrees.
+            Columns in the order of :attr:`parameter_names`; temperature terms are zero at 0 degrees.
         """
         pixels = self.base.at_temperature(temperature_c).project(points_camera)
         result: Float = self._slope(pixels) @ self.base.parameter_jacobian(points_camera, temperature_c)
@@ -299,7 +299,7 @@ class GridCorrectedModel(Value):
         return cells[0] + columns * cells[1], weights[0], weights[1]
 
     def _slope(self, base_px: Float) -> Float:
-        """Derivative (..., 2, 2) of the corrected pixel by that of the base model."""
+        """Derivative (..., 2, 2) of the corrected pixel by the pixel of the base model."""
 
         def block(pixels: Float) -> Float:
             result = np.broadcast_to(np.eye(2), (len(pixels), 2, 2)).copy()

@@ -50,7 +50,7 @@ class OwenModel(PlaneModel):
     e6: float = 0.0
 
     def _parts(self, x: Float, y: Float) -> tuple[Float, Float, Float]:
-        """Squared radius, stretch along the radius and turn across it."""
+        """Squared radius, stretch along the radius and rotation across it."""
         r2 = x * x + y * y
         stretch = 1.0 + r2 * (self.e2 + r2 * self.e4) + self.e5 * y + self.e6 * x
         return r2, stretch, np.sqrt(r2) * (self.e1 + r2 * self.e3)

@@ -26,10 +26,10 @@ class DivisibleModel(CameraModel, Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartModel:
-    """Any camera model, for the pixels of a window whose pixels may be blocks of those of the model.
+    """Any camera model, for the pixels of a window whose pixels may be blocks of pixels of the model.
 
     ``pixel = (base pixel - (x0_px, y0_px)) / size_px``: directions go through the model, pixels through this map.
-    :attr:`parameters` are those of the model.
+    :attr:`parameters` belong to the model.
 
     Parameters
     ----------

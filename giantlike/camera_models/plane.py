@@ -18,14 +18,14 @@ MAX_NEWTON_STEPS = 40  # a few suffice inside; near the edge of the invertible r
 LAST_STEP = 1e-8  # relative step at which Newton's method stops; the error left is its square times a curvature
 STEP_PER_ERROR = 1e-2  # least step per distance from the goal to stop: next to a pole, steps are short far from it
 _AZIMUTHS = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)  # rad, every 5 degrees
-_WIDEST_RAD = np.radians(89.9)  # largest angle from the axis at which folds are looked for; at 90 degrees r is infinite
+_WIDEST_RAD = np.radians(89.9)  # largest angle from the axis at which folds are searched; at 90 degrees r is infinite
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlaneModel(AffineModel):
     """A camera whose lens moves the points of the gnomonic plane.
 
-    It images what lies in front of it and inside :attr:`max_radius`: there the derivative of the distortion is
+    It images points in front of it and inside :attr:`max_radius`: there the derivative of the distortion is
     positive definite, so that no two directions share a pixel. Beyond, points give NaN, and a pixel that only a
     folded-over branch of the polynomial reaches gives NaN too.
 
@@ -128,8 +128,8 @@ def _fold_radius(kind: type[PlaneModel], coefficients: tuple[float, ...]) -> flo
         return limit
     radii = np.tan(np.linspace(0.0, min(np.arctan(limit), _WIDEST_RAD), 150)[1:])
     below = 0.0
-    for _ in range(3):  # each turn looks fifty times closer
-        folded = ~(_least_slope(model, radii).min(axis=1) > 0)  # a pole of a rational lens is no number
+    for _ in range(3):  # each pass refines fiftyfold
+        folded = ~(_least_slope(model, radii).min(axis=1) > 0)  # a pole of a rational lens is not finite
         if not folded.any():
             return limit if limit < radii[-1] * 1.001 else float("inf")
         first = int(np.argmax(folded))

@@ -1,4 +1,4 @@
-"""Base of lenses whose distortion is radial, decentering and of thin prisms: OpenCV's, and that of Brown as a part."""
+"""Base of lenses whose distortion is radial, decentering and of thin prisms: OpenCV's, and Brown's as a part."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from giantlike.core.arrays import Float
 class RationalModel(PlaneModel):
     """A plane lens of OpenCV's twelve coefficients, projected in compiled loops (``rational_loops``).
 
-    Loops are imported when they are first asked for: compiled functions take a process a third of a second to load.
+    Numba kernels are imported at first use: they take a third of a second to load.
     """
 
     @property

@@ -142,8 +142,8 @@ def write_attitude_csv(
 def read_attitude_csv(path: str | Path) -> AttitudeSeries:
     """Read a table of attitudes, a star tracker's for example, in any order of time.
 
-    The columns are those of :func:`write_attitude_csv`; ``epoch_utc`` or ``et`` and the quaternion are needed, ``name``
-    and the covariance may be absent or empty.
+    The columns are as written by :func:`write_attitude_csv`; ``epoch_utc`` or ``et`` and the quaternion are needed,
+    ``name`` and the covariance may be absent or empty.
     """
     series, untimed = read_attitude_table(path)
     if untimed or series is None:

@@ -1,4 +1,4 @@
-"""Camera files of other programs, told apart by their names and contents."""
+"""Camera files of other programs, distinguished by their names and contents."""
 
 from __future__ import annotations
 
@@ -46,5 +46,5 @@ def read_foreign_camera(
 
 @reads("a camera file")
 def _is_giant(path: Path) -> bool:
-    """True for an XML file whose root element is that of GIANT."""
+    """True for an XML file whose root element is GIANT's."""
     return b"<CameraModels" in path.read_bytes()[:4096]

@@ -90,7 +90,7 @@ for _tag in ("opencv-matrix", "opencv-nd-matrix"):  # OpenCV 5 writes arrays of 
 
 
 def _yaml_storage(content: bytes) -> Mapping[str, Any]:
-    """Values of a YAML file by key; OpenCV's own first line ``%YAML:1.0`` is no directive of YAML."""
+    """Values of a YAML file by key; OpenCV's own first line ``%YAML:1.0`` is not a directive of YAML."""
     text = content.decode("utf-8")
     storage = yaml.load(text.partition("\n")[2] if text.startswith("%YAML:") else text, _Loader)
     if not isinstance(storage, dict):

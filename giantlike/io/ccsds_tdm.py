@@ -1,6 +1,6 @@
 """CCSDS Tracking Data Messages (TDM) 2.0 in keyword-value notation: angles of a target, and its range.
 
-Keywords and their order are those of the schema of TDM 2.0 (NDM/XML of SANA), as ``ccsds-ndm`` reads it.
+Keywords and their order follow the schema of TDM 2.0 (NDM/XML of SANA), as ``ccsds-ndm`` reads it.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class TdmSegment:
     points : sequence of TdmPoint
         In order of time; at least one.
     comments : sequence of str
-        Lines for the metadata: what is removed of the angles.
+        Lines for the metadata: effects removed from the angles.
     """
 
     spacecraft: str
@@ -69,7 +69,7 @@ class TdmSegment:
 def write_tdm(path: str | Path, segments: Sequence[TdmSegment], *, originator: str = "UNKNOWN") -> None:
     """Write a TDM: right ascension and declination in ICRF at the time of reception in UTC, and the range in km.
 
-    The light goes from participant 2, the target, to participant 1. A TDM has no place for covariances; the
+    The light goes from participant 2, the target, to participant 1. A TDM has no covariances; the
     observables file of a run has them.
     """
     require(len(segments) > 0, "a TDM needs a segment")

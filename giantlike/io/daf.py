@@ -23,7 +23,7 @@ _BYTE_ORDER = {b"LTL-IEEE": "<", b"BIG-IEEE": ">"}
 _SUMMARY_SIZES = {b"DAF/SPK ": (2, 6), b"DAF/CK  ": (2, 6), b"DAF/PCK ": (2, 5)}
 _MOST_REALS, _MOST_INTEGERS, _MOST_WORDS = 124, 250, 125  # of a summary
 _HEAD_WORDS = 3  # of a summary record: the next one, the previous one, the number of summaries
-_MOST_CALLS = 300  # of CSPICE for a file that is tried: some 0.1 ms each
+_MOST_CALLS = 300  # of CSPICE for a file that is tried: about 0.1 ms each
 _MOST_EPOCHS = 9  # of a segment; damage of its counts shows at any
 
 

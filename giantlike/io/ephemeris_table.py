@@ -61,7 +61,7 @@ def read_ephemeris_table(path: str | Path) -> EphemerisSamples:
     ------
     DataError
         Names file, line, column and value: unknown, repeated or missing columns; none or both of ``epoch_utc``
-        and ``et``; empty cells; cells that are no number or epoch; a quaternion that is not unit to 1e-3; two
+        and ``et``; empty cells; cells that are not a number or epoch; a quaternion that is not unit to 1e-3; two
         rows with the same epoch; a table without rows.
     """
     rows = read_csv_rows(path, ("epoch_utc", "et", *_POSITION, *_VELOCITY, *_BODY), _POSITION)

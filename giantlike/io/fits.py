@@ -58,7 +58,7 @@ def decode_fits(path: Path, data: bytes, hdu: int | str | None) -> DecodedImage:
     """Decode one image of a FITS file.
 
     ``BSCALE``, ``BZERO`` and ``BLANK`` are applied (blank pixels become NaN); compressed images are
-    expanded; leading axes of length one are dropped. The header is that of the image's own HDU, completed by
+    expanded; leading axes of length one are dropped. The header is from the image's own HDU, completed by
     the keywords of the primary HDU that it does not have itself. Cards that break the FITS rules, comments
     and undefined values are left out. Epoch, exposure, attitude and observer: see
     :mod:`giantlike.io.fits_keywords`.
@@ -102,7 +102,7 @@ def navigation_header(
     Returns
     -------
     dict of str to str or float
-        Values by keyword; only of what was given.
+        Values by keyword; only for given arguments.
 
     Raises
     ------
@@ -263,7 +263,7 @@ def _counts(data: bytes, unit: Any) -> NDArray[Any] | None:
 
 
 def _expanded(data: bytes, index: int) -> NDArray[Any]:
-    """Pixels of a compressed image, expanded in a process of its own: the codes of a damaged one can end it."""
+    """Pixels of a compressed image, expanded in a separate process: the codes of a damaged one can end it."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{index}.fits"
         path.write_bytes(data)

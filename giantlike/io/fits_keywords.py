@@ -170,7 +170,7 @@ def fits_observer(cards: Mapping[str, Card], epoch: Time | None) -> ObserverStat
 
 
 def _sun_state(epoch: Time) -> tuple[np.ndarray, np.ndarray]:
-    """Position (3,), km, and velocity (3,), km/s, of the Sun from the barycenter, ICRF, to some 100 km."""
+    """Position (3,), km, and velocity (3,), km/s, of the Sun from the barycenter, ICRF, to about 100 km."""
     from astropy.coordinates import get_body_barycentric_posvel
 
     position, velocity = get_body_barycentric_posvel("sun", epoch, ephemeris="builtin")

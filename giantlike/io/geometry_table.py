@@ -187,7 +187,7 @@ def read_geometry(path: str | Path, *, default_target: str | None = None) -> Geo
     Raises
     ------
     DataError
-        Names file, line, column and value: unknown, repeated or missing columns; cells that are no number or
+        Names file, line, column and value: unknown, repeated or missing columns; cells that are not a number or
         epoch; groups that are half filled; a quaternion or Sun vector that is not unit to 1e-3; target
         geometry without a target name; two rows for one file and target, or rows of one file that disagree.
     """

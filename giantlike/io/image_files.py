@@ -55,7 +55,7 @@ class ImageFile(Value):
     mask : (rows, columns) bool
         True where a pixel is bad: NaN, infinite or blank in the file, or in a line that was never received.
     epoch : Time or None
-        Mid-exposure, where the file settles it.
+        Mid-exposure, where the file determines it.
     exposure_s : float or None, s
     camera_from_inertial : Rotation or None
         A priori attitude, only from headers that this package wrote.
@@ -92,7 +92,7 @@ def read_image_file(path: str | Path, *, hdu: int | str | None = None, bottom_up
     ----------
     path : path-like
         A FITS, PNG, TIFF, JPEG or VICAR file, an ISIS cube, an image with a PDS3 label attached, a PDS3 or PDS4 label
-        that points to its image, or a raw image with such a label beside it (same name, ``.LBL`` or ``.xml``). Files
+        that points to its image, or a raw image with such a label next to it (same name, ``.LBL`` or ``.xml``). Files
         may be gzipped, but for ISIS cubes and PDS4 products, which are read by libraries of the extra ``planetary``.
     hdu : int or str, optional
         For FITS: index or EXTNAME of the HDU; the first with a 2-D image by default.
@@ -113,7 +113,7 @@ def read_image_file(path: str | Path, *, hdu: int | str | None = None, bottom_up
 
     Notes
     -----
-    Which items give epoch and exposure: :mod:`giantlike.io.fits_keywords` for FITS,
+    Items that give epoch and exposure: :mod:`giantlike.io.fits_keywords` for FITS,
     :mod:`giantlike.io.label_times` for VICAR and PDS3. The other formats carry none. Warnings of the libraries
     underneath never come through.
     """
@@ -121,7 +121,7 @@ def read_image_file(path: str | Path, *, hdu: int | str | None = None, bottom_up
     with warnings.catch_warnings():
         warnings.simplefilter(
             "ignore"
-        )  # astropy and erfa: what harms the pixels is checked for; odd cards and years do not
+        )  # astropy and erfa: damage of the pixels is checked; odd cards and years are harmless
         file = _read_image(given, hdu)
     if not bottom_up:
         return file
@@ -163,13 +163,13 @@ def _decode(path: Path, data: bytes, kind: str, hdu: int | str | None) -> Decode
 
 
 def _decode_product(label: Path, content: bytes) -> tuple[DecodedImage, str]:
-    """Decode what a PDS4 label describes; the hash is of the file with the pixels."""
+    """Decode the image of a PDS4 label; the hash is of the file with the pixels."""
     pixels = label.parent / data_file_of(label, content)
     return decode_pds4(label), hashlib.sha256(_content(pixels)).hexdigest()
 
 
 def _decode_labeled(path: Path, data: bytes, digest: str) -> tuple[DecodedImage, str]:
-    """Decode what a PDS3 label at the start of ``data`` describes; the hash is of the file with the pixels.
+    """Decode the image of a PDS3 label at the start of ``data``; the hash is of the file with the pixels.
 
     An image file that describes itself (FITS, VICAR) is read as such; the label gives the epoch and exposure
     that it lacks.

@@ -1,4 +1,4 @@
-"""Geometry that stands in the labels of images: where the target is, how it is turned and where the Sun is.
+"""Geometry in the labels of images: position and orientation of the target, direction of the Sun.
 
 Galileo SSI and NEAR MSI labels hold it. Voyager labels hold none: their frame count leads to it by SPICE kernels.
 """
@@ -20,9 +20,9 @@ from giantlike.core.values import Value
 from giantlike.io.decoded import HeaderValue
 
 _POLE_WEIGHT = 1e-6
-"""Weight of the azimuth of the pole beside the direction to the viewer, which is met exactly."""
+"""Weight of the azimuth of the pole relative to the direction to the viewer, which is met exactly."""
 MSI_FROM_NEAR = Rotation.from_matrix([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
-"""Axes of NEAR MSI from those of the spacecraft: boresight along +X, samples along +Z, lines along -Y."""
+"""Axes of NEAR MSI from the spacecraft's axes: boresight along +X, samples along +Z, lines along -Y."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -38,9 +38,9 @@ class LabelGeometry(Value):
     sun_direction_camera : (3,) float64, unitless, camera axes
         From the target to the Sun.
     camera_from_body : Rotation, optional
-        Orientation of the target; None where the label does not tell it.
+        Orientation of the target; None where the label does not give it.
     camera_from_inertial : Rotation, optional
-        Attitude of the camera; None where the label does not tell it.
+        Attitude of the camera; None where the label does not give it.
     """
 
     target: str
@@ -68,7 +68,7 @@ def geometry_of_label(header: Mapping[str, HeaderValue], model: CameraModel) -> 
     Raises
     ------
     InputError
-        An item of the label is no number.
+        An item of the label is not a number.
 
     Notes
     -----
@@ -76,7 +76,7 @@ def geometry_of_label(header: Mapping[str, HeaderValue], model: CameraModel) -> 
     first being 1), ``TARGET``, ``TARGET_CENTER_DISTANCE``, planetocentric latitude and west longitude below the
     spacecraft and the Sun (``SUB_SPACECRAFT_LATITUDE``, ``SUB_SPACECRAFT_LONGITUDE``, ``SUB_SOLAR_LATITUDE``,
     ``SUB_SOLAR_LONGITUDE``), and ``NORAZ``, the azimuth of the north pole clockwise from the right of the image. The
-    pixel is as good as the pointing was, some 10 px. NEAR MSI: positions of spacecraft and target from the Sun and the
+    pixel is as good as the pointing was, about 10 px. NEAR MSI: positions of spacecraft and target from the Sun and the
     spacecraft quaternion, J2000 (``NEAR-019`` to ``NEAR-029``), and the name of the target (``NEAR-047``).
     """
     if "SUB_SPACECRAFT_SAMPLE" in header:

@@ -107,8 +107,8 @@ def label_epoch(label: Mapping[str, HeaderValue], exposure_s: float | None) -> T
     ----------
     .. [1] PDS data dictionary, ``image_time`` of Cassini ISS: time of shutter close.
     .. [2] USGS ISIS, SsiCamera and VoyagerCamera, ``ShutterOpenCloseTimes``: the time in Galileo SSI labels is the
-       shutter center (others take it for the opening: half an exposure, some milliseconds, apart); Voyager's clock
-       count is that of the readout, seconds after the shutter has closed.
+       shutter center (others use it for the opening: half an exposure, some milliseconds, apart); Voyager's clock
+       count is for the readout, seconds after the shutter has closed.
     """
     middle = utc_from_label(label.get("IMAGE_MID_TIME"))
     if middle is not None:

@@ -1,6 +1,6 @@
 """A mission file: defaults of the tables of a campaign, patterns of its kernels, and where the numbers come from.
 
-Each is a TOML file in ``giantlike/io/missions``. It holds what its sources state and nothing else: where the frame of
+Each is a TOML file in ``giantlike/io/missions``. It holds only values that its sources state: where the frame of
 a camera or the order of its axes is not known, SPICE gives no attitude, and the campaign has to.
 """
 
@@ -20,19 +20,19 @@ _FOLDER = files("giantlike.io") / "missions"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mission:
-    """What is known beforehand of the images of one camera.
+    """A priori information on the images of one camera.
 
     Parameters
     ----------
     name : str
     about : str
-        What images it is for, and what it leaves open.
+        Images that it describes, and values that it does not give.
     sources : tuple of str
         Where the numbers come from.
     kernels : tuple of str
         Patterns of the names of SPICE kernels, in loading order.
     defaults : mapping of str to mapping
-        Keys of the tables ``camera``, ``images`` and ``spice`` of a campaign file that holds none of its own.
+        Keys of the tables ``camera``, ``images`` and ``spice`` of a campaign file that holds none.
     """
 
     name: str

@@ -33,7 +33,7 @@ class ImportedCamera:
     columns, rows : int, optional
         Size of the detector, where the file states it.
     camera_from_mission : Rotation
-        Takes vectors in the mission's camera frame (that of its pointing kernels) to ours.
+        Takes vectors in the mission's camera frame (the one of its pointing kernels) to ours.
     rows_reversed : bool
         The model counts rows from the last stored one: read ``image[::-1]``. Such a file describes a mirrored image,
         which no rotation explains.

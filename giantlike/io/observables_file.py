@@ -25,9 +25,9 @@ from giantlike.core.values import Value
 from giantlike.io.tables import arrow_schema, column, columns_of
 
 FORMAT, FORMAT_VERSION = "giantlike observables", "1"
-"""Metadata of the file: what it is, and the version of its columns."""
+"""Metadata of the file: its kind, and the version of its columns."""
 ROWS_OF_A_GROUP = 4096
-"""Rows of a group of the Parquet file: some megabytes, whatever the number of images."""
+"""Rows of a group of the Parquet file: some megabytes, at any number of images."""
 _ICRF = "ICRF"
 _CAMERA = "camera"
 _PLACE = "(pixel, line, apparent range)"
@@ -45,10 +45,10 @@ def _part(cause: Cause, what: str, shared: str) -> Any:
 class ObservableRow:
     """One row per observation: an image, a target and an estimator (`kind` body), a landmark of one, or a star.
 
-    What is *apparent* is as the camera saw it: light time and stellar aberration are in. *Astrometric* is without
+    *Apparent* values are as the camera saw them: light time and stellar aberration are in. *Astrometric* is without
     stellar aberration: from the spacecraft at the epoch to the target when the light left it. *Geometric* is without
-    light time, too: from the spacecraft to the target, both at the epoch. `o_minus_c` is observed less computed by the
-    a priori geometry and the attitude of the row. A covariance is that of the errors of the measurement; the ephemeris
+    light time, too: from the spacecraft to the target, both at the epoch. `o_minus_c` is observed minus computed by the
+    a priori geometry and the attitude of the row. A covariance describes the errors of the measurement; the ephemeris
     of the target, which a filter estimates, is not in it. Partials are derivatives of (pixel, line, apparent range) by
     the true value of something, all else being equal.
     """

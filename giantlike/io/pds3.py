@@ -1,4 +1,4 @@
-"""PDS3 labels, attached to an image or in a file of their own, and the raw images they describe.
+"""PDS3 labels, attached to an image or in a separate file, and the raw images they describe.
 
 ISIS cubes have labels in the same language.
 

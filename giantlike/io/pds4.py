@@ -29,7 +29,7 @@ PRODUCT_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*<\?xml[^>]*>[\s\S]{0,20000}?<P
 
 _FILE_NAME = re.compile(rb"<file_name>\s*([^<]*?)\s*</file_name>")
 LABEL_NAMES = {"start_date_time": "START_TIME", "stop_date_time": "STOP_TIME"}
-"""Elements of a label that tell times, and their names in PDS3 labels."""
+"""Elements of a label with times, and their names in PDS3 labels."""
 _SECONDS = {"s": 1.0, "ms": 1e-3, "microseconds": 1e-6, "min": 60.0}
 """Units of time of the information model, s."""
 
@@ -141,7 +141,7 @@ def _leaf(header: Mapping[str, HeaderValue], name: str) -> HeaderValue | None:
 
 
 def _exposure_s(header: Mapping[str, HeaderValue], units: Mapping[str, str]) -> float | None:
-    """Exposure time, s; None where the label does not tell it, or in a unit that is not known."""
+    """Exposure time, s; None where the label does not give it, or in a unit that is not known."""
     for path, value in header.items():
         if path.rpartition(".")[2] == "exposure_duration":
             try:

@@ -1,4 +1,4 @@
-"""Picture sequence files (PSF) of JPL's orbit programs: cameras, pointing and places in images as FORTRAN namelists.
+"""Picture sequence files (PSF) of JPL's orbit programs: cameras, pointing and image positions as FORTRAN namelists.
 
 Sources opened: the description at ``https://ssd.jpl.nasa.gov/dat/sats/format.txt`` (order and names of the namelists,
 and the variables of the first two), and for the other variables and their meaning the reader of Tudat (``readPsfFile``,
@@ -34,7 +34,7 @@ _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT",
 
 
 class PsfKind(StrEnum):
-    """What an image in a picture is of."""
+    """Kind of object in a picture."""
 
     PLANET = "PLAN"
     SATELLITE = "SAT"
@@ -74,10 +74,10 @@ class PsfImage(Value):
     observed_px : (2,) float64, px
         Measured pixel and line.
     correction_px : (2,) float64, px
-        What the lens moved it by: without it the camera of the file holds.
+        Shift by the lens: without it the camera of the file holds.
     sigma_px : (2,) float64, px
     radec_deg : (float, float), deg, optional
-        Of a star: its catalog place at the epoch, without aberration.
+        Of a star: its catalog position at the epoch, without aberration.
     """
 
     kind: PsfKind

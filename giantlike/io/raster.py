@@ -1,6 +1,6 @@
 """PNG, TIFF and JPEG images through OpenCV, at their full depth, and checks that they are whole.
 
-OpenCV fills what is missing of a cut-off file with zeros or gray and says nothing, so each format is
+OpenCV fills the missing part of a truncated file with zeros or gray without an error, so each format is
 checked here first: PNG by its chunks and their checksums, JPEG by its markers, TIFF by its strip table.
 """
 
@@ -46,7 +46,7 @@ def decode_raster(path: Path, data: bytes, kind: str) -> DecodedImage:
 
     Gray images keep their type; so do color images whose channels are equal. Other color images become
     luminance, float32, with :data:`LUMINANCE_BGR`. An alpha channel is dropped, a palette resolved, a scale
-    in which white is zero turned over. Rows and columns are as stored: orientation tags are ignored. Of a
+    in which white is zero inverted. Rows and columns are as stored: orientation tags are ignored. Of a
     TIFF with several pages the first is read.
     """
     if kind == "tiff":
@@ -133,7 +133,7 @@ def _decode_tiff(data: bytes) -> NDArray[Any]:
         data = data[: orientation.offset] + neutral + data[orientation.offset + 2 :]
     pixels = _gray(_decode(data))
     white_is_zero = _PHOTOMETRIC in tags and tags[_PHOTOMETRIC].values == (0,)
-    if white_is_zero and pixels.dtype.kind == "u" and pixels.dtype.itemsize > 1:  # OpenCV turns over 8 bits itself
+    if white_is_zero and pixels.dtype.kind == "u" and pixels.dtype.itemsize > 1:  # OpenCV inverts 8 bits itself
         pixels = np.iinfo(pixels.dtype).max - pixels
     return pixels
 

@@ -70,10 +70,11 @@ class ObservationRow:
     """One row per image, target and estimator: the center of a body (the origin of its shape model), and its position.
 
     Positions are apparent: light time and aberration are still in. Their lengths are the distances by which sizes in
-    the image go: ``r g (1 + n.b)``, with the light-time distance r in direction n, the velocity b of the observer over
-    that of light, and ``g = 1 / sqrt(1 - b^2)``. Sigmas hold the errors of the measurement and of what is known of the
-    body. ``sigma_range_km`` and ``covariance_camera_km2`` hold those of the camera model as well; ``..._total_px``,
-    ``covariance_with_attitude_px2`` and ``covariance_inertial_km2`` those of camera model and attitude.
+    the image go: ``r g (1 + n.b)``, with the light-time distance r in direction n, the velocity b of the observer in
+    units of the speed of light, and ``g = 1 / sqrt(1 - b^2)``. Sigmas hold the errors of the measurement and of the
+    model of the body. ``sigma_range_km`` and ``covariance_camera_km2`` include errors of the camera model;
+    ``..._total_px``, ``covariance_with_attitude_px2`` and ``covariance_inertial_km2`` errors of camera model and
+    attitude.
     """
 
     file: str = column("Image file, as in `attitudes`.")

@@ -23,7 +23,7 @@ from giantlike.core.values import Value
 if TYPE_CHECKING:
     from astropy.time import Time
 
-_FIRST_PIXEL = 1.0  # what SPC calls the center of the first pixel
+_FIRST_PIXEL = 1.0  # coordinate of the center of the first pixel in SPC
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 _ORTHOGONAL = (
     1e-6  # largest departure of the camera's axes from orthogonal unit vectors: they are written with 10 digits
@@ -148,7 +148,7 @@ def read_sumfile(path: str | Path) -> Sumfile:
 
 
 def _read_landmarks(path: Path, lines: list[str]) -> Iterator[tuple[str, Float]]:
-    """Yield names and places of the landmarks, from the line after ``LANDMARKS`` to one of a single word or two."""
+    """Yield names and positions of the landmarks, from the line after ``LANDMARKS`` to one of a single word or two."""
     start = next((number for number, line in enumerate(lines) if line.strip() == "LANDMARKS"), len(lines))
     for number in range(start + 1, len(lines)):
         words = lines[number].split()

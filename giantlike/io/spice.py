@@ -1,4 +1,4 @@
-"""SPICE: kernels loaded, states and orientations asked for.
+"""SPICE: loading of kernels, look-up of states and orientations.
 
 SPICE keeps one pool of kernels per process. The functions here read that pool: they are not thread-safe, and a
 worker process loads its kernels again (:func:`load_kernels` with the same arguments). Distances are km, velocities
@@ -35,7 +35,7 @@ Answer = TypeVar("Answer")
 
 _TRANSFER = (b"DAFETF", b"DASETF")
 _FILE_RECORD = 1024  # bytes, of DAF files: NAIF's DAF Required Reading
-_DEEPEST = 8  # meta-kernels that list meta-kernels: more are taken for a circle
+_DEEPEST = 8  # meta-kernels that list meta-kernels: more are treated as a cycle
 _DATA_SECTION = re.compile(
     r"^[ \t]*\\begindata[ \t]*\r?$(.*?)(?:^[ \t]*\\begintext[ \t]*\r?$|\Z)", re.MULTILINE | re.DOTALL
 )
@@ -111,7 +111,7 @@ def find_kernels(patterns: Sequence[str | Path], base: str | Path) -> tuple[Path
 def load_kernels(patterns: Sequence[str | Path], base: str | Path, *, trusted: bool = False) -> SpiceKernels:
     """Load SPICE kernels into this process.
 
-    All files are looked for and checked before the first is loaded. SPICE itself reads files that are cut off
+    All files are searched and checked before the first is loaded. SPICE itself reads files that are cut off
     or no kernels at all without complaint; they are refused here. A damaged one can end the process: all are
     loaded in another process first. A meta-kernel is replaced by the kernels it
     lists, whose paths are relative to the meta-kernel's own folder (SPICE alone takes them from the
@@ -225,8 +225,8 @@ def orientation(frame_or_body: str | int, et: float) -> Rotation:
 def attitude(frame: str, et: float) -> Rotation:
     """Attitude ``camera_from_inertial`` of an instrument frame.
 
-    The axes are those of the SPICE frame; where they are not +x along columns, +y along rows, +z boresight, the
-    caller turns them.
+    The axes are from the SPICE frame; where they are not +x along columns, +y along rows, +z boresight, the
+    caller rotates them.
     """
     import spiceypy
 
@@ -294,7 +294,7 @@ def _expanded(path: Path, depth: int = 0) -> list[Path]:
 
 @reads("a SPICE kernel")
 def _kernel_text(path: Path) -> str | None:
-    """Content of a text kernel, None for a binary one; refuses files that are no whole kernel."""
+    """Content of a text kernel, None for a binary one; refuses files that are not complete kernels."""
     with path.open("rb") as file:
         head = file.read(_FILE_RECORD)
     if head.startswith(_TRANSFER):

@@ -48,7 +48,7 @@ class LabelClock:
     after_exposure_s: float
 
     def __post_init__(self) -> None:
-        """Refuse what is no expression or no time, and a count that asks for more groups than the expression has."""
+        """Refuse an invalid expression or time, and a count of more groups than the expression has."""
         require((self.count is None) != (self.zero_utc is None), "give either count or zero_utc")
         try:
             groups = re.compile(self.pattern).groups
@@ -95,7 +95,8 @@ def nearest_attitude(frame: str, et: float, tolerance_s: float) -> Rotation:
 
     Notes
     -----
-    Frames at fixed angles from that of the C-kernel are followed down to it; an attitude at ``et`` itself is preferred.
+    Frames at fixed angles from the frame of the C-kernel are followed down to it; an attitude at ``et`` itself is
+    preferred.
     """
     import spiceypy
     from spiceypy.utils.exceptions import SpiceyError

@@ -90,7 +90,7 @@ def write_rows(stem: Path, kind: type[Row], rows: Sequence[Row]) -> None:
 
 
 def read_rows(path: Path, kind: type[Row]) -> list[Row]:
-    """Read a table back from its CSV file; columns that are not there, and those of Parquet alone, are None."""
+    """Read a table back from its CSV file; absent columns, and columns of Parquet alone, are None."""
     columns = [column for column in columns_of(kind) if column.csv]
     names = [column.name for column in columns]
     rows = read_csv_rows(path, names, [column.name for column in columns if column.required])

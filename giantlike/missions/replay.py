@@ -1,4 +1,4 @@
-"""Replay of a published flight system: what the paper states beside what the package finds, as values, JSON and a page.
+"""Replay of a published flight system: numbers of the paper and of the package, as values, JSON and a page.
 
 A mission is a package in this folder with a function ``replay(settings) -> Replay``.
 """
@@ -33,14 +33,14 @@ REPLAYS: Mapping[str, str] = MappingProxyType(
         "orion": "Orion before Exploration Mission 1: filter, linear covariance, error models, gimbal grid",
     }
 )
-"""Name of the package of a mission in this folder, and what it replays."""
+"""Name of the package of a mission in this folder, with the paper it replays."""
 
 
 class ComparisonKind(StrEnum):
-    """How a number of ours is related to the paper's."""
+    """Relation of our number to the paper's."""
 
     INPUT = "input"
-    """The paper's number was put in and is found again: this is no agreement."""
+    """The paper's number is an input that is recovered: this is not an agreement."""
     DERIVED = "derived"
     """Follows from numbers of the paper by its own formulas."""
     INDEPENDENT = "independent"
@@ -49,7 +49,7 @@ class ComparisonKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """A figure, table or number of the paper beside ours.
+    """A figure, table or number of the paper, and ours.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayFigure:
-    """A figure of the paper, made again.
+    """A figure of the paper, reproduced.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class Section:
     ----------
     title : str
     text : str
-        What was done, in a few sentences.
+        Description, in a few sentences.
     figures : tuple of ReplayFigure
     comparisons : tuple of Comparison
     """
@@ -139,7 +139,7 @@ class Replay:
     sections : tuple of Section
         In the order of the paper.
     assumptions : tuple of str
-        What the paper leaves open and what was assumed instead; a value tuned to meet a table is named as tuned.
+        Assumptions where the paper gives no values; a value tuned to meet a table is named as tuned.
     """
 
     name: str
@@ -154,17 +154,17 @@ class Replay:
 
 
 def _no_progress(stage: str, done: int, total: int) -> None:
-    """Tell nobody."""
+    """Discard a progress message."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplaySettings:
-    """How a replay is run.
+    """Options of a replay.
 
     Parameters
     ----------
     output : Path
-        Folder for what the replay makes on its way, such as images and runs.
+        Folder for intermediate products, such as images and runs.
     small : bool
         Fewer images and draws: shows that it works, in seconds.
     workers : int
@@ -172,7 +172,7 @@ class ReplaySettings:
     seed : int
         Of all random numbers.
     data : Path or None
-        Folder with kernels and shapes of the mission; without it, what the paper states is simulated.
+        Folder with kernels and shapes of the mission; without it, the paper's numbers are simulated.
     progress : callable
         Takes the name of a step, the number done, and of all.
     """
@@ -209,7 +209,7 @@ def run_replay(name: str, settings: ReplaySettings) -> Replay:
 
 
 def summary_of(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
-    """Return what ``replay.json`` holds.
+    """Return the content of ``replay.json``.
 
     Parameters
     ----------
@@ -273,7 +273,7 @@ def save_replay(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
 
 
 def _page_of(replay: Replay, summary: Mapping[str, Any]) -> str:
-    """The page: sections in the order of the paper, then what was assumed."""
+    """The page: sections in the order of the paper, then the assumptions."""
     from giantlike.plotting import svg_text
 
     return render_page(

@@ -1,4 +1,4 @@
-"""What comes after single images: passes, filters, covariance analysis, positions from several bodies."""
+"""Estimation from series of images: passes, filters, covariance analysis, positions from several bodies."""
 
 from giantlike.navigation.batch import BatchSolution, estimate_batch
 from giantlike.navigation.body_measurements import (

@@ -1,6 +1,6 @@
 """The problem of the filter solved at once: all images of an arc, noise of the parameters as part of the data.
 
-The unknowns are the 21 states at the start. What noise drives the states afterwards correlates the measurements, so
+The unknowns are the 21 states at the start. Process noise correlates the measurements, so
 that their covariance is dense. Gauss-Newton iterations linearize about the estimate, where a filter does so as it
 goes; for a linear problem both agree.
 """
@@ -37,7 +37,7 @@ class BatchSolution(Value):
     covariance_first, covariance_last : (21, 21) float64
         Of their errors.
     residuals : (m, 3) float64
-        Measured less predicted.
+        Measured minus predicted.
     squared_residual : float
         Normalized by the covariance of all data and of the a priori state: its mean is the number of measurements.
     iterations : int

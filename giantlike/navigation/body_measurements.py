@@ -1,8 +1,8 @@
-"""What an image of a round body measures: tangents of two angles and the diameter of its disk, or its range.
+"""Measurements of a round body in an image: tangents of two angles and the diameter of its disk, or its range.
 
-Both ways: :func:`measure_body` from a position to what a filter is given, :func:`position_from_measurement` back. All
-take arrays with any leading axes. The disk diameter ``delta`` is that of the cone tangent to the sphere, cut at unit
-distance from a pinhole: twice the tangent of half the angular diameter.
+:func:`measure_body` predicts the measurement from a position; :func:`position_from_measurement` is the inverse. All
+take arrays with any leading axes. The disk diameter ``delta`` is the diameter of the cone tangent to the sphere, cut at
+unit distance from a pinhole: twice the tangent of half the angular diameter.
 """
 
 from __future__ import annotations
@@ -224,7 +224,7 @@ def range_per_diameter(range_km: ArrayLike, radius_km: float) -> Float:
 
 
 def range_sigma(range_km: ArrayLike, radius_km: float, diameter_px: ArrayLike, diameter_sigma_px: ArrayLike) -> Float:
-    """Standard deviation of a range from that of the number of pixels across the disk.
+    """Standard deviation of a range, from the standard deviation of the disk diameter in pixels.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ class TangentCamera(Value):
         return tangents
 
     def tangent_sigmas(self, sigmas_px: ArrayLike) -> Float:
-        """Standard deviations of tangents from those of pixels.
+        """Standard deviations of tangents from standard deviations of pixels.
 
         Parameters
         ----------

@@ -98,7 +98,7 @@ def expected_dn(
 
 
 def chandrasekhar_sphere(single_scattering_albedo: float, phase_rad: ArrayLike) -> Float:
-    """Brightness of a sphere that scatters isotropically, over that of a white Lambert disk of its size facing the Sun.
+    """Brightness of a sphere that scatters isotropically, relative to a white Lambert disk of its size facing the Sun.
 
     Parameters
     ----------
@@ -131,10 +131,10 @@ class BodyLight:
     ----------
     name : str
     brightness : callable
-        Phase angle (rad) to the brightness over that of a white Lambert disk facing the Sun, such as
+        Phase angle (rad) to the brightness relative to a white Lambert disk facing the Sun, such as
         :func:`chandrasekhar_sphere`.
     relative_sigma : float
-        Relative error of that brightness: markings, clouds, the law.
+        Relative error of that brightness: albedo variations, clouds, the law.
     """
 
     name: str
@@ -149,9 +149,9 @@ class PatchOfLight:
     Parameters
     ----------
     dn : float
-        Sum of its pixels less background.
+        Sum of its pixels minus background.
     relative_sigma : float
-        Relative error of that sum, with that of the photometric calibration.
+        Relative error of the sum, photometric calibration included.
     half_angle_rad : float, rad
         Angular radius of the disk.
     half_angle_sigma_rad : float, rad
@@ -180,7 +180,7 @@ class Identified:
     ----------
     name : str
     deviations : mapping of str to float
-        Measured less expected logarithm of the signal over its sigma, by body.
+        Measured minus expected logarithm of the signal, in sigmas, by body.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Bodies in wide images: patches of light with direction, size and brightness, and what they are."""
+"""Bodies in wide images: patches of light with direction, size and brightness, and their identification."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from giantlike.image import Image
 _AREA_OF_SECOND_MOMENT = 4.5
 """Squared radius over the second moment of light along the cusps of a sphere, at any phase.
 
-4 for a disk after Lommel and Seeliger, 5 for Lambert: along the photometric latitude b light goes as cos^2 and cos^3 b,
-whatever the phase angle is."""
+4 for a disk after Lommel and Seeliger, 5 for Lambert: along the photometric latitude b brightness goes as cos^2 and
+cos^3 b, at any phase angle."""
 SIZE_SIGMA = 0.06
 """Relative error of a radius from that: half the difference of the two laws, one sigma."""
 _PIXEL_MOMENT = 1.0 / 12.0  # px^2: second moment of a pixel
@@ -59,7 +59,7 @@ class SeenPatch(Value):
         Center of light.
     direction_camera : (3,) float64, unitless, camera axes
     dn : float
-        Sum less background.
+        Sum minus background.
     sigma_dn : float
         Its noise.
     saturated : bool

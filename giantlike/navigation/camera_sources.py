@@ -1,4 +1,4 @@
-"""Cameras that a program asks for images, whatever is behind: a folder, a folder that is filled, a simulation."""
+"""Cameras as sources of images: a folder, a folder that is being filled, a simulation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ IMAGE_SUFFIXES = (".fits", ".fit", ".png", ".tif", ".tiff", ".jpg", ".img")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExposureRequest:
-    """Exposure that a camera is asked for.
+    """Requested exposure of a camera.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class FolderCamera:
         require(self.folder.is_dir(), f"there is no folder {self.folder}: give the one with the images of the camera")
 
     def take(self, request: ExposureRequest) -> Image | Failure:
-        """Read the next image; the epoch and exposure are those of the file, whatever was asked for.
+        """Read the next image; the epoch and exposure come from the file, not from the request.
 
         Parameters
         ----------
@@ -175,7 +175,7 @@ class TriggerPlan:
     primary : int
         0 or 1: the camera with the longer exposure, which triggers the other.
     delay_s : float, s
-        From the start of the primary to that of the secondary: the middles of both exposures are then one.
+        From the start of the primary to the start of the secondary: the middles of both exposures then coincide.
     """
 
     primary: int
@@ -231,7 +231,7 @@ def take_pair(
     Returns
     -------
     (Image, Image) or Failure
-        Reasons: those of the cameras, no_epoch, rejected (the epochs differ by more).
+        Reasons: as for the cameras, no_epoch, rejected (the epochs differ by more).
     """
     images = []
     for source, exposure in zip(sources, exposures_s, strict=True):

@@ -1,8 +1,8 @@
 """Linear covariance of the filter of 21 states along a reference: flight, images and corrections.
 
 Each function takes a :class:`~giantlike.navigation.linear_covariance.JointDispersion` and the state of the filter on
-the reference, and returns both after the step. The gains are those of the filter; the world may have other noise and
-biases in its images.
+the reference, and returns both after the step. The gains are the filter's; the true images may have other noise and
+biases.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ def after_correction(
     duration_s : float, s
         Of the burn.
     execution_km_s, sensing_km_s : float, km/s
-        Sigmas of each component of the burn's error, and of the noise of the accelerometer.
+        Sigmas of each component of the execution error, and of the accelerometer noise.
 
     Returns
     -------

@@ -35,7 +35,7 @@ ACCELEROMETER_BIAS, ACCELEROMETER_SCALE = slice(12, 15), slice(15, 18)
 OPTICAL_BIAS = slice(18, 21)
 FLOWN, PARAMETERS, STATES = 6, 15, 21
 LONGEST_STEP_S = 300.0
-"""Noise of parameters enters at the ends of steps: variances of what they drive are low by step over time constant."""
+"""Noise of parameters enters at the ends of steps: driven variances are low by step / time constant."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,7 +87,7 @@ class FilterState(Value):
     mean : (..., 21) float64
         Position and velocity from the central body, km and km/s; parameters.
     factors : UduFactors
-        Of the covariance of the error; that of the attitude is a small rotation about the camera axes that follows the
+        Of the covariance of the error; the attitude error is a small rotation about the camera axes that follows the
         estimated one.
     """
 
@@ -105,7 +105,7 @@ class FilterState(Value):
         Returns
         -------
         (..., 21) float64
-            Truth less estimate.
+            Truth minus estimate.
         """
         actual = as_floats(truth, (STATES,), "truth")
         error = actual - self.mean
@@ -113,7 +113,7 @@ class FilterState(Value):
         return error
 
     def squared_error(self, truth: ArrayLike) -> Float:
-        """Normalized squared error: that of a consistent filter has the mean 21.
+        """Normalized squared error: with the mean 21 for a consistent filter.
 
         Parameters
         ----------
@@ -263,9 +263,9 @@ def maneuver(
     sensed_km_s : (..., 3) float64, km/s, body axes
         Sensed change of the velocity.
     inertial_from_body : (..., 3, 3) float64
-        As told; the body axes are those that the attitude error is about.
+        As declared; the attitude error is about these body axes.
     duration_s : float, s
-        Of the burn, which the bias of the accelerometer adds up over.
+        Of the burn; the accelerometer bias accumulates over it.
     sigma_km_s : float, km/s
         Of the noise of each component.
 
@@ -325,7 +325,7 @@ class BodyObservation(Value):
     variances : (..., 3) float64
         Of independent noise.
     camera_from_inertial : (..., 3, 3) float64
-        As told; the true one is the rotation by the attitude error after it.
+        As declared; the true one is the rotation by the attitude error after it.
     body_position_km : (3,) float64, km
         Apparent place of the body relative to the central body of the flight.
     radius_km : float, km
@@ -366,7 +366,8 @@ def predicted(observation: BodyObservation, mean: Float) -> tuple[Float, Float]:
     seen_range = range_from_disk_diameter(across, observation.radius_km)
     measurement = np.concatenate([tangent_angles(place) + bias[..., :2], seen_range[..., None]], axis=-1)
     by_place = measurement_partials(place)
-    # The biased diameter is that of a sphere at the range seen, so the slopes there and at the true range chain.
+    # The biased diameter belongs to a sphere at the apparent range: chain rule of the derivatives there and at the true
+    # one.
     slope = range_per_diameter(seen_range, observation.radius_km)
     by_place[..., 2, :] *= (slope / range_per_diameter(distance, observation.radius_km))[..., None]
     partials = np.zeros((*measurement.shape, STATES))
@@ -379,7 +380,7 @@ def predicted(observation: BodyObservation, mean: Float) -> tuple[Float, Float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Innovations(Value):
-    """Measured less predicted values, one after the other.
+    """Measured minus predicted values, one after the other.
 
     Parameters
     ----------

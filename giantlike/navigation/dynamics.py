@@ -1,7 +1,7 @@
 """Flight of a spacecraft under a central body, third bodies and a slowly varying acceleration, with its derivatives.
 
-Point masses and nothing else: no oblateness, drag or pressure of sunlight; what they do goes into the unmodeled
-acceleration of a filter. The state transition is integrated beside the state (DOP853).
+Point masses only: no oblateness, drag or solar radiation pressure; these go into the unmodeled acceleration of a
+filter. The state transition is integrated along with the state (DOP853).
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def moon_position_km(et: float) -> Float:
     Returns
     -------
     (3,) float64, km, GCRS axes
-        Within some 30 km of an integrated ephemeris; where images tell the Moon better, use that ephemeris instead.
+        Within about 30 km of an integrated ephemeris; use the latter where images determine the Moon better.
     """
     import erfa
 
@@ -153,7 +153,7 @@ def cislunar(first: float | None = None, last: float | None = None) -> PointMass
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flight(Value):
-    """A state after a flight, and what it owes to the state and the acceleration before.
+    """A propagated state, with its derivatives by the initial state and the acceleration.
 
     Parameters
     ----------

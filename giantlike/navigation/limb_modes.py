@@ -49,7 +49,7 @@ def wave_amplitudes(sigma: float, length_rad: float, waves: int) -> Float:
     Returns
     -------
     (waves + 1,) float64
-        For :func:`limb_waves`, in the unit of ``sigma``. What shorter waves hold is left out.
+        For :func:`limb_waves`, in the unit of ``sigma``. Shorter waves are neglected.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """Linear covariance analysis: how far a spacecraft strays, and how well it knows, without flying a thousand runs.
 
 Truth and estimate are dispersed together about one reference: a measurement moves the estimate by the gain of the
-filter, a correction moves both by what the estimate commands. The world may differ from what the filter believes: other
-noise, biases that the filter does not know. Steps are those of a filter of n states; the joint vector has 2 n.
+filter, a correction moves both by the commanded amount. The truth may differ from the filter's model: other noise,
+biases unknown to the filter. Steps are given for a filter of n states; the joint vector has 2 n.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from giantlike.core.values import Value
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointDispersion(Value):
-    """Truth and estimate, each less the reference.
+    """Truth and estimate, each minus the reference.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class JointDispersion(Value):
         return self.mean[:n], self.covariance[:n, :n]
 
     def navigation_error(self) -> tuple[Float, Float]:
-        """Mean and covariance of truth less estimate.
+        """Mean and covariance of truth minus estimate.
 
         Returns
         -------
@@ -81,7 +81,7 @@ def dispersed_step(joint: JointDispersion, matrix: Float, noise: Float) -> Joint
     matrix : (n, n) float64
         Transition of the states.
     noise : (n, n) float64
-        Covariance of what moves the truth alone.
+        Covariance of the process noise of the truth.
 
     Returns
     -------
@@ -137,13 +137,13 @@ def dispersed_correction(
     ----------
     joint : JointDispersion
     commanded : (n, n) float64
-        Change of the truth by the estimate; all rows but those of the velocity are zero.
+        Change of the truth by the estimate; all rows but the velocity's are zero.
     by_parameters : (n, n) float64
         Change of a velocity by parameters when the sensed burn is given, such as the bias of the accelerometer.
     execution : (n, n) float64
         Covariance of errors of the burn, which the accelerometer senses.
     sensing : (n, n) float64
-        Covariance of independent errors of what is sensed.
+        Covariance of independent errors of the sensed burn.
 
     Returns
     -------

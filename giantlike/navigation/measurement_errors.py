@@ -25,11 +25,11 @@ class BodyErrorModel(Value):
     Parameters
     ----------
     noise_px : (3,) float64, px
-        Sigmas of a smooth body, or of a body far away.
+        Sigmas of a smooth body, or of a distant body.
     relief_px_km : (3,) float64, px km
         Sigma of relief, times the focal length.
     bias_px : (3,) float64, px
-        Bias of a body far away.
+        Bias of a distant body.
     bias_px_km : (3,) float64, px km
         Bias that shrinks with the range, times the focal length.
 
@@ -115,7 +115,7 @@ class BodyErrorModel(Value):
         return bias
 
     def measurement_sigmas(self, range_km: ArrayLike, radius_km: float, focal_px: float) -> Float:
-        """Standard deviations of what a filter takes, in a camera whose x axis is along the Sun.
+        """Standard deviations of the measurements of a filter, in a camera whose x axis is along the Sun.
 
         Parameters
         ----------
@@ -131,12 +131,12 @@ class BodyErrorModel(Value):
         References
         ----------
         .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1,
-           eqs. 19, 20 and 25; the sigma of a diameter is twice that of the radius.
+           eqs. 19, 20 and 25; the sigma of a diameter is twice the sigma of the radius.
         """
         return self._measured(self.sigmas_px(range_km), range_km, radius_km, focal_px, sign=1.0)
 
     def measurement_biases(self, range_km: ArrayLike, radius_km: float, focal_px: float) -> Float:
-        """Biases of what a filter takes, in a camera whose x axis is along the Sun.
+        """Biases of the measurements of a filter, in a camera whose x axis is along the Sun.
 
         Parameters
         ----------

@@ -16,7 +16,7 @@ from giantlike.navigation.two_camera_pose import Interlock, PairPose
 
 
 class Mode(StrEnum):
-    """Mode of an instrument; the values are those of JSON."""
+    """Mode of an instrument; with the values used in JSON."""
 
     IDLE = "idle"
     """Answers commands, takes no images."""
@@ -90,7 +90,7 @@ class Telemetry:
         In which it was made.
     done : bool
     detail : str
-        What was found, or why it failed.
+        Result, or the reason of the failure.
     cpu_s : float, s
         Time of the processor that it took.
     """
@@ -127,7 +127,7 @@ class ModeMachine:
         state : InstrumentState
         mode : Mode
         target : str, optional
-            The body that the target camera sees, told from outside.
+            The body that the target camera sees, as declared.
         target_camera : int, optional
             0 or 1.
 
@@ -191,7 +191,7 @@ class ModeMachine:
 
 
 def _told(state: InstrumentState) -> str:
-    """What a cycle found, in one line."""
+    """Result of a cycle, in one line."""
     if state.mode is Mode.CALIBRATION:
         focal = " and ".join(f"{camera.model.focal_length_px:.2f}" for camera in state.cameras)
         return f"focal lengths {focal} px, interlock known"

@@ -1,4 +1,4 @@
-"""Whole-pass estimator: what the images of a pass share, from the limbs or positions measured in all of them."""
+"""Whole-pass estimator: errors common to the images of a pass, from the limbs or positions measured in them."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from giantlike.navigation.pass_terms import PassOptions, PassTerm
 WEAK = 30.0
 """Inflation from which a combination is reported: its parts then correlate by more than 0.999."""
 _JITTER_REACH = 1e3
-"""Factor, down and up, within which the jitter is looked for around the first guess."""
+"""Factor, down and up, within which the jitter is searched around the first guess."""
 _LOG_STEP = 0.05
 """Step in the logarithm of the jitter by which the curvature of its likelihood is taken."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _State(Value):
-    """The fit where it has settled: departure (k,) of all parameters, and what was measured there."""
+    """The converged fit: departure (k,) of all parameters, with residuals and normal equations."""
 
     departure: Float
     residuals: tuple[Float, ...]
@@ -50,25 +50,25 @@ class _State(Value):
 
 
 def estimate_pass(given: NavigationPass, options: PassOptions | None = None) -> PassFix | Failure:
-    r"""Estimate what the images of a pass share.
+    r"""Estimate the errors that the images of a pass share.
 
     Parameters
     ----------
     given : NavigationPass
-        Images with what was measured and predicted in each.
+        Images with the measured and predicted values of each.
     options : PassOptions, optional
-        Terms, and what is known of them before.
+        Terms, and their a priori uncertainties.
 
     Returns
     -------
     PassFix or Failure
-        ``DEGENERATE_GEOMETRY`` where the images do not tell a combination of parameters that nothing was known of
-        before; ``TOO_FEW_DETECTIONS`` where outliers leave too little; ``NOT_CONVERGED``.
+        ``DEGENERATE_GEOMETRY`` where the images do not determine a combination of parameters without a priori
+        information; ``TOO_FEW_DETECTIONS`` where outliers leave too little; ``NOT_CONVERGED``.
 
     Raises
     ------
     InputError
-        A term needs what the images do not have: several exposures, several sensors.
+        A term needs several exposures or several sensors, and the images do not have them.
 
     Notes
     -----
@@ -76,12 +76,12 @@ def estimate_pass(given: NavigationPass, options: PassOptions | None = None) -> 
     of the body, the altitude of the limb and a shift in the image, and every parameter is a combination of these in
     every image; so an image is compressed to its information on them. Errors that are new in each image (jitter of
     timetag and attitude) are integrated out of that with their standard deviations, which weights the images as their
-    full covariance would. With ``P`` the inverse of the information ``N`` of the measurements plus that known before,
-    the covariance is :math:`P N P` by noise, :math:`P \Lambda P` by what was known before and
+    full covariance would. With ``P`` the inverse of the information ``N`` of measurements and a priori values, the
+    covariance is :math:`P N P` by noise, :math:`P \Lambda P` by the a priori values and
     :math:`S C S^T` by a considered term with covariance C, :math:`S = -P N_{ec}`.
 
-    The hypothesis of a test is that a term is what it was taken to be before; its covariance is then that of all causes
-    but the term's own a priori variance. The jitter has the standard deviation with the largest restricted
+    The hypothesis of a test is that a term has its a priori value; its covariance is then the total covariance
+    without the term's own a priori variance. The jitter has the standard deviation with the largest restricted
     likelihood; under the hypothesis of none the ratio is zero in half of all cases and chi-square of one in the other.
 
     References
@@ -190,7 +190,7 @@ def _weak(layout: Layout, normal: Normal) -> tuple[WeakCombination, ...]:
 
 
 def _untold(layout: Layout, normal: Normal) -> Failure | None:
-    """The failure of a pass that does not tell parameters of which nothing was known before."""
+    """The failure of a pass that does not determine parameters without a priori information."""
     if normal.count == 0:
         return Failure(Reason.TOO_FEW_DETECTIONS, "no point or position of the pass agrees with the others")
     which = np.flatnonzero(layout.estimated)
@@ -208,7 +208,7 @@ def _untold(layout: Layout, normal: Normal) -> Failure | None:
 def _likely_jitter(
     given: NavigationPass, layout: Layout, options: PassOptions, state: _State
 ) -> tuple[float, float, float]:
-    """Standard deviation of the timetags, that of its logarithm, and the chance of as much evidence without jitter."""
+    """Standard deviation of the timetags, standard deviation of its logarithm, and p-value of no jitter."""
     variance = noise_variance(list(state.sums)) if options.scale_noise else 1.0
 
     def cost(jitter_s: float) -> float:
@@ -293,7 +293,7 @@ def _result(
 def _tags(
     given: NavigationPass, layout: Layout, state: _State, jitter: tuple[float, float, float], inverse: Float
 ) -> TimetagJitter:
-    """Error of every timetag, with that of the parameters in its standard deviation."""
+    """Error of every timetag, with the error of the parameters in its standard deviation."""
     errors, sigmas = np.zeros(len(given.images)), np.zeros(len(given.images))
     which = np.flatnonzero(layout.estimated)
     for k, (moves, image) in enumerate(zip(layout.maps, state.sums, strict=True)):

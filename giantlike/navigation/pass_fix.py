@@ -1,4 +1,4 @@
-"""Result of a pass: parameters with covariance by cause, tests of each term, and what the pass could not tell."""
+"""Result of a pass: parameters with covariance by cause, tests of each term, and undetermined combinations."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 
 SINGULAR = 1e-12
-"""Eigenvalue of a scaled information matrix that rounding of sums of some ten thousand terms may leave of zero."""
+"""Eigenvalue of a scaled information matrix below which it is zero but for rounding of sums of about ten thousand
+terms."""
 _SMALL_WEIGHT = 0.1
 """Weights in a combination that are not named."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TermTest:
-    """Test of the hypothesis that the parameters of a term are what they were taken to be before.
+    """Test of the hypothesis that the parameters of a term have their a priori values.
 
     Parameters
     ----------
@@ -35,7 +36,7 @@ class TermTest:
         Degrees of freedom of the noise: the statistic is F with ``(count, freedom)``, or chi-square of ``count`` where
         None.
     p_value : float
-        Chance of a statistic at least as large, were the hypothesis true.
+        Probability of a statistic at least as large under the hypothesis.
     """
 
     term: str
@@ -50,7 +51,7 @@ class TermTest:
         Parameters
         ----------
         level : float
-            Chance of rejecting a true hypothesis.
+            Probability of rejecting a true hypothesis.
 
         Returns
         -------
@@ -61,16 +62,16 @@ class TermTest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WeakCombination:
-    """A combination of parameters that the measurements of a pass hardly tell.
+    """A combination of parameters that the measurements of a pass hardly determine.
 
     Parameters
     ----------
     weights : mapping of str to float
-        Share of each parameter, in units of the standard deviation that it would have were all others known; the
+        Fraction of each parameter, in units of the standard deviation that it would have were all others known; the
         largest first, small ones left out.
     inflation : float
-        Standard deviation of the combination by the measurements alone, over what one of its parameters would have
-        were all others known; infinite where they do not tell it at all.
+        Ratio of the standard deviation of the combination by the measurements alone to the standard deviation of one of
+        its parameters with all others known; infinite where the measurements do not determine it.
     """
 
     weights: Mapping[str, float]
@@ -85,16 +86,16 @@ class WeakCombination:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TimetagJitter(Value):
-    """Errors of the timetags beside their bias.
+    """Errors of the timetags in addition to their bias.
 
     Parameters
     ----------
     sigma_s : float, s
         Standard deviation of the errors.
     sigma_of_log : float
-        Standard deviation of the natural logarithm of that; 0 where it was given, not estimated.
+        Standard deviation of the natural logarithm of ``sigma_s``; 0 where it was given, not estimated.
     p_value : float
-        Chance of as much evidence for jitter were there none; 1 where it was given.
+        Of the hypothesis of no jitter; 1 where it was given.
     errors_s, sigmas_s : (n,) float64, s
         Error of each tag as the image shows it, and its standard deviation.
     """
@@ -122,14 +123,14 @@ class PassFix(Value):
     apriori, apriori_sigmas : (k,) float64
         Values and standard deviations before; infinite where nothing was known.
     learned : (k,) float64
-        Share of the a priori variance that the pass removed; 1 where nothing was known.
+        Fraction of the a priori variance that the pass removed; 1 where nothing was known.
     tests : tuple of TermTest
     weak : tuple of WeakCombination
     jitter : TimetagJitter or None
     positions_camera_km : (n, 3) float64, km, camera axes
         Position of the body in every image with all terms applied but the altitude and offsets of the limb.
     residuals : tuple of (m,) float64, sigmas
-        Of every image: measured less predicted, the jitter left in; NaN for what was left out.
+        Of every image: measured minus predicted, the jitter left in; NaN for excluded points.
     chi2 : float
         Squared residuals in units of their covariance.
     freedom : int
@@ -264,7 +265,7 @@ def term_test(term: str, departure: Float, covariance: Float, freedom: int | Non
 
 
 def weak_combinations(names: tuple[str, ...], information: Float, *, above: float) -> tuple[WeakCombination, ...]:
-    """Find combinations of parameters that measurements tell much worse than their parts.
+    """Find combinations of parameters that measurements determine much worse than their parts.
 
     ``information`` (k, k).
     """

@@ -1,4 +1,4 @@
-"""Images of a pass: what was measured in each, what was predicted, and how shared errors move it."""
+"""Images of a pass: measured and predicted values, and the derivatives by shared errors."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class LimbPoints(Value):
 
     @classmethod
     def of(cls, measured: LimbMeasurement, model: CameraModel, figure: Figure) -> LimbPoints:
-        """Points of a measured limb, with what they share.
+        """Points of a measured limb, with their shared errors.
 
         Parameters
         ----------
@@ -115,7 +115,7 @@ class LimbPoints(Value):
         Returns
         -------
         residuals : (n,) float64, sigmas
-            Measured less predicted; NaN where the horizon has no point nearby.
+            Measured minus predicted; NaN where the horizon has no point nearby.
         design : (n, 8 + c) float64, sigmas per unit of each error
             Growth of the prediction.
         """
@@ -202,7 +202,7 @@ class MeasuredPosition(Value):
 
     @property
     def shared_px(self) -> Mapping[str, Float]:
-        """Errors in common by key, as those of :class:`LimbPoints`; here in km."""
+        """Errors in common by key, as in :class:`LimbPoints`; here in km."""
         return self.shared_km
 
     def effects(self, position_camera_km: Float, altitude_km: float, errors: Float) -> tuple[Float, Float]:
@@ -260,7 +260,7 @@ class PassImage(Value):
     position_camera_km : (3,) float64, km, camera axes
         Apparent position of the body, by the trajectory and the attitude as given.
     rate_camera_km_s : (3,) float64, km/s, camera axes
-        Rate of that position, the turning of the camera with it: what a late exposure moves it by.
+        Rate of that position, rotation of the camera included: its change by a late exposure.
     observed : LimbPoints or MeasuredPosition
     exposure_s : float, s
         Needed by the terms of the exposure alone.
@@ -300,7 +300,7 @@ class NavigationPass(Value):
     ----------
     images : tuple of PassImage
     limb_altitude_km : float, km
-        Altitude of the limb as assumed before; that of the positions, where those were measured.
+        A priori altitude of the limb; where positions were measured, the altitude assumed in them.
     covariance_trajectory : (m, m) float64
         Of the parameters of the trajectory, in the squares of their units; empty where it is taken as exact.
     trajectory_names : tuple of str

@@ -124,7 +124,7 @@ class Layout(Value):
 
 @dataclass(frozen=True, slots=True)
 class _Column:
-    """One parameter: what it is, and the errors (8 + c,) that one unit of it makes in every image."""
+    """One parameter, and the errors (8 + c,) that one unit of it makes in every image."""
 
     name: str
     unit: str
@@ -152,7 +152,7 @@ def _shared(image: PassImage, key: str, index: int) -> Float:
 
 
 def _moves(term: PassTerm, images: tuple[PassImage, ...]) -> list[tuple[str, tuple[Float, ...]]]:
-    """Names of the parameters of a term, and what one unit of each does to every image."""
+    """Names of the parameters of a term, and the effect of one unit of each on every image."""
     single = {
         PassTerm.LIMB_ALTITUDE: lambda image: _effect(image, ALTITUDE, 1.0),
         PassTerm.RANGE_SCALE: lambda image: _effect(image, DISPLACEMENT, image.position_camera_km),

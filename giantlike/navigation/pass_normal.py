@@ -16,7 +16,7 @@ from giantlike.navigation.pass_layout import Layout
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageSums(Value):
-    """What the residuals of one image say of its 8 + c errors, and of those that are new in it (q).
+    """Normal equations of one image for its 8 + c errors, and its q random errors.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class ImageSums(Value):
     count : int
         Residuals used.
     random : (8 + c, q) float64
-        Errors of the image by one standard deviation of each that is new in it.
+        Errors of the image by one standard deviation of each random error.
     """
 
     information: Float
@@ -51,7 +51,7 @@ class ImageSums(Value):
         """Sums with the new errors integrated out.
 
         Returns ``information`` (8 + c, 8 + c); ``pull`` (8 + c,); ``squares``; ``log_determinant``: of the covariance
-        of the residuals, over that of their noise.
+        of the residuals, relative to the covariance of their noise.
         """
         seen = self.information @ self.random
         gain = np.linalg.solve(self.inner, np.column_stack([seen.T, self.random.T @ self.pull]))
@@ -159,7 +159,7 @@ def normal_of(layout: Layout, sums: list[ImageSums]) -> Normal:
 def agreeing(
     given: NavigationPass, measured: list[tuple[Float, Float]], sums: list[ImageSums], outlier_sigmas: float
 ) -> list[Mask]:
-    """Residuals of every image that are no outliers; a position is kept or left out as a whole."""
+    """Residuals of every image that are not outliers; a position is kept or left out as a whole."""
     left = [
         residuals - design @ (image.random @ image.new_errors)
         for (residuals, design), image in zip(measured, sums, strict=True)
@@ -183,7 +183,7 @@ def scaled_inverse(matrix: Float) -> Float:
 
 
 def noise_variance(sums: list[ImageSums]) -> float:
-    """Variance of the residuals within images over that of their noise, at least 1; 1 where images cannot show it."""
+    """Variance of the residuals within images relative to their noise, at least 1; 1 where images cannot show it."""
     scatter = [image.own_scatter for image in sums]
     freedom = sum(count for _, count in scatter)
     return max(sum(squares for squares, _ in scatter) / freedom, 1.0) if freedom > 0 else 1.0

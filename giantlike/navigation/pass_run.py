@@ -31,7 +31,7 @@ _FLOOR_KM = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunPass:
-    """Choice of a pass among the rows of a run, and what the file does not hold.
+    """Choice of a pass among the rows of a run, and the values missing in the file.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def pass_from_rows(rows: Sequence[ObservableRow], camera: Camera, choice: RunPas
 
     Notes
     -----
-    A trajectory error moves all images along a straight line: right for passes of hours. A late exposure moves the body
+    A trajectory error moves all images along a straight line: valid for passes of hours. A late exposure moves the body
     by its motion relative to the spacecraft, the camera held still in inertial axes.
     """
     chosen = sorted(

@@ -1,4 +1,4 @@
-"""Terms that the images of a pass share: which are estimated, which considered, and what is known of them before."""
+"""Terms that the images of a pass share: estimated ones, considered ones, and their a priori uncertainties."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class PassTerm(StrEnum):
     LIMB_OFFSET = "limb_offset"
     """Distance, px, by which edges are found outside the limb, in all images alike."""
     EXPOSURE_STEPS = "exposure_steps"
-    """The same, px, for each exposure beside the shortest, which LIMB_OFFSET or LIMB_ALTITUDE answer for."""
+    """The same, px, for each exposure but the shortest, for which LIMB_OFFSET or LIMB_ALTITUDE accounts."""
     EXPOSURE_LOG = "exposure_log"
     """The same as a slope, px, by the natural logarithm of the exposure over the shortest."""
     POINTING_BIAS = "pointing_bias"
@@ -28,7 +28,7 @@ class PassTerm(StrEnum):
     POINTING_DRIFT = "pointing_drift"
     """Its rate about the middle of the pass, rad/s."""
     INTERLOCK = "interlock"
-    """The same rotation, rad, for each sensor of attitude beside the first."""
+    """The same rotation, rad, for each attitude sensor but the first."""
     TIMETAG_BIAS = "timetag_bias"
     """Time, s, by which exposures are later than their tags."""
 
@@ -58,10 +58,10 @@ class PassOptions:
     trajectory : Treatment
         Of the trajectory, where the pass has its covariance.
     limb_errors : Treatment
-        Of the errors that limbs share (blur, law, relief): estimated with what is known of them before, which weights
+        Of the errors that limbs share (blur, law, relief): estimated with their a priori covariance, which weights
         the points as their full covariance would, or considered.
     timetag_jitter_s : float, s
-        Standard deviation of the error of each tag beside the bias; the first guess where it is estimated.
+        Standard deviation of the error of each tag in addition to the bias; the first guess where it is estimated.
     estimate_jitter : bool
         Find that standard deviation, by the restricted likelihood.
     pointing_jitter_rad : float, rad
@@ -69,10 +69,10 @@ class PassOptions:
     scale_noise : bool
         Enlarge the part of the noise where residuals are larger than it explains.
     outlier_sigmas : float
-        Points, or positions, farther off than this are left out.
+        Points, or positions, with larger residuals are left out.
     max_iterations : int
     tolerance : float
-        The fit has settled when no parameter moves by more than this times its standard deviation.
+        The fit has converged when no parameter moves by more than this times its standard deviation.
     """
 
     estimate: Mapping[PassTerm, float] = field(

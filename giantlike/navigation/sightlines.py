@@ -43,15 +43,15 @@ class Sightline(Value):
         Of the direction, without the attitude; zero along the direction.
     covariance_attitude_rad2 : (3, 3) float64, rad^2, ICRF axes
         Of the small rotation ``e`` with ``true direction = direction - e x direction``; zero where the attitude is
-        taken as exact. Of lines of the same image, that of the first is used.
+        taken as exact. Lines of the same image use the covariance of the first.
     aberration : bool
         True where the direction is as the moving camera sees it; False where stellar aberration is out of it, as by an
-        attitude from stars that were taken at their places without aberration (world coordinates of FITS headers).
+        attitude from stars that were used at their positions without aberration (world coordinates of FITS headers).
 
     Raises
     ------
     InputError
-        The direction is no unit vector, or a matrix is no covariance.
+        The direction is not a unit vector, or a matrix is not a covariance.
     """
 
     target: str
@@ -82,7 +82,7 @@ def sightline_of_fix(fix: CenterFix, image: Image, camera: Camera) -> Sightline 
         Of an unresolved body or of one with a disk; a :class:`~giantlike.core.outcomes.PositionFix` is used for its
         direction alone.
     image : Image
-        With an attitude and an epoch; the covariance of its attitude becomes that of the line.
+        With an attitude and an epoch; the covariance of its attitude goes into the line.
     camera : Camera
 
     Returns
@@ -92,7 +92,7 @@ def sightline_of_fix(fix: CenterFix, image: Image, camera: Camera) -> Sightline 
 
     Notes
     -----
-    The covariance is that of the center in the image and the part of the camera model. Errors of the camera that the
+    The covariance is the sum of the errors of the image position and of the camera model. Errors of the camera that the
     lines of an image share are taken as if each line had its own.
     """
     covariance_px2 = fix.covariance_px2
@@ -104,7 +104,7 @@ def sightline_of_fix(fix: CenterFix, image: Image, camera: Camera) -> Sightline 
 def sightline_of_pixel(
     target: str, center_px: ArrayLike, covariance_px2: ArrayLike, image: Image, camera: Camera
 ) -> Sightline | Failure:
-    """Turn a place in an image into a line of sight.
+    """Convert a position in an image into a line of sight.
 
     Parameters
     ----------
@@ -163,13 +163,13 @@ def without_aberration(sightlines: Sequence[Sightline], velocity_km_s: ArrayLike
     Returns
     -------
     tuple of Sightline
-        The boost is undone by that of the opposite velocity. Lines without aberration stay, and so do covariances,
+        The boost of the opposite velocity undoes it. Lines without aberration stay, and so do covariances,
         which the boost changes by 1e-4.
 
     Raises
     ------
     InputError
-        The speed is not below that of light.
+        The speed is not below the speed of light.
     """
     velocity = as_finite(velocity_km_s, (3,), "velocity_km_s")
     return tuple(
@@ -184,7 +184,7 @@ def without_aberration(sightlines: Sequence[Sightline], velocity_km_s: ArrayLike
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StarEphemeris(Value):
-    """A star with a parallax as a place in space, to be triangulated from like a planet.
+    """A star with a parallax as a position in space, to be triangulated from like a planet.
 
     Parameters
     ----------
@@ -200,9 +200,9 @@ class StarEphemeris(Value):
 
     Notes
     -----
-    A catalog tells where a star is seen from the barycenter, so that its place at the time of emission is the one
-    that arrives a light time later. Motion is a straight line in the times of arrival, as the catalog has it: what
-    that leaves out (the changing light time of the star itself) is 1e-4 of the motion.
+    A catalog gives the direction of a star from the barycenter, so that its position at the time of emission arrives
+    a light time later. Motion is a straight line in the times of arrival, as in the catalog; the neglected change of
+    the star's light time is 1e-4 of the motion.
     """
 
     star: StarTable
@@ -240,7 +240,7 @@ class StarEphemeris(Value):
         return position, velocity
 
     def inertial_from_body(self, et: float) -> Rotation:
-        """Orientation: that of inertial axes.
+        """Orientation of the inertial axes.
 
         Parameters
         ----------

@@ -26,12 +26,12 @@ _SETTLED = 1e-12  # step over the range at which the maximum likelihood stops: r
 
 
 class TriangulationMethod(StrEnum):
-    """Method of :func:`triangulate`; the values are those of tables and JSON."""
+    """Method of :func:`triangulate`; with the values used in tables and JSON."""
 
     LOST = "lost"
     """Linear optimal sine triangulation: weighted by ranges that follow from pairs of lines, without iteration."""
     MAXIMUM_LIKELIHOOD = "maximum_likelihood"
-    """Gauss-Newton steps from there, to the place whose directions the measured ones are likeliest to come from."""
+    """Gauss-Newton steps from there, to the position of maximum likelihood."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,8 +44,8 @@ class TriangulationOptions:
     max_steps : int
         Gauss-Newton steps of the maximum likelihood.
     max_range_sigma : float
-        Largest standard deviation of the position over the distance to the nearest target: beyond 0.3 the ranges are
-        not known from the lines, and no covariance describes what a position may be.
+        Maximum ratio of the position's standard deviation to the distance to the nearest target: beyond 0.3 the ranges
+        are not determined by the lines, and no covariance describes the position.
 
     Raises
     ------
@@ -75,7 +75,7 @@ class TriangulatedPosition(Value):
     parts : mapping of Cause to (3, 3) float64, km^2
         The covariance by cause: noise of the lines, attitude, ephemeris. They sum to it.
     residuals_rad : (n, 2) float64, rad
-        Observed less computed across each line, along two perpendicular axes.
+        Observed minus computed across each line, along two perpendicular axes.
     chi_square : float
         Of the residuals by their full covariance.
     degrees_of_freedom : int
@@ -88,7 +88,7 @@ class TriangulatedPosition(Value):
     steps : int
         Gauss-Newton steps taken; 0 by the linear method.
     flags : Quality
-        ``LARGE_RESIDUALS`` where chance explains them in fewer than one of 10,000 cases.
+        ``LARGE_RESIDUALS`` where their p-value is below 1e-4.
     """
 
     position_km: Float
@@ -108,8 +108,8 @@ class TriangulatedPosition(Value):
 class _Lines:
     """Lines as arrays: positions and directions (n, 3), axes across (n, 3, 2), and the causes of their errors.
 
-    ``by_range`` holds covariances (2n, 2n), rad^2, of what grows with range (noise, attitude); ``by_place``, km^2, of
-    what does not (ephemerides).
+    ``by_range`` holds covariances (2n, 2n), rad^2, of errors that grow with range (noise, attitude); ``by_place``,
+    km^2, of errors that do not (ephemerides).
     """
 
     positions_km: Float
@@ -131,7 +131,7 @@ def triangulate(
     ephemeris_covariances_km2: Mapping[str, ArrayLike] | None = None,
     options: TriangulationOptions | None = None,
 ) -> TriangulatedPosition | Failure:
-    r"""Find where lines of sight to known places meet.
+    r"""Find where lines of sight to known positions meet.
 
     Parameters
     ----------
@@ -160,12 +160,12 @@ def triangulate(
     A line of sight says that :math:`B^T (p - r)` is zero, with the target :math:`p`, the spacecraft :math:`r` and two
     axes :math:`B` across the direction. An angular error moves this by the range, so that equal weights are not
     optimal. LOST takes the ranges that pairs of lines give (the law of sines) and then solves one weighted linear
-    system [1]_; each line is paired with the one that makes the largest angle with it. Here the weights are those of
+    system [1]_; each line is paired with the one that makes the largest angle with it. Here the weights come from
     the full covariance: noise of each line, the attitude error that all lines of an image share, and the ephemeris
     error that all lines to a target share. With three lines or more of one image the shared attitude error is thereby
     estimated as well.
 
-    The covariance is to first order; it holds as long as standard deviations are small beside the ranges.
+    The covariance is to first order; it holds as long as standard deviations are small compared with the ranges.
 
     References
     ----------
@@ -204,7 +204,7 @@ def locate(
 
     The steps: 1. stellar aberration is removed by the velocity; 2. each target is taken where it was when the light
     left it, with light times of the position found so far, from the barycenter at first; 3. lines of other epochs are
-    moved to this one by the velocity; 4. :func:`triangulate`; 2 to 4 are repeated until the position stands still.
+    moved to this one by the velocity; 4. :func:`triangulate`; 2 to 4 are repeated until the position converges.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ def locate(
     et : float, TDB seconds past J2000
         Epoch of the position.
     velocity_km_s : (3,), km/s, ICRF axes
-        Of the spacecraft with respect to the solar system barycenter. An error of 1 m/s turns every line alike by
+        Of the spacecraft with respect to the solar system barycenter. An error of 1 m/s rotates every line alike by
         0.7 mas.
     ephemeris_covariances_km2 : mapping of str to (3, 3), km^2, ICRF axes, optional
         By target; none by default.
@@ -289,14 +289,14 @@ def position_at_emission(ephemeris: Ephemeris, et: float, observer_km: ArrayLike
 
 
 def _lines(sightlines: Sequence[Sightline], places: Float, ephemerides: Mapping[str, ArrayLike]) -> _Lines:
-    """Arrays of lines, with the covariances (2n, 2n) of what moves them by cause."""
+    """Arrays of lines, with the covariances (2n, 2n) of their errors by cause."""
     unknown = sorted(set(ephemerides) - {line.target for line in sightlines})
     require(not unknown, f"ephemeris covariances of targets that no line goes to: {', '.join(unknown)}")
     directions = np.array([line.direction_inertial for line in sightlines])
     across = _across(directions)
     n = len(sightlines)
     noise, attitude, ephemeris = (np.zeros((n, 2, n, 2)) for _ in range(3))
-    turns = -np.einsum("nik,nij->nkj", across, skew(directions))  # rows: what a rotation does across each line
+    turns = -np.einsum("nik,nij->nkj", across, skew(directions))  # rows: effect of a rotation across each line
     of_image = {line.image: line.covariance_attitude_rad2 for line in reversed(sightlines)}
     of_target = {name: as_finite(matrix, (3, 3), f"covariance of {name}") for name, matrix in ephemerides.items()}
     for i, first in enumerate(sightlines):
@@ -346,7 +346,7 @@ def _ranges_of_pairs(lines: _Lines) -> Float | Failure:
     longest = float(np.max(ranges))
     if longest == 0.0:
         return Failure(Reason.DEGENERATE_GEOMETRY, "all lines of sight go to one place: give a second target")
-    # A line that ends where another passes has no range of its own: a small one gives it all the weight it deserves.
+    # A line that ends where another passes has no range: a small one gives it its due weight.
     return np.asarray(np.maximum(ranges, 1e-9 * longest))
 
 
@@ -403,7 +403,7 @@ def _behind() -> Failure:
 def _judged(
     lines: _Lines, position: Float, steps: int, options: TriangulationOptions
 ) -> TriangulatedPosition | Failure:
-    """Covariance, residuals and verdict on a position."""
+    """Covariance, residuals and quality of a position."""
     from scipy.stats import chi2  # slow to import
 
     residuals, by_position, ranges = _angles(lines, position)

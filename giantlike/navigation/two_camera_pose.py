@@ -23,8 +23,8 @@ class Interlock(Value):
     ----------
     second_from_first : Rotation
     covariance_rad2 : (3, 3) float64, rad^2, axes of the second camera
-        Of the small rotation about its axes, in one pair of images: the error of the calibration and
-        what the structure bends by.
+        Of the small rotation about its axes, in one pair of images: the calibration error and
+        the bending of the structure.
     """
 
     second_from_first: Rotation

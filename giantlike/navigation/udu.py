@@ -66,7 +66,7 @@ def udu_factors(covariance: ArrayLike) -> UduFactors:
     Raises
     ------
     InputError
-        The matrix is no covariance.
+        The matrix is not a covariance.
 
     References
     ----------
@@ -96,9 +96,9 @@ def gram_schmidt(rows: Float, weights: Float) -> UduFactors:
     Parameters
     ----------
     rows : (..., n, m) float64
-        Such as the transition matrix times U beside the input matrix of the noise.
+        Such as the transition matrix times U next to the input matrix of the noise.
     weights : (..., m) float64
-        Not negative: D beside the variances of the noise.
+        Not negative: D next to the variances of the noise.
 
     Returns
     -------
@@ -176,7 +176,7 @@ def gauss_markov_step(factors: UduFactors, index: int, decay: ArrayLike, varianc
     References
     ----------
     .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, I.B,
-       for parameters: what the state's column loses is a dyad of the states before it.
+       for parameters: the state's column loses a dyad of the states before it.
     """
     upper, diagonal = np.array(factors.upper), np.array(factors.diagonal)
     factor, noise = np.asarray(decay, dtype=np.float64), np.asarray(variance, dtype=np.float64)
@@ -252,9 +252,9 @@ def scalar_update(factors: UduFactors, partials: ArrayLike, noise_variance: Arra
 
 
 def considered_update(update: ScalarUpdate, considered: ArrayLike) -> ScalarUpdate:
-    """Take back what an update did to considered states: their errors count, they are not estimated.
+    """Undo an update of considered states: their errors count, they are not estimated.
 
-    The gain of considered states becomes zero. What the covariance loses by that is one dyad, the gain of those states
+    The gain of considered states becomes zero. The covariance loses by that one dyad, the gain of those states
     times the variance of the innovation.
 
     Parameters

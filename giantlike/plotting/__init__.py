@@ -1,4 +1,4 @@
-"""Figures for people: values that say what is to be seen, and functions that draw them as SVG or with matplotlib."""
+"""Figures: values that describe their content, and functions that draw them as SVG or with matplotlib."""
 
 from giantlike.plotting.calibration import correlation_figure, distortion_figure, residual_trend_figure
 from giantlike.plotting.charts import Axis, Chart, ChartSheet, charts_figure, charts_svg

@@ -25,7 +25,7 @@ _LABEL_SHARE = 0.995  # correlations above it would be rounded to 1.00, and get 
 def distortion_figure(
     points_px: Float, distortion_px: Float, sigma_points_px: Float, sigma_px: Float, columns: int, rows: int
 ) -> Figure:
-    """Distortion over the field (arrows on its size), and beside it the uncertainty of the camera map.
+    """Distortion over the field (arrows on its size), and next to it the uncertainty of the camera map.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ class Axis:
 
     @classmethod
     def around(cls, label: str, values: Float, *, margin: float = 0.05, logarithmic: bool = False) -> Axis:
-        """Axis on which values find room.
+        """Axis that contains given values.
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class Axis:
         values : (n,)
             Those that are not finite do not count.
         margin : float
-            Share of the axis that stays empty at each end.
+            Fraction of the axis that stays empty at each end.
         logarithmic : bool
 
         Returns

@@ -1,4 +1,4 @@
-"""What is drawn over a picture or into a chart: points, with a shape and a color; and its SVG."""
+"""Layers of a picture or a chart: points, with a shape and a color; and their SVG."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _HEAD, _HEAD_SLOPE = 4.0, 0.5
 
 
 class Shape(StrEnum):
-    """How the points of a layer are drawn."""
+    """Style of the points of a layer."""
 
     RING = "ring"
     CROSS = "cross"

@@ -1,4 +1,4 @@
-"""What notebooks show of images, cameras and fixes: one drawing on axes for each kind of value."""
+"""Display of images, cameras and fixes in notebooks: one drawing on axes for each kind of value."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def draw_fix(fix: CenterFix, axes: Axes | None = None, *, image: Image | None = 
 
 
 def _axes(axes: Axes | None, aspect: float) -> Axes:
-    """The given axes, or those of a new figure with this ratio of height to width."""
+    """The given axes, or the axes of a new figure with this ratio of height to width."""
     if axes is not None:
         return axes
     with drawing():

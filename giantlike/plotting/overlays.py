@@ -32,7 +32,7 @@ MARKS = MappingProxyType(
         "limb points rejected": "#ff4d4d",
     }
 )
-"""Colors by meaning, for a legend beside the figures."""
+"""Colors by meaning, for a legend next to the figures."""
 
 CENTERS = ("#ff5c7a", "#37c8ff", "#8dff6a", "#ff9de2", "#ffffff", "#ffa042")
 """Colors for the centers that estimators found."""
@@ -97,7 +97,7 @@ class CenterMark(Value):
     center_px : (2,)
     covariance_px2 : (2, 2)
     limb_px, limb_rejected_px : (n, 2)
-        Limb points used, and those of the lit limb that were not.
+        Limb points used, and points of the illuminated limb not used.
     outline_px : (n, 2)
         Outline of the body at the result, where it is known.
     """
@@ -166,7 +166,7 @@ def stretched(pixels: NDArray[np.generic], *, longest_px: int = 640) -> NDArray[
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OverlayPanel(Value):
-    """An image or a part of it, and what is drawn over it.
+    """An image or a part of it, and the layers drawn over it.
 
     Parameters
     ----------

@@ -24,7 +24,7 @@ _BAR, _BAR_WIDTH = 8.0, 110.0
 _TICKS = 5
 """Most numbers along a side."""
 _FULL_SHARE = 0.98
-"""Share of the cells whose color is not that of an end of the scale: single cells do not make the others pale."""
+"""Fraction of the cells inside the limits of the color scale: single outliers do not stretch it."""
 _ENDS_BGR = np.array([[150.0, 70.0, 20.0], [245.0, 245.0, 245.0], [30.0, 30.0, 180.0]])
 """Colors of the lower end, of zero and of the upper end."""
 _SCALE = np.linspace(-1.0, 1.0, 64)

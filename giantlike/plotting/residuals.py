@@ -108,7 +108,7 @@ def star_residual_charts(
     Parameters
     ----------
     points_px : (n, 2), px
-        Measured places of the stars.
+        Measured positions of the stars.
     residuals_px : (n, 2), px
         Observed minus predicted.
     magnitudes, sigma_px : (n,)
@@ -187,7 +187,7 @@ def _binned(magnitudes: Float, values: Float) -> Float:
 
 
 def correlation_surface_figure(surface: Float, peak_px: Float | None, title: str) -> Figure:
-    """Correlation for shifts around a place, and the shift of its peak.
+    """Correlation for shifts around a position, and the shift of its peak.
 
     Parameters
     ----------

@@ -176,7 +176,7 @@ class Frame(Value):
     apriori_observer : ObserverState
         Observer with its error.
     apriori_geometry : ApparentGeometry
-        Geometry of the target with the error of the predicted position; orientation and Sun are right.
+        Geometry of the target with the error of the predicted position; orientation and Sun are exact.
     """
 
     shot: Shot
@@ -243,7 +243,7 @@ class Approach(Value):
 def demo_camera() -> Camera:
     """Return a navigation camera of 1024 x 1024 pixels with the optics of NavCam 1 of OSIRIS-REx.
 
-    The principal point is moved to the middle of the smaller frame; the detector values are those of no real camera.
+    The principal point is moved to the middle of the smaller frame; the detector values belong to no real camera.
 
     Returns
     -------
@@ -416,7 +416,7 @@ class _Planner(Value):
         )
 
     def _attitudes(self, apparent_km: Float, shape: Shape) -> tuple[Rotation, ...]:
-        """True attitudes of the three images of a visit, with the body at a random place of the frame."""
+        """True attitudes of the three images of a visit, with the body at a random position in the frame."""
         camera, options = self.camera, self.options
         reach_px = camera.model.focal_length_px * shape.circumscribing_radius_km / float(np.linalg.norm(apparent_km))
         free_px = max(min(camera.columns, camera.rows) / 2 - reach_px - options.frame_margin_px, 0.0)

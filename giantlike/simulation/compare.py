@@ -1,4 +1,4 @@
-"""Comparison of a run with the truth: errors and the sigmas that the run stated for them."""
+"""Comparison of a run with the truth: errors and the sigmas that the run reported for them."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class AttitudeError(Value):
     error_px : (2,) float64, px, or None
         Root mean square shift of the image by the error, over the frame, per axis. None without an attitude.
     sigma_px : (2,) float64, px, or None
-        The same for the stated covariance (the three sigmas about the camera axes).
+        As above, for the reported covariance (the three sigmas about the camera axes).
     normalized : (3,) float64 or None
-        Errors about the camera axes over their stated sigmas.
+        Errors about the camera axes over their reported sigmas.
     """
 
     file: str
@@ -60,11 +60,11 @@ class ObservationError(Value):
     diameter_px, phase_deg : float
         True apparent diameter and phase angle.
     error_px, sigma_px : (2,) float64, px, or None
-        Found minus true center; stated sigmas. None without a fix.
+        Measured minus true center; reported sigmas. None without a fix.
     nees : float or None
-        Squared error over the stated covariance (2 x 2): 2 on average where the covariance is right.
+        Squared error normalized by the reported covariance (2 x 2): 2 on average where the covariance is correct.
     range_error, range_sigma : float or None
-        Found minus true range, and its stated sigma, over the true range.
+        Measured minus true range, and its reported sigma, both divided by the true range.
     """
 
     file: str
@@ -100,7 +100,7 @@ class Comparison(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Score(Value):
-    """Errors of many fixes and their stated sigmas.
+    """Errors of many fixes and their reported sigmas.
 
     Parameters
     ----------
@@ -113,11 +113,11 @@ class Score(Value):
     failures : mapping of str to int
         Number of failed rows by reason.
     rms_px, sigma_px : (2,) float64, px
-        Root mean square of errors and of stated sigmas, per axis; NaN without fixes.
+        Root mean square of errors and of reported sigmas, per axis; NaN without fixes.
     chi2, dof : float, int
         Sum of squared normalized errors and number of them, without the range.
     range_rms, range_sigma, range_chi2 : float
-        Relative errors of the range, relative stated sigmas, sum of squared normalized errors; NaN without ranges.
+        Relative errors of the range, relative reported sigmas, sum of squared normalized errors; NaN without ranges.
     n_ranges : int
         Number of ranges.
     """

@@ -26,13 +26,13 @@ class CosmicRays:
     rate_s_cm2 : float, 1/s/cm^2
         Rate through the area of the detector.
     hits_per_image : float
-        Mean number of hits in an image whatever its exposure, added to the rate.
+        Mean number of hits in an image of any exposure, added to the rate.
     pixel_um : float, um
         Pixel pitch.
     thickness_um : float, um
         Depth in which charge is collected: with the incidence it gives the length of a track.
     charge_e_um : float, electron/um
-        Median charge per path length. The default, 80, is about that of a minimum ionizing particle in silicon.
+        Median charge per path length. The default, 80, is about the value of a minimum ionizing particle in silicon.
     charge_spread : float
         Standard deviation of the natural logarithm of that charge, from particle to particle.
     """

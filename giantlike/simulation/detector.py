@@ -2,7 +2,7 @@
 
 Light on the pixels, stray light, flat field, smear of the frame transfer, dark current, shot noise, cosmic rays,
 full well, read noise, gain and rounding, in this order: light goes through the flat field, charge does not. Every
-random effect draws from a stream of its own, so that switching another effect on does not change its numbers.
+random effect draws from a separate stream, so that switching another effect on does not change its numbers.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ def simulate_image(
     sources : Sources
         Bodies and stars.
     seed : int or tuple of int
-        Equal seeds give equal images; each random effect has a stream of its own.
+        Equal seeds give equal images; each random effect has a separate stream.
     detector : DetectorModel, optional
         Further effects of the detector; by default there is only shot noise.
     options : SimulationOptions, optional

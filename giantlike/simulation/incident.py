@@ -52,8 +52,8 @@ class SimulationOptions:
     Parameters
     ----------
     rays_per_pixel_side : int
-        Rays along each side of a pixel. Each goes through a random place of its cell, so that no estimator's template
-        shares the sampling.
+        Rays along each side of a pixel. Each goes through a random position in its cell, so that no estimator's
+        template shares the sampling.
     max_magnitude : float, optional
         Faintest star; by default all stars of the catalog.
     sun_radius_rad : float, rad

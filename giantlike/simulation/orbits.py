@@ -32,7 +32,7 @@ class CircularOrbit:
     inclination_rad : float, rad
         Inclination of the orbit to that equator; the default, 0.41 rad, puts it near the ecliptic.
     pole_ra_deg, pole_dec_deg : float, deg
-        Spin axis; the defaults, with 1.1 au and the period, are close to those of Bennu.
+        Spin axis; the defaults, with 1.1 au and the period, are close to Bennu's.
     spin_period_s : float, s
         Sidereal rotation period.
     epoch_et : float, s

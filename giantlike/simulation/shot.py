@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 SUN_MAGNITUDE_G = -26.90
 """Apparent magnitude of the Sun at 1 au in the Gaia G band."""
 _STILL_PX = 0.05  # px of motion; less adds under 2e-4 px^2 (a uniform motion L adds L^2 / 12) to the variance of a star
-_NODES_PER_SIGMA = 1.5  # Gauss-Legendre nodes per PSF sigma of motion: the mean of a Gaussian is then right to 1e-7
+_NODES_PER_SIGMA = 1.5  # Gauss-Legendre nodes per PSF sigma of motion: the mean of a Gaussian is then accurate to 1e-7
 _SHARPEST_PX = 0.4  # px, least width of an image: integration over a pixel adds 1/12 px^2, a sigma of 0.29 px
 
 

@@ -17,7 +17,7 @@ truth is in keywords that begin with ``GT_`` and, for the targets, ``T1_``, ``T2
 ==============================  =====================================================================================
 
 Extensions: ``EXPECTED`` (mean electrons without noise or saturation), ``COSMIC`` (electrons left by cosmic rays),
-``STARS`` (table: id, x_px, y_px, magnitude, electrons). On request also what the center of every pixel looks at:
+``STARS`` (table: id, x_px, y_px, magnitude, electrons). On request also the surface point at the center of every pixel:
 ``BODY`` (number as in the keywords, 0: none), ``FACET``, ``RANGE`` (km), and ``INCIDENCE``, ``EMISSION``, ``PHASE``,
 ``LONGITUDE``, ``LATITUDE`` (degrees).
 """

@@ -1,4 +1,4 @@
-"""Files of a simulated approach: images, a campaign that can be run, and the truth in a table of its own."""
+"""Files of a simulated approach: images, a campaign that can be run, and the truth in a separate table."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ ESTIMATORS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 
 STAR_IMAGE, BODY_IMAGE = "stars", "body"
-"""What an image was taken for, in ``truth.csv``."""
+"""Purpose of an image, in ``truth.csv``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TruthRow:
-    """Row of ``truth.csv``: the true attitude of an image and the true apparent place of the body in view."""
+    """Row of ``truth.csv``: the true attitude of an image and the true apparent position of the body in view."""
 
     file: str = column("Image file")
     kind: str | None = column("``stars`` or ``body``: what the image was taken for")
@@ -124,7 +124,7 @@ def write_approach(
 
 
 def frame_header(frame: Frame) -> dict[str, HeaderValue]:
-    """Header of the image of a frame: what navigation knows beforehand, and nothing of the truth."""
+    """Header of the image of a frame: a priori values for navigation, without the truth."""
     return navigation_header(
         epoch=frame.shot.epoch,
         exposure_s=frame.shot.exposure_s,

@@ -26,12 +26,12 @@ from giantlike.stars.options import StarOptions
 
 _SAMPLE = 4  # stars of a random sample, as in the paper: two fix an attitude, four show a wrong pair among them
 _RANSAC_PAIRS = 128
-"""Pairs at most, of all brightnesses, that random samples are taken from and judged by. Samples find an attitude where
-a quarter of the pairs are right, and these are then 32."""
+"""Maximum number of pairs, of all brightnesses, from which random samples are drawn and by which they are scored. An
+attitude is found where a quarter of the pairs are correct, 32 of these."""
 _RANSAC_CHUNK = 50  # samples tried at a time
 _RANSAC_MISSED = 4e-9
-"""Probability that all samples so far hold a wrong pair, if as many are right as agree with the best, below which no
-more are tried: that of all 300 where half of the pairs are wrong (``StarOptions.ransac_iterations``)."""
+"""Probability that every sample so far holds a wrong pair, if as many are correct as agree with the best; below it
+sampling stops. It is the value for all 300 where half of the pairs are wrong (``StarOptions.ransac_iterations``)."""
 _VOTING_STARS, _VOTING_POINTS = 150, 100  # brightest stars and detections that vote for a common shift; bounds its time
 
 
@@ -46,7 +46,7 @@ class Identification(Value):
     matches : Matches
         Indices into the stars and detections that were given.
     false_match_probability : float
-        Upper bound of the probability that the matches are due to chance.
+        Upper bound of the probability that the matches are random.
     """
 
     camera_from_inertial: Rotation
@@ -84,7 +84,7 @@ def identify_apriori(
     Returns
     -------
     Identification or Failure
-        Reasons: no_catalog_stars, too_few_detections, too_few_matches, ambiguous (the matches may be due to chance).
+        Reasons: no_catalog_stars, too_few_detections, too_few_matches, ambiguous (the matches may be random).
 
     References
     ----------
@@ -101,7 +101,7 @@ def identify_apriori(
         )
     if len(points_px) < options.min_matches:
         return Failure(Reason.TOO_FEW_DETECTIONS, f"{len(points_px)} detections, {options.min_matches} are needed")
-    # a turn of the camera moves stars alike but for roll, which moves those of the corners most
+    # a rotation of the camera moves stars alike but for roll, which moves the corners most
     spread = options.inlier_px + options.max_pixel_distance * half_diagonal_px(camera) / camera.model.focal_length_px
     voters, points = predicted[near[:_VOTING_STARS]], points_px[:_VOTING_POINTS]
     outcome = _identify_shifted(directions_inertial, points_px, camera, predicted, spread, options)
@@ -200,7 +200,7 @@ def ransac_attitude(
 def _verified(
     directions_inertial: Float, points_px: Float, camera: Camera, rotation: Rotation, options: StarOptions
 ) -> Identification | Failure:
-    """Match all stars with an attitude, and refuse it if the matches may be due to chance."""
+    """Match all stars with an attitude, and refuse it if the matches may be random."""
     predicted = predicted_in_frame(directions_inertial, camera, rotation, margin_px=options.inlier_px)
     matches = match_nearest(predicted, points_px, options.inlier_px)
     area = float(camera.columns * camera.rows)

@@ -23,15 +23,14 @@ from giantlike.stars.smooth_errors import MOST_WEIGHED, Residuals, unmodeled_err
 
 _MAX_STEPS = 20  # of Gauss-Newton, which converges quadratically: more mean that it does not converge
 _STEP_RAD = 1e-6
-"""Last step: 0.2 arcsec. The next is that times the residuals, for these turn with the attitude: in standard deviations
-of the attitude below 1e-6 times the root of the number of stars."""
+"""Last step: 0.2 arcsec. The next one is this times the residuals: below 1e-6 standard deviations of the attitude times
+the root of the number of stars."""
 _MAX_ROUNDS = 10  # of fit and rejection
 _MOST_WEIGHT = 0.5
-"""Largest weight of a star over that of all others together: where one decides, those can't tell of its error. One of
-0.005 px among 11 and 49 of 0.1 px, with smooth errors of 0.05 px that nobody told: squared errors are 1.4 to 1.9 times
-their covariance (1.7 to 2.1 with 1, 4 to 9 where it decides), and 0.6 to 0.8 without such errors (0.5 to 0.7); sigmas
-are the same with both.
-"""
+"""Maximum weight of a star relative to the sum of all others: the residuals do not show the error of a dominant star.
+For one star of 0.005 px among 11 and 49 of 0.1 px, with undeclared smooth errors of 0.05 px, squared errors are 1.4 to
+1.9 times their covariance (1.7 to 2.1 with 1, 4 to 9 where it dominates), and 0.6 to 0.8 without such errors (0.5 to
+0.7)."""
 _NOISE_EXPLAINS = 0.977
 """Chi-square probability up to which residuals are explained by the noise: the two-sigma quantile of a normal
 distribution, one-sided."""
@@ -56,7 +55,7 @@ class AttitudeSolution(Value):
     sigma_px : (n,) float64, px
         Standard deviation per axis by which each star was weighted.
     error_floor_px : float, px
-        Standard deviation per axis added in quadrature to that of every star to explain the residuals; 0 if they need
+        Standard deviation per axis, added in quadrature for every star to explain the residuals; 0 if they need
         none.
     error_factor : float
         Factor on the standard deviations of the stars themselves, at least 1.
@@ -72,7 +71,7 @@ class AttitudeSolution(Value):
     unmodeled_likely : bool
         Whether errors beyond those of the stars and the floor are likely.
     by_pixels : (3, k, 2) float64, rad/px
-        Derivative of the small rotation by the places in the image of the k stars used.
+        Derivative of the small rotation by the image positions of the k stars used.
     """
 
     camera_from_inertial: Rotation
@@ -131,7 +130,7 @@ def fit_attitude(
     scatter estimated by its median. If the remaining residuals exceed their covariances, these are scaled by a factor
     and an error floor common to all stars is added in quadrature, so that chi-square equals its degrees of freedom
     (:func:`~giantlike.core.statistics.error_terms`): the covariance of the attitude then includes the unmodeled error.
-    No star weighs more than half of all others together, which could not tell of its unmodeled error.
+    No star weighs more than half of all others together, whose residuals could not show its unmodeled error.
 
     Parameters
     ----------
@@ -207,7 +206,7 @@ class _Stars(Value):
         return np.asarray(np.sqrt(np.trace(self.covariance_px2, axis1=1, axis2=2) / 2.0))
 
     def balanced(self) -> _Stars:
-        """Stars of which none weighs much more than the others: its error is not that of the whole attitude."""
+        """Stars with weights limited, so that the error of one is not the error of the whole attitude."""
         weights = self.sigma_px**-2
         best = int(np.argmax(weights))
         others = float(weights.sum() - weights[best])
@@ -368,7 +367,7 @@ def _solution(
 
 
 def _residuals(state: _State, stars: _Stars, by_pixels: Float, scale: Scale, uncertain: Sequence[str]) -> Residuals:
-    """What the fit leaves of these stars, and how parameters and scale would move them."""
+    """Residuals of these stars, with their derivatives by the parameters and by the scale."""
     return Residuals(
         points_px=stars.points_px,
         residuals_px=stars.residuals(state),

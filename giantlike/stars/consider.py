@@ -1,7 +1,7 @@
 """Errors of an attitude that all its stars share: the camera model, the velocity of the observer, the epoch.
 
 Noise averages out over many stars, these do not. Each is a consider term: with the derivative ``G`` of the rotation by
-the centroids, ``(H^T W H)^-1 H^T W``, an error that moves the stars by ``d`` px turns the attitude by ``G d``.
+the centroids, ``(H^T W H)^-1 H^T W``, an error that moves the stars by ``d`` px rotates the attitude by ``G d``.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def _response_to_directions(solution: AttitudeSolution, field: StarField, shifts
 
 
 def _aberration(directions: Float) -> Float:
-    """Shifts (n, 3, 3) of directions (n, 3) by a velocity over that of light, to first order."""
+    """Shifts (n, 3, 3) of directions (n, 3) by a velocity in units of the speed of light, to first order."""
     return np.eye(3) - directions[:, :, None] * directions[:, None, :]
 
 

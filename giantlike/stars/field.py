@@ -15,8 +15,8 @@ from giantlike.core.frames import rotate
 from giantlike.core.values import Value, select_rows
 
 EPOCH_WHEN_UNKNOWN = 2016.0
-"""Julian epoch of the stars for an image without time, years: that of most positions in the default catalog."""
-_MARGIN = 1.05  # radius of the sky looked up over that of the field of view: the focal length may still change by 5 %
+"""Julian epoch of the stars for an image without time, years: the epoch of most positions in the default catalog."""
+_MARGIN = 1.05  # radius of the catalog cone / radius of the field of view: the focal length may change by 5 %
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -145,6 +145,6 @@ def half_diagonal_px(camera: Camera) -> float:
 
 
 def half_diagonal_rad(camera: Camera) -> float:
-    """Largest angle of an image from its center, rad; that of a pinhole camera if the lens images no edge."""
+    """Largest angle of an image from its center, rad; of a pinhole camera if the lens images no edge."""
     radius = camera.half_diagonal_rad
     return radius if np.isfinite(radius) else float(np.arctan(half_diagonal_px(camera) / camera.model.focal_length_px))

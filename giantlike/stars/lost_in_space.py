@@ -42,16 +42,17 @@ from giantlike.stars.star_index import Pattern, StarIndex, build_index, caps, de
 from giantlike.stars.tetra import tetra_hypotheses
 
 _OTHER_SCALE = 0.2
-"""Relative error of the stated focal length up to which a failure names the right one: the limit of ``scale_error``."""
+"""Relative error of the stated focal length up to which a failure names the correct one: the limit of
+``scale_error``."""
 _SCALE_STEP = 0.015  # relative spacing of the focal lengths tried; only distortion and wide fields depend on it
-_TRIAD_PX, _QUAD = 2.0, 0.006  # tolerance of the distance of two stars: px, and share of the image width
+_TRIAD_PX, _QUAD = 2.0, 0.006  # tolerance of the distance of two stars: px, and fraction of the image width
 _TRIED, _TRIED_IN_ALL = 6, 30  # hypotheses verified, of each search and of an image: bounds the time of failures
 _BRIGHTEST = 40  # detections whose noise sets the tolerance, and spare stars of an index in a cone
 _NARROW_RAD = math.radians(0.75)  # half field of view below which the catalog may hold too few stars
 _SAMPLED_RAD = 0.3  # spacing of the directions in which catalog stars are counted: 140 over the sky
 _BRIEF = {Pattern.TRIAD: 1, Pattern.QUAD: 2}  # number of searches that solve most images
-_GAINED = 3  # matches that a fit may add to those of a hypothesis
-_FIRST_RADIUS = 0.008  # first match radius over the image width: distortion left by a pinhole of the right focal length
+_GAINED = 3  # matches that a fit may add to the matches of a hypothesis
+_FIRST_RADIUS = 0.008  # first match radius / image width: distortion left by a pinhole of the correct focal length
 
 
 def identify_lost_in_space(
@@ -166,7 +167,7 @@ class _Problem(Value):
         )
 
     def _with_apparent_places(self, hypothesis: Hypothesis, field: StarField, camera: Camera) -> Rotation:
-        """Attitude from the apparent places of the stars of a hypothesis: an index has neither aberration nor epoch."""
+        """Attitude from apparent star positions of a hypothesis: an index has neither aberration nor epoch."""
         _, mine, theirs = np.intersect1d(hypothesis.star_ids, field.stars.ids, return_indices=True)
         seen = camera.model.unproject(self.points_px[hypothesis.detection_indices[mine]])
         good = np.isfinite(seen).all(axis=1)

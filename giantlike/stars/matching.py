@@ -1,4 +1,4 @@
-"""Matches of catalog stars and detections in the image plane, and the probability that they are due to chance."""
+"""Matches of catalog stars and detections in the image plane, and the probability that they are random."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from giantlike.stars.nearest import nearest
 
 BLEND_PX = 4.0
 """Distance below which two stars shift each other's centroid, px: five widths of a star of 0.8 px."""
-_SHIFTS = 24  # displacements at which chance matches are counted: 24 samples of every detection
-_SAMPLES = 2500  # of those at most: a chance of 1 % is then known to 20 % of itself
+_SHIFTS = 24  # displacements at which random matches are counted: 24 samples of every detection
+_SAMPLES = 2500  # maximum of these: a probability of 1 % is then known to 20 % of itself
 _DISTORTION = 0.05  # of the half size of the image: bound on the distortion that a fit of k1 can absorb
 
 
@@ -77,7 +77,7 @@ def match_nearest(predicted_px: Float, points_px: Float, radius_px: float, *, am
 
 
 def chance_of_match(predicted_px: Float, points_px: Float, radius_px: float, area_px2: float) -> float:
-    """Probability that a detection has a star within ``radius_px`` by chance.
+    """Probability that a detection has a random star within ``radius_px``.
 
     The larger of two estimates: from the mean density of stars, and from the matches counted after shifting all
     detections by 24 displacements, which includes the clustering of stars and detections; of many detections a part

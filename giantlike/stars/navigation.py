@@ -41,23 +41,22 @@ _IDENTIFIED_FIRST = 200
 """Brightest detections that an a priori attitude is tried with before all are: twice those that vote for a shift."""
 _DETECTIONS_PER_STAR, _SPARE_DETECTIONS = 4, 30  # detections used per catalog star expected: fainter ones are noise
 _INFORMATION = 0.95
-"""Share of the information of all stars that an attitude must hold: all of them would shrink its covariance by 5 %."""
+"""Fraction of the information of all stars that an attitude must hold: all of them would shrink its covariance by 5
+%."""
 _MEASURED_FIRST = 0.96
 """Share measured first. Of 57 star images, 27 fell short of the share above when just as much was measured, because
 errors of catalog and neighbors count most for the brightest, and had to be measured once more; with this share 2."""
 _LARGE_CHI = 5.0  # root of the reduced chi-square above which residuals are large; no study yet
 _LARGE_SHARED_PX = 0.5  # of errors that neighbors share: as large a shift hides in the attitude
 _LARGE_BLUR = 1.3
-"""Width of stars over that of the camera's optics. On 260 star images of the gauntlet (seed 6) it is 0.97-1.01 where
-nothing blurs them, 1.10-1.17 for motion of a pixel, and 1.42-1.78 out of focus; optics vary over the field by 0.1-0.2.
-"""
+"""Width of stars relative to the PSF of the camera. Measured on 260 star images: 0.97-1.01 without blur, 1.10-1.17 for
+motion of one pixel, 1.42-1.78 out of focus; the PSF varies over the field by 0.1-0.2."""
 _ROUND = 0.25
-"""Growth of the shortest axis of stars over that of the longest from which a blur is the same in all directions. Out of
-focus it is 0.37-0.86 in six of seven star images of the gauntlet (seeds 9500-9504; 0.05 in one of 15 faint stars) and
-0.47-0.79 for fields of 12 stars; for motion of 2 px and less, which is no streak yet, it is below 0. Seed 9563,
-not used to choose it: 0.79, 0.33, 0.07 out of focus, of 51, 7 and 7 stars."""
+"""Growth of the minor axis of stars relative to the major axis, above which a blur is isotropic. Out of focus it is
+0.37-0.86 in six of seven star images (0.05 in one of 15 faint stars) and 0.47-0.79 for fields of 12 stars; below 0 for
+motion of 2 px and less. On three images of another seed: 0.79, 0.33 and 0.07."""
 _MOST_ALONE = 1 / 3
-"""Shares of sources and of catalog stars, each of the brighter half, that have no partner. On 200 star images of the
+"""Fractions of sources and of catalog stars, each of the brighter half, that have no partner. On 200 star images of the
 gauntlet (seed 7) the smaller of the two is at most 0.04 where nothing is wrong, 0.28 with lines or blocks missing, and
 0.4-0.76 where half of the rows have slipped or the focal length is wrong."""
 _LARGE_FLOOR_PX = 1.0  # error floor, px, above which they are; real calibrated cameras leave 0.1 to 0.2 px
@@ -110,7 +109,7 @@ class StarNavigation:
         Returns
         -------
         AttitudeFix or Failure
-            Reasons: those of :func:`~giantlike.processing.detect_sources` and of the identification.
+            Reasons: as for :func:`~giantlike.processing.detect_sources` and of the identification.
 
         Raises
         ------
@@ -123,7 +122,7 @@ class StarNavigation:
     def detect_and_solve(self, image: Image) -> tuple[Detections | Failure, AttitudeFix | Failure]:
         """Detect the stars of an image and estimate its attitude.
 
-        Unless ``StarOptions.all_stars`` asks for all, the brightest sources are measured first. The rest are measured
+        Unless ``StarOptions.all_stars`` is set, the brightest sources are measured first. The rest are measured
         too if no attitude is found or if they would shrink its covariance by more than 5 %, which errors that do not
         depend on brightness, of camera or catalog, make likely.
 
@@ -163,7 +162,7 @@ class StarNavigation:
         ----------
         image : Image
         options : DetectionOptions, optional
-            By default those of this object.
+            Default: the options of this object.
 
         Returns
         -------
@@ -180,7 +179,7 @@ class StarNavigation:
     def _detections(
         self, image: Image, options: DetectionOptions, shares: Sequence[float]
     ) -> Iterator[Detections | Failure]:
-        """Sources of an image, more of them as long as more are asked for."""
+        """Sources of an image, more with every iteration."""
         self.camera.require_image(image)
         image = image.linearized(self.camera.detector)
         return detect_in_parts(
@@ -259,7 +258,7 @@ class StarNavigation:
     ) -> RefinedAttitude | Failure:
         options, camera = self.options, self.camera
         depth, margin = depth_for(len(points_px)), options.max_pixel_distance
-        # the sky looked up is that of any attitude within the margin: as deep as for one of them
+        # the catalog covers any attitude within the margin, to the depth of one image
         several = (1.0 + margin / (half_diagonal_rad(camera) * camera.model.focal_length_px)) ** 2
         around = sky.field(camera, camera_from_inertial, margin_px=margin, count=math.ceil(several * depth))
         wide = around.directions_inertial[:depth]
@@ -269,7 +268,7 @@ class StarNavigation:
         found: Identification | Failure = Failure(Reason.TOO_FEW_MATCHES, "not tried")
         for number in sorted(
             {min(_IDENTIFIED_FIRST, len(points)), len(points)}
-        ):  # the brightest tell as well, and fast
+        ):  # the brightest alone suffice, and are fast
             found = identify_apriori(
                 wide[: depth_for(number)], points[:number], camera, camera_from_inertial, options=options
             )
@@ -343,7 +342,7 @@ class StarNavigation:
     def _other_sky(self, detections: Detections, usable: NDArray[np.intp], outcome: RefinedAttitude) -> Quality:
         """Flag of an image that shows two skies: bright sources without a star, and bright stars without a source.
 
-        Either alone has causes that leave the attitude right: gaps of the catalog and ghosts, or missing lines.
+        One of them alone also occurs with a correct attitude: gaps of the catalog and ghosts, or missing lines.
         """
         solution, matches = outcome.solution, outcome.matches
         stars, found = matches.star_indices[solution.used], usable[matches.detection_indices[solution.used]]
@@ -386,9 +385,9 @@ def _is_mirrored(outcome: _Solved | Failure) -> bool:
 def _enough(detections: Detections, solved: _Solved, left: UnmeasuredSources) -> bool:
     """True if the sources left out would shrink the covariance of an attitude by less than 5 %.
 
-    As large a share of them as of the measured ones is expected to be stars of the catalog, with the errors beyond the
-    noise (floor, catalog, neighbors) that the stars used have in the median. Errors beyond these, where they are
-    likely, ask for all: few stars tell of them badly.
+    The same fraction of them as of the measured ones is assumed to be catalog stars, with the errors beyond the
+    noise (floor, catalog, neighbors) that the stars used have in the median. Where unmodeled errors are likely, all
+    sources are measured: few stars estimate such errors badly.
     """
     fix, solution = solved
     if solution.unmodeled_likely:

@@ -9,7 +9,7 @@ import numpy as np
 from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.stars.attitude import AttitudeMethod
 
-_ALWAYS_KEPT = 20  # detections of an image kept whatever their signal to noise ratio: 40 equations for 3 unknowns
+_ALWAYS_KEPT = 20  # detections of an image kept at any signal to noise ratio: 40 equations for 3 unknowns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,7 +19,7 @@ class StarOptions:
     Parameters
     ----------
     max_magnitude : float, optional
-        Faintest catalog star, in the band of the catalog. Default: as deep as the number of detections asks for.
+        Faintest catalog star, in the band of the catalog. Default: by the number of detections.
     lost_in_space : bool
         Search the whole sky if there is no a priori attitude or no stars are found with it.
     estimate_scale : bool
@@ -29,15 +29,15 @@ class StarOptions:
         Relative error that the rough field of view may have, in (0, 0.2]; used with ``estimate_scale``. Default 5 %:
         benchmarks/identification.py solves all of 30 fields with it.
     max_pixel_distance : float, px
-        Search radius around the predicted place of a star in the first attempt with the a priori attitude (RANSAC over
-        nearest neighbors). Default 100 px: 0.2 degrees for a camera of 4 degrees and 2,000 pixels; larger errors
+        Search radius around the predicted position of a star in the first attempt with the a priori attitude (RANSAC
+        over nearest neighbors). Default 100 px: 0.2 degrees for a camera of 4 degrees and 2,000 pixels; larger errors
         are left to the patterns of stars.
     attitude_error_deg : float, deg
         Largest error of the a priori attitude about any axis, in (0, 180]. If nearest neighbors find no stars, patterns
         of stars are searched among all attitudes within this angle. Default 5: benchmarks/identification.py solves all
         fields with errors up to 3 degrees.
     inlier_px : float, px
-        Largest distance of a star from its place under the right attitude. Default 3: below the 4 px at which
+        Largest distance of a star from its position under the correct attitude. Default 3: below the 4 px at which
         stars blend; no study yet, see benchmarks/sensitivity.py.
     ransac_iterations : int
         Number of random samples of four stars. Default 300: with half of the pairs wrong, all samples contain a wrong
@@ -52,10 +52,10 @@ class StarOptions:
     min_matches : int
         Fewest stars of a solution, at least 3. Default 4: one more than an unambiguous attitude needs.
     outlier_sigma : float
-        A star further from its place than this many standard deviations is rejected. Default 4: of 100 good stars, a
+        A star further from its position than this many standard deviations is rejected. Default 4: of 100 good stars, a
         two-dimensional normal error exceeds it once in 30 images.
     max_false_match_probability : float
-        An identification that chance makes with a higher probability is refused. Default 1e-6: one wrong attitude
+        An identification that is random with a higher probability is refused. Default 1e-6: one wrong attitude
         in a million images at most.
     attitude_method : AttitudeMethod
         Solver of the attitude; all but ``weighted`` need a known scale. Default: the only one that uses the full
@@ -69,7 +69,7 @@ class StarOptions:
         with 35, Mars with 24; that is 12 arcsec about each axis across the line of sight.
     unknown_epoch_years : float, years
         Standard deviation of the time from J2016.0 of an image without an epoch: the proper motion of its stars enters
-        the covariance. Default 15: images of this century lie within one of them, those of Voyager within three.
+        the covariance. Default 15: images of this century lie within one of them, images of Voyager within three.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def bright_enough(snr: Float, min_snr: float) -> Mask:
     Returns
     -------
     (k,) bool
-        True for those of at least ``min_snr``, and for the 20 brightest whatever their ratio.
+        True for detections of at least ``min_snr``, and for the 20 brightest at any ratio.
     """
     bright: Mask = snr >= min_snr
     bright[np.argsort(-snr, kind="stable")[:_ALWAYS_KEPT]] = True

@@ -21,7 +21,7 @@ _PER_CAP = 16  # detections: a third of the brightest may be false and one in fi
 _WIDER = 1.2  # radius of image caps over index caps: some image cap then contains any index cap
 _LEAST = {Pattern.TRIAD: (16, 26), Pattern.QUAD: (16, 22)}  # detections of a narrow image, first and second search
 _CAPS_AT_ONCE, _CAPS_AT_MOST = 4, 32  # caps of an image searched together, and in all: bounds the time of failures
-_NARROWEST = 0.1  # width of a pattern over that of the widest: the relative error of narrower ones is too large
+_NARROWEST = 0.1  # width of a pattern relative to the widest: the relative error of narrower ones is too large
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,7 +35,7 @@ class Scope(Value):
     half_size_rad : float, rad
         Angle from the center of the image to its edge: the lever arm of a roll error.
     scales : (s,) float64
-        Focal lengths to try, over that of the camera, ascending; a single 1 where it is known.
+        Focal lengths to try, relative to the camera's, ascending; a single 1 where it is known.
     """
 
     tolerance_rad: float
@@ -52,7 +52,7 @@ class Hypothesis(Value):
     camera_from_inertial : Rotation
         For the directions of the index, which has neither aberration nor the epoch of the image.
     scale : float
-        Focal length over that of the camera.
+        Focal length relative to the camera's.
     star_ids : (k,) int64
         Catalog identifiers.
     detection_indices : (k,) int
@@ -164,7 +164,7 @@ def _from_pairs(b1: Float, b2: Float, a1: Float, a2: Float) -> Float:
 def hypotheses(
     candidates: Candidates, index: StarIndex, vectors: Float, scope: Scope, *, least: int
 ) -> Iterator[Hypothesis]:
-    """Attitudes shared by candidates, those of most candidates first, lazily, each with four stars or more.
+    """Attitudes shared by candidates, most candidates first, lazily, each with four stars or more.
 
     ``vectors`` (s, m, 3).
     """
@@ -229,9 +229,9 @@ class Search(Value):
 def searches(vectors: Float, half_fov_rad: float, pattern: Pattern) -> Iterator[Search]:
     """Searches for patterns, the most likely to succeed first.
 
-    In a narrow image the brightest detections form patterns; then more of them; those of each half (trees, a planet
-    or a limb may fill the other); and patterns of other sizes. In a wide image, and for patterns much smaller than it,
-    the brightest detections of each part of the image form patterns, from the center outwards.
+    In a narrow image the brightest detections form patterns; then more of them; detections of each half (trees, a
+    planet or a limb may fill the other); and patterns of other sizes. In a wide image, and for patterns much smaller
+    than it, the brightest detections of each part of the image form patterns, from the center outwards.
 
     ``vectors`` (m, 3), camera axes, lines of sight of the detections, brightest first, NaN where the camera sees
     nothing.

@@ -38,10 +38,10 @@ def describe_triads(vectors: Float, triads: NDArray[np.intp]) -> tuple[Float, ND
 
 
 def describe_quads(vectors: Float, quads: NDArray[np.intp]) -> tuple[Float, NDArray[np.intp], NDArray[np.intp]]:
-    """Codes of quads of unit vectors: the places of two stars in the frame of the two most distant ones.
+    """Codes of quads of unit vectors: the positions of two stars in the frame of the two most distant ones.
 
     A similarity of the plane tangent to the sphere at the center of the quad takes the most distant stars, A and B, to
-    (0, 0) and (1, 1); the places of the other two, C and D, are the code [1]_. Only quads whose C and D lie in the
+    (0, 0) and (1, 1); the positions of the other two, C and D, are the code [1]_. Only quads whose C and D lie in the
     circle over AB are kept. A is the end to which C and D are closer, C the star of smaller first coordinate.
 
     ``vectors`` (n, 3), unit vectors, in any right-handed frame; ``quads`` (m, 4), indices into ``vectors``; returns

@@ -26,7 +26,7 @@ class AngularRates(Value):
     et : (n,) float64, TDB seconds past J2000
         Increasing, n >= 2.
     rates_rad_s : (n, 3) float64, rad/s
-        About the camera axes, right-handed: the sense in which the camera itself turns.
+        About the camera axes, right-handed: the rotation of the camera itself.
     """
 
     et: Float

@@ -1,4 +1,4 @@
-"""Refinement of a first attitude with all stars of an image: matching, fitting, and a test against chance."""
+"""Refinement of a first attitude with all stars of an image: matching, fitting, and a test of random matches."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from giantlike.stars.options import StarOptions
 
 _MAX_ROUNDS = 8  # of matching and fitting
 _SETTLED = 0.05
-"""Largest move of a star by a fit, over the match radius, after which stars are not matched again: what would change
-lies at the edge of the radius, or as near to two detections, where the fit rejects it."""
+"""Largest move of a star by a fit, relative to the match radius, below which stars are not matched again: only matches
+at the edge of the radius or ambiguous ones could change, and the fit rejects these."""
 _STARS_FOR_FOCAL_LENGTH = 5  # 10 equations for 4 unknowns
 _STARS_FOR_RADIAL = 12  # 24 equations for 5 unknowns: k1 needs stars all over the field
 SMALLEST_GATE_PX = 0.5
-"""Smallest match radius, px, in the probability of chance matches: bounds the gain of a lucky close match."""
+"""Smallest match radius, px, in the probability of random matches: bounds the gain of a lucky close match."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RefinedAttitude(Value):
-    """An attitude, its stars, and the probability that their matches are due to chance.
+    """An attitude, its stars, and the probability that their matches are random.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class RefinedAttitude(Value):
     n_detections : int
         Number of detections that could be matched.
     false_match_probability : float
-        Upper bound of the probability that the matches are due to chance.
+        Upper bound of the probability that the matches are random.
     """
 
     field: StarField
@@ -75,7 +75,7 @@ def refine_attitude(
 ) -> RefinedAttitude | Failure:
     """Refine an attitude by alternately matching stars with detections and fitting the matches.
 
-    The number of brightest stars used is the one that makes the matches least likely to be due to chance.
+    The number of brightest stars used is the one that makes the matches least likely to be random.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def refine_attitude(
     Returns
     -------
     RefinedAttitude or Failure
-        Reasons: too_few_matches, ambiguous (the matches may be due to chance), and those of the fit.
+        Reasons: too_few_matches, ambiguous (the matches may be random), and the reasons of the fit.
     """
     refinement = _Refinement(field, points_px, covariance_px2, trials, options)
     rotation, radius = camera_from_inertial, radius_px
@@ -127,7 +127,7 @@ def refine_attitude(
 
 
 def significant_matches(predicted_px: Float, points_px: Float, radius_px: float, area_px2: float) -> Matches:
-    """Nearest-neighbor pairs with the number of brightest stars that makes them least likely to be due to chance.
+    """Nearest-neighbor pairs with the number of brightest stars that makes them least likely to be random.
 
     ``predicted_px`` (n, 2), stars, brightest first, NaN for those outside the image; ``points_px`` (m, 2).
     """
@@ -170,7 +170,7 @@ def scale_for(n_matched: int, model: CameraModel, options: StarOptions) -> Scale
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Refinement(Value):
-    """Stars and detections of one image, and the test against chance."""
+    """Stars and detections of one image, and the test of random matches."""
 
     field: StarField
     points_px: Float
@@ -196,7 +196,7 @@ class _Refinement(Value):
         )
 
     def accepted(self, matches: Matches, solution: AttitudeSolution, camera: Camera) -> RefinedAttitude | Failure:
-        """Refined attitude, or a failure if chance makes so many matches this close with too high a probability."""
+        """Refined attitude, or a failure if so many random matches this close are too probable."""
         options, points_px, used = self.options, self.points_px, solution.used
         n_used = int(used.sum())
         residuals = points_px[matches.detection_indices[used]] - solution.predicted_px[used]

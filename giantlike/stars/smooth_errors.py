@@ -1,9 +1,9 @@
 """Errors of stars beyond their own: distortion that is not modeled, rows that slipped, turbulence, pixels.
 
-The residuals of a fit should have no pattern. Where stars that lie side by side are off in the same direction, the
-errors do not average out over the number of stars, and a part of them of the same size hides in the attitude itself.
-Few stars tell little of such errors, and one that is far better than the others hides its own: all that the errors may
-be is weighed with its probability.
+The residuals of a fit should have no pattern. Where stars that lie side by side have residuals in the same direction,
+the errors do not average out over the number of stars, and a part of them of the same size hides in the attitude
+itself. Few stars determine such errors poorly, and one that is far better than the others hides its own: all that the
+errors may be is weighed with its probability.
 """
 
 from __future__ import annotations
@@ -23,48 +23,46 @@ MOST_WEIGHED = 50
 _CELLS = 5
 """Cells along the sides of the field in which more stars are gathered: as many as 25 stars."""
 _NONE = 0.5
-"""Probability a priori that there are no errors beyond those of the stars themselves; the rest is for noise that is
-larger than told, errors of each star, a scale that is not the camera's, and errors that neighbors share, in equal
-parts."""
+"""A priori probability of no errors beyond those of the stars themselves. The rest is shared equally by underestimated
+noise, errors of each star, a scale error of the camera, and errors that neighbors share."""
 _STEPPED, _SMOOTH = (1.0, 3.0, 9.0), (0.5, 1.0, 2.0, 4.0)
-"""Lengths over which neighbors share errors, over the standard deviation of the places of the stars by axis, from 0.15
+"""Lengths over which neighbors share errors, in standard deviations of the positions of the stars by axis, from 0.15
 to 2.6 times the side of a field: fields with steps, as of rows that slipped, and smooth ones, as of distortion."""
 _KINDS = 4
 _PRIOR = (1.0 - _NONE) / _KINDS
 _LIKELIER = 2.0
-"""Likelihood of the residuals with errors that neighbors share over that of all else, from which on these alone count;
-and with errors of any kind over that without, from which on all count, each with its probability. For the former, on 60
-draws each of 92 cases (6 to 40 stars, errors of none, of each star, of 150 to 1,200 px of 1,024): with 3, 2, 1.5 and 1
-there are 37, 35, 32 and 29 cases with squared errors above twice their covariance, and sigmas of stars without errors
-grow by 0.7, 0.7, 2.3 and 6.9 % in the mean. With the latter at 2, 25 of 720 draws of 10 and 12 stars of 0.003 to 0.1 px
-with smooth errors of 0.3 px over 600 px are beyond ten times their covariance, without it 54; sigmas of 5 to 30 exact
-stars grow by 0, 0 and 2 % with 3, 2 and 1, and by 25 to 80 % if errors always count."""
+"""Thresholds of two likelihood ratios: errors that neighbors share against all other hypotheses, above which only these
+count; and errors of any kind against none, above which all count, weighted by probability. On 60 draws each of 92 cases
+(6 to 40 stars; no errors, errors of each star, or shared over 150 to 1,200 px of 1,024), thresholds of 3, 2, 1.5 and 1
+of the former leave 37, 35, 32 and 29 cases with squared errors above twice their covariance; sigmas of stars without
+errors grow by 0.7, 0.7, 2.3 and 6.9 % on average. Thresholds of 3, 2 and 1 of the latter enlarge the sigmas of 5 to 30
+exact stars by 0, 0 and 2 %, no threshold by 25 to 80 %; with 2, 25 of 720 draws of 10 and 12 stars with smooth errors
+exceed ten times their covariance, without a threshold 54."""
 _SEEN = 0.01
-"""Share of the places' power under a scale that is left beside the parameters of the fit, below which these hold it: it
-is 0 but for rounding where the focal length is one of them."""
+"""Fraction of the power of the positions under a scale that the parameters of the fit do not absorb; below it the scale
+is one of them (0 but for rounding where the focal length is estimated)."""
 _NEGLIGIBLE = 0.1
-"""Probability of shared errors below which they don't count beside likelier ones. Squared errors of 12, 25
-and 40 stars with errors of 0.3 px of their own are 0.67, 0.85 and 0.92 of their covariance with 0, 0.74, 0.89 and 0.94
-with 0.05, 0.80, 0.92 and 0.94 with 0.1; of 360 draws of 12 stars with shared ones as many are beyond it with all three.
+"""Probability of shared errors below which they are ignored. Of 0, 0.05 and 0.1, squared errors of 12, 25 and 40 stars
+with independent errors of 0.3 px are 0.67, 0.85 and 0.92; 0.74, 0.89 and 0.94; 0.80, 0.92 and 0.94 of their covariance.
 """
 _LEAST, _MOST, _BEYOND, _SIZES = 0.03, 3.0, 10.0, 24
-"""Sizes of the errors tried, equally likely by their logarithm: least and largest over the median standard deviation of
-the stars, largest over the root mean square of the residuals, and their number."""
+"""Sizes of the errors tried, equally likely by their logarithm: minimum and maximum relative to the median standard
+deviation of the stars, maximum relative to the root mean square of the residuals, and their number."""
 _DECIDES = 0.5
-"""Share of what all stars tell of the boresight that one of them tells, above which it decides alone and hides its own
-errors: errors of all kinds count with their probability, however small. Else they count where they are likely."""
+"""Fraction of the information on the boresight in one star, above which that star dominates and hides its own errors:
+errors of all kinds then count with their probability, however small. Otherwise they count where they are likely."""
 _FEWEST = 8  # stars
 _SIGNIFICANT = 2.0
 """Standard deviations of the correlation of neighbors, from which on stars of a cell share errors: once in 40 attitudes
 without such errors."""
 _MUTUAL = 0.62
-"""Share of random points in a plane that are the nearest neighbors of their own nearest neighbors, whose products count
-twice: 6 pi / (8 pi + 3 sqrt(3)), the area of a disk over that of two through each other's centers."""
+"""Fraction of random points in a plane that are the nearest neighbors of their own nearest neighbors, whose products
+count twice: 6 pi / (8 pi + 3 sqrt(3)), area of a disk / area of two through each other's centers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class UnmodeledErrors(Value):
-    """What errors beyond those of the stars themselves do to an attitude, by the mean over their sizes and lengths.
+    """Effect of unmodeled errors of stars on an attitude: the mean over sizes and correlation lengths.
 
     Parameters
     ----------
@@ -73,8 +71,8 @@ class UnmodeledErrors(Value):
     covariance_rad2 : (3, 3) float64, rad^2
         Of the attitude, for these errors alone.
     own_px, scale_px, shared_px : float, px
-        Root mean square per axis, over all that may be, of errors that each star has for itself, of those of a scale,
-        and of those that neighbors share; of smooth fields the part that differs from star to star. All are 0 where no
+        Root mean square per axis, over all hypotheses, of errors of single stars, of scale errors, and of errors that
+        neighbors share (the part of smooth fields that differs from star to star). All are 0 where no
         error is likely and no star decides alone.
     """
 
@@ -87,7 +85,7 @@ class UnmodeledErrors(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Residuals(Value):
-    """What a fit leaves of n stars.
+    """Residuals of a fit of n stars, and their derivatives.
 
     Parameters
     ----------
@@ -95,11 +93,11 @@ class Residuals(Value):
     covariance_px2 : (n, 2, 2) float64, px^2
         Of the stars themselves.
     jacobian : (n, 2, k) float64
-        Derivative of the places by the parameters of the fit.
+        Derivative of the positions by the parameters of the fit.
     scaling_px : (n, 2) float64, px
-        Derivative of the places by the logarithm of the focal length.
+        Derivative of the positions by the logarithm of the focal length.
     by_pixels : (3, n, 2) float64, rad/px
-        Derivative of the attitude by the places of the stars.
+        Derivative of the attitude by the image positions of the stars.
     """
 
     points_px: Float
@@ -110,7 +108,7 @@ class Residuals(Value):
     by_pixels: Float
 
     def alike(self, sigma_px: Float) -> bool:
-        """Tell whether nearest neighbors are off in the same direction more than chance allows.
+        """Tell whether nearest neighbors have residuals in the same direction, significantly so.
 
         ``sigma_px`` (n,).
         """
@@ -120,7 +118,7 @@ class Residuals(Value):
         return correlation > _SIGNIFICANT * math.sqrt((1.0 + _MUTUAL) / normalized.size)
 
     def gathered(self) -> Residuals:
-        """Means of the stars in each cell of the field, by their weights: what they share stays as it is."""
+        """Means of the stars in each cell of the field, by their weights; shared errors are preserved."""
         low, high = self.points_px.min(axis=0), self.points_px.max(axis=0)
         cells = np.minimum(_CELLS * (self.points_px - low) / np.maximum(high - low, 1.0), _CELLS - 1).astype(np.intp)
         owner = np.unique(cells @ [_CELLS, 1], return_inverse=True)[1]
@@ -139,17 +137,16 @@ class Residuals(Value):
 
 
 def unmodeled_errors(left: Residuals, *, own_told: bool = False) -> UnmodeledErrors:
-    """Weigh errors of all sizes and lengths by the residuals of a fit, as :class:`UnmodeledErrors` tells.
+    """Weigh errors of all sizes and lengths by the residuals of a fit, into :class:`UnmodeledErrors`.
 
     Notes
     -----
-    Errors of the size a add ``a^2 K`` to the covariance of the places, with ``K`` that covariance over its median
-    variance for noise that is larger than told, the unit matrix for errors of each star, ``exp(-d / l)`` or
-    ``exp(-d^2 / 2 l^2)`` for those that stars at the distance d share, and the product of the places about the
-    boresight with themselves for a scale. What the parameters of the fit cannot take up of the
-    residuals has the likelihood of such a covariance (the restricted likelihood). With one eigenvalue problem for each
-    length all sizes cost next to nothing. Errors that move the whole field alike leave no residuals, and no star tells
-    of them.
+    Errors of the size a add ``a^2 K`` to the covariance of the positions. ``K`` is this covariance over its median
+    variance for underestimated noise, the unit matrix for errors of each star, ``exp(-d / l)`` or
+    ``exp(-d^2 / 2 l^2)`` for errors shared by stars at the distance d, and the outer product of the positions about
+    the boresight for a scale error. The restricted likelihood of each such covariance is computed from the residuals
+    that the parameters of the fit cannot absorb; one eigenvalue problem for each length serves all sizes. Errors that
+    move the whole field alike leave no residuals and are not observable.
     """
     n = len(left.points_px)
     design = whitened(left.jacobian, left.covariance_px2).reshape(2 * n, -1)
@@ -220,6 +217,6 @@ def _kernels(points_px: Float) -> Float:
 
 
 def _told(shared: Float) -> Float:
-    """Shares (m,) of the variances of shared errors by which :class:`UnmodeledErrors` tells them."""
+    """Fractions (m,) of the variances of shared errors by which :class:`UnmodeledErrors` reports them."""
     smooth = 1.0 - shared[len(_STEPPED) :].mean(axis=(1, 2))
     return np.concatenate([np.ones(len(_STEPPED)), smooth])

@@ -252,9 +252,9 @@ def sky_index(
 ) -> StarIndex:
     """Index of the whole sky of a catalog, from memory, from the cache folder, or made now.
 
-    Making one takes well below a second for fields from 10 degrees up, and some 10 s at 1 degree, where it holds
+    Making one takes well below a second for fields from 10 degrees up, and about 10 s at 1 degree, where it holds
     half a million stars. The names of cached files contain a hash of the stars, so that the patterns of a changed
-    catalog are made again.
+    catalog are rebuilt.
     """
     key = (id(catalog), pattern, _step(radius_rad), max_magnitude)
     held = _memory.get(key)
@@ -301,7 +301,7 @@ def _brightest(catalog: StarCatalog, count: int, max_magnitude: float | None) ->
 
 
 def _read(path: Path, pattern: Pattern, radius_rad: float) -> StarIndex | None:
-    """Index from a file; None if the file is missing or damaged, so that it is made again."""
+    """Index from a file; None if the file is missing or damaged, so that it is rebuilt."""
     try:
         with np.load(path, allow_pickle=False) as columns:
             return StarIndex(pattern=pattern, radius_rad=radius_rad, **{name: columns[name] for name in columns.files})

@@ -29,18 +29,18 @@ _MATCH_RADIUS = 0.01  # match radius of tetra3rs over the field of view
 _MATCH_THRESHOLD = 1e-3  # false-match probability accepted by tetra3rs: high, because each candidate is verified
 _MAX_PATTERNS = 2_000_000  # checked in one attempt: bounds the time of failures
 _MANY_PATTERN_STARS = _BRIGHTEST = 40  # detections that form patterns in the last two attempts
-_FEWEST = 12  # brightest detections of an attempt of their own: 495 patterns, of which 5 stars give 5
+_FEWEST = 12  # brightest detections of a separate attempt: 495 patterns, of which 5 stars give 5
 _DISTORTED_EDGE_ERROR = 0.004  # tolerance of edge ratios: the distortion by a k1 of -0.4 over 14 degrees
 _HALF_EDGE_ERROR = 0.002  # the same for patterns of half the image
-_MARGIN = 1.3  # half size of the region used over that of the pinhole image: distorted images are larger
+_MARGIN = 1.3  # half size of the region used / half size of the pinhole image: distorted images are larger
 
 
 def tetra_hypotheses(points_px: Float, camera: Camera, sky: Sky, *, options: StarOptions) -> Iterator[Hypothesis]:
     """Attitudes found by tetra3rs from the brightest detections, in several attempts, lazily.
 
     The attempts use all detections with tight and with loose tolerance of the shape of patterns (an unknown lens
-    distorts them), those of each half of the image (trees, a planet or a limb may fill the other), the brightest alone
-    (a few stars among hundreds of hot pixels), and patterns of more detections.
+    distorts them), detections of each half of the image (trees, a planet or a limb may fill the other), the brightest
+    alone (a few stars among hundreds of hot pixels), and patterns of more detections.
 
     ``points_px`` (m, 2), detections, brightest first; yields None for fields below ``MIN_FOV_DEG`` and for mirrored
     images.
@@ -86,7 +86,7 @@ class _Attempt:
 
     chosen: Mask
     pattern_stars: int = 24
-    edge_error: float | None = None  # None: that of the database, 0.001
+    edge_error: float | None = None  # None: the database's, 0.001
 
 
 def _attempts(points_px: Float, camera: Camera) -> Iterator[_Attempt]:
@@ -103,7 +103,7 @@ def _attempts(points_px: Float, camera: Camera) -> Iterator[_Attempt]:
 
 
 def _pattern_fov_deg(camera: Camera) -> float:
-    """Field of view along x that is searched, degrees: that of the lens, at most ``MAX_FOV_DEG``."""
+    """Field of view along x that is searched, degrees: the lens's, at most ``MAX_FOV_DEG``."""
     middle = camera.center_px[1]
     left, right = camera.model.unproject([[-0.5, middle], [camera.columns - 0.5, middle]])
     seen = math.degrees(math.acos(float(np.clip(left @ right, -1.0, 1.0))))
@@ -147,7 +147,7 @@ def _database(step: int) -> tetra3rs.SolverDatabase:
         try:
             return tetra3rs.SolverDatabase.load_from_file(str(path))
         except (OSError, ValueError, RuntimeError):
-            pass  # damaged: made again and replaced
+            pass  # damaged: rebuilt and replaced
     _, oversampling, patterns, verification_stars = next(row for row in _DENSITIES if fov_deg >= row[0])
     database = tetra3rs.SolverDatabase.generate_from_gaia(
         max_fov_deg=fov_deg * math.sqrt(_STEP),
@@ -155,7 +155,7 @@ def _database(step: int) -> tetra3rs.SolverDatabase:
         lattice_field_oversampling=oversampling,
         patterns_per_lattice_field=patterns,
         verification_stars_per_fov=verification_stars,
-        epoch_proper_motion_year=None,  # what that catalog calls proper motion is none: see catalogs.default
+        epoch_proper_motion_year=None,  # its column of proper motion holds none: see catalogs.default
     )
     write_to_cache(name, lambda target: database.save_to_file(str(target)))
     return database

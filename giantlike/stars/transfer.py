@@ -49,7 +49,7 @@ class TransferOptions:
     drift_arcsec_per_sqrt_s : float, arcsec/s^0.5
         Random walk per axis of the rotation that the method does not model. It is zero at every star solution used,
         so between two of them it grows and shrinks again. Default 0.1: a quiet platform, 1 arcsec in 100 s; set it to
-        that of the spacecraft.
+        the value of the spacecraft.
     max_disagreement_deg : float, deg
         Where a priori attitudes exist, the largest angle between the rotation by them and the rotation assumed by the
         method: it detects slews between two images. Default 1: above the error of most a priori attitudes; 180 turns
@@ -107,7 +107,7 @@ class TransferredAttitude(Value):
     used : tuple of int
         Indices of the star solutions used, one or two.
     weights : tuple of float
-        Share of each of them in the attitude; they sum to 1.
+        Fraction of each of them in the attitude; they sum to 1.
     gap_s : float, s
         Time to the nearest of them.
     errors : AttitudeErrors
@@ -140,7 +140,7 @@ def transfer_attitude(
     ``interpolate`` turns at a constant rate: ``C = Exp(w phi) C_1`` with ``phi = Log(C_2 C_1^-1)``. To first
     order the errors ``e_1, e_2`` of the two solutions give
     ``e = (Exp(w phi) - w J(w phi) J(-phi)^-1) e_1 + w J(w phi) J(phi)^-1 e_2``, J the left Jacobian of
-    SO(3); for small turns that is ``(1 - w) e_1 + w e_2``.
+    SO(3); for small rotations this is ``(1 - w) e_1 + w e_2``.
 
     The random walk of the options adds ``q gap``, between two solutions ``q gap_1 gap_2 / (gap_1 + gap_2)``.
     """
@@ -186,7 +186,7 @@ def carry_attitude(
     rates : AngularRates, optional
         Used by ``propagate``.
     options : TransferOptions
-        Default: a constant rate of turn between the images before and after, and the drift of a quiet platform.
+        Default: a constant rate of rotation between the images before and after, and the drift of a quiet platform.
 
     Returns
     -------

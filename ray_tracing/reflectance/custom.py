@@ -25,7 +25,7 @@ class UserReflectance(SurfaceLaw):
         From arrays (n,) of the cosines of incidence and emission (both > 0) and of the phase angle, rad, to brightness
         (n,), finite and not negative. A function of a module, where bodies go to other processes.
     name : str
-        How provenance calls it.
+        Name in the provenance.
 
     Raises
     ------

@@ -11,7 +11,7 @@ import numpy as np
 from giantlike.core.arrays import Float, require
 from giantlike.ray_tracing.reflectance.law import SurfaceLaw, checked_number
 
-_TINY = 1e-30  # keeps divisors that may be 0 positive; what they divide is then 0 as well
+_TINY = 1e-30  # keeps divisors that may be 0 positive; the numerator is then 0 as well
 _SMALL = 1e-12  # least divisor of the effective cosines, see _roughened
 _STEEP = 1e3  # largest cot(theta_bar) cot(angle): its exponentials are 0 in float64
 
@@ -42,7 +42,7 @@ class Hapke(SurfaceLaw):
     hg1 : float
         Asymmetry of the first lobe, in (-1, 1); negative scatters back to the Sun.
     hg2 : float
-        Share of the second lobe, in [0, 1]. Hapke's later (b, c) are ``hg1 = -b, hg2 = (1 - c) / 2``.
+        Fraction of the second lobe, in [0, 1]. Hapke's later (b, c) are ``hg1 = -b, hg2 = (1 - c) / 2``.
 
     Notes
     -----
@@ -50,7 +50,7 @@ class Hapke(SurfaceLaw):
     and no porosity factor. The roughness leaves out light between slopes and is meant for slopes well under 45 degrees;
     its effective cosines are not let fall below 0. Slopes that the shape itself shows must not be counted twice.
 
-    The parameters mean what Wh, B0, Hh, Theta, Hg1 and Hg2 mean in ISIS, so that those can be used; ISIS leaves the
+    The parameters equal Wh, B0, Hh, Theta, Hg1 and Hg2 of ISIS, whose values can be used; ISIS leaves the
     surge out of its scale.
 
     References
@@ -125,10 +125,10 @@ def _lobe(asymmetry: float, cos_phase: Float) -> Float:
 
 
 def _roughened(low: Float, high: Float, cos_phase: Float, slope: float) -> tuple[Float, Float, Float]:
-    """Effective cosines, and what shadows leave, for Sun and camera sorted by height; slope is tan(theta_bar).
+    """Effective cosines, and the unshadowed fraction, for Sun and camera sorted by height; slope is tan(theta_bar).
 
     The law is symmetric in the two but for one mu0: brightness is ``mu0`` times the third value, times the product over
-    the sum of the effective cosines, times what a smooth surface scatters.
+    the sum of the effective cosines, times the scattering of a smooth surface.
     """
     mean_cosine = 1.0 / math.sqrt(1.0 + math.pi * slope**2)
     low_sine, low_once, low_twice, low_alone = _tilted(low, slope)

@@ -49,7 +49,7 @@ def reflectance_from_mapping(table: Mapping[str, Any]) -> Reflectance:
     Raises
     ------
     InputError
-        The model or a key is unknown, a key is missing, or a value is no number or out of range.
+        The model or a key is unknown, a key is missing, or a value is not a number or out of range.
     """
     values = dict(table)
     name = values.pop("model", None)
@@ -63,7 +63,7 @@ def reflectance_from_mapping(table: Mapping[str, Any]) -> Reflectance:
 
 
 def _as_value(value: Any) -> Any:
-    """Convert a value of a file to that of a law: floats, and tuples for lists; the law itself checks the rest."""
+    """Convert a value of a file to a parameter of a law: floats, and tuples for lists; the law checks the rest."""
     if isinstance(value, list | tuple):
         return tuple(_as_value(item) for item in value)
     return float(value) if isinstance(value, int) and not isinstance(value, bool) else value

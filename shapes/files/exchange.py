@@ -28,7 +28,7 @@ def read_exchange(path: Path) -> Surface:
         return surface
     import trimesh
 
-    logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it logs what its exceptions say as well
+    logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it also logs the messages of its exceptions
     source = BytesIO(content) if kind == "ply" else _text_or_binary(content, kind)
     mesh = trimesh.load(source, file_type=kind, force="mesh", process=False, skip_materials=True)
     vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)

@@ -25,7 +25,7 @@ from giantlike.shapes.files.text import numbers, text_rows, write_rows
 from giantlike.shapes.mesh import Faces, TriangleMesh
 from giantlike.shapes.surface import Surface, split_polygons
 
-_LARGEST_Q = 2048  # 50 million facets: bounds the memory that a damaged first row can ask for
+_LARGEST_Q = 2048  # 50 million facets: bounds the memory that a damaged first row can request
 _COPY_TOLERANCE = 1e-3
 """Largest difference of copies of a vertex, over the largest coordinate: they are rounded text of one number."""
 

@@ -14,8 +14,8 @@ from giantlike.shapes.local_map import LocalMap
 
 _RECORD = 72  # bytes before the pixels [1]_ of read_maplet
 _ALBEDO_STEP = 0.01  # of the stored albedo, same source
-_MAX_HALF_SIZE = 4096  # bounds the memory that a damaged header can ask for
-_SKEW = 1e-3  # axes in single precision are square to 1e-7; what is worse than this is damage
+_MAX_HALF_SIZE = 4096  # bounds the memory that a damaged header can request
+_SKEW = 1e-3  # axes in single precision are perpendicular to 1e-7; more is damage
 
 
 @reads("an SPC maplet")
@@ -27,8 +27,8 @@ def read_maplet(path: Path) -> LocalMap:
     Notes
     -----
     Bytes count from 1. Of the first 72: 7-10 the scale, km per pixel; 11-12 the half size q, of 2q + 1 by 2q + 1
-    pixels, its low byte first; 16-27 the place of the middle, km, body-fixed; 28-39, 40-51, 52-63 the unit vectors Ux,
-    Uy, Uz; 64-67 the step of the heights; floats are single precision, high byte first. Then three bytes for each
+    pixels, its low byte first; 16-27 the position of the middle, km, body-fixed; 28-39, 40-51, 52-63 the unit vectors
+    Ux, Uy, Uz; 64-67 the step of the heights; floats are single precision, high byte first. Then three bytes for each
     pixel: height over its step (signed, high byte first) and albedo times 100; albedo 0 means that there is nothing.
     Heights are in units of the scale. Pixels run along Uy first, then along Ux [2]_ [3]_.
 

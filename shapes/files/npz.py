@@ -15,7 +15,7 @@ from giantlike.shapes.mesh import TriangleMesh
 from giantlike.shapes.surface import Surface
 
 _FORMAT, _VERSION = "giantlike shape", 1
-_SMALL_BYTES = 100_000_000  # arrays of this size are read whatever the file's
+_SMALL_BYTES = 100_000_000  # arrays of this size are read at any size of the file
 _MOST_COMPRESSION = 100  # arrays over file: meshes and heights are compressed to a half to a tenth
 _ALBEDO = {"albedo_by_vertex": VertexAlbedo, "albedo_by_facet": FacetAlbedo}
 

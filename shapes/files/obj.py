@@ -34,7 +34,7 @@ def _rows(text: bytes, letter: bytes, allowed: bytes, dtype: type[np.number]) ->
     if not text or text.translate(None, allowed):
         return None
     codes = np.frombuffer(text, dtype=np.uint8)
-    word = codes > ord(" ")  # of what is allowed, blanks are the codes up to that of a space
+    word = codes > ord(" ")  # of the allowed codes, blanks are those up to the space
     starts = np.flatnonzero(word[1:] & ~word[:-1]) + 1
     starts = starts if not word[0] else np.append(0, starts)
     letters = codes == letter[0]

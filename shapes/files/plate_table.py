@@ -50,7 +50,7 @@ def _letter_rows(rows: list[str]) -> tuple[Float, Faces]:
 
 
 def _counted_rows(rows: list[str]) -> tuple[Float, Faces]:
-    """Read a table with counts: the number of plates stands beside that of vertices or before the plate rows."""
+    """Read a table with counts: the number of plates is next to the number of vertices or before the plate rows."""
     counts = [int(word) for word in rows[0].split()] if rows else []
     if len(counts) not in (1, 2) or counts[0] < 1:
         raise ValueError("needed rows of 'v' and 'f', or the number of vertices (and plates) in the first row")

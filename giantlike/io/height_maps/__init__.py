@@ -1,7 +1,7 @@
 """Files of height maps: equirectangular grids in PDS3 images, GeoTIFF and numpy archives, read block by block.
 
-Opening checks the layout and the size; samples are read where they are asked for, so that a map larger than the
-memory can be used. ``grid`` is what all of them are read to, and each format has a module.
+Opening checks the layout and the size; samples are read where they are needed, so that a map larger than the
+memory can be used. All are read into ``grid``, and each format has a module.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from giantlike.io.pds3 import LABEL_START
 __all__ = ["HeightGrid", "joined_grid", "read_height_grid", "require_usable", "write_height_archive"]
 
 _LABEL_BYTES = 1_000_000
-"""Beginning of a file in which a label is looked for; those of maps have some kilobytes."""
+"""Beginning of a file in which a label is searched; labels of maps have some kilobytes."""
 
 
 def read_height_grid(
@@ -34,11 +34,11 @@ def read_height_grid(
     Parameters
     ----------
     path : path-like
-        Of a PDS3 image its label, or the image with the label in it or beside it.
+        Of a PDS3 image its label, or the image with the label in it or next to it.
     reference_radii_km : (3,), km, optional
-        Semi-axes of the reference ellipsoid, where the file does not tell them or tells others.
+        Semi-axes of the reference ellipsoid, where the file gives none or wrong ones.
     unit_km : float, km, optional
-        Length of one stored unit, where the file does not tell it.
+        Length of one stored unit, where the file does not give it.
 
     Returns
     -------

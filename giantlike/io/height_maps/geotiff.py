@@ -54,7 +54,7 @@ def _grid_of(path: Path, page: Any, radii_km: Float | None, unit_km: float | Non
             degrees = np.degrees(degrees / radius_m) / np.array([parallel, 1.0, parallel, 1.0])
         degrees[2] += _number(tags, "ProjCenterLongGeoKey", _number(tags, "ProjNatOriginLongGeoKey", 0.0))
     shift = 0.0 if _number(tags, "GTRasterTypeGeoKey", 1.0) == 2 else 0.5  # a tie point is a corner, or a center
-    with np.errstate(over="ignore", invalid="ignore"):  # the grid refuses what is not finite
+    with np.errstate(over="ignore", invalid="ignore"):  # the grid refuses values that are not finite
         first = (shift - tie[0]) * degrees[0] + degrees[2], degrees[3] - (shift - tie[1]) * degrees[1]
     factor, offset = _gdal_scale(page)
     unit_km = 1e-3 if unit_km is None else unit_km
@@ -79,7 +79,7 @@ def _number(tags: Mapping[str, Any], name: str, default: float) -> float:
 
 
 def _numbers(tags: Mapping[str, Any], name: str, least: int) -> tuple[float, ...]:
-    """Numbers of a tag that tells where the map lies."""
+    """Numbers of a georeferencing tag."""
     values = tags.get(name, ())
     if not isinstance(values, tuple | list) or len(values) < least:
         raise ValueError(f"nothing tells where the map lies: {name} is {values!r}, where {least} numbers are needed")

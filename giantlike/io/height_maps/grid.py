@@ -22,8 +22,8 @@ Read = Callable[[slice, slice], NDArray[Any]]
 MOST_AT_ONCE = 400_000_000
 """Bytes that an array which can only be read whole may take: larger maps are to be written in tiles."""
 RADIUS_SHARE = 0.3
-"""Values beyond this share of the radius are radii, not heights: no body has relief of a third of its size."""
-_SMALLEST_STEP_RAD = 1e-12  # 2 micrometers on the Moon: a smaller one is no grid, and overflows
+"""Values beyond this fraction of the radius are radii, not heights: no body has relief of a third of its size."""
+_SMALLEST_STEP_RAD = 1e-12  # 2 micrometers on the Moon: a smaller one is invalid, and overflows
 _MOST_SAMPLES = 1 << 36
 """Samples of a map at most; the finest global one, of the Moon with 256 to the degree, has 4e9."""
 
@@ -49,7 +49,7 @@ class HeightGrid(Value):
         Stored values that stand for no height.
     path : Path or None
     sigma_km : float or None, km
-        Standard deviation of the heights, where the file tells.
+        Standard deviation of the heights, where the file gives it.
     """
 
     rows: int
@@ -121,7 +121,7 @@ class HeightGrid(Value):
 
 
 def require_usable(grid: HeightGrid, heights_km: NDArray[np.float32]) -> None:
-    """Raise unless heights are those of relief.
+    """Raise unless heights are plausible for relief.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def tiles_of(rows: slice, columns: slice, size: int) -> Iterator[tuple[int, int]
 
 
 def put(result: NDArray[Any], corner: tuple[int, int], tile: NDArray[Any], tile_corner: tuple[int, int]) -> None:
-    """Copy what a tile and a part of a grid have in common.
+    """Copy the overlap of a tile and a part of a grid.
 
     ``result`` (r, c); ``corner``: row and column of its first sample in the grid; ``tile`` (h, w); ``tile_corner``: row
     and column of its first sample in the grid.

@@ -45,7 +45,7 @@ def joined_grid(grids: Sequence[HeightGrid]) -> HeightGrid:
     Raises
     ------
     DataError
-        Steps or radii of a part are not those of the first, or its samples lie between those of the first.
+        Steps or radii of a part differ from the first, or its samples lie between the samples of the first.
     """
     first = grids[0]
     places = [_place(first, grid) for grid in grids]
@@ -90,7 +90,7 @@ def _whole(first: HeightGrid, top: int, parts: tuple[_Part, ...], read: Read, si
 
 
 def _place(first: HeightGrid, grid: HeightGrid) -> tuple[int, int]:
-    """Row of the first sample of a grid in that of the first one, and column, counted onward around the body."""
+    """Row of the first sample of a grid in the first one, and column, counted onward around the body."""
     here = grid.path or Path("heights")
     for what, one, other in (
         ("step of latitude", grid.latitude_step_rad, first.latitude_step_rad),

@@ -1,4 +1,4 @@
-"""Height maps in PDS3 images with a label, attached or in a file of its own.
+"""Height maps in PDS3 images with a label, attached or in a separate file.
 
 References
 ----------
@@ -22,7 +22,7 @@ from giantlike.io.height_maps.grid import RADIUS_SHARE, HeightGrid, Read
 from giantlike.io.pds3 import Pds3Label, image_pointer, parse_pds3, raw_layout
 from giantlike.io.raw_image import vax_floats
 
-_STEP_ERROR = 0.01  # of the step that a label states, over that by its limits: they are printed with four digits
+_STEP_ERROR = 0.01  # of the step in a label, relative to the step by its limits: they are printed with four digits
 
 
 def open_labeled(

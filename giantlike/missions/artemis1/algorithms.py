@@ -1,4 +1,4 @@
-"""The algorithm that does not iterate beside the one that does: Table 2, Figs. 13 to 15, on full images of pass 3."""
+"""The non-iterative algorithm compared with the iterative one: Table 2, Figs. 13 to 15, on full images of pass 3."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def _table(setting: Setting, first: Float, second: Float) -> list[Comparison]:
 
 
 def _means(name: str, first: Float, second: Float, sigma_px: float) -> list[Comparison]:
-    """Means of one coordinate; ``sigma_px`` is by what the trajectory and the model of the body do not hold."""
+    """Means of one coordinate; ``sigma_px`` is by errors outside the trajectory and the body model."""
     one, two, _, _ = PAPER[name]
     mean = float(first.mean())
     return [

@@ -21,7 +21,7 @@ from giantlike.missions.artemis1.report import BLUE, DERIVED, GRAY, INDEPENDENT,
 from giantlike.missions.replay import Comparison, ReplayFigure, ReplaySettings, Section
 
 _STRIKE_PX = 12.0
-"""Distance of a cluster of bright pixels from the star it is taken for, within the search of an identification."""
+"""Distance of a cluster of bright pixels from the star it is mistaken for, within the search of an identification."""
 _EDGE_PX = 30.0  # stars nearer to the edge of the frame are not used
 
 
@@ -74,7 +74,7 @@ def _moved(model: BrownModel, by: Mapping[str, float], factor: Mapping[str, floa
 
 
 def _field(setting: Setting, model: BrownModel, rules: Mapping[str, Any], rng: np.random.Generator) -> _Field:
-    """Stars at even chance over the frame, in images of random attitudes."""
+    """Stars uniformly distributed over the frame, in images of random attitudes."""
     camera = setting.data["camera"]
     observations, attitudes = [], []
     for k in range(rules["images"]):
@@ -108,7 +108,7 @@ def _fit(
 def _interlock_arcsec(
     result: CalibrationResult, field: _Field, turn: Rotation, rules: Mapping[str, Any], rng: np.random.Generator
 ) -> float:
-    """Angle, arcsec, by which a star tracker is found turned from where it was on the ground."""
+    """Angle, arcsec, between the estimated attitude of a star tracker and its attitude on the ground."""
     sigma = np.array(rules["tracker_arcsec"]) / ARCSEC_PER_RAD
     noise = Rotation.from_rotvec(sigma * rng.normal(size=(len(field.observations), 3)))
     tracker_from_inertial = noise * turn * field.attitudes  # on the ground both have the same axes
@@ -124,7 +124,7 @@ def _interlock_arcsec(
 def _struck(
     setting: Setting, model: BrownModel, ground: BrownModel, rules: Mapping[str, Any], rng: np.random.Generator
 ) -> tuple[float, bool]:
-    """Calibrate with a cluster of bright pixels taken for a star in the fifth image."""
+    """Calibrate with a cluster of bright pixels mistaken for a star in the fifth image."""
     field = _field(setting, model, rules, rng)
     images = list(field.observations)
     points = images[4].points_px.copy()

@@ -32,7 +32,7 @@ from giantlike.navigation import (
 from giantlike.relative.horizon.geometry import Altitude
 
 _LIGHT_PX = 0.3
-"""Standard deviation of a shift of edges toward the Sun, by uneven light: what full images show of it."""
+"""Standard deviation of a shift of edges toward the Sun, by uneven brightness, as measured on full images."""
 _PAPER_KM = 25.0
 _SPIKE_SIGMAS = 4.0
 """Robust standard deviations beyond which a residual stands out: one in 16,000 of normal ones."""
@@ -46,7 +46,7 @@ class AltitudeFound(Value):
     ----------
     fix : PassFix
     mean_km, sigma_km : float, km
-        Over the images of the pass, whatever their exposure.
+        Over the images of the pass, at all exposures.
     """
 
     fix: PassFix

@@ -1,4 +1,4 @@
-"""The onboard filter on a pass of the Earth: 21 states in UDU factors, of which one is the bias of the diameter."""
+"""The onboard filter on a pass of the Earth: 21 states in UDU factors, one of them the bias of the diameter."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PARAMETERS = 15
 _DIAMETER = 20
 """State that is the bias of the diameter of the disk, in focal lengths."""
 _BIAS_SIGMA_KM = 20.0
-"""Standard deviation of the bias of the radius before: most of the 35 km that were guessed."""
+"""A priori standard deviation of the bias of the radius: most of the 35 km assumed at first."""
 
 
 def filter_bias_km(setting: Setting, flown: FlownPass) -> tuple[Float, Float]:
@@ -74,7 +74,7 @@ def filter_bias_km(setting: Setting, flown: FlownPass) -> tuple[Float, Float]:
 
 
 def _turn_to(known_km: Float) -> Float:
-    """Attitude (3, 3) as told: the body lies along +z of the inertial axes, and there in the camera."""
+    """Attitude (3, 3) as declared: the body lies along +z of the inertial axes, and there in the camera."""
     way = unit(known_km)
     axis = np.cross([0.0, 0.0, 1.0], way)
     sine = float(np.linalg.norm(axis))

@@ -1,6 +1,6 @@
 """Images of the Moon with a rough limb and of the Earth in its atmosphere, and exposures that fill pixels.
 
-Light is a function of the place on the disk: of the distance from the limb, and of the incidence of the Sun below. A
+Light is a function of the position on the disk: of the distance from the limb, and of the incidence of the Sun below. A
 limb that is rough is a disk whose radius changes with the position angle; an atmosphere is light above the limb.
 """
 
@@ -27,7 +27,7 @@ _RAYS = ((100.0, 4), (250.0, 3), (math.inf, 2))
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shot(Value):
-    """One image: the window around the body, and what is true of it.
+    """One image: the window around the body, and its truth.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def _shot(
 
 
 def lunar_share(phase_deg: float) -> float:
-    """Share of the law of Lommel and Seeliger in the reflectance of the Moon; the rest is Lambert's.
+    """Fraction of the law of Lommel and Seeliger in the reflectance of the Moon; the rest is Lambert's.
 
     References
     ----------
@@ -148,7 +148,7 @@ def _light(
     level: tuple[float, float],
     pixels: Float,
 ) -> Float:
-    """Signal (rows, columns), DN, at places (rows, columns, 2) of the frame, without blur and noise."""
+    """Signal (rows, columns), DN, at positions (rows, columns, 2) of the frame, without blur and noise."""
     to_sphere = figure.to_sphere
     rays = np.concatenate(
         [(pixels - [setting.model.cx_px, setting.model.cy_px]) / setting.model.fx_px, np.ones((*pixels.shape[:2], 1))],

@@ -106,7 +106,7 @@ def apparent_radius_px(model: CameraModel, radius_km: float, position_km: Float)
 
 
 def residual_px(model: CameraModel, radius_km: float, estimate_km: Float, known_km: Float, sun: Float) -> Float:
-    """Estimate less what is known: center along the Sun and across it, and radius, (3,), px.
+    """Estimate minus truth: center along the Sun and across it, and radius, (3,), px.
 
     Negative radii are ranges that are too long, as in the paper.
     """

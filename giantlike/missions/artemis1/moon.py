@@ -148,7 +148,7 @@ def _all_passes(setting: Setting, flown: dict[int, FlownPass]) -> list[Compariso
 
 
 def _predicted(setting: Setting, flown: dict[int, FlownPass], ground: Ground) -> Comparison:
-    """Biases of the radius by the limbs of passes, and what a height map leaves of them."""
+    """Biases of the radius by the limbs of passes, and the rest with a height map."""
     rng = np.random.default_rng(0)
     exact = EdgeErrors(toward_sun_px=0.0, across_px=0.0, outward_px=0.0, scatter_px=0.0)
     biases, left = [], []

@@ -41,7 +41,7 @@ _PREFLIGHT = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pass:
-    """One row of Table 1, and what is assumed of it.
+    """One row of Table 1, and the assumptions about it.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Setting(Value):
 
 
 def load() -> Setting:
-    """Read what is given."""
+    """Read the published numbers."""
     data = tomllib.loads((files("giantlike.missions.artemis1") / "artemis1.toml").read_text(encoding="utf-8"))
     rows, camera = data["pass"], data["camera"]
     passes = []

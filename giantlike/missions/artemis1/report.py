@@ -19,7 +19,7 @@ BLUE, RED, GRAY = "#1f5fa8", "#b5342c", "#555555"
 def near(
     what: str, values: tuple[float, float], tolerance: float, kind: ComparisonKind, reference: str, reason: str
 ) -> Comparison:
-    """Compare a number of the paper and ours: they agree within a tolerance whose reason is told."""
+    """Compare a number of the paper and ours: they agree within a tolerance with a stated reason."""
     paper, ours = values
     agrees = abs(ours - paper) <= tolerance
     return holds(what, values, agrees, kind, reference, f"agrees within {tolerance:.3g}: {reason}")
@@ -28,7 +28,7 @@ def near(
 def holds(
     what: str, values: tuple[str | float, str | float], true: bool, kind: ComparisonKind, reference: str, reason: str
 ) -> Comparison:
-    """Compare a statement of the paper with what we find: it agrees where the rule in ``reason`` is met."""
+    """Compare a statement of the paper with our result: it agrees where the rule in ``reason`` is met."""
     paper, ours = values
     return Comparison(
         what=what,

@@ -1,6 +1,6 @@
-"""Passes image by image: truth, what the trajectory and the attitude say, and limb points with the errors of images.
+"""Passes image by image: truth, the declared trajectory and attitude, and limb points with the errors of images.
 
-Most images are simulated as limb points. What the edges of images add to them, a shift outward and to the Sun and a
+Most images are simulated as limb points. The errors of edges in images, a shift outward and to the Sun and a
 scatter, is measured on full images of the same pass, for every exposure.
 """
 
@@ -30,7 +30,7 @@ VELOCITY_SIGMA_KM_S = 2e-4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EdgeErrors:
-    """What edges in images add to points on the limb of an ellipsoid.
+    """Errors of edges in images, relative to the limb of an ellipsoid.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def exposures_of(setting: Setting, count: int) -> Float:
 
 
 def edge_errors(setting: Setting, one: Pass, exposure_us: float, rng: np.random.Generator, count: int) -> EdgeErrors:
-    """Measure on full images of a smooth body what edges add to the limb of an ellipsoid."""
+    """Measure errors of edges, relative to the limb of an ellipsoid, on full images of a smooth body."""
     sun, figure = sun_direction(one.phase_deg), setting.figure(one.target)
     radius_km = float(figure.radii_km.mean())
     found, scatter = [], []
@@ -196,7 +196,7 @@ def residuals_of(setting: Setting, one: Pass, found_km: Float, known_km: Float) 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FlownPass(Value):
-    """A pass with what was measured in it.
+    """A pass with its measurements.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The replay as a whole: sections in the order of the paper, and what was assumed."""
+"""The replay as a whole: sections in the order of the paper, and the assumptions."""
 
 from __future__ import annotations
 

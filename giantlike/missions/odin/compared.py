@@ -1,4 +1,4 @@
-"""What the paper states beside what was found: one comparison for each figure, table and number."""
+"""Numbers of the paper and of the replay: one comparison for each figure, table and number."""
 
 from __future__ import annotations
 

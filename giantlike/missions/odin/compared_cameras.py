@@ -1,4 +1,4 @@
-"""What the paper states of its cameras beside what follows from their numbers."""
+"""Comparisons of the cameras: statements of the paper, and values that follow from their numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's figures, made again."""
+"""The paper's figures, reproduced."""
 
 from __future__ import annotations
 

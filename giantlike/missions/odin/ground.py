@@ -32,7 +32,7 @@ from giantlike.missions.odin.paper import PSF_SIGMA_PX, narrow_camera, narrow_vi
 MOON_RADIUS_KM = 1737.4  # IAU
 LATITUDE_DEG, LONGITUDE_DEG, EARTH_RADIUS_KM = 33.78, -84.40, 6371.6  # Atlanta; the paper names no site
 ET_OF_J2000_TT = 2451545.0  # Julian date
-DELTA_T_S = 69.2  # TT less UT1 of 2025, to 0.1 s: 1.5 arcsec of the site, the same in truth and reference
+DELTA_T_S = 69.2  # TT minus UT1 of 2025, to 0.1 s: 1.5 arcsec of the site, the same in truth and reference
 AIR_AT_SITE = 2.77e-4  # refractivity at 1,010 hPa and 15 C in visible light, Edlen's formula
 SCALE_HEIGHT_KM = 8.2  # of the density of the lowest 10 km of the standard atmosphere, one exponential
 LOWEST_RAD, _STEPS = np.radians(8.0), 4000

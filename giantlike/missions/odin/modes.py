@@ -42,7 +42,7 @@ STAR_EXPOSURE_S, BODY_EXPOSURE_S = 0.5, 2e-4
 
 @dataclass
 class Vehicle:
-    """A simulated vehicle: it turns when it is asked to, and its cameras see what is there."""
+    """A simulated vehicle: it slews on command, and its cameras see the scene there."""
 
     sky: Sky
     scene: CislunarScene
@@ -147,7 +147,7 @@ def determination_task(
     exposures_s: tuple[float, ...],
     told_sun: Float | None,
 ) -> InstrumentState | Failure:
-    """Search the wide images and ask for the slew that puts the Moon, else the Earth, into the second narrow camera."""
+    """Search the wide images and request the slew that puts the Moon, else the Earth, into the second narrow camera."""
     images = []
     for exposure_s in exposures_s:
         for source in wide:
@@ -178,7 +178,7 @@ def processing_task(
     attitude = solved(pair[stars], state.cameras[stars], None)
     if isinstance(attitude, Failure):
         return attitude
-    assert state.interlock is not None  # the machine lets nobody process without one
+    assert state.interlock is not None  # the machine requires one before processing
     interlock = state.interlock if body == 1 else state.interlock.reversed()
     turn, covariance = carried_attitude(attitude, interlock)
     image = pair[body].with_attitude(turn, covariance_rad2=covariance)
@@ -210,7 +210,7 @@ class Flight:
 
 
 def fly(rng: np.random.Generator, *, images: int) -> Flight:
-    """Command the modes one after the other, with what a state does not allow tried first."""
+    """Command the modes one after the other, after commands that a state must refuse."""
     vehicle = vehicle_in_space(rng)
     narrow, wide = sources_of(vehicle)
     sun = rotate(vehicle.instrument_from_inertial, unit(vehicle.scene.bodies_km["SUN"]))

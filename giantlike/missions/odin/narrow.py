@@ -39,7 +39,7 @@ MOON_APRIORI_KM = 2000.0  # of the predicted position, per axis: 18 arcmin
 
 @dataclass(frozen=True, eq=False)
 class LensStudy:
-    """Calibration from star images: result, what was put in, and the images solved."""
+    """Calibration from star images: result, truth, and the images solved."""
 
     result: CalibrationResult
     truth: Camera
@@ -75,7 +75,7 @@ def pointing_above(sky: Sky, rng: np.random.Generator, least_rad: float) -> Rota
 
 
 def true_interlock() -> Rotation:
-    """Second camera from the first: 90 degrees and what a bracket leaves."""
+    """Second camera from the first: 90 degrees and the error of a bracket."""
     return Rotation.from_rotvec(np.radians([0.31, -0.22, 0.17])) * Rotation.from_euler("y", -90.0, degrees=True)
 
 
@@ -129,7 +129,7 @@ class InterlockStudy(Value):
     failed: int
 
     def angles_arcsec(self, *, corrected: bool) -> Float:
-        """Angle of each rotation less the mean, arcsec."""
+        """Angle of each rotation minus the mean, arcsec."""
         angles = (self.corrected if corrected else self.seen).magnitude()
         return np.asarray(np.degrees(angles - angles.mean()) * 3600.0)
 
@@ -258,7 +258,7 @@ def moon_pair(sky: Sky, interlocks: tuple[Interlock, Interlock], rng: np.random.
     better = interlocks[1].second_from_first * clear
     lowered = unrefracted(fix.position_camera_km, rotate(better, sky.zenith), AIR)
     moved = Rotation.align_vectors(lowered[None], fix.position_camera_km[None])[0].as_matrix()
-    # the scatter of pairs holds what is left then: noise, image motion of two cameras, and the mean's own error
+    # the scatter of pairs then has three parts: noise, image motion of two cameras, and the mean's own error
     corrected = pose_of_pair(_moved(fix, lowered, moved), better, interlocks[1].covariance_rad2)
     return MoonPair(
         sky=sky,

@@ -26,7 +26,7 @@ LENSES_MM = (6.0, 8.5, 12.0, 16.0, 25.0, 35.0, 50.0)  # the series of the paper'
 
 @dataclass(frozen=True)
 class Choice:
-    """A sensor with a lens: what it sees and how well."""
+    """A sensor with a lens: its field of view and resolution."""
 
     sensor: str
     focal_mm: float
@@ -126,7 +126,7 @@ def fisheye_radius_px(angles_rad: Float) -> Float:
 
 
 def shrinkage_along_radius() -> float:
-    """Scale along the radius at the edge of the field over that in the middle, by Table 2."""
+    """Scale along the radius at the edge of the field relative to the center, by Table 2."""
     edge = np.radians(paper()["wide"]["fov_deg"] / 2.0)
     step = 0.01
     near, far = fisheye_radius_px(np.array([edge - step, edge + step]))
@@ -152,7 +152,7 @@ def field_of_wide_deg(half_px: float) -> float:
 
 
 def coverage(samples: int, rng: np.random.Generator) -> float:
-    """Share of the sky in the frames of two wide cameras that look to opposite ends, by the lens of Table 2."""
+    """Fraction of the sky in the frames of two wide cameras that look to opposite ends, by the lens of Table 2."""
     camera = wide_camera()
     directions = unit(rng.normal(size=(samples, 3)))
     seen = np.zeros(samples, dtype=bool)

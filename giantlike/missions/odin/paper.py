@@ -1,4 +1,4 @@
-"""What Thrasher et al. state, and the cameras that follow from it."""
+"""Numbers of Thrasher et al., and the cameras that follow from them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The replay: studies in the order of the paper, figures, comparisons, and what was assumed."""
+"""The replay: studies in the order of the paper, figures, comparisons, and assumptions."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def _positions(pairs: tuple[MoonPair, ...], failed: int) -> Section:
 
 
 def share_within(pairs: tuple[MoonPair, ...]) -> float:
-    """Share of the residuals of the position within three sigmas."""
+    """Fraction of the residuals of the position within three sigmas."""
     errors, sigmas = figures.camera_residuals_km(pairs)
     return float(np.mean(np.abs(errors) < 3.0 * sigmas))
 

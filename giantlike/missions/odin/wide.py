@@ -38,9 +38,9 @@ CALIBRATION_SIGMA = 0.05  # of the photometric calibration
 MOON_SCATTERING = 0.604
 """Single-scattering albedo of a Chandrasekhar sphere with the Moon's geometric albedo of 0.12."""
 MODEL_SIGMA = {"EARTH": 0.25, "MOON": 0.15}
-"""Relative errors of the models told to the identification: clouds, and the side of the Moon that is seen."""
-SUNLIT_EFFICIENCY = 0.397  # by which eq. 23 gives what eq. 22 gives for sunlight on the sensor assumed here
-STEEPEST_RAD = np.radians(87.0)  # from the boresight: beyond, the foreshortened aperture is no measure of light
+"""Relative errors of the models given to the identification: clouds, and the side of the Moon that is seen."""
+SUNLIT_EFFICIENCY = 0.397  # by which eq. 23 equals eq. 22 for sunlight on the sensor assumed here
+STEEPEST_RAD = np.radians(87.0)  # from the boresight: beyond, the foreshortened aperture is not a measure of light
 EXPOSURES_S = (4e-6, 4e-5)
 """For the sunlit Earth, which fills 60 % of the well through 1.45 mm in the shorter one, and for the Moon."""
 SAME_BODY_RAD = np.radians(2.0)  # patches of two exposures that are closer are one body
@@ -52,13 +52,13 @@ OUTWARD = (Rotation.identity(), Rotation.from_euler("x", 180.0, degrees=True))
 
 
 def moon_phase_law(phase_rad: Float) -> Float:
-    """Brightness of the Moon over that at full phase, as observed: 0.026 mag a degree and 4e-9 mag a fourth power."""
+    """Brightness of the Moon relative to full phase, as observed: 0.026 mag a degree and 4e-9 mag a fourth power."""
     degrees = np.degrees(phase_rad)
     return np.asarray(10.0 ** (-0.4 * (0.026 * degrees + 4e-9 * degrees**4)))
 
 
 def lambert_phase_law(phase_rad: Float) -> Float:
-    """Brightness of a Lambert sphere over that at full phase."""
+    """Brightness of a Lambert sphere relative to full phase."""
     return np.asarray((np.sin(phase_rad) + (np.pi - phase_rad) * np.cos(phase_rad)) / np.pi)
 
 
@@ -82,10 +82,10 @@ def wide_aperture_m2() -> float:
 
 
 def electrons_of_spectrum(irradiance_of_sun: float) -> float:
-    """Electrons per second of a body that reflects this share of the Sun's light at 1 au: eq. 22 with spectra.
+    """Electrons per second of a body that reflects this fraction of the Sun's light at 1 au: eq. 22 with spectra.
 
-    ``irradiance_of_sun``: irradiance at the camera over that of the Sun at 1 au, alike at all wavelengths. The Sun is a
-    blackbody and the sensor peaks at 0.52 um: the mean values of eq. 23 stand for that.
+    ``irradiance_of_sun``: irradiance at the camera relative to the Sun at 1 au, the same at all wavelengths. The Sun is
+    a blackbody and the sensor peaks at 0.52 um: the mean values of eq. 23 stand for that.
     """
     h, c, boltzmann = 6.62607015e-34, 299_792_458.0, 1.380649e-23
     wavelengths = np.linspace(0.35e-6, 1.0e-6, 400)
@@ -142,7 +142,7 @@ def add_body(
     scene: CislunarScene,
     exposure_s: float,
 ) -> None:
-    """Add the light of a body to an image, its lit part by rays, where the camera sees it."""
+    """Add the light of a body to an image, its illuminated part by rays, where the camera sees it."""
     center = camera.model.project(place)
     half_angle = float(np.arcsin(min(RADII_KM[name] / float(np.linalg.norm(place)), 1.0)))
     reach = int(np.ceil(half_angle * camera.model.focal_length_px * 1.1 + 8.0 + (60.0 if name == "SUN" else 0.0)))
@@ -212,7 +212,7 @@ def whole_disk(half_angle: float, toward: Float, sun: Float | None, law: str, ca
 
 
 def share_of_sun(name: str, place: Float, sun: Float, scene: CislunarScene) -> float:
-    """Irradiance of a body at the camera over that of the Sun at 1 au."""
+    """Irradiance of a body at the camera relative to the Sun at 1 au."""
     if name == "SUN":
         return 1.0
     ratio = RADII_KM[name] / float(np.linalg.norm(place))
@@ -251,7 +251,7 @@ class Found(Value):
 
 
 def search(images: Sequence[Image], sun_direction: Float | None, *, measured: bool = True) -> tuple[Found, ...]:
-    """Search wide images and tell bodies by their brightness.
+    """Search wide images and identify bodies by their brightness.
 
     ``sun_direction`` in instrument axes; ``measured`` as in :func:`models`.
     """
@@ -276,7 +276,7 @@ def search(images: Sequence[Image], sun_direction: Float | None, *, measured: bo
 
 
 def _told_once(seen: list[tuple[SeenPatch, Float, float]]) -> list[tuple[SeenPatch, Float, float]]:
-    """Of patches at one place, that of the longest exposure not saturated, else of the shortest; brightest first."""
+    """One patch per position: longest exposure not saturated, else the shortest; brightest first."""
     best = sorted(seen, key=lambda each: (each[0].saturated, each[2] if each[0].saturated else -each[2]))
     kept: list[tuple[SeenPatch, Float, float]] = []
     for each in best:
@@ -321,7 +321,7 @@ def named(patch: SeenPatch, direction: Float, sun: Float, exposure_s: float, *, 
 
 
 def wide_axes(patch: SeenPatch, direction: Float) -> Rotation:
-    """Axes of the wide camera that saw a patch, from those of the instrument."""
+    """Axes of the wide camera that saw a patch, from the axes of the instrument."""
     errors = [float(np.linalg.norm(rotate(turn, direction) - patch.direction_camera)) for turn in OUTWARD]
     return OUTWARD[int(np.argmin(errors))]
 
@@ -353,7 +353,7 @@ class WideStudy(Value):
 
 
 def wide_study(scenes: int, rng: np.random.Generator, progress: Callable[[int], None]) -> WideStudy:
-    """Search simulated scenes; the direction of the Sun is that of its ephemeris."""
+    """Search simulated scenes; the direction of the Sun is from its ephemeris."""
     rows: list[tuple[str, str | None, str | None, str, float, float, float]] = []
     missed = []
     camera = wide_camera()
@@ -398,7 +398,7 @@ def near_to(found: tuple[Found, ...], direction: Float, diameter_px: float) -> F
 
 
 def in_field(camera: Camera, place: Float) -> bool:
-    """True if the whole of a body near a place is in the frame, by 12 px of margin."""
+    """True if the whole of a body near a position is in the frame, with a margin of 12 px."""
     pixel = camera.model.project(place)
     return bool(
         np.isfinite(pixel).all()

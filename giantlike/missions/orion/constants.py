@@ -1,4 +1,4 @@
-"""Numbers of the paper and of the flight that stands for it, from the files beside this module."""
+"""Numbers of the paper and of the flight that stands for it, from the files next to this module."""
 
 from __future__ import annotations
 

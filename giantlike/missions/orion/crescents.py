@@ -1,4 +1,4 @@
-"""Figs. 9 and 10: the field of the camera, images of Earth and Moon, and crescents as thin as that of Fig. 10c."""
+"""Figs. 9 and 10: the field of the camera, images of Earth and Moon, and crescents as thin as in Fig. 10c."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def crescents(settings: ReplaySettings) -> list[Measured]:
 
 
 def crescent_comparisons(found: list[Measured]) -> list[Comparison]:
-    """How far the estimators of the flight software's kind, and the others, get with a thin crescent."""
+    """Errors on a thin crescent, of estimators of the flight software's kind and of the others."""
     kind, sigmas = ComparisonKind.INDEPENDENT, moon_errors().sigmas_px(CRESCENT_KM)
     rows = []
     for name in ESTIMATORS_TRIED:

@@ -1,4 +1,4 @@
-"""Sections I and II.C: passes, filter, linear covariance and what is delivered to the entry interface."""
+"""Sections I and II.C: passes, filter, linear covariance and dispersions at the entry interface."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def delivery_comparisons(study: Study) -> list[Comparison]:
 
 
 def analysis_comparisons(study: Study) -> list[Comparison]:
-    """II.C: linear covariance beside flown runs."""
+    """II.C: linear covariance compared with flown runs."""
     kind = ComparisonKind.INDEPENDENT
     marks = study.marks()
     ratios = {

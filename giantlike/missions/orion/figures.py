@@ -1,4 +1,4 @@
-"""The figures of the paper, made again; photographs of hardware (Figs. 6 to 8) are left out."""
+"""The figures of the paper, reproduced; photographs of hardware (Figs. 6 to 8) are left out."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def states_figure(study: Study) -> ReplayFigure:
 
 
 def diameter_figure() -> ReplayFigure:
-    """Fig. 3: the diameter of the disk is that of the tangent cone."""
+    """Fig. 3: the diameter of the disk is the diameter of the tangent cone."""
     with drawing():
         figure, (axes,) = _axes((6.4, 2.6))
         radius, distance = 1.0, 3.2
@@ -147,7 +147,7 @@ def errors_figure(found: Mapping[str, Sequence[Measured]]) -> ReplayFigure:
 
 
 def history_figure(study: Study) -> ReplayFigure:
-    """Linear covariance, flown runs, and what the filter believes."""
+    """Linear covariance, flown runs, and the sigmas of the filter."""
     ours, runs = study.history, study.runs.history
     left = np.array([-hours_before_entry(et) for et in ours.et.tolist()])
     with drawing():
@@ -180,7 +180,7 @@ def history_figure(study: Study) -> ReplayFigure:
 
 
 def corridor_figure(study: Study) -> ReplayFigure:
-    """Fig. 4: what is delivered against the corridor."""
+    """Fig. 4: delivered dispersions against the corridor."""
     half, reference = table("return_leg")["corridor"]["half_width_deg"], -6.0
     runs, ours = study.runs, study.delivery
     with drawing():

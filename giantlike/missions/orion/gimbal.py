@@ -1,4 +1,4 @@
-"""The laboratory calibration of III.A: a collimated point at every place of a gimbal grid, eq. 39, and the fit."""
+"""The laboratory calibration of III.A: a collimated point at every position of a gimbal grid, eq. 39, and the fit."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from giantlike.missions.orion.constants import focal_px, table
 from giantlike.processing import detect_sources
 
 FOCAL_ERROR, K1, P1, P2 = 1.002, -0.08, 1e-4, -5e-5
-"""The made-up lens: the paper shows that of the flight camera as a picture only."""
+"""Assumed lens: the paper shows the flight camera's in a figure only."""
 OFF_CENTER_PX = (3.2, -2.1)
 STAR_DN = 13_000.0
-"""Of a collimated point over all pixels: its peak of some 3,600 DN does not saturate."""
+"""Of a collimated point over all pixels: its peak of about 3,600 DN does not saturate."""
 FOCUSED_PX, STAKED_PX = 0.1, 0.7
 """Blur of the lens in focus, and as it is staked."""
 READ_NOISE_DN = 5.0
@@ -121,14 +121,14 @@ def equation_39(points_px: Float, azimuth_rad: Float, elevation_rad: Float) -> F
 
 
 def pinhole_error_px(azimuth_rad: Float, elevation_rad: Float) -> Float:
-    """Error (n,) that eq. 39 finds in a pinhole without any: its angles are not those of a gimbal, px."""
+    """Error (n,), px, by eq. 39 of an ideal pinhole: its angles differ from gimbal angles."""
     directions = collimator_directions(azimuth_rad, elevation_rad)
     points = focal_px() * directions[:, :2] / directions[:, 2:]
     return equation_39(points, azimuth_rad, elevation_rad)
 
 
 def centroid_errors_px(blur_px: float, count: int, seed: int) -> float:
-    """Root mean square error of centroids per axis, px, of points at random places on the pixels."""
+    """Root mean square error of centroids per axis, px, of points at random positions on the pixels."""
     rng, spacing, size = np.random.default_rng(seed), 20, 20 * count
     view = PinholeView(focal_px(), ((size - 1) / 2.0, (size - 1) / 2.0), size, size)
     rows, columns = np.mgrid[0:count, 0:count] * spacing + spacing / 2.0
@@ -147,7 +147,7 @@ def centroid_errors_px(blur_px: float, count: int, seed: int) -> float:
 
 
 def _nearest(places_px: Float, points_px: Float) -> tuple[NDArray[np.intp], Float]:
-    """Index of the point nearest to each place, and its distance, px."""
+    """Index of the point nearest to each position, and its distance, px."""
     if not len(points_px):
         return np.zeros(len(places_px), dtype=np.intp), np.full(len(places_px), np.inf)
     distances = np.linalg.norm(places_px[:, None] - points_px, axis=2)

@@ -49,9 +49,9 @@ FIELDS = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """What is photographed.
+    """Scene of a simulated image.
 
-    ``relief_km`` is the root mean square of heights; the estimator is told a sphere in any case.
+    ``relief_km`` is the root mean square of heights; the estimator assumes a sphere in any case.
     """
 
     body: str
@@ -129,7 +129,7 @@ def photograph(view: View) -> Photograph:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measured(Value):
-    """What an estimator makes of an image: errors along and across the Sun and of the radius, px; NaN where it refuses.
+    """Result of an estimator on an image: errors along and across the Sun and of the radius, px; NaN where it refuses.
 
     ``suspect`` is True where a fix is flagged, or refused.
     """

@@ -7,7 +7,7 @@ from giantlike.missions.replay import Comparison, ComparisonKind
 ROUNDING = 0.005
 """Relative: numbers that the paper gives with three digits."""
 ANALYSIS = 0.10
-"""Relative: linear covariance against flown runs, as it is asked for."""
+"""Required relative agreement of linear covariance and flown runs."""
 MODEL = 0.5
 """Relative: an error model fitted to other images of another renderer."""
 
@@ -37,7 +37,7 @@ def stated(
     reference: str,
     because: str,
 ) -> Comparison:
-    """What the paper states, and whether ours bears it out."""
+    """A statement of the paper, and whether the replay confirms it."""
     return Comparison(
         what=what, paper=paper, ours=ours, kind=kind, agrees=bool(holds), reason=because, reference=reference
     )

@@ -21,7 +21,7 @@ from giantlike.missions.orion.judging import ROUNDING, bounded, near, stated
 from giantlike.missions.replay import Comparison, ComparisonKind, ReplaySettings
 
 FIT_PX = 0.1
-"""What real-time centroids of bodies reach at best: a lens that is known to less does not show."""
+"""Best accuracy of real-time centroids of bodies: a lens calibrated better than this adds nothing."""
 POINTS = {False: 20, True: 8}
 """Points along a side, for the focus; fewer in a small run."""
 

@@ -1,4 +1,4 @@
-"""Section II: the measurement and error models beside images of the package's own, with the constants of the paper."""
+"""Section II: the measurement and error models compared with images of the package, with the constants of the paper."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def constants() -> list[Comparison]:
 
 
 def biases() -> list[Comparison]:
-    """Eqs. 31 to 38: what biases and noise of the paper say as lengths, and beside each other."""
+    """Eqs. 31 to 38: biases and noise of the paper as lengths, compared."""
     paper, derived = table("paper"), ComparisonKind.DERIVED
     moon, earth = moon_errors(), earth_errors(as_moon=False)
     lengths = {
@@ -184,7 +184,7 @@ def range_errors(settings: ReplaySettings) -> list[Comparison]:
 
 
 def image_comparisons(found: dict[str, list[Measured]]) -> list[Comparison]:
-    """Eqs. 28 to 36 beside errors of the package's estimator on images of the independent renderer."""
+    """Eqs. 28 to 36 compared with errors of the package's estimator on images of the independent renderer."""
     paper, kind = table("paper"), ComparisonKind.INDEPENDENT
     rows = []
     for name, body, equations in (("smooth Moon", "moon", (29, 30, 28)), ("Earth", "earth", (34, 35, 36))):

@@ -35,7 +35,7 @@ from giantlike.navigation.dynamics import GM_EARTH_KM3_S2, GM_MOON_KM3_S2, GM_SU
 class History(Value):
     """Standard deviations and means along the leg.
 
-    ``error`` and ``strayed`` are of position and velocity (k, 6), after each leg: truth less estimate, and truth less
+    ``error`` and ``strayed`` are of position and velocity (k, 6), after each leg: truth minus estimate, and truth minus
     reference; ``believed`` are sigmas of the filter.
     """
 
@@ -49,7 +49,7 @@ class History(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Delivery(Value):
-    """What arrives at the entry interface: angle against the corridor, degrees."""
+    """Dispersion at the entry interface: angle against the corridor, degrees."""
 
     angle_mean_deg: float
     angle_sigma_deg: float

@@ -86,7 +86,7 @@ def filter_model(longest_step_s: float) -> FilterModel:
 
 
 def make_plan(longest_step_s: float, image_every_s: float) -> Plan:
-    """Fly the reference and set down what happens on it, the pass near the Moon that the paper leaves out included."""
+    """Fly the reference and record its events, the pass near the Moon that the paper leaves out included."""
     numbers = table("return_leg")
     trajectory, schedule, paper = numbers["trajectory"], numbers["schedule"], table("paper")["passes"]
     model = filter_model(longest_step_s)
@@ -177,7 +177,7 @@ def _camera(toward: Float, sun: Float) -> Float:
 
 
 def _guided(legs: list[Leg]) -> tuple[Leg, ...]:
-    """Legs whose corrections aim at the place of the reference at entry, at the same time."""
+    """Legs whose corrections aim at the position of the reference at entry, at the same time."""
     to_entry, guided = np.eye(6), []
     for leg in reversed(legs):
         if leg.guidance is not None:

@@ -1,4 +1,4 @@
-"""What the paper leaves open, and what was assumed instead."""
+"""Assumptions where the paper gives no values."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _OPEN = (
     "the paper gives no limits.",
     "Surface features: the paper shows no result of them, so that none is compared.",
 )
-"""What does not depend on the inputs."""
+"""Assumptions that do not depend on the inputs."""
 
 
 def _lines_of_inputs(mission: Mission) -> tuple[str, ...]:

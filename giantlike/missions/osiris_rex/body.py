@@ -18,11 +18,11 @@ _WAVENUMBERS = (5.0, 12.0, 30.0)
 """Radians of phase per radian on the body, of the errors of a shape model: patches of 36, 15 and 6 degrees. The maplets
 that such models are made of overlap, so that errors go on from one to the next [assumed]."""
 _ALBEDO_WAVENUMBERS = (3.0, 40.0)
-"""Of large patches, and of boulders with what lies between them [assumed]."""
+"""Of large patches, and of boulders with the ground between them [assumed]."""
 _WAVES = 96
 """Plane waves that make up a field; enough for its values to be nearly normal."""
 _LEAST_NEIGHBORS = 3
-"""Vertices of the truth that a vertex of a model averages, at least: those of the facet that it lies over."""
+"""Vertices of the truth that a vertex of a model averages, at least: the corners of the facet below it."""
 
 
 def true_body(setup: BodySetup, shape: Path | None, *, seed: int, facets: int) -> TriangleMesh:

@@ -35,7 +35,7 @@ _SCALE_ERROR = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraCalibration(Value):
-    """A calibration beside its truth.
+    """A calibration and its truth.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class CameraCalibration(Value):
 
     @property
     def squared_distance(self) -> float:
-        """Squared error of all parameters over their covariance; k on average where the covariance is right."""
+        """Squared error of all parameters over their covariance; k on average where the covariance is correct."""
         error = self.found - self.truth
         return float(error @ np.linalg.solve(self.result.covariance, error))
 

@@ -48,7 +48,7 @@ _RAYS_ACROSS = 1500
 _LEAST_RAYS, _MOST_RAYS = 2, 5
 """Rays along a pixel's side."""
 _STARS_SHARE = 0.9
-"""Exposures of at least this share of the long one are star images."""
+"""Exposures of at least this fraction of the long one are star images."""
 _MODEL_FILE, _SKY_FILE = "model.obj", "sky.csv"
 _OPTIONS = {"unresolved": {"correction": "kaasalainen_tanga"}, "moment": {"correction": "kaasalainen_tanga"}}
 """Options of estimators that are the paper's and not the default: the correction of its eq. 3."""
@@ -61,7 +61,7 @@ class StarResiduals(Value):
     Parameters
     ----------
     points_px, residuals_px : (n, 2) float64, px
-        Observed, and observed less predicted with the estimated attitude.
+        Observed, and observed minus predicted with the estimated attitude.
     magnitudes, sigma_px, day : (n,) float64
         Of the catalog; standard deviation per axis, px; days since the first image.
     solved, images : int
@@ -94,8 +94,8 @@ class CampaignResult(Value):
         Apparent diameter of that sphere, by visit.
     stars : StarResiduals
     observations : tuple of ObservationError
-        Centers and ranges against the true trajectory: a center less the place where the estimated attitude and the
-        calibrated camera expect it, as in the paper. ``error_px`` is None without an attitude from stars.
+        Centers and ranges against the true trajectory: a center minus the position where the estimated attitude and the
+        calibrated camera predict it, as in the paper. ``error_px`` is None without an attitude from stars.
     days : mapping of str to float
         Days since the first visit, by image file.
     columns, rows : int
@@ -117,7 +117,7 @@ class CampaignResult(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CampaignJob(Value):
-    """What a campaign is made from.
+    """Inputs of a campaign.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ class CampaignJob(Value):
         )
 
     def _residuals(self, result: RunResult) -> Iterator[ObservationError]:
-        """Observations against the place where attitude and camera of the run expect the true body."""
+        """Observations against the position of the true body predicted by attitude and camera of the run."""
         compared = compare_run(result.folder, self.folder / TRUTH_FILE, self.told)
         found = {
             record.file: record.attitude.rotation
@@ -273,7 +273,7 @@ class CampaignJob(Value):
 
 
 def _moved_px(row: TruthRow, found: Rotation, camera: Camera) -> Float:
-    """Place (2,) of the true body by an attitude and a camera, less its true place, px."""
+    """Position (2,) of the true body by an attitude and a camera, minus its true position, px."""
     true = rotation_from_xyzw(np.array([row.qx, row.qy, row.qz, row.qw]))
     position_km = np.array([row.x_camera_km, row.y_camera_km, row.z_camera_km], dtype=np.float64)
     moved: Float = camera.model.project(rotate(found * true.inv(), position_km)) - np.array([row.x_px, row.y_px])

@@ -1,4 +1,4 @@
-"""What the paper says beside what was found, with the rules that decide on agreement."""
+"""Comparisons of the paper and the replay, with the rules that decide on agreement."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from giantlike.simulation.compare import ObservationError
 AROUND = 2.0
 """Factor within which a number agrees with one that the paper calls "near" or "around": it gives one digit."""
 TYPICAL_SHARE = 0.9
-"""Share of the residuals, axis by axis, that have to be below what the paper calls their typical limit."""
+"""Fraction of the residuals, per axis, required below the limit that the paper calls typical."""
 _FALSE_ALARM = 0.001
 """Probability of chi-square below which errors contradict their covariance."""
 UNRESOLVED_PX = 5.0
 """Apparent diameter, px, up to which Bennu counts as unresolved, twice the width of the point spread function; the
 paper gives no limit."""
 LIMB_PX = 20.0
-"""Apparent diameter, px, from which limbs are looked at: some 60 px of outline."""
+"""Apparent diameter, px, from which limbs are looked at: about 60 px of outline."""
 STAR_PX, CENTER_PX = 0.1, 1.0
 """The paper's words: star residuals "around 0.1 pixels", centers "typically less than 1 pixel"."""
 SIZE_SHARE = 0.2
@@ -33,7 +33,7 @@ SIZE_SHARE = 0.2
 
 
 def fixes(result: CampaignResult, estimators: Sequence[str]) -> tuple[ObservationError, ...]:
-    """Return what estimators found where the paper uses them, suspect or not: the paper flags nothing.
+    """Return the results of estimators where the paper uses them, suspect or not: the paper flags nothing.
 
     Images without an attitude from stars have no residual of the center and are left out.
     """
@@ -322,7 +322,7 @@ def orbit_size_comparison(mission: Mission, phase: PhaseSetup) -> Comparison:
 
 
 def mapcam_field_comparison(mission: Mission) -> Comparison:
-    """Whether Bennu is larger than the field of MapCam in Detailed Survey."""
+    """Compare the size of Bennu with the field of MapCam in Detailed Survey."""
     ratio = mission.cameras["mapcam"].model.focal_length_px / mission.cameras["navcam1"].model.focal_length_px
     low, high, side = 200.0 * ratio, 600.0 * ratio, float(mission.cameras["mapcam"].columns)
     return Comparison(

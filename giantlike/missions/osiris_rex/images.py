@@ -1,4 +1,4 @@
-"""Pairs of a long exposure for the stars and a short one for Bennu: planned with their truth and with what is told."""
+"""Pairs of a long exposure for the stars and a short one for Bennu: with their truth and the declared values."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ _BRIGHTEST = 5.0
 BEYOND_LIMIT = 0.5
 """Magnitudes by which the sky of images is deeper than the stars used: fainter light is in images too [assumed]."""
 _SKY_MARGIN = 1.3
-"""Radius of a made-up sky around an image, over half the diagonal of the frame: room for errors of the pointing."""
+"""Radius of a made-up sky around an image, / half the diagonal of the frame: margin for errors of the pointing."""
 _PEAK_OF_FULL_SCALE = 0.7
 """Signal of the brightest pixel of Bennu in short exposures, as a fraction of full scale above bias [assumed]."""
 _SHORTEST_S = 1e-4
 """Shortest exposure, s [assumed]."""
 _USED_PART = 0.6
-"""Share of the free half frame over which Bennu is placed [assumed]."""
+"""Fraction of the free half frame over which Bennu is placed [assumed]."""
 _MARGIN_PX = 30.0
 """Distance that Bennu keeps from the edge of the frame where it fits, px [assumed]."""
 
@@ -127,7 +127,7 @@ class Planner(Value):
         )
 
     def _frame(self, shot: Shot, scene: Scene, apriori: Rotation, error_km: Float, seed: tuple[int, int]) -> Frame:
-        """An exposure with what is told of it: position, attitude and prime meridian in error."""
+        """An exposure with its declared values: position, attitude and prime meridian in error."""
         apparent, observer = apparent_of(scene, shot, self.camera), shot.observer
         body = scene.target(TARGET).ephemeris
         assert observer is not None
@@ -150,7 +150,7 @@ class Planner(Value):
         )
 
     def _attitude(self, shot: Shot, scene: Scene, rng: np.random.Generator) -> Rotation:
-        """Attitude that shows Bennu at a random place of the frame, turned at random about the boresight."""
+        """Attitude that shows Bennu at a random position in the frame, rotated at random about the boresight."""
         vector_km = apparent_of(scene, shot, self.camera).position_inertial_km
         range_km = float(np.linalg.norm(vector_km))
         reach_px = self.camera.model.focal_length_px * self.truth.circumscribing_radius_km / range_km

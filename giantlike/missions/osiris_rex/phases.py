@@ -21,7 +21,7 @@ from giantlike.shapes import TriangleMesh
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Stage(Value):
-    """What all phases share.
+    """Inputs common to all phases.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class Stage(Value):
     truth : TriangleMesh
         Bennu as it is.
     calibrated : mapping of str to Camera
-        Calibrated cameras; another one is told as it is, but for the width of its point spread function.
+        Calibrated cameras; an uncalibrated one is declared exactly, but for the width of its point spread function.
     kernels : Path, optional
         Folder with kernels of the mission.
     settings : ReplaySettings

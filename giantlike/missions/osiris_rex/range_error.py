@@ -1,8 +1,8 @@
-"""What an error of the predicted range does to template matching: the study that the paper calls its reference 22.
+"""Effect of an error of the predicted range on template matching: the study that the paper calls its reference 22.
 
 The paper says that correlation "can begin to become biased" by an error of range or size and that there is another way.
 Its study lies elsewhere, with poorly detailed bodies. Here a body of the independent renderer, with relief that its
-shape model does not have, is looked for at wrong ranges: by the peak of the correlation with one template, and by the
+shape model does not have, is searched at wrong ranges: by the peak of the correlation with one template, and by the
 template that is fitted in range too.
 """
 
@@ -34,11 +34,11 @@ from giantlike.scene import Scene, Target, TargetGeometry
 _SIDE_PX, _FOCAL_PX = 400, 14737.0
 """Size of the images, and the focal length of MapCam."""
 _DIAMETER_PX = 200.0
-"""Apparent diameter: the large end of what the paper matches with templates in Approach and Preliminary Survey."""
+"""Apparent diameter: the maximum for template matching in the paper's Approach and Preliminary Survey."""
 _CENTER_ERROR_PX = np.array([6.3, -4.7])
 """Error of the predicted center [assumed]; the search has to find it at every range."""
 _UNLISTED_RELIEF = 0.01
-"""Rms of the relief that the shape model lacks, as a share of the radius: a poorly detailed object [assumed]."""
+"""Rms of the relief that the shape model lacks, as a fraction of the radius: a poorly detailed object [assumed]."""
 _RANGE_ERRORS = (-0.08, -0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06, 0.08)
 _SMALL_RANGE_ERRORS = (-0.04, 0.0, 0.04)
 _PHASES_DEG = (20.0, 60.0, 90.0)
@@ -55,12 +55,12 @@ class RangeErrorStudy(Value):
     Parameters
     ----------
     range_errors : (n,) float64
-        Predicted over true range, less one.
+        Predicted / true range - 1.
     phases_deg : (p,) float64, deg
     correlation_px, fitted_px : (p, n, 2) float64, px
-        Found less true center: by the peak of the correlation, and with the range fitted; NaN where none was found.
+        Measured minus true center: by the peak of the correlation, and with the range fitted; NaN where none was found.
     fitted_range : (p, n) float64
-        Found over true range, less one, with the range fitted.
+        Measured / true range - 1, with the range fitted.
     """
 
     range_errors: Float
@@ -91,7 +91,7 @@ def study_range_errors(*, small: bool, seed: int, progress: Callable[[str, int, 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Case(Value):
-    """An image at one phase angle, with its truth and with what is told."""
+    """An image at one phase angle, with its truth and its declared values."""
 
     image: Image
     camera: Camera

@@ -185,7 +185,7 @@ def _sizes(mission: Mission, phase: PhaseSetup, results: Sequence[CampaignResult
 
 
 def _text(phase: PhaseSetup, results: Sequence[CampaignResult]) -> str:
-    """What was done in a phase."""
+    """Description of a phase."""
     visits = [visit for result in results for visit in result.visits]
     kernels = sum(visit.from_kernels for visit in visits)
     text = (

@@ -1,4 +1,4 @@
-"""The mission as data: ``mission.toml`` as frozen values, and what a user brings of kernels and shape."""
+"""The mission as data: ``mission.toml`` as frozen values, and the kernels and shape of a user."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class CameraSetup:
     temperatures_c : (float, float), Celsius
         Coldest and warmest calibration image.
     printed_fy_px : float, px, optional
-        The paper's own f_y where it was taken for a misprint.
+        The paper's own f_y where it was treated as a misprint.
     """
 
     key: str
@@ -67,7 +67,7 @@ class CameraSetup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectorSetup:
-    """Detector and optics of all cameras, and what is told of them; units as in ``mission.toml``."""
+    """Detector and optics of all cameras, and their declared values; units as in ``mission.toml``."""
 
     gain_e_per_dn: float
     read_noise_e: float
@@ -167,7 +167,7 @@ class Mission(Value):
         return self._camera(key, self.detector.psf_sigma_px)
 
     def told_camera(self, key: str) -> Camera:
-        """Return a camera as estimators are told before any calibration: nominal focal length, no distortion."""
+        """Return a camera as assumed before any calibration: nominal focal length, no distortion."""
         camera = self._camera(key, self.detector.told_psf_sigma_px)
         focal_px = _nominal(self.cameras[key].model.fx_px)
         middle = (camera.columns - 1) / 2, (camera.rows - 1) / 2
@@ -205,7 +205,7 @@ def _nominal(focal_px: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UserInputs:
-    """What a user brings: a folder of kernels and a shape of Bennu; None where there is none."""
+    """Inputs of a user: a folder of kernels and a shape of Bennu; None where there is none."""
 
     kernels: Path | None = None
     shape: Path | None = None

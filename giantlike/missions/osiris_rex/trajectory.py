@@ -1,7 +1,7 @@
 """Where Bennu, the Sun and the spacecraft are: from the mission's kernels where a user has them, else rebuilt.
 
 The paper gives no trajectory, only how large Bennu is in the cameras of each phase. A visit holds the apparent size and
-phase angle that this asks for; kernels that cover its time take their place, and the visit says so.
+phase angle needed for it; kernels that cover its time take their place, and the visit says so.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ class VisitedBody(Value):
     origin: str = field(default=BARYCENTER, init=False)
 
     def state(self, et: float) -> tuple[Float, Float]:
-        """Position (3,), km, and velocity (3,), km/s, at ``et``; the Sun is taken for the barycenter."""
+        """Position (3,), km, and velocity (3,), km/s, at ``et``; the Sun is treated as the barycenter."""
         return self.orbit.state(et)
 
     def inertial_from_body(self, et: float) -> Rotation:
@@ -140,7 +140,7 @@ class VisitedBody(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlannedVisit:
-    """What the paper asks of a visit, for where no kernel covers it.
+    """Apparent size and phase of a visit by the paper, used where no kernel covers it.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ class PlannedVisit:
     phase_deg : float, deg
         Angle Sun - Bennu - camera.
     turn_deg : float, deg
-        Direction of the camera about that of the Sun, from the north of the ICRF.
+        Direction of the camera about the direction of the Sun, from the north of the ICRF.
     """
 
     utc: str
