@@ -30,7 +30,7 @@ class SigmoidLimbOptions(HorizonSearch):
     max_iterations : int
         Times that the horizon is laid anew and fitted.
     tolerance_px : float, px
-        The fit has settled when the horizon would move less than this in another iteration.
+        The fit has converged when the horizon would move less than this in another iteration.
     outlier_mad : float
         Cells beyond so many robust sigmas are left out.
     max_rms_px : float, px
@@ -38,10 +38,10 @@ class SigmoidLimbOptions(HorizonSearch):
     large_rms_px : float, px
         Kept for files of earlier versions: residuals raise no flag.
     limb_altitude_km : float, km
-        What is seen as the limb stands so high above the shape: haze, an atmosphere. Where this and its sigma are 0,
-        that of the target's atmosphere.
+        Altitude of the apparent limb above the shape, by haze or an atmosphere. Where this and its sigma are 0, the
+        altitude of the target's atmosphere is used.
     altitude_sigma_km : float, km
-        Standard deviation of that; where it is not zero the altitude is estimated with the position.
+        Standard deviation of the altitude; where it is not zero the altitude is estimated with the position.
     scan : HorizonScan
     """
 
