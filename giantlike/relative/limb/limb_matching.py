@@ -133,7 +133,7 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
 
         Squared errors of 25 unseen views of ``benchmarks/stress.py`` in declared haze go from 2.0 to 0.9 of the
         covariance with it; in 25 others, with scattered light in addition, to 1.1. Haze that is detected after a fix
-        has no altitude, and no law here.
+        has no altitude, and no law here; the two errors partly cancel.
         """
         if in_haze:
             laws = (*OTHER_LAWS, *haze_laws(body.reflectance)[:1])

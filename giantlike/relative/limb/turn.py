@@ -24,10 +24,10 @@ from giantlike.relative.limb.solution import weighted
 from giantlike.relative.place import place_jacobian
 
 _LEAST_LEVER = 1e-3
-"""Motion of an outline by a turn that a motion of its center does not explain, over the radius, root mean square, below
-which it is round: a turn of it would be known to some degrees at best, and the normals of a mesh are off by more."""
+"""Minimum RMS motion of an outline by a rotation that a shift does not explain, radii per rad. Below it the outline is
+round: its rotation is known to some degrees at best, within the errors of the normals of a mesh."""
 _MOST_SIGMA_RAD = 0.3
-"""Standard deviation of a turn beyond which it is not measured: outlines are linear in the turn over less than that."""
+"""Maximum standard deviation of a measured rotation, up to which outlines are linear in it."""
 
 
 def limb_turn(
@@ -39,9 +39,9 @@ def limb_turn(
     search: IteratedSearch,
     min_length_px: float,
 ) -> BodyTurn | None:
-    """Find the turn of a body about the line of sight, and its place with it.
+    """Estimate the rotation of a body about the line of sight together with its position.
 
-    Returns None where the outline is too round, or does not come to rest.
+    Returns None where the outline is too round, or the iteration does not converge.
     """
     axis, turn_rad, before_px = unit(measured.position_camera_km), 0.0, math.inf
     for _ in range(search.max_iterations):
@@ -61,7 +61,7 @@ def limb_turn(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Step(Value):
-    """What one measurement asks for: place (3,), km, turn, and the motion of the limb by the turn, px."""
+    """Step by one measurement: position (3,), km, rotation, and the motion of the limb by the rotation, px."""
 
     position_camera_km: Float
     found: BodyTurn
@@ -110,7 +110,7 @@ def _solved(
 
 
 def _by_camera(measured: LimbMeasurement, camera: Camera, gain: Float) -> float:
-    """Variance, by the camera model, of what a gain (m,) makes of the shifts of the points that are kept."""
+    """Variance, by the camera model, of the shifts of the kept points multiplied by a gain (m,)."""
     known, model = camera.uncertainty, camera.model
     if known is None or not known.estimated:
         return 0.0
