@@ -1,4 +1,4 @@
-"""Several fixes of one body: whether they agree within errors that they do not share, and what they say together."""
+"""Agreement of several fixes of one body within errors that they do not share, and their fusion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from giantlike.relative.budget import position_covariance, with_larger_errors
 from giantlike.relative.judge import inflation
 
 _WEAK_PX, _WEAK_SIGMAS = 1.0, 20.0
-"""Standard deviation, px and over that of the fix, above both of which a check is too weak to confirm anything."""
+"""Standard deviation, px and relative to the fix, above both of which a check is too weak to confirm it."""
 _OWN = tuple(cause for cause in IN_IMAGE if cause is not Cause.SHAPE_SCALE)
 """Causes of errors that two estimators on one image do not share altogether."""
 _WEIGHTS = np.linspace(0.0, 1.0, 21)

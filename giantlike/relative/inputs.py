@@ -36,11 +36,11 @@ _PLATEAU_PIXELS = 20
 """Minimum number of pixels of exactly the largest value in a plateau: hot pixels are fewer, a saturated star has
 more."""
 _PLATEAU_SIGMAS, _PLATEAU_STEPS = 3.0, 3.0
-"""Width of the band below the largest value, in standard deviations of the noise and at least in DN: without clipping
-the noise spreads the pixels of the brightest ground over it."""
+"""Width of the band below the largest value, in standard deviations of the noise, and minimum, DN: without clipping the
+noise distributes the brightest pixels over it."""
 
 _SPARSE = 16
-"""Step along rows and columns between the pixels that are looked at first."""
+"""Step along rows and columns between the pixels examined first."""
 
 _ATTITUDE_FLAGS = MappingProxyType(
     {

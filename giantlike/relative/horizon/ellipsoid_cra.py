@@ -93,7 +93,7 @@ class EllipsoidCRA(BodyEstimator[EllipsoidCRAOptions, PositionFix]):
     positive where the limb in the image lies outside the horizon.
 
     Failures are ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME``, ``SATURATED``, ``NOT_CONVERGED``, ``LARGE_RESIDUALS`` and
-    ``DEGENERATE_GEOMETRY``, and ``WRONG_SHAPE`` for a body that is no ellipsoid. The width of
+    ``DEGENERATE_GEOMETRY``, and ``WRONG_SHAPE`` for a body that is not an ellipsoid. The width of
     an unknown point spread function is measured on the limb.
 
     Parameters

@@ -1,7 +1,7 @@
-"""Turn of a body about the line of sight by its limb, together with its place: what the roll of a camera follows from.
+"""Rotation of a body about the line of sight, and its position, from its limb; it gives the roll of a camera.
 
-The fix of a limb takes the orientation of the body as told, and leaves what a turn does to the outline among the
-residuals. Here the turn is one more parameter; the limb is measured again across the turned body until it stands still.
+The fix of a limb uses the declared orientation of the body, and leaves the effect of a rotation in the residuals. Here
+the rotation is one more parameter, and the measurement of the limb is iterated to convergence.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class _Step(Value):
 def _solved(
     measured: LimbMeasurement, camera: Camera, radius_px: float, *, outlier_mad: float, min_length_px: float
 ) -> _Step | None:
-    """Solve for place and turn; None where the outline is too round.
+    """Solve for position and rotation; None where the outline is too round.
 
     A limb point that slides along the surface as the body rotates slides along the limb too, so that to first order
     only its own motion counts across the limb.
@@ -81,7 +81,7 @@ def _solved(
         return None
     by_turn = by_rotation @ unit(measured.position_camera_km)
     design = np.concatenate([measured.design, by_turn[:, None]], axis=1)
-    # Outliers are those of place and turn together: what a turn shifts most is no outlier.
+    # Outliers are found with position and rotation free, so that points shifted by the rotation are kept.
     keep = robust_solution(measured.shift_px, design, measured.sigma_px, outlier_mad=outlier_mad)[1]
     measured, design, by_rotation = replace(measured, keep=keep), design[keep], by_rotation[keep]
     lever_px = design[:, 3] - design[:, :3] @ (measured.even_gain @ design[:, 3])
