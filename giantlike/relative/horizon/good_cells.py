@@ -1,4 +1,4 @@
-"""Cells along a horizon that are measured well, each about its own place where relief moves the limb."""
+"""Selection of good cells along a horizon, each refitted about its own position where relief moves the limb."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from giantlike.relative.horizon.pixels import limb_pixels
 from giantlike.relative.horizon.profile import HorizonArc, Indices, ProfileTable
 
 _ROUNDS = 2
-"""Fits of cells about their own places, where they lie off one horizon."""
+"""Fits of cells about their own positions, where they deviate from one horizon."""
 _RELIEF_PX, _RELIEF_NOISE = 0.1, 3.0
-"""Root mean square by which they do so, px, and over the noise of a cell.
+"""Minimum root mean square of that deviation, px and in units of the noise of a cell.
 
-Half of its square over the width of a profile, 0.005 px, is what profiles that are linear in the shift then leave.
+Profiles that are linear in the shift have an error of half its square divided by their width, 0.005 px.
 """
 _MIN_FILLED = 0.6
 """Minimum fraction of usable pixels in a cell."""
