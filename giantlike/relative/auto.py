@@ -197,7 +197,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
         template = outcomes.get(CrossCorrelation.name)
         if not isinstance(template, CenterFix):
             return fix
-        # Only the template knows of values that are not proportional to light; limbs too of haze that nobody told.
+        # Only the template detects a nonlinear response; limbs detect undeclared haze too.
         response, haze_km = template.corrections.response, None
         if inputs.geometry.target.atmosphere is None and inputs.geometry.target.terrain is None:
             fixes = [template, *(one for one in outcomes.values() if isinstance(one, CenterFix))]
@@ -218,7 +218,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     def _consensus(
         self, inputs: EstimatorInputs, choice: Choice, outcomes: dict[str, CenterFix | Failure]
     ) -> CenterFix | Failure:
-        """Take the fix to which nothing objects, and check it; ``outcomes`` holds what is known, and gets the rest."""
+        """Take the first fix without objection, and check it; ``outcomes`` caches the results of estimators."""
 
         def estimate(name: str) -> CenterFix | Failure:
             return self._estimator(name).estimate(inputs.image, inputs.camera, inputs.scene, inputs.target_name)
@@ -268,7 +268,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
 
 
 def _in_haze(scene: Scene, name: str, sigma_km: float) -> Scene:
-    """Scene with a limb of a target that may stand higher or lower, where nothing is told of that."""
+    """Scene with an uncertain limb altitude of a target."""
     haze = Atmosphere.at(0.0, sigma_km=sigma_km)
     return replace(
         scene, targets=tuple(replace(one, atmosphere=haze) if one.name == name else one for one in scene.targets)
@@ -283,7 +283,7 @@ def _with_turn(fix: CenterFix, second: CenterFix) -> CenterFix:
 
 
 def _taken(choice: Choice, outcome: Callable[[str], CenterFix | Failure]) -> str | None:
-    """Name of the first fix to which nothing objects, else of the first fix."""
+    """Name of the first fix without objection, else of the first fix."""
     suspect = None
     for name in choice.estimators:
         fix = outcome(name)
