@@ -83,7 +83,7 @@ class EstimatorInputs(Value):
         Pixels that are neither bad nor saturated.
     saturated : (rows, columns) bool
         At or above the saturation level of the detector, the largest value that the pixel type holds, or the value at
-        which the image itself shows that it was clipped.
+        which clipping is detected in the image.
     masked : (rows, columns) bool
         Bad pixels, and detected lines without signal or with charge that is not light.
     flags : Quality

@@ -43,7 +43,7 @@ class Alternative(StrEnum):
     DARK_BODY = "dark_body"
     """The image is darker where the body should be: it is not there."""
     OTHER_OUTLINE = "other_outline"
-    """The outline is that of another body."""
+    """The outline is the outline of another body."""
     SHIFTED_ROWS = "shifted_rows"
     """All rows from one on are shifted."""
     SHIFTED_COLUMNS = "shifted_columns"

@@ -37,7 +37,7 @@ class HorizonScan(ScanOptions):
         of freedom with 0.1 to 0.4 here, and sigmas change by 2 %; with 0.05 they reach 2.2.
     rings_km : (float, float), optional
         Inner and outer radius of rings in the equator of the body, whose pixels and shadow are left out. Without them,
-        those of the target.
+        the rings of the target.
     """
 
     cell_px: float = 7.0

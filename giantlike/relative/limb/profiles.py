@@ -92,7 +92,7 @@ class LimbScanOptions(ScanOptions):
     min_lines : int
         Fewer good lines than this are no limb.
     window_px : float, px
-        How far to both sides of the limb profiles are compared.
+        Largest distance of compared profiles, to both sides of the limb.
     local_search_px : float, px
         Largest distance of the edge on a line from the outline that was located as a whole.
     step_px : float, px
