@@ -82,7 +82,7 @@ class SkyPlane(Value):
         )
 
     def seen_from(self, corner_px: NDArray[np.int64]) -> SkyPlane:
-        """Return the same plane in coordinates that start at a pixel."""
+        """Return the plane in coordinates that start at a pixel."""
         return replace(self, middle_px=self.middle_px - corner_px)
 
     def basis(self, columns: Float, rows: Float) -> Float:

@@ -20,7 +20,8 @@ _LEAST_SIGMAS = 6.0
 """Minimum light at another position, standard deviations of the noise, so that none of about 10^4 positions is
 noise."""
 _CORE = 4.0 * math.pi
-"""Effective area of a point spread function, squares of its standard deviation, the minimum for small bodies."""
+"""Area of a point spread function, squares of its standard deviation: it limits the independent parts of small
+bodies."""
 _HALVES = ((0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
 _SAME = 0.99
 """Squared autocorrelation of a body at half a cell above which positions between cells are skipped. A copy of a point
