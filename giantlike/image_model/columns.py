@@ -1,4 +1,4 @@
-"""Linear looks at data: unknowns in named blocks, their weighted least squares, and scores of omitted blocks."""
+"""Linear models of data: unknowns in named blocks, their weighted least squares, and score tests of omitted blocks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from giantlike.core.values import Value
 from giantlike.image_model.field import FieldSolution, FieldSums, MarkingModes
 
 UNDECLARED = 0.1
-"""Prior probability of each effect that nobody declared, as of a surface without markings."""
+"""Prior probability of each undeclared effect, as for a surface without markings."""
 _CONDITION_LIMIT = 1e12  # of the scaled normal matrix: four digits of float64 are left
 
 
@@ -33,13 +33,13 @@ class Use(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior(Value):
-    """A priori knowledge of unknowns, independent of each other.
+    """Prior of independent unknowns.
 
     Parameters
     ----------
     mean : (k,) float64
     information : (k,) float64
-        Inverse variances; 0 where nothing is known.
+        Inverse variances; 0 for free unknowns.
     """
 
     mean: Float
@@ -52,7 +52,7 @@ class Prior(Value):
 
     @classmethod
     def of_sigmas(cls, sigmas: Float | Sequence[float], mean: Float | float = 0.0) -> Prior:
-        """Return the prior of standard deviations (k,), infinite where nothing is known."""
+        """Return the prior of standard deviations (k,), infinite for free unknowns."""
         return cls(np.zeros(len(sigmas)) + mean, np.asarray(sigmas, dtype=np.float64) ** -2.0)
 
 
@@ -64,7 +64,7 @@ class Block(Value):
     ----------
     effect : str
     cause : Cause
-        Of the errors of the solution that ignorance of the effect makes.
+        Of the errors of the solution by ignorance of the effect.
     matrix : (k, ...) float64
         Derivative of the data by each unknown.
     prior : Prior
@@ -146,7 +146,7 @@ class Columns(Value):
     weights : (...) float64
         Inverse variances; 0 where data is not used.
     markings : MarkingModes, optional
-        A random field in the data beside the unknowns, which is eliminated; data are images then.
+        A random field in the data in addition to the unknowns, which is eliminated; data are images then.
     variances : (m,) float64, optional
         Of the modes of the field; by default they follow from the data, see
         :meth:`~giantlike.image_model.field.FieldSums.variances`.
@@ -154,15 +154,15 @@ class Columns(Value):
     Attributes
     ----------
     projected : (k, ...) float64
-        Derivatives by the unknowns less what the field takes up of them.
+        Derivatives by the unknowns, with their projection on the field subtracted.
     information : (k, k) float64
         Normal matrix, the prior included and the field eliminated.
     right : (k,) float64
         Right-hand side of the normal equations.
     eliminated : FieldSolution or None
-        What the field takes up.
+        Normal equations with the field eliminated.
     sums : FieldSums
-        From which these follow.
+        Sums from which these follow.
     """
 
     layout: Layout
@@ -218,7 +218,7 @@ class Columns(Value):
 
     @property
     def rows(self) -> Float:
-        """Derivatives (k, n) by each unknown, less what the field takes up of them."""
+        """Derivatives (k, n) by each unknown, with their projection on the field subtracted."""
         return self.projected.reshape(len(self.projected), -1)
 
     def __getitem__(self, effect: str) -> Float:
@@ -263,12 +263,12 @@ class Columns(Value):
     def odds_of(self, blocks: Sequence[Block], parts: float) -> float:
         """Return the logarithm of the odds of the model with further blocks against the one without.
 
-        ``parts`` as of :meth:`log_evidence`.
+        ``parts`` as for :meth:`log_evidence`.
         """
         return self.extended(blocks).log_evidence(parts) - self.log_evidence(parts)
 
     def propagate(self, scatter: Float) -> Float:
-        """Return the covariance (k, k) of the unknowns from that of their scores."""
+        """Return the covariance (k, k) of the unknowns from the covariance of their scores."""
         inverse = np.linalg.inv(self.information)
         return np.asarray(inverse @ scatter @ inverse)
 
@@ -278,7 +278,7 @@ class Columns(Value):
         return np.asarray((some @ (self.rows * self.weights.ravel())).reshape(-1, *self.data.shape))
 
     def consider(self, block: Block) -> Float:
-        """Return the covariance (k, k) of the unknowns from those of a block that are not estimated.
+        """Return the covariance (k, k) of the unknowns by a block that is not estimated (consider covariance).
 
         With the gain ``G`` of the unknowns by the data it is ``G A P A^T G^T``.
         """
@@ -289,7 +289,7 @@ class Columns(Value):
 
 @dataclass(frozen=True, eq=False)
 class Solution(Value):
-    """Unknowns of a linear model as its data determine them.
+    """Least-squares solution of a linear model.
 
     Parameters
     ----------
@@ -319,7 +319,7 @@ class Solution(Value):
 
     @property
     def penalized_squares(self) -> float:
-        """Squared residuals and squared unknowns, each over its variance, which the solution minimizes."""
+        """Squared residuals and squared unknowns, each divided by its variance, which the solution minimizes."""
         columns, prior = self.columns, self.columns.prior
         squares = float(np.sum(columns.weights * self.residuals**2))
         squares += float(prior.information @ (self.values - prior.mean) ** 2)
@@ -327,7 +327,7 @@ class Solution(Value):
 
     @property
     def mode_squares(self) -> float:
-        """Squared modes of the field over their variances."""
+        """Squared modes of the field divided by their variances."""
         variances = self.columns.mode_variances
         if variances is None:
             return 0.0
@@ -344,7 +344,7 @@ class Solution(Value):
         return self.values[self.columns.layout.span(effect)]
 
     def score_omitted(self, *blocks: Block) -> Score:
-        r"""Return what blocks that were left out of the model would explain together.
+        r"""Return the joint score test of blocks that were left out of the model.
 
         Notes
         -----
@@ -377,7 +377,7 @@ class Score(Value):
     shared : (k, m) float64
         Products of the derivatives by the unknowns of the model and by those left out, weighted.
     own : (m, m) float64
-        The same among those left out.
+        As above, among the unknowns left out.
     prior : Prior
         Of the unknowns left out.
     """
@@ -396,7 +396,7 @@ class Score(Value):
 
     @cached_property
     def information(self) -> Float:
-        """Information (m, m) of the data on the unknowns, those of the model free."""
+        """Information (m, m) of the data on the unknowns, with the unknowns of the model free."""
         return np.asarray(self.own + self.shared.T @ self.moves)
 
     @property
@@ -424,7 +424,7 @@ class Score(Value):
 
     @property
     def chi_square(self) -> float:
-        """Chi-square that the block takes away; m on average where noise alone makes it and nothing is known before."""
+        """Decrease of chi-square by the block; m on average for pure noise without a prior."""
         return float(self._pull @ self.values)
 
     @property
@@ -441,7 +441,7 @@ class Score(Value):
         return np.asarray((self.columns.weights * free).T / information).T
 
     def omission_covariance(self, chance: float) -> Float:
-        """Return the covariance (k, k) of the unknowns of the model by effects that are there with a probability.
+        """Return the covariance (k, k) of the unknowns of the model by effects of a given probability.
 
         It is the mean square of the change of the unknowns with the block in the model.
         """
@@ -468,7 +468,7 @@ def _condition(scaled: Float) -> float:
 
 
 def chance_of_odds(log_odds: float, before: float = UNDECLARED) -> float:
-    """Probability of an effect from the logarithm of its odds by the data, and its probability before."""
+    """Posterior probability of an effect from its log Bayes factor and its prior probability."""
     return float(0.5 * (1.0 + np.tanh(0.5 * (log_odds + np.log(before / (1.0 - before))))))
 
 
@@ -492,7 +492,7 @@ def when_seen(
 
 
 def split_noise(covariance: Float, layout: Layout, causes: Iterable[Cause]) -> dict[Cause, Float]:
-    """Split a covariance from noise by the effects without which it would not be there.
+    """Split a covariance from noise by the effects that cause it.
 
     ``covariance`` (k, k); returns dict of Cause to (k, k).
     """

@@ -1,7 +1,7 @@
 """Undeclared markings of a surface: a smooth random field that multiplies the light of a body.
 
 The field is a Gaussian process of unknown amplitude and correlation length, approximated by cosines over a square
-around the body whose variances are those of its spectral density [1]_. Products of cosines are sums of cosines, so that
+around the body with variances from its spectral density [1]_. Products of cosines are sums of cosines, so that
 sums over pixels for all pairs of modes follow from one small transform of the image of weights.
 
 References
@@ -22,14 +22,13 @@ from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 
 HALF_WIDTH = 1.25
-"""Half width of the square over the radius of the body: its edge lies outside of a body off center."""
+"""Half width of the square, radii of the body: its edge lies outside of a body that is off center."""
 _MODES = 9
-"""Cosines along each axis: a wavelength of 0.6 radii is the shortest."""
+"""Number of cosines along each axis: the shortest wavelength is 0.6 radii."""
 LENGTHS = (0.25, 0.5, 1.0)
-"""Correlation lengths over the radius that are averaged: a prior, up to markings as large as the body."""
+"""Correlation lengths, radii, to average over: a prior, up to markings as large as the body."""
 AMPLITUDES = np.concatenate([[0.0], np.geomspace(0.004, 3.0**-0.5, 9)])
-"""Standard deviations, over the light, that are averaged: up to that of albedos uniform from none to twice their
-mean."""
+"""Standard deviations relative to the light to average over: up to albedos uniform from 0 to twice their mean."""
 MEDIAN_AMPLITUDE, AMPLITUDE_FACTOR = 0.10, 2.5
 """Median and geometric standard deviation of the prior of the amplitude: a first guess, not from published maps."""
 UNMARKED = 0.1
@@ -47,7 +46,7 @@ class MarkingModes(Value):
     along_x, along_y : (m, w) and (m, h) float64
         Cosines along each axis.
     frequencies : (m,) float64
-        Angular frequencies of the cosines, in units of 1 over the radius.
+        Angular frequencies of the cosines, in units of 1 / radius.
     radius_px : float, px
     """
 
@@ -103,12 +102,12 @@ class MarkingModes(Value):
 
     @property
     def spectra(self) -> Float:
-        """Variances (lengths, modes) of fields of unit variance with the lengths that are averaged."""
+        """Variances (lengths, modes) of fields of unit variance for all correlation lengths."""
         return np.stack([self.spectrum(length) for length in LENGTHS])
 
     @property
     def first_variances(self) -> Float:
-        """Variances (modes,) for the approach to a solution, whose residuals say nothing of markings yet."""
+        """Variances (modes,) for the first iterations, whose residuals do not yet show markings."""
         return MEDIAN_AMPLITUDE**2 * self.spectrum(LENGTHS[1])
 
     def spectrum(self, length: float) -> Float:
@@ -118,13 +117,13 @@ class MarkingModes(Value):
         """
         along = np.exp(-0.5 * (length * self.frequencies) ** 2)
         variances = np.outer(along / along.sum(), along / along.sum()).ravel()
-        variances[0] = 0.0  # the same everywhere: the brightness of the body, which is fitted
+        variances[0] = 0.0  # constant: the brightness of the body, which is fitted
         return variances
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FieldSums(Value):
-    """Weighted sums over the pixels of the modes of a field and of the columns fitted beside them.
+    """Weighted sums over the pixels of the modes of a field and of the columns fitted with them.
 
     Parameters
     ----------
@@ -139,7 +138,7 @@ class FieldSums(Value):
     right : (k,) float64
         Of the columns and the values, with the mean of the prior.
     squares : float
-        Of the values, and of the mean of the prior over its standard deviation.
+        Of the values, and of the mean of the prior divided by its standard deviation.
     """
 
     gram: Float
@@ -173,7 +172,7 @@ class FieldSums(Value):
         return float(np.logaddexp.reduce(log_likelihood, axis=None) - 0.5 * np.linalg.slogdet(self.information)[1])
 
     def _restricted(self, spectra: Float, variances: Float) -> tuple[Float, Float]:
-        """Squares that fields explain, and logarithms of what they add to the determinant: (lengths, amplitudes)."""
+        """Squares explained by fields, and their contributions to the log determinant: (lengths, amplitudes)."""
         solved = np.linalg.solve(self.information, np.column_stack([self.cross, self.right]))
         gram, scores = self.gram - self.cross.T @ solved[:, :-1], self.scores - self.cross.T @ solved[:, -1]
         explained, log_volumes = np.empty((2, len(spectra), len(variances)))
@@ -233,7 +232,7 @@ class FieldSolution(Value):
     whitened: Float
 
     def absorbed(self, modes: MarkingModes, weights: Float, length_px: float) -> float:
-        """Return the weighted squares that the field takes out of errors correlated like ``exp(-d^2 / (4 length^2))``.
+        """Return the weighted squares absorbed by the field of errors correlated like ``exp(-d^2 / (4 length^2))``.
 
         ``weights`` (h, w).
         """
@@ -243,7 +242,7 @@ class FieldSolution(Value):
         return max(4.0 * math.pi * length_px**2, 1.0) * float(np.vdot(np.linalg.inv(self.whitened), scores))
 
     def taken(self, products: Float) -> Float:
-        """Information (j, j) that the field takes from columns with weighted products (j, m) with its modes."""
+        """Loss of information (j, j) by the field, of columns with weighted products (j, m) with its modes."""
         scaled = np.sqrt(self.variances) * products
         return np.asarray(scaled @ np.linalg.solve(self.whitened, scaled.T))
 

@@ -52,13 +52,13 @@ class AutoOptions:
     Parameters
     ----------
     unresolved_px : float, px
-        Largest diameter of a body that is a point of light; ``unresolved`` takes its light as that of a source.
+        Largest diameter of a body that is treated as a point source by ``unresolved``.
     limb_px : float, px
-        Least diameter of a body whose limb is used.
+        Minimum diameter of a body whose limb is used.
     min_limb_px : float, px
-        Least length of lit limb within the frame that is used.
+        Minimum length of lit limb within the frame that is used.
     false_alarm : float
-        Probability that two right estimates are called a disagreement.
+        Probability that two correct estimates are classified as a disagreement.
     unresolved : UnresolvedOptions
     moment : MomentOptions
     cross_correlation : CrossCorrelationOptions
@@ -99,9 +99,9 @@ class Choice:
     Parameters
     ----------
     estimators : tuple of str
-        Names of those to try, in order.
+        Names of the estimators to try, in order.
     checks : tuple of str
-        Names of those to check with, in order.
+        Names of the estimators to check with, in order.
     because : str
         Reason of the choice, for the provenance.
     """
@@ -111,16 +111,16 @@ class Choice:
     because: str
 
     def checks_of(self, taken: str) -> list[str]:
-        """Names of the estimators that check one that was taken, in order.
+        """Names of the estimators that check the chosen one, in order.
 
-        Those that use another part of the image come first; another use of the same light is better than none.
+        Those that use another part of the image come first, then other uses of the same light.
         """
         order = sorted(self.checks, key=lambda name: _CHOICES[name][1] == _CHOICES[taken][1])
         return [name for name in order if name != taken]
 
     @property
     def sure(self) -> list[str]:
-        """Names of the first estimator and of its first check: both are run, unless nothing finds the body."""
+        """Names of the first estimator and of its first check; both are run, unless none finds the body."""
         return [name for first in self.estimators[:1] for name in (first, *self.checks_of(first)[:1])]
 
 
@@ -164,18 +164,18 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     """Chooses an estimator by apparent size, shape and limb in view, and checks it by an independent one.
 
     The estimators of the choice are tried in order; the first fix that is not suspect is taken, else the first fix. The
-    first of other fixes that is not suspect and certain enough confirms it: those that use something else (the limb
-    instead of the light) are asked before those that use the light in another way. Where the two differ by more than
-    their covariances explain, these grow. A fix that none confirms is flagged ``UNCHECKED``.
+    first of other fixes that is not suspect and precise enough confirms it: estimators of another part of the image
+    (the limb instead of the light) come before others of the same light. Where the two differ by more than their
+    covariances explain, these grow. An unconfirmed fix is flagged ``UNCHECKED``.
 
-    The fix is that of the estimator taken, a :class:`~giantlike.core.outcomes.PositionFix` where that estimates the
-    range, under the name ``auto``, fused with the one that confirms it (:func:`~giantlike.relative.consensus.fused`);
-    its ``findings`` say which was taken (``chosen``), why (``because``), what checked it (``checked_by``), the
-    probability that right estimates differ by as much (``agreement``) and the share of the estimator taken in the
-    place (``weight``). ``score``, residuals and counts are those of the estimator taken. A failure is that of the first
-    choice; its text names the others that were tried. Where ``cross_correlation`` finds that values are not in
-    proportion to light, the others are run on an image in which they are; where it or a limb finds haze, the others are
-    run with an altitude of the limb that is as uncertain as it says.
+    The result is the fix of the chosen estimator, a :class:`~giantlike.core.outcomes.PositionFix` if it estimates the
+    range, under the name ``auto``, fused with the confirming fix (:func:`~giantlike.relative.consensus.fused`). Its
+    ``findings`` are the estimator (``chosen``), the reason (``because``), the confirming estimator (``checked_by``),
+    the p-value of the difference (``agreement``) and the weight of the chosen estimator in the position (``weight``).
+    ``score``, residuals and counts are from the chosen estimator. A failure is that of the first choice; its text names
+    the others that were tried. Where ``cross_correlation`` detects a nonlinear response, the others are run on a
+    linearized image; where it or a limb detects haze, the others are run with the uncertain limb altitude that it
+    implies.
 
     Within :func:`giantlike.threads` the first choice and its first check run at once.
 
@@ -197,7 +197,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
         template = outcomes.get(CrossCorrelation.name)
         if not isinstance(template, CenterFix):
             return fix
-        # Only the template knows of values that are not proportional to light; limbs too of haze that nobody told.
+        # Only the template detects a nonlinear response; limbs detect undeclared haze too.
         response, haze_km = template.corrections.response, None
         if inputs.geometry.target.atmosphere is None and inputs.geometry.target.terrain is None:
             fixes = [template, *(one for one in outcomes.values() if isinstance(one, CenterFix))]
@@ -218,7 +218,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     def _consensus(
         self, inputs: EstimatorInputs, choice: Choice, outcomes: dict[str, CenterFix | Failure]
     ) -> CenterFix | Failure:
-        """Take the fix to which nothing objects, and check it; ``outcomes`` holds what is known, and gets the rest."""
+        """Take the first fix without objection, and check it; ``outcomes`` caches the results of estimators."""
 
         def estimate(name: str) -> CenterFix | Failure:
             return self._estimator(name).estimate(inputs.image, inputs.camera, inputs.scene, inputs.target_name)
@@ -268,7 +268,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
 
 
 def _in_haze(scene: Scene, name: str, sigma_km: float) -> Scene:
-    """Scene with a limb of a target that may stand higher or lower, where nothing is told of that."""
+    """Scene with an uncertain limb altitude of a target."""
     haze = Atmosphere.at(0.0, sigma_km=sigma_km)
     return replace(
         scene, targets=tuple(replace(one, atmosphere=haze) if one.name == name else one for one in scene.targets)
@@ -283,7 +283,7 @@ def _with_turn(fix: CenterFix, second: CenterFix) -> CenterFix:
 
 
 def _taken(choice: Choice, outcome: Callable[[str], CenterFix | Failure]) -> str | None:
-    """Name of the first fix to which nothing objects, else of the first fix."""
+    """Name of the first fix without objection, else of the first fix."""
     suspect = None
     for name in choice.estimators:
         fix = outcome(name)

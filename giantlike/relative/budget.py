@@ -1,9 +1,9 @@
-"""The error budget of a fix: what no estimator can see in its own image, by the response of the fix to it.
+"""Error budget of a fix: errors of its inputs, propagated by the response of the fix.
 
-The camera model, the attitude, the scale of the shape, the orientation of the body and its ephemeris are given to an
-estimator, and each is wrong by its own uncertainty. Every cause adds a part of its own to the fix. Where the response
-has a closed form it is used; else the motion of the fix is measured on the same pixels, in which the noise cancels,
-with the body moved by one sigma or by half a pixel, whichever is more.
+The camera model, the attitude, the scale of the shape, the orientation of the body and its ephemeris are inputs of an
+estimator with declared uncertainties. Every cause adds a separate part to the fix. Where the response has no closed
+form, it is a numerical derivative: the body is moved by one sigma or half a pixel, whichever is more, and the fix
+recomputed on the same pixels, so that the noise cancels.
 """
 
 from __future__ import annotations
@@ -32,24 +32,26 @@ AnyFix = TypeVar("AnyFix", bound=CenterFix)
 _OUTLINE_POINTS = 72
 """Points of an outline over which a distortion is averaged, every 5 deg: distortions are smooth polynomials."""
 _LEAST_RADIUS_PX = 1.0
-"""Radius of the circle that stands for a body whose outline cannot be used, px: the scale of the camera there."""
+"""Radius of the circle used for a body without a usable outline, px: it gives the scale of the camera there."""
 _TURNED = 0.2
-"""Least motion of the surface by the error of the attitude, over the least sigma of the center, whose effect counts.
+"""Minimum ratio of the motion of the surface by the attitude error to the smallest sigma of the center to propagate it.
 
-Of 44 views of the gauntlet (seed 4000, all three axes) fixes move by 0.16 to 0.25 of it in the median and 0.84 at most,
-those of ``moment`` by 0.7 and 1.1, so that a sigma without it is 2 % too small at most; ``moment`` of two crescents
-moves by 6 to 11 times as much. Of 26 fixes of the demonstration none comes to 0.14, with attitudes from stars.
+In 44 views of the gauntlet (seed 4000, all three axes) fixes move by a median of 0.16 to 0.25 of that motion and at
+most 0.84, those of ``moment`` by 0.7 and 1.1, so that a sigma without it is at most 2 % too small; ``moment`` of two
+crescents moves 6 to 11 times as far. With attitudes from stars the ratio is below 0.14 in 26 fixes of the
+demonstration.
 """
 STRAIN_TENSION = "strain_tension"
 """Name of the factor by which variances of a limb are too small for a strain of the outline, among the checks."""
 DECLARED = (Cause.POLE, Cause.SPIN, Cause.ORIENTATION)
-"""Causes of what was declared of the orientation of the body."""
+"""Causes of the declared errors of the orientation of the body."""
 _LEAST_STEP_PX = 0.5
-"""Least motion of the surface, px, from which derivatives by a rotation are taken: errors of renders and convergence,
-some hundredths of a pixel, are then a few percent of it."""
+"""Minimum motion of the surface, px, for a derivative by a rotation: errors of renders and convergence, some hundredths
+of a pixel, are then a few percent of it."""
 _WORST_CONDITION = 100.0
-"""Condition number beyond which an arc of an outline does not tell center and radius apart: 30 deg of a circle have
-some 60, and a shorter arc amplifies any distortion of the camera without limit."""
+"""Maximum condition number of an arc of an outline to separate center and radius: 30 deg of a circle have about 60, and
+a
+shorter arc amplifies any distortion of the camera without limit."""
 
 
 def with_budget(
@@ -61,12 +63,11 @@ def with_budget(
 ) -> AnyFix | Failure:
     """Add the causes of error that an estimator cannot see in its image to a fix.
 
-    A cause that the fix already has is left as it is. An attitude from stars follows the errors of its camera, so
-    that the direction of a body in inertial axes has less of them than that in camera axes: the part ``CAMERA`` is the
-    former, in ``covariance_camera_km2`` is the latter. An attitude that is known badly also turns body and Sun in
-    camera axes, which moves where the body is found: the part ``ORIENTATION``. The sigmas are those of
-    ``camera.uncertainty``, of ``image.attitude_covariance_rad2`` and of ``geometry.target.uncertainty``; one that is
-    not given adds nothing.
+    Causes that the fix already has are kept. An attitude from stars is correlated with the errors of its camera, so
+    that the direction of a body in inertial axes is less affected than in camera axes: the part ``CAMERA`` is the
+    former, ``covariance_camera_km2`` contains the latter. A poorly known attitude also rotates body and Sun in camera
+    axes, which moves the fix: the part ``ORIENTATION``. The sigmas are ``camera.uncertainty``,
+    ``image.attitude_covariance_rad2`` and ``geometry.target.uncertainty``; one that is not given adds nothing.
     """
     size = 3 if isinstance(fix, PositionFix) else 2
     model = camera.model
@@ -113,7 +114,7 @@ def with_budget(
 
 
 def with_larger_errors(fix: AnyFix, model: CameraModel, factor: float, causes: Iterable[Cause]) -> AnyFix:
-    """Return a fix with larger errors by some causes, as far as what was declared of its body does not cover them.
+    """Return a fix with larger errors by some causes, unless the declared errors of its body cover them.
 
     With the covariance ``own`` of the causes, the sum of its parts is at least ``factor * own``, and at least ``own``
     and the parts of pole, spin and orientation.
@@ -154,7 +155,7 @@ def with_error(fix: AnyFix, model: CameraModel, cause: Cause, covariance: Float)
 
 
 def place_difference(one: CenterFix, other: CenterFix) -> Float:
-    """Difference of the places of two fixes: x and y, px, and the logarithm of the range where it is estimated."""
+    """Difference of the positions of two fixes: x and y, px, and the logarithm of the range where it is estimated."""
     center_px = one.center_px - other.center_px
     if isinstance(one, PositionFix) and isinstance(other, PositionFix):
         return np.append(center_px, math.log(one.range_km / other.range_km))
@@ -162,7 +163,7 @@ def place_difference(one: CenterFix, other: CenterFix) -> Float:
 
 
 def position_covariance(model: CameraModel, position_camera_km: Float, covariance: Float) -> Float:
-    """Covariance of a position from that of the place of the body, such as a sum of the parts of a fix.
+    """Covariance of a position in space from an image covariance, such as a sum of the parts of a fix.
 
     ``covariance``: of x, y in px and of the natural logarithm of the range; returns (3, 3) km^2, camera axes.
     """
@@ -173,11 +174,11 @@ def position_covariance(model: CameraModel, position_camera_km: Float, covarianc
 def camera_response(
     camera: Camera, position_camera_km: Float, radius_km: float, sun_direction_camera: Float, *, size: int
 ) -> Float:
-    """Error of the place of a body by the error of each parameter of the camera.
+    """Derivative of the position of a body by each parameter of the camera.
 
-    A camera with other parameters shifts each point of the outline; the place moves as the outline of a sphere, where
-    lit and in the frame, moves to follow these shifts across it. A body of which too little is seen, or none, moves
-    as a small circle around its center does.
+    A change of the camera shifts each point of the outline; the position follows from a fit of the outline of a sphere,
+    where lit and in the frame, to the normal components of these shifts. If too little of the body is seen, a small
+    circle around its center is used.
 
     Returns (size, k), of x, y in px and of the natural logarithm of the range, per unit of each parameter.
     """
@@ -204,7 +205,7 @@ def camera_response(
 def _followed(
     model: CameraModel, chosen: list[int], axis: Float, half_angle: float, outline: tuple[Float, Float], size: int
 ) -> Float | None:
-    """Motion of a circle of rays that follows the shifts of its points, (size, k); None where the arc is too short."""
+    """Motion (size, k) of a circle of rays fitted to the shifts of its points; None where the arc is too short."""
     rays, outward = outline
     if len(rays) < size:
         return None
@@ -235,7 +236,7 @@ def _circle(axis: Float, half_angle: float) -> tuple[Float, Float]:
 
 
 def attitude_parts_rad2(covariance_rad2: Float | None, errors: AttitudeErrors, camera: Camera) -> dict[Cause, Float]:
-    """Covariance of an attitude, apart from what it shares with the camera and with other attitudes.
+    """Covariance of an attitude by cause, without errors shared with the camera and with other attitudes.
 
     ``covariance_rad2``: of the small rotation about the camera axes; returns dict of Cause to (3, 3) rad^2, empty where
     it is unknown.
@@ -249,7 +250,7 @@ def attitude_parts_rad2(covariance_rad2: Float | None, errors: AttitudeErrors, c
 
 
 def _attitude_parts(image: Image, camera: Camera, turn: Float) -> dict[Cause, Float]:
-    """Parts of the attitude through the derivative of the place by the turn of the camera."""
+    """Parts of the attitude by the derivative of the position by a rotation of the camera."""
     parts = attitude_parts_rad2(image.attitude_covariance_rad2, image.attitude_errors, camera)
     return {cause: _propagated(turn, part) for cause, part in parts.items()}
 
@@ -271,14 +272,14 @@ def _body_partials(
     *,
     missing: set[Cause],
 ) -> dict[Cause, Float] | Failure:
-    """Derivatives (k, m) of the place by the true scale, pole and spin of the body, of those that are missing.
+    """Derivatives (k, m) of the position by the true scale, pole and spin of the body, where missing.
 
-    The scale is that of the shape, relative, and the others are small rotations of the body about its own axes, rad.
+    The scale is relative; pole and spin are small rotations of the body about its axes, rad.
     """
     size = 3 if isinstance(fix, PositionFix) else 2
     columns = dict[Cause, list[Float]]()
     if size == 3 and Cause.SHAPE_SCALE in missing:
-        # A body that is larger and as much farther away, along all axes, gives the same image.
+        # A body scaled in size and distance alike gives the same image.
         columns[Cause.SHAPE_SCALE] = [np.array([0.0, 0.0, -1.0])]
     for cause, step, moved in _moved_bodies(geometry, least_rad):
         if cause not in missing or (cause is Cause.SHAPE_SCALE and size == 3):
@@ -291,7 +292,7 @@ def _body_partials(
 
 
 def _body_parts(partials: Mapping[Cause, Float], geometry: TargetGeometry) -> dict[Cause, Float]:
-    """Parts of the scale of the shape and of the orientation of the body, of what is not declared exact."""
+    """Parts by scale and orientation of the body, where these are not declared exact."""
     known = geometry.target.uncertainty
     sigmas = {Cause.SHAPE_SCALE: known.scale, Cause.POLE: known.pole_rad, Cause.SPIN: known.spin_rad}
     return {
@@ -336,7 +337,7 @@ def _orientation_part(
     motion: Callable[[TargetGeometry], Float | Failure],
     radius_px: float,
 ) -> Float | Failure:
-    """Covariance of the place by an error of the attitude that turns body and Sun in camera axes, not the place."""
+    """Covariance of the position by an attitude error that rotates body and Sun in camera axes."""
     size = 3 if isinstance(fix, PositionFix) else 2
     part = np.zeros((size, size))
     variances, axes = np.linalg.eigh(covariance_rad2)
@@ -364,7 +365,7 @@ def _orientation_part(
 def _response(
     moved: tuple[TargetGeometry, TargetGeometry], motion: Callable[[TargetGeometry], Float | Failure]
 ) -> Float | Failure:
-    """Motion of the place with a body moved by plus one step; where that fails, minus that for minus one."""
+    """Motion of the position for a step of the body by one; where that fails, the negative motion for minus one."""
     ahead = motion(moved[0])
     if not isinstance(ahead, Failure):
         return ahead
@@ -373,7 +374,7 @@ def _response(
 
 
 def _own_covariance(fix: CenterFix, place_per_km: Float) -> Float:
-    """Covariance that the estimator states, as a part."""
+    """Covariance reported by the estimator, as a part."""
     if isinstance(fix, PositionFix):
         return _propagated(place_per_km, fix.covariance_camera_km2)
     return fix.covariance_px2

@@ -1,4 +1,4 @@
-"""Several fixes of one body: whether they agree within errors that they do not share, and what they say together."""
+"""Agreement of several fixes of one body within errors that they do not share, and their fusion."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from giantlike.relative.budget import position_covariance, with_larger_errors
 from giantlike.relative.judge import inflation
 
 _WEAK_PX, _WEAK_SIGMAS = 1.0, 20.0
-"""Standard deviation, px and over that of the fix, above both of which a check is too weak to confirm anything."""
+"""Standard deviation, px and relative to the fix, above both of which a check is too weak to confirm it."""
 _OWN = tuple(cause for cause in IN_IMAGE if cause is not Cause.SHAPE_SCALE)
 """Causes of errors that two estimators on one image do not share altogether."""
 _WEIGHTS = np.linspace(0.0, 1.0, 21)
-"""Shares of the first of two fixes that are tried: a share that is off by 0.025 costs less than a percent of sigma."""
+"""Trial weights of the first of two fixes: an error of a weight by 0.025 costs less than a percent of sigma."""
 
 
 def confirming(fix: CenterFix, seconds: Iterable[tuple[str, CenterFix | Failure]]) -> tuple[str, CenterFix] | None:
     """Return the first of other fixes of the same body that can check one, in order.
 
-    Returns None where none is both certain enough and not suspect: a suspect one tells nothing of the first.
+    Returns None where none is both precise enough and not suspect; a suspect one cannot confirm the first.
     """
     for name, second in seconds:
         if not isinstance(second, Failure) and not second.flags.suspect and _certain_enough(second, fix):
@@ -37,19 +37,19 @@ def confirming(fix: CenterFix, seconds: Iterable[tuple[str, CenterFix | Failure]
 
 
 def _certain_enough(second: CenterFix, fix: CenterFix) -> bool:
-    """Return True if a second fix is certain enough to check the first."""
+    """Return True if a second fix is precise enough to check the first."""
     sigmas = [math.sqrt(float(np.linalg.eigvalsh(one.covariance_px2)[-1])) for one in (second, fix)]
     return sigmas[0] <= max(_WEAK_PX, _WEAK_SIGMAS * sigmas[1])
 
 
 def agreement_of(first: CenterFix, second: CenterFix) -> float:
-    """Probability that two right and independent fixes of one body differ by as much."""
+    """p-value of the difference of two independent fixes of one body."""
     squared, size = _squared_difference(first, second)
     return float(chdtrc(size, squared))
 
 
 def _squared_difference(first: CenterFix, second: CenterFix) -> tuple[float, int]:
-    """Squared difference of two fixes over the covariance of what they do not share, and its degrees of freedom."""
+    """Squared Mahalanobis distance of two fixes under the errors that they do not share, and its degrees of freedom."""
     difference = first.center_px - second.center_px
     if isinstance(first, PositionFix) and isinstance(second, PositionFix):
         difference = np.append(difference, math.log(first.range_km / second.range_km))
@@ -61,7 +61,7 @@ def _squared_difference(first: CenterFix, second: CenterFix) -> tuple[float, int
 
 
 def _own_covariance(fix: CenterFix) -> Float:
-    """Covariance of a fix without what all fixes of an image have in common: the camera and the scale of the shape."""
+    """Covariance of a fix without errors shared by all fixes of an image: the camera and the scale of the shape."""
     if fix.parts:
         return summed(fix.parts, _OWN)
     if not isinstance(fix, PositionFix):
@@ -74,12 +74,12 @@ def _own_covariance(fix: CenterFix) -> Float:
 def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     """Fuse two fixes that agree.
 
-    The place is a weighted mean of both; its covariance, cause by cause, holds whatever the errors of the two have in
-    common. A cause that only one of them has counts by the square of its weight. One that both have (noise of the same
-    pixels, the law, the shape, camera and attitude) is taken to be the same error in both, which does not average out:
-    the variance of a mean of two errors is at most the mean of their variances. The weight is the one with the
-    smallest determinant of the covariance, without the scale of the shape, which both share. Where the two differ by
-    more than their covariances, the parts that they do not share grow, see
+    The position is a weighted mean of both; its covariance, cause by cause, holds for any correlation of their errors.
+    A cause of only one of them counts by the square of its weight. A cause of both (noise of the same pixels, the law,
+    the shape, camera and attitude) is treated as the same error in both, which does not average out: the variance of a
+    mean of two errors is at most the mean of their variances. The weight minimizes the determinant of the covariance
+    without the scale of the shape, which both share. Where the two differ by more than their covariances, the parts
+    that they do not share grow, see
     :func:`~giantlike.relative.judge.inflation`.
     """
     squared, size = _squared_difference(first, second)
@@ -112,7 +112,7 @@ def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
 
 
 def _fused_parts(first: CenterFix, second: CenterFix, weight: float) -> dict[Cause, Float]:
-    """Parts of a weighted mean of two fixes, by the largest correlation of what both have."""
+    """Parts of a weighted mean of two fixes, with full correlation of common causes."""
     parts = dict[Cause, Float]()
     for cause in Cause:
         one, other = first.parts.get(cause), second.parts.get(cause)
@@ -126,13 +126,13 @@ def _fused_parts(first: CenterFix, second: CenterFix, weight: float) -> dict[Cau
 
 
 def _fused_partials(first: CenterFix, second: CenterFix, weight: float) -> dict[Cause, Float]:
-    """Derivatives of a weighted mean of two fixes, by what both have derivatives of."""
+    """Derivatives of a weighted mean of two fixes, by causes of which both have derivatives."""
     both = [cause for cause in first.partials if cause in second.partials]
     return {cause: weight * first.partials[cause] + (1.0 - weight) * second.partials[cause] for cause in both}
 
 
 def _by_camera(fix: PositionFix, model: CameraModel) -> Float:
-    """What the camera model adds to the covariance of a position, (3, 3), km^2."""
+    """Covariance (3, 3), km^2, of a position by the camera model."""
     if Cause.CAMERA not in fix.parts:
         return np.zeros((3, 3))
     in_image = position_covariance(model, fix.position_camera_km, summed(fix.parts))

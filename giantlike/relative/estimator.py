@@ -69,8 +69,8 @@ class Solved(Generic[Fix]):
     ----------
     fix : CenterFix or PositionFix
     motion : callable, optional
-        Returns the motion (k,) of the place with a geometry, in px and logarithm of the range; None where it is too
-        far from that of the fix. Without it, the estimator is run again.
+        Returns the motion (k,) of the position with a geometry, in px and logarithm of the range; None where that is
+        too far from the geometry of the fix. Without it, the estimator is run again.
     """
 
     fix: Fix
@@ -95,9 +95,9 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
     of_fixes: ClassVar[bool] = False
     """True for an estimator of fixes of others, which have been checked already."""
     by_light: ClassVar[bool] = False
-    """True for an estimator of the center of all light, which moves with any error of the figure."""
+    """True for an estimator of the center of all light, which moves with any error of the shape."""
     finds_response: ClassVar[bool] = False
-    """True for an estimator that finds out by itself where values are not in proportion to light."""
+    """True for an estimator that detects a nonlinear response by itself."""
 
     def __init__(self, options: Options | None = None, *, false_alarm: float = FALSE_ALARM) -> None:
         self._options: Options = options or self.options_type()
@@ -157,7 +157,7 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         return verified(result, seen, search_px, by_light=self.by_light, again=again, false_alarm=alarm)
 
     def _budgeted(self, inputs: EstimatorInputs) -> Fix | Failure:
-        """Find the body, with all causes of error of its place."""
+        """Find the body, with the error budget of its position."""
         solved = self._solve(inputs)
         if isinstance(solved, Failure):
             return solved
@@ -183,7 +183,7 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         return with_response(budgeted, again, self._estimate)
 
     def _solve(self, inputs: EstimatorInputs) -> Solved[Fix] | Failure:
-        """Find the body of gathered inputs, with the response of its place if it has a closed form."""
+        """Find the body of gathered inputs, with the response of its position if it has a closed form."""
         fix = self._estimate(inputs)
         return fix if isinstance(fix, Failure) else Solved(fix)
 
@@ -195,7 +195,7 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
 def with_response(
     fix: AnyFix, inputs: EstimatorInputs, estimate: Callable[[EstimatorInputs], CenterFix | Failure]
 ) -> AnyFix:
-    """Return a fix with the error of an unknown response, as a part of ``reflectance``: both bend the light."""
+    """Return a fix with the error of an unknown response, as a part of ``reflectance``."""
     if inputs.bend_sigma == 0.0:
         return fix
     bent = Response(bend=BEND_STEP, dark_dn=0.0, bright_dn=float(inputs.pixels_dn[inputs.usable].max()))

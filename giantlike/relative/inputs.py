@@ -31,16 +31,16 @@ from giantlike.relative.response import DISPLAY_BEND_SIGMA
 from giantlike.scene import Scene, TargetGeometry
 
 ESTIMATED_NOISE = "estimated_noise"
-"""Key of the provenance of fixes made without a declared detector: the noise that was taken from the image."""
+"""Provenance key of fixes made without a declared detector: the noise estimated from the image."""
 _PLATEAU_PIXELS = 20
-"""Pixels of exactly the largest value from which on they may be a plateau: hot pixels are fewer, a saturated star has
+"""Minimum number of pixels of exactly the largest value in a plateau: hot pixels are fewer, a saturated star has
 more."""
 _PLATEAU_SIGMAS, _PLATEAU_STEPS = 3.0, 3.0
-"""Width of the band below the largest value, in standard deviations of the noise and at least in DN: without clipping
-the noise spreads the pixels of the brightest ground over it."""
+"""Width of the band below the largest value, in standard deviations of the noise, and minimum, DN: without clipping the
+noise distributes the brightest pixels over it."""
 
 _SPARSE = 16
-"""Step along rows and columns between the pixels that are looked at first."""
+"""Step along rows and columns between the pixels examined first."""
 
 _ATTITUDE_FLAGS = MappingProxyType(
     {
@@ -80,20 +80,20 @@ class EstimatorInputs(Value):
     pixels_dn : (rows, columns) float64, DN
         Bias subtracted.
     usable : (rows, columns) bool
-        Neither bad nor saturated.
+        Pixels that are neither bad nor saturated.
     saturated : (rows, columns) bool
         At or above the saturation level of the detector, the largest value that the pixel type holds, or the value at
-        which the image itself shows that it was clipped.
+        which clipping is detected in the image.
     masked : (rows, columns) bool
-        Bad pixels of the image, and lines without signal, or with charge that is no light, that it shows.
+        Bad pixels, and detected lines without signal or with charge that is not light.
     flags : Quality
-        What is known before the measurement: the source of the attitude, and what the sky of its stars lacked.
+        Flags known before the measurement: the source of the attitude, and deficiencies of its star field.
     provenance : mapping of str to str
     corrections : Corrections
-        What the image is known to show beside the body.
+        Known effects in the image.
     place_alone : bool
-        True where only the place of the body is asked for, to see how it follows an error of what was declared; the
-        corrections are then those of the fix, which need not be found again.
+        True where only the position of the body is needed, for its derivative by declared values; the corrections of
+        the fix are then kept.
     """
 
     estimator: str
@@ -129,9 +129,9 @@ class EstimatorInputs(Value):
 
     @property
     def bend_sigma(self) -> float:
-        """A priori standard deviation of the bend of the response; 0 for values that are proportional to light.
+        """A priori standard deviation of the curvature of the response; 0 for values that are proportional to light.
 
-        They are where the camera declares its noise or its gamma, and where the format is not one for display.
+        Values are where the camera declares its noise or its gamma, and where the format is not one for display.
         """
         unknown = self.image.eight_bit is not None and self.camera.detector.noise_of_image is not None
         return DISPLAY_BEND_SIGMA if unknown and self.corrections.response is None else 0.0
@@ -150,38 +150,38 @@ class EstimatorInputs(Value):
 
     @property
     def radius_px(self) -> float:
-        """Apparent mean radius of the body, px: that of the sphere of its volume at the predicted center."""
+        """Apparent radius of the sphere of the body's volume at the predicted center, px."""
         return apparent_radius_px(
             self.camera, self.predicted_px, self.geometry.target.shape.mean_radius_km, self.geometry.range_km
         )
 
     @property
     def reach_px(self) -> float:
-        """Apparent radius of the sphere around the body, px: all of it is seen within that of its center."""
+        """Apparent radius of the bounding sphere of the body, px."""
         return apparent_radius_px(
             self.camera, self.predicted_px, self.geometry.target.shape.circumscribing_radius_km, self.geometry.range_km
         )
 
     @property
     def turn_rad(self) -> float:
-        """Standard deviation of the orientation of the body in the image as it was declared, about any axis, rad."""
+        """Declared standard deviation of the orientation of the body in the image, about any axis, rad."""
         known, attitude = self.geometry.target.uncertainty, self.image.attitude_covariance_rad2
         roll = 0.0 if attitude is None else float(attitude[2, 2])
         return math.sqrt(known.pole_rad**2 + known.spin_rad**2 + roll)
 
     def focal_plane(self, psf_sigma_px: float | None = None) -> FocalPlane:
-        """Return the camera as renders take it."""
+        """Return the focal plane for renders."""
         known = self.psf_sigma_px if psf_sigma_px is None else psf_sigma_px
         psf = GaussianPsf(sigma_px=UNKNOWN_PSF_SIGMA_PX if known is None else known)
         return FocalPlane(model=self.camera.model, columns=self.camera.columns, rows=self.camera.rows, psf=psf)
 
     def linearized(self, response: Response) -> EstimatorInputs:
-        """Return the inputs with values in proportion to light."""
+        """Return the inputs with linearized values."""
         corrections = self.corrections | Corrections(response=response)
         return replace(self, pixels_dn=response.light_dn(self.pixels_dn), corrections=corrections)
 
     def straight_image(self, response: Response) -> Image:
-        """Return the image with values in proportion to light, and a detector that saturates where it did."""
+        """Return the image with linearized values, and a detector with the corresponding saturation level."""
         detector, light_dn = self.camera.detector, response.light_dn(self.pixels_dn)
         if self.saturated.any():
             detector = replace(detector, saturation_dn=detector.bias_dn + float(light_dn[self.saturated].min()))
@@ -248,7 +248,7 @@ class _Readout(Value):
 
     @classmethod
     def of(cls, image: Image, detector: Detector) -> _Readout:
-        """Readout of an image with the declared detector of its camera, or with the noise that the image shows."""
+        """Readout of an image with the declared detector of its camera, or with the noise estimated from the image."""
         stored, image = image, image.linearized(detector)
         detector = image.detector or detector
         detector = detector.of_image(image.pixels, image.mask, step_dn=image.step_dn)
@@ -268,12 +268,12 @@ class _Readout(Value):
 
 
 _LATEST: list[tuple[weakref.ref[Image], Detector, _Readout]] = []
-"""The last image, as long as it is there: one estimator after the other takes the same."""
+"""Cache of the last image, as long as it exists: several estimators in turn use the same one."""
 _LATEST_LOCK = threading.Lock()
 
 
 def _readout(image: Image, detector: Detector) -> _Readout:
-    """Readout of an image, made once where several estimators run on it."""
+    """Cached readout of an image."""
     with _LATEST_LOCK:
         for known, stated, readout in _LATEST:
             if known() is image and stated == detector:
@@ -284,7 +284,7 @@ def _readout(image: Image, detector: Detector) -> _Readout:
 
 
 def _bad_pixels(image: Image, frame: FrameLines, detector: Detector) -> Mask:
-    """The mask of an image, with the dead and the hot rows and columns that it shows."""
+    """Mask of an image, with detected dead and hot rows and columns."""
     noise_dn = math.sqrt(float(detector.variance_dn2(np.zeros(1))[0]))
     dead, hot = dead_lines(frame, noise_dn=noise_dn), hot_lines(frame, noise_dn=noise_dn)
     mask = image.mask if dead is None else image.mask | dead
@@ -309,7 +309,7 @@ def _problem(inputs: EstimatorInputs) -> tuple[Reason, str] | None:
 
 
 def _level_dn(pixels_dn: Float, usable: Mask) -> float | None:
-    """Value of all usable pixels of an image, of which there is one at least; None where they differ."""
+    """Value of all usable pixels (at least one) of an image; None where they differ."""
     for step in (_SPARSE, 1):  # pixels far apart differ nearly always
         values = pixels_dn[::step, ::step][usable[::step, ::step]]
         if values.size and float(values.min()) != float(values.max()):
@@ -318,15 +318,14 @@ def _level_dn(pixels_dn: Float, usable: Mask) -> float | None:
 
 
 def _type_limit(pixels: NDArray[Any]) -> float:
-    """Largest value that integer pixels can hold: what reaches it was clipped."""
+    """Largest value of integer pixels, at which they are clipped."""
     return float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "iu" else math.inf
 
 
 def _plateau_dn(image: Image, frame: FrameLines, detector: Detector) -> float:
-    """Value, DN, at which an image was clipped without its camera saying so; infinite where none shows.
+    """Undeclared clipping level, DN, of an image; infinite where none is detected.
 
-    A clipped image piles up at its largest value what lay above. Noise keeps an image that is not clipped from holding
-    more pixels of exactly that value than within the band of noise below it.
+    A clipped image has more pixels of exactly the largest value than within the band of noise below it.
     """
     if image.mask.any():
         values = among = image.pixels[~image.mask]

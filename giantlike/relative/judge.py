@@ -1,7 +1,7 @@
-"""The judge of fixes: facts of a solution, and two tests at one rate of false alarms.
+"""Classification of fixes: facts of a solution, and two tests at one rate of false alarms.
 
-A fix is suspect where a named alternative explains the image better, where another place is not excluded, or where it
-lies beyond what was declared of its prediction. The remedy for imprecision is a larger sigma.
+A fix is suspect where a named alternative explains the image better, where another position is not excluded, or where
+it contradicts the declared prediction. The remedy for imprecision is a larger sigma.
 """
 
 from __future__ import annotations
@@ -22,34 +22,34 @@ FALSE_ALARM = 1e-3
 SHORT_ARC_SHARE = 0.25
 """Share of the outline below which an arc is short; the documented meaning of ``Quality.SHORT_ARC``.
 
-Over a quarter of a circle center and radius are still told apart: the sagitta of such an arc is 29 % of the radius.
+A quarter of a circle still separates center and radius: the sagitta of such an arc is 29 % of the radius.
 """
 LEAST_USED_SHARE = 0.5
-"""Share of the observations that must be used; the documented meaning of ``Quality.MANY_REJECTED``.
+"""Minimum fraction of the observations used; the documented meaning of ``Quality.MANY_REJECTED``.
 
 The median absolute deviation, by which outliers are found, breaks down where half of the observations are wrong.
 """
 BORDER_SHARE = 0.9
-"""Share of a bounded search beyond which a fix lies at its border: the body may lie outside."""
+"""Fraction of a bounded search beyond which a fix lies at its edge: the body may lie outside."""
 
 
 class Alternative(StrEnum):
     """Another model of an image."""
 
     OTHER_SUN = "other_sun"
-    """Light comes from another side than the Sun's."""
+    """The illumination direction is not the Sun's."""
     SECOND_LIGHT = "second_light"
-    """A second image of the body lies beside the first: another exposure, a ghost, a second body."""
+    """A second image of the body lies next to the first: another exposure, a ghost, a second body."""
     DARK_BODY = "dark_body"
     """The image is darker where the body should be: it is not there."""
     OTHER_OUTLINE = "other_outline"
-    """The outline is that of another body."""
+    """The outline is the outline of another body."""
     SHIFTED_ROWS = "shifted_rows"
     """All rows from one on are shifted."""
     SHIFTED_COLUMNS = "shifted_columns"
     """All columns from one on are shifted."""
     SMOOTH_LIMB = "smooth_limb"
-    """The limb is that of the smooth body and not that of its height map."""
+    """The limb is the limb of the smooth body, without its height map."""
 
 
 _FLAGS = {
@@ -62,7 +62,7 @@ _FLAGS = {
     Alternative.SMOOTH_LIMB: Quality.WRONG_FIGURE,
 }
 _WEIGHT = 1.0 / len(Alternative)
-"""A priori weight of each alternative against the others, of which nothing is known."""
+"""A priori weight of each alternative: all are equal."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,27 +72,27 @@ class Facts(Value):
     Parameters
     ----------
     off_px : (2,) float64, px
-        Place found less place predicted, of the point for which the search was declared.
+        Estimated minus predicted position of the point for which the search was declared.
     search_px : float, px
         Declared search: largest error of the prediction, in both coordinates.
     range_ratio : float
-        Range predicted over range found: 1 + the relative error of the prediction.
+        Ratio of predicted to estimated range: 1 + the relative error of the prediction.
     search_range : float
         Declared search: largest relative error of the predicted range; infinite for estimators that keep the range.
     bounded : bool
-        True for estimators that cannot leave ``search_px``: a fix at its border may be the flank of a body outside.
+        True for estimators that cannot leave ``search_px``: a fix at its edge may be the flank of a body outside.
     n_used : int
         Observations used.
     n_offered : int
-        Observations that were to be used: those, and the ones rejected.
+        Observations used or rejected.
     outline_share : float
-        Length of outline used over that of the whole outline.
+        Ratio of the length of outline used to the whole outline.
     cut_by_frame : bool
         The body reaches over the edge of the image.
     ambiguous : bool
-        Another source as good lies in the search region.
+        Another source that fits equally well lies in the search region.
     overexposed : bool
-        All of the limb is saturated, so that only the wings of the point spread function are left of it.
+        All of the limb is saturated; only the wings of the point spread function are left.
     """
 
     off_px: Float
@@ -113,17 +113,17 @@ class Facts(Value):
 
     @property
     def far_from_prediction(self) -> bool:
-        """True if the fix lies beyond the declared search, or at the border of a bounded one.
+        """True if the fix lies beyond the declared search, or at the edge of a bounded one.
 
-        The limits are those of the options and nothing else. They do not grow with the uncertainty of the fix: what
-        is uncertain and far away is not confirmed by being uncertain.
+        The limits are those of the options. They do not grow with the uncertainty of the fix: a distant fix is not
+        confirmed by being uncertain.
         """
         limit_px = self.search_px * (BORDER_SHARE if self.bounded else 1.0)
         return float(np.max(np.abs(self.off_px))) > limit_px or abs(self.range_ratio - 1.0) > self.search_range
 
     @property
     def flags(self) -> Quality:
-        """The flags that the facts raise."""
+        """Flags raised by the facts."""
         return _raised(
             {
                 Quality.CUT_BY_FRAME: self.cut_by_frame,
@@ -138,24 +138,24 @@ class Facts(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement:
-    """What speaks against a fix.
+    """Evidence against a fix.
 
     Parameters
     ----------
     alternatives : mapping of Alternative to float
         Logarithms of the odds of other models of the image, each integrated over its parameters.
     other_place : float
-        Logarithm of the odds that the body is at the best other place in the search region.
+        Logarithm of the odds that the body is at the best other position in the search region.
     prediction_chance : float
-        Probability that a right prediction is off by as much as the fix.
+        p-value of the difference of fix and prediction.
     false_alarm : float
         Rate of false alarms of each test.
 
     Notes
     -----
     The mean of the odds of the alternatives, weighted a priori, exceeds ``1 / false_alarm`` at most at the rate
-    ``false_alarm`` where the fix is right, by Markov's inequality. The alternative with the largest share gives the
-    flag. Another place must be as much less likely than the fix; a right prediction contradicts it at the same rate.
+    ``false_alarm`` where the fix is correct, by Markov's inequality. The alternative with the largest odds gives the
+    flag. Another position must be less likely by the same factor; the test of the prediction has the same rate.
     """
 
     alternatives: Mapping[Alternative, float] = field(default_factory=dict)
@@ -165,7 +165,7 @@ class Judgement:
 
     @property
     def flags(self) -> Quality:
-        """The flags that the tests raise."""
+        """Flags raised by the tests."""
         flags, limit = Quality.NONE, -math.log(self.false_alarm)
         if self.alternatives:
             likeliest = max(self.alternatives, key=lambda one: self.alternatives[one])
@@ -180,7 +180,7 @@ class Judgement:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """What was tested, by name."""
+        """Test statistics by name."""
         odds = {f"{name}_log_odds": odds for name, odds in self.alternatives.items() if odds > -math.inf}
         known = {"other_place_log_odds": self.other_place} if self.other_place > -math.inf else {}
         chance = {"prediction_chance": self.prediction_chance} if self.prediction_chance < 1.0 else {}
@@ -194,17 +194,16 @@ def inflation(squared: float, freedom: int) -> float:
 
     Notes
     -----
-    The stated variances count as an estimate of ``freedom`` degrees of freedom; the factor is the mean of their scale,
-    1, and of that of the difference, ``squared / freedom``.
+    The formal variances count as an estimate with ``freedom`` degrees of freedom; the factor is the mean of their
+    scale, 1, and the scale of the difference, ``squared / freedom``.
     """
     return max(0.5 * (1.0 + squared / freedom), 1.0)
 
 
 def explaining_inflation(difference: Float, own: Float, other: Float, false_alarm: float = FALSE_ALARM) -> float:
-    """Least factor of a covariance under which a difference to something else is no contradiction.
+    """Minimum factor of a covariance at which a difference is not significant.
 
-    ``difference`` (k,); ``own``, ``other`` (k, k); returns at least 1: below the quantile of the false alarms nothing
-    grows.
+    ``difference`` (k,); ``own``, ``other`` (k, k); returns at least 1.
     """
     from scipy.linalg import eigh
     from scipy.optimize import brentq

@@ -46,9 +46,9 @@ def center_of_position(
 
 
 def place_covariance(model: CameraModel, position_camera_km: Float, covariance_camera_km2: Float) -> Float:
-    """Covariance of the place of a body, as in the ``parts`` of a fix, from that of its position.
+    """Image covariance of a body, as in the ``parts`` of a fix, from the covariance of its position.
 
-    The inverse of what :func:`position_of_center` does to a covariance.
+    The inverse of the propagation of a covariance by :func:`position_of_center`.
 
     Returns (3, 3), of x, y in px and of the natural logarithm of the range.
     """

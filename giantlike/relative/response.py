@@ -1,4 +1,4 @@
-"""Values that do not grow in proportion to light: tables of square roots, gamma, detectors near their full well."""
+"""Nonlinear response: square-root tables, gamma, detectors near their full well."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import TypeVar
 from giantlike.core.findings import Response
 
 LEAST_BEND = 0.25
-"""Bend that residuals ask for from which on it is tried. Of the gauntlet tables of square roots ask for 0.34 and more,
-images with nothing but another law for 0.03 at most, markings for 0.3."""
+"""Minimum curvature estimated from residuals to fit a nonlinear response. In the gauntlet the estimate is at least 0.34
+for square-root tables, at most 0.03 for another law alone, and 0.3 for markings."""
 DISPLAY_BEND_SIGMA = 1.0
-"""A priori standard deviation of the bend, about 0, of values of 8-bit JPEG and PNG files whose camera declares no
-gamma and no noise: they may be proportional to light (0), or coded for display, where light goes as their power of 2.2
-(nearly 1, which is the square)."""
+"""A priori standard deviation of the curvature, about 0, of 8-bit JPEG and PNG files whose camera declares neither
+gamma
+nor noise: values may be linear (0), or display-coded, where light is their power of 2.2 (nearly 1, the square)."""
 BEND_STEP = 0.1
-"""Bend by which values are changed to see how a fix follows."""
+"""Step of the curvature for the numerical derivative of a fix."""
 MOST_BEND = 0.98
 _BENDINGS, _SETTLED_BEND = 6, 0.02
-"""Trials of a response, at most, and the change of its bend, if not its standard deviation, below which it is found:
-what remains is estimated."""
+"""Maximum number of trials of a response, and change of its curvature at convergence, unless its standard deviation is
+larger; the rest is estimated linearly."""
 
 Trial = TypeVar("Trial")
 
@@ -28,9 +28,9 @@ Trial = TypeVar("Trial")
 def settled(
     first: Response, tried: Callable[[Response], Trial | None], asked: Callable[[Trial], tuple[Response, float]]
 ) -> Trial | None:
-    """Straighten values by the bend that residuals ask for, until they ask for no other.
+    """Linearize values by the curvature estimated from residuals, until it converges.
 
-    Returns None where the bend does not settle, or settles where there is next to none.
+    Returns None where the curvature does not converge, or is negligible.
     """
     response = first
     for _ in range(_BENDINGS):

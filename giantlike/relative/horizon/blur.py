@@ -1,4 +1,4 @@
-"""Blur of the brightness inside a horizon, as a sum over depths: exact for a straight limb, and what its bend adds."""
+"""Blur of the brightness inside a horizon, as a sum over depths: exact for a straight limb, with a curvature term."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 
 LEAST_RADIUS = 0.3
-"""Least radius of lines of equal depth over that of the horizon."""
+"""Minimum ratio of the radius of lines of equal depth to the radius of the horizon."""
 _REACH_WIDTHS = 4.0  # light from deeper than so many widths beyond the window does not reach it
 _PIXEL_FOURTH_CUMULANT = -1.0 / 120.0
 """Fourth cumulant of a uniform density of width 1, px^4."""

@@ -47,53 +47,54 @@ from giantlike.rings import Rings
 _COARSE_POINTS = 120
 """Points for the search of the horizon as a whole."""
 OTHER_LAWS = (Lambert(), LommelSeeliger(), Minnaert(k=0.5), Minnaert(k=0.75))
-"""Laws that the surface may have instead of the one told, or mixtures with it: they are estimated with the position.
+"""Laws mixed into the assumed one; their fractions are estimated with the position.
 
 Lambert and Lommel-Seeliger are the limits of bright and of dark surfaces, and McEwen's and the lunar law mixtures of
 them; Minnaert's exponent is 0.5 for a flat disk at full phase and 1 for Lambert, and two of them between span the rest.
-Laws outside of this span (Hapke's with slopes of 20 degrees, Akimov's) come out with squared errors of 0.8-1.4 per
-degree of freedom at 15 to 125 degrees of phase, of 4 to 28 with one exponent of 0.7.
+Laws outside of this span (Hapke's with slopes of 20 degrees, Akimov's) have squared errors of 0.8-1.4 per degree of
+freedom at 15 to 125 degrees of phase; 4 to 28 with one exponent of 0.7.
 """
 _OTHER_LAW_SIGMA = 1.0
-"""Standard deviation of the share of another law: at 1 the surface has that law altogether."""
+"""A priori standard deviation of the fraction of another law; at 1 the surface has that law altogether."""
 _WING_RATIOS = (2.0, 6.0)
-"""Widths of the wings of a point spread function over that of its core: two, so that those between are spanned."""
+"""Widths of the wings of a point spread function relative to its core; two span the widths between."""
 _WING_SIGMA = 0.1
-"""Standard deviation of the share of light in each of the wings; a share below zero sharpens the core."""
+"""Standard deviation of the fraction of light in each of the wings; a negative fraction sharpens the core."""
 _LAW_SIGMA = 0.2
-"""How much a smooth reflectance law may add to another at the square of the cosine of emission, over the first."""
+"""Standard deviation of the quadratic term in the cosine of emission by which laws differ, relative to the first."""
 _STEP_LAW_SIGMA = 2.0
-"""The same at its cube, where no law is used."""
+"""As above, for the cubic term, where no law is used."""
 _FIRST_BLUR_PX2 = 1.0
-"""Variance added to the blur while the horizon is known to a pixel or two only: wider profiles catch from farther."""
+"""Variance added to the blur while the horizon is known to a pixel or two only: it widens the range of convergence."""
 _FIRST_CELLS = 24
-"""Cells of the first measurement, which only needs to be good to a part of the width of a profile."""
+"""Cells of the first measurement, which is only a start for the next."""
 _WIDE = 2.0  # times the width of an unknown point spread function, from which a free width is estimated
 _STIFF_STEPS, _STIFF = 2, 1e12  # while the horizon is off, that looks like more blur and another law
 _BLUR_REST, _BLUR_REST_LATER = 0.1, 0.5
-"""Steps of the variance of the blur, over that variance, in which profiles are linear: to 1 % of their width at first;
-on limbs that fade in haze the blur does not come to rest, and a step by half is the last."""
+"""Relative step of the variance of the blur at which it has converged: linear to 1 % of the width of a profile. Later
+half, because the blur of limbs in haze does not converge."""
 _UNKNOWN_PSF_SIGMA_PX2 = 2.0
 """Standard deviation, px^2, of the variance of an unknown point spread function: widths up to 2 px are usual."""
 _LEAST_VARIANCE_PX2 = 0.1
-"""Least variance of the point spread function, px^2, to which ``psf_error`` is applied: that of a pixel."""
+"""Minimum variance of the point spread function, px^2, to which ``psf_error`` is applied: about that of a pixel."""
 _SMALL_DISK_PX = 1.8
-"""Its square over that of the radius is what the profile leaves of the limb of small disks, px.
+"""The error of the profile on small disks, px, is the square of this divided by that of the radius.
 
-Of the light of bodies of 60,000 DN at 20, 30 and 50 px, where noise is small (8 views of 4 phases and 3 laws each),
-centers were off by 0.03, 0.016 and 0.007 px an axis.
+Centers of bodies of 60,000 DN with little noise (8 views of 4 phases and 3 laws each) had errors of 0.03, 0.016 and
+0.007 px per axis at 20, 30 and 50 px.
 """
 _UNEVEN, _UNEVEN_RADIUS_PX = 1.0, 25.0
-"""Brightness over its change along a cell below which the cell is left out; less on disks below that radius, px.
+"""Ratio of brightness to its change along a cell below which the cell is left out; smaller on disks below that radius.
 
-Profiles are those of a limb that is alike along a cell. Where the terminator meets the limb it is not, and the shares
-of other laws bend to that one cell: a right law was off by 4 standard deviations, and a limb of 50 px by 0.04 px.
-Bodies of Lommel and Seeliger of 60,000 DN at 100 degrees of phase and 100 px have squared errors of 37, 21 and 11 per
-degree of freedom with 0, 0.5 and 1, and of 4.4 with 1 and the points of `horizon_arc` that such disks have now. Cells
-of a disk of 30 px are a quarter of its radius: with 1, two of eight crescents of it have too few left.
+The radius is in px. Profiles assume a uniform limb along a cell, which fails where the terminator meets the limb: the
+fraction of a law was then in error by 4 standard deviations, and a limb of 50 px by 0.04 px. Lommel-Seeliger bodies of
+60,000 DN and 100 px at 100 degrees of phase have squared errors of 37, 21 and 11 per degree of freedom with 0, 0.5 and
+1, and of 4.4 with 1 and the present points of `horizon_arc`. On disks of 30 px, two of eight crescents have too few
+cells left with 1.
 """
 _CELL_RADII, _LEAST_CELL_PX = 0.25, 3.0
-"""Longest cell over the apparent radius, as a cell is taken for straight; and the shortest, which needs its pixels."""
+"""Maximum length of a cell relative to the apparent radius, as cells are treated as straight; and minimum length,
+px."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -119,11 +120,11 @@ class CellMeasurement(LimbMeasurement):
 
     @property
     def noise_scale2(self) -> float:
-        """Variance that the profiles leave over that of pixel noise, at least 1."""
+        """Ratio of the variance of the residuals to the pixel noise, at least 1."""
         return max(float(np.median(self.fits.chi2[self.keep])), 1.0) if self.keep.any() else 1.0
 
     def about_shared(self) -> tuple[Float, Float]:
-        """Add up what is known of the shared errors before and what the kept cells say, every shift left free.
+        """Add the prior information on the shared errors and that of the kept cells, every shift left free.
 
         Returns ``information`` (s, s) and ``pull`` (s,).
         """
@@ -152,12 +153,12 @@ def measure_by_cells(
     search: IteratedSearch,
     options: HorizonScan,
 ) -> LimbMeasurement | Failure:
-    """Find the horizon of an ellipsoid and measure it in cells until it nearly stands still.
+    """Find the horizon of an ellipsoid and measure it in cells until it nearly converges.
 
-    Where the disk is clipped along half of the limb or more, lines across it take the place of cells.
+    Where the disk is clipped along half of the limb or more, lines across it replace the cells.
 
-    What is left is for the solution that comes after: its profiles are linear in the shift to second order, so that a
-    last step of s px leaves errors of s^2 over the width of the blur, about a pixel.
+    The last step is left to the solution that follows: profiles are linear in the shift to second order, so that a step
+    of s px leaves errors of s^2 divided by the width of the blur, about a pixel.
     """
     scan = CellScan(view=view, figure=figure, law=law, search=search, options=options)
     lit = scan.lit(position_camera_km, reach_px=search.search_px)
@@ -195,7 +196,7 @@ def measure_by_cells(
 
 
 def _mostly_lost(settled: LimbMeasurement | Failure) -> bool:
-    """True if the limb could not be measured, or less than half of what is lit of it."""
+    """True if the limb could not be measured, or less than half of its lit part."""
     return isinstance(settled, Failure) or settled.n_used < LEAST_USED_SHARE * settled.n_offered
 
 
@@ -211,8 +212,8 @@ class CellScan(Value):
     search : IteratedSearch
     options : HorizonScan
     held : bool
-        Hold blur, law and wings while the limb settles: a short arc does not tell them from the position well enough
-        to come to rest with them free. They are estimated once from where it rests, and are in the covariance.
+        Hold blur, law and wings until the limb has converged: a short arc does not separate them from the position well
+        enough to converge with them free. They are estimated once at the end, and are in the covariance.
     """
 
     view: LimbView
@@ -223,10 +224,10 @@ class CellScan(Value):
     held: bool = False
 
     def in_turn(self) -> tuple[tuple[CellScan, float], ...]:
-        """Ways to measure, each for a limb that does not come to rest by the one before, and variances to start with.
+        """Scans to try, each for a limb on which the one before does not converge, and their starting variances.
 
-        An image that is blurred beyond what its camera knows takes long with that width: it is estimated freely then,
-        from above, since a profile that is too sharp asks for a fraction of the blur that is missing.
+        An image that is blurred more than declared converges slowly from the declared width. The width is then
+        estimated freely from above, since a profile that is too sharp underestimates the missing blur.
         """
         free = replace(self, view=replace(self.view, plane=replace(self.view.plane, psf=None)))
         nominal_px2 = self.nominal_psf_px2
@@ -240,7 +241,7 @@ class CellScan(Value):
 
     @property
     def other_laws(self) -> tuple[Reflectance, ...]:
-        """Laws that the surface may have instead; under air, also none of its own."""
+        """Laws that the surface may have instead; under air, also black ground."""
         return OTHER_LAWS if self.figure.air is None else (*OTHER_LAWS, Black())
 
     @property
@@ -274,7 +275,7 @@ class CellScan(Value):
         return select_rows(whole, chosen), light[chosen], cut_by_frame
 
     def measure(self, state: LimbState) -> CellMeasurement | Failure:
-        """Measure the horizon at a position: at first in few cells, and before all with more blur, a stiff profile."""
+        """Measure the horizon at a position; at first in few cells, with more blur and a stiff profile."""
         lit = self.lit(state.position_camera_km, reach_px=0.0)
         if isinstance(lit, Failure):
             return lit
@@ -340,7 +341,7 @@ class CellScan(Value):
         )
 
     def step(self, measured: CellMeasurement, state: LimbState) -> LimbStep:
-        """Step of position and blur by all cells together; blur and law are held at first where they are known."""
+        """Step of position and blur from all cells; blur and law are held at first where they are known."""
         keep = agreeing_step(measured, self.search.outlier_mad).keep
         measured = replace(measured, keep=keep)
         known = self.view.psf_sigma_px is not None
@@ -360,7 +361,7 @@ class CellScan(Value):
         return LimbStep(position_km=solution[layout.span("position")], keep=keep, psf_px2=psf_px2)
 
     def settled(self, measured: CellMeasurement, step: LimbStep, moved_px: float, state: LimbState) -> bool:
-        """Return True if the square of the step is small, or noise explains it, and the blur has settled too."""
+        """Return True if the square of the step is small, or noise explains it, and the blur has converged too."""
         kept = replace(measured, keep=step.keep)
         blurred_px2 = step.psf_px2 or float(kept.blur_and_law()[0][kept.shared.span("blur")][0])
         linear = _BLUR_REST if state.iteration <= PATIENCE else _BLUR_REST_LATER
@@ -371,7 +372,7 @@ class CellScan(Value):
         return full_px**2 < self.search.tolerance_px or full_px < kept.motion_sigma_px(step.position_km)
 
     def finish(self, measured: CellMeasurement, step: LimbStep) -> CellMeasurement:
-        """Return the shifts with blur and law as the cells show them, and what their errors do to the shifts."""
+        """Return the shifts with blur and law as estimated from the cells, and the effect of their errors on them."""
         kept = replace(measured, keep=step.keep)
         estimate, covariance = kept.blur_and_law()
         layout, shared_px = kept.shared, kept.fits.shared @ np.linalg.cholesky(covariance)

@@ -109,7 +109,7 @@ def _brightness(
 def _other_terms(
     value: Float, slope: Float, curve: Float, kept: Mask, solution: Float, terms: Float
 ) -> tuple[float, float]:
-    """Fill in the columns of what all cells share; return the brightness inside and the gain, DN, of a cell.
+    """Fill in the columns of the shared parameters; return the brightness inside and the gain, DN, of a cell.
 
     Profiles that may be mixed in are made as bright as what is free in the cell.
     """

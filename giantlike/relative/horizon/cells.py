@@ -36,11 +36,11 @@ class CellFits(Value):
     chi2 : (c,) float64
         Per degree of freedom, all free, by pixel noise.
     gain_dn : (c,) float64, DN
-        Brightness over that of the law.
+        Ratio of brightness to the law.
     contrast : (c,) float64
-        Brightness inside over the noise of the dark.
+        Ratio of the brightness inside to the noise of the sky.
     unexplained : (c,) float64
-        Root mean square of what is left with all free, over the brightness inside.
+        Root mean square of the residuals with all parameters free, relative to the brightness inside.
     used : (c,) float64
         Share of the usable pixels that were not left out for being too far from the fit.
     """
@@ -82,7 +82,7 @@ class CellFits(Value):
         return replace(self, information=across @ self.information @ by_shared, pull=pull)
 
     def about_shared(self, keep: Mask) -> tuple[Float, Float]:
-        """Add up what cells say about the shared errors, every shift left free.
+        """Sum the information of cells on the shared errors, every shift left free.
 
         ``keep`` (c,); returns ``information`` (s, s) and ``pull`` (s,).
         """

@@ -37,38 +37,41 @@ from giantlike.relative.limb.terrain import with_terrain
 __all__ = ["EllipseFit", "EllipseFitOptions"]
 
 _ROUNDS = 3
-"""Rounds of fit and rejection; the points used stand still after two."""
+"""Iterations of fit and rejection; the points used do not change after two."""
 _LIGHT_SIGMAS, _LIGHT_SHARE = 5.0, 0.1
-"""Light is what exceeds the background by so many sigmas and by so much of the brightness of the body."""
+"""Threshold of light above the background, in sigmas and as a fraction of the brightness of the body."""
 _SKY_SAMPLE, _LEAST_SKY_STEP, _MIN_SKY = 16_000, 4, 60
-"""Pixels that are looked at for the sky, about, which tell its level to a hundredth of its noise; least step from one
-to the next; and least number of samples for its level and noise."""
+"""Approximate number of sky pixels sampled, which determine its level to a hundredth of its noise; minimum step between
+them; and minimum number of samples for level and noise."""
 _BOX_MARGIN_PX = 8
-"""Room around all places where the predicted limb is searched, px, for the windows of edges."""
+"""Margin around the search region of the limb, px, for the windows of edges."""
 _STRETCH = 1.5
-"""Apparent size of a body by a camera model that stretches it, over that by its scale at the center, at most; farther
-limb is not measured."""
+"""Maximum ratio of the apparent size of a body under distortion to its size by the scale at the center; limb beyond it
+is
+not measured."""
 _MIN_COSINE = 0.2
-"""Cosine between sunlight and the normal of an edge below which the limb goes over into the terminator."""
+"""Minimum cosine between sunlight and the normal of an edge; below it the limb merges with the terminator."""
 _MAX_TURN_RAD = 0.5
-"""Angle between the normals of edge and prediction, rad."""
+"""Maximum angle between the normals of edge and prediction, rad."""
 _MIN_CONTRAST = 0.25
-"""Contrast of an edge over that of the median edge."""
+"""Minimum contrast of an edge relative to the median edge."""
 _GROWTH = 2.5
-"""Error of an edge in 5 x 5 pixels by brightness that changes inside, over how much more it is in 7 x 7.
+"""Ratio of the error of an edge in 5 x 5 pixels by a brightness gradient inside to its increase in 7 x 7.
 
-That brightness goes with the cosine of emission, the root of the distance from the limb. On spheres under the laws of
-Lambert, Lommel-Seeliger and McEwen, at 20 to 110 degrees, it takes 0.05-0.2 px of error down to 0.06 px and less.
+That brightness follows the cosine of emission, the root of the distance from the limb. On spheres under the laws of
+Lambert, Lommel-Seeliger and McEwen, at 20 to 110 degrees, the correction reduces errors of 0.05-0.2 px to 0.06 px and
+less.
 """
 _GROWTH_LENGTH = 3.0
-"""Correlation length, along the Sun, of what that correction leaves, over the radius: it has one sign along most of the
-limb, and is the same on both sides of the direction of the Sun."""
+"""Correlation length, along the Sun, of the error of that correction, radii: it has one sign along most of the limb,
+and
+is symmetric about the direction of the Sun."""
 _GROWTH_ERROR, _WINDOW_ERROR_PX2 = 0.5, 3.0
-"""Error of that correction over the correction itself; and what it leaves besides, times the radius.
+"""Relative error of that correction; and its additional error times the radius, px^2.
 
 From ellipsoids of 60-300 px under the laws of McEwen, Lambert, Lommel-Seeliger, Hapke and Minnaert, at 15-125 degrees,
-with the point spread function as told, 30 % wider or narrower, and with wings. Squared errors of 144 fixes over their
-variance: 1.3 along the Sun and in range, 0.7 across; by phase 0.6, 0.7, 0.6 and, at 125 degrees, 1.7.
+with the declared point spread function, 30 % wider or narrower, and with wings. Ratios of squared errors to variance in
+144 fixes: 1.3 along the Sun and in range, 0.7 across; by phase 0.6, 0.7, 0.6 and, at 125 degrees, 1.7.
 """
 
 
@@ -88,7 +91,7 @@ class EllipseFitOptions(LimbSearch):
     min_edges : int
         Fewer edges than this are no limb.
     max_edges : int
-        Of longer limbs every second, third ... edge is taken.
+        On longer limbs every second, third ... edge is used.
     outlier_mad : float
         Edges beyond so many robust sigmas are left out.
     large_rms_px : float, px
@@ -112,19 +115,19 @@ class EllipseFitOptions(LimbSearch):
 class EllipseFit(BodyEstimator[EllipseFitOptions, PositionFix]):
     """Position of a body from an ellipse through the edges of its lit limb.
 
-    Edges are found by a scan along the sunlight, measured by Zernike moments, and taken through the camera model to the
-    plane that touches the sphere of directions at the predicted place, where the horizon of an ellipsoid is an ellipse
-    whatever the distortion. An ellipse that is free in all its five parameters tells which edges are of the limb;
-    direction and range then are those of the horizon of the known axes that fits these best. No reflectance law is
-    used, and no law's error enters: what a brightness that changes inside the limb does to edges is told by windows of
-    two sizes, and its uncertainty is in the covariance, as is the relief that residuals show. Where the disk is clipped
-    along the limb and too few edges are left, lines with a template that is clipped alike measure it.
+    Edges are found by a scan along the sunlight, measured by Zernike moments, and mapped by the camera model to the
+    plane tangent to the sphere of directions at the predicted position, where the horizon of an ellipsoid is an ellipse
+    for any distortion. An ellipse with all five parameters free selects the edges of the limb; direction and range then
+    follow from the best-fitting horizon of the known axes. No reflectance law is used: the bias of edges by a
+    brightness gradient inside the limb is estimated from windows of two sizes, and its uncertainty is in the
+    covariance, as is the relief that residuals show. Where the disk is clipped along the limb and too few edges are
+    left, lines are matched with a template that is clipped alike.
 
     ``score`` of the fix is the root mean square of the residuals in px; ``residuals`` are distances across the horizon,
     px, positive outside.
 
-    Failures are ``WRONG_SHAPE`` for a body that is no ellipsoid, ``NO_LIMB``, ``SATURATED``, and ``NOT_CONVERGED`` or
-    ``DEGENERATE_GEOMETRY`` where the arc does not fix an ellipse.
+    Failures are ``WRONG_SHAPE`` for a body that is not an ellipsoid, ``NO_LIMB``, ``SATURATED``, and ``NOT_CONVERGED``
+    or ``DEGENERATE_GEOMETRY`` where the arc does not determine an ellipse.
 
     Parameters
     ----------
@@ -162,7 +165,7 @@ class EllipseFit(BodyEstimator[EllipseFitOptions, PositionFix]):
 
 
 def _mostly_lost(measured: LimbMeasurement | Failure) -> bool:
-    """True if the limb could not be measured, or less than half of the edges that sunlight meets are limb."""
+    """True if the limb could not be measured, or less than half of the sunward edges are limb."""
     return isinstance(measured, Failure) or measured.n_offered < LEAST_USED_SHARE * (
         measured.n_offered + measured.n_elsewhere
     )
@@ -170,7 +173,7 @@ def _mostly_lost(measured: LimbMeasurement | Failure) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plane(Value):
-    """The plane that touches the sphere of directions at one of them."""
+    """Plane tangent to the sphere of directions at one of them."""
 
     camera_from_plane: Float
 
@@ -293,7 +296,7 @@ def fit_limb_ellipse(
 
 
 def _sky(view: LimbView, stand_in: EllipsoidStandIn, search_px: float) -> tuple[Background, float] | Failure:
-    """Background beside the predicted body, and brightness of the body above it (upper quartile)."""
+    """Background next to the predicted body, and brightness of the body above it (upper quartile)."""
     step = max(math.isqrt(view.usable.size // _SKY_SAMPLE), _LEAST_SKY_STEP)
     rows, columns = (np.arange(0, size, step) for size in view.usable.shape)
     x, y = (part.ravel() for part in np.meshgrid(columns, rows))
@@ -315,7 +318,7 @@ def _sky(view: LimbView, stand_in: EllipsoidStandIn, search_px: float) -> tuple[
 
 
 def _horizon_angle(directions: Float, figure: Figure, center_km: Float) -> Float:
-    """Roughly how far outside the horizon directions (n, 3) lie, rad."""
+    """Approximate angle, rad, of directions (n, 3) outside the horizon."""
     mapped = directions @ figure.to_sphere.T
     normal = figure.to_sphere @ center_km
     distance = float(np.linalg.norm(normal))
@@ -327,7 +330,7 @@ def _horizon_angle(directions: Float, figure: Figure, center_km: Float) -> Float
 
 
 def _search_box(view: LimbView, stand_in: EllipsoidStandIn, options: EllipseFitOptions) -> PixelBox:
-    """Part of the frame that holds the limb wherever it may be; all of it where the center has no image."""
+    """Part of the frame that holds all possible positions of the limb; all of it where the center has no image."""
     rows, columns = view.usable.shape
     center_px = view.model.project(stand_in.position_camera_km)
     if not np.isfinite(center_px).all():
@@ -345,7 +348,7 @@ def _longest_px(view: LimbView, figure: Figure) -> float:
 def _near_prediction(
     view: LimbView, found: EdgePoints, stand_in: EllipsoidStandIn, sunlight: Float, options: EllipseFitOptions
 ) -> EdgePoints:
-    """Edges that sunlight meets first and that lie and look as the predicted limb, but for the errors allowed."""
+    """Sunward edges consistent in position and appearance with the predicted limb, within the allowed errors."""
     if not len(found):
         return found
     model, figure = view.model, stand_in.figure
@@ -371,9 +374,9 @@ def _paired(small: EdgePoints, large: EdgePoints) -> tuple[EdgePoints, EdgePoint
 
 
 def _smooth(values: Float, normals: Float, outlier_mad: float) -> tuple[Float, Float]:
-    """Part of values (n,) along a limb that is even or goes with the direction (n, 2) of its normal.
+    """Part of values (n,) along a limb that is constant or linear in the direction (n, 2) of its normal.
 
-    And by how much of it (n, 3) the scatter of the values about it leaves each of its unknowns uncertain.
+    Also the change of it (n, 3) by one standard deviation of each unknown.
     """
     design = np.concatenate([np.ones((len(values), 1)), normals], axis=1)
     solution, keep = robust_solution(values, design, np.full(len(values), 1e-3), outlier_mad=outlier_mad)
@@ -384,7 +387,7 @@ def _smooth(values: Float, normals: Float, outlier_mad: float) -> tuple[Float, F
 
 
 def _agreeing(points: Float, sigma: Float, options: EllipseFitOptions) -> Mask | Failure:
-    """Points that lie on one ellipse, but for their noise and the scatter of all."""
+    """Points that lie on one ellipse within noise and scatter."""
     middle = points.mean(axis=0)
     size = float(np.sqrt(points.var(axis=0).sum()))
     x, y = ((points - middle) / size).T

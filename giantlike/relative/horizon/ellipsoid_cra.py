@@ -28,7 +28,7 @@ from giantlike.relative.place import apparent_radius_px
 from giantlike.shapes import Ellipsoid, LevelsOfDetail, PlacedEllipsoid, TriangleMesh
 
 RELIEF_LENGTH = 0.3
-"""Correlation length of relief along the limb over the radius; measured on asteroid models and on made-up bodies."""
+"""Correlation length of relief along the limb, radii; measured on asteroid models and on synthetic bodies."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,14 +56,14 @@ class EllipsoidCRAOptions(HorizonSearch):
     large_rms_px : float, px
         Kept for files of earlier versions: residuals raise no flag.
     limb_altitude_km : float, km
-        What is seen as the limb stands so high above the shape: haze, an atmosphere. Where this and its sigma are 0,
-        that of the target's atmosphere.
+        Altitude of the apparent limb above the shape, by haze or an atmosphere. Where this and its sigma are 0, the
+        altitude of the target's atmosphere is used.
     altitude_sigma_km : float, km
-        Standard deviation of that; where it is not zero the altitude is estimated with the position.
+        Standard deviation of the altitude; where it is not zero the altitude is estimated with the position.
     horizon : HorizonScan
-        How the horizon of an ellipsoid is measured.
+        Options for the horizon of an ellipsoid.
     scan : LimbScanOptions
-        How the limb of a mesh is measured.
+        Options for the limb of a mesh.
     """
 
     method: CraMethod = CraMethod.MAXIMUM_LIKELIHOOD
@@ -86,14 +86,14 @@ class EllipsoidCRA(BodyEstimator[EllipsoidCRAOptions, PositionFix]):
     brightness free in every cell (with ``horizon.edges`` a step no reflectance law is needed); its points then go
     through the Christian-Robinson algorithm. A mesh is replaced by its best-fit ellipsoid, flagged
     ``SHAPE_APPROXIMATED``, and its limb measured as in limb matching (``scan``); its relief is then in the covariance,
-    as errors that neighbors on the limb share. So is the limb of an ellipsoid with a height map, whose relief is taken
-    off its points.
+    as errors correlated along the limb. So is the limb of an ellipsoid with a height map, whose relief is subtracted
+    from its points.
 
     ``score`` of the fix is the root mean square of the residuals in px; ``residuals`` are those across the limb, px,
     positive where the limb in the image lies outside the horizon.
 
     Failures are ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME``, ``SATURATED``, ``NOT_CONVERGED``, ``LARGE_RESIDUALS`` and
-    ``DEGENERATE_GEOMETRY``, and ``WRONG_SHAPE`` for a body that is no ellipsoid. The width of
+    ``DEGENERATE_GEOMETRY``, and ``WRONG_SHAPE`` for a body that is not an ellipsoid. The width of
     an unknown point spread function is measured on the limb.
 
     Parameters
@@ -122,7 +122,7 @@ class EllipsoidCRA(BodyEstimator[EllipsoidCRAOptions, PositionFix]):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EllipsoidStandIn(Value):
-    """Ellipsoid that stands for a body.
+    """Ellipsoid that represents a body.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class EllipsoidStandIn(Value):
     position_camera_km : (3,) float64, km, camera axes
         Predicted position of that center.
     relief : SmoothError or None
-        Departure of the outline from that of the ellipsoid; None for a body that is one.
+        Departure of the outline from the outline of the ellipsoid; None for a body that is an ellipsoid.
     """
 
     figure: Figure

@@ -1,4 +1,4 @@
-"""The horizon of an ellipsoid in the image: position from points on it, and what their errors do to the position."""
+"""The horizon of an ellipsoid in the image: position from its points, with covariance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cells along a horizon that are measured well, each about its own place where relief moves the limb."""
+"""Selection of good cells along a horizon, each refitted about its own position where relief moves the limb."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from giantlike.relative.horizon.pixels import limb_pixels
 from giantlike.relative.horizon.profile import HorizonArc, Indices, ProfileTable
 
 _ROUNDS = 2
-"""Fits of cells about their own places, where they lie off one horizon."""
+"""Fits of cells about their own positions, where they deviate from one horizon."""
 _RELIEF_PX, _RELIEF_NOISE = 0.1, 3.0
-"""Root mean square by which they do so, px, and over the noise of a cell.
+"""Minimum root mean square of that deviation, px and in units of the noise of a cell.
 
-Half of its square over the width of a profile, 0.005 px, is what profiles that are linear in the shift then leave.
+Profiles that are linear in the shift have an error of half its square divided by their width, 0.005 px.
 """
 _MIN_FILLED = 0.6
-"""Share of the pixels of a cell that must be usable."""
+"""Minimum fraction of usable pixels in a cell."""
 _MIN_CONTRAST_SIGMAS = 5.0
-"""Brightness of good cells over the noise of the dark."""
+"""Minimum ratio of the brightness of good cells to the noise of the sky background."""
 _MAX_UNEXPLAINED, _MAX_UNEXPLAINED_FIRST = 0.12, 0.4
-"""Residuals of good cells over their brightness; more while the horizon is known to a pixel or two only."""
+"""Maximum residuals of good cells relative to their brightness; more while the horizon is known to 1-2 px only."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellRules:
-    """How cells are measured, and which are good.
+    """Parameters of the measurement of cells, and limits of good ones.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class CellRules:
     min_cells : int
         Fewer good cells are no limb.
     outlier_mad : float
-        Cells beyond so many robust sigmas do not tell whether there is relief.
+        Cells beyond so many robust sigmas are ignored in the test for relief.
     first : bool
         The horizon is known to a pixel or two only.
     """
@@ -84,7 +84,7 @@ class GoodCells(Value):
     middles : (n,) int64
         The points of the horizon in their middles.
     shift_px : (n,) float64, px
-        From there outward to the limb, with all that is shared as assumed.
+        From there outward to the limb, with the shared parameters as assumed.
     spacing_px : float, px
         From one cell to the next, good or not.
     rejected : mapping of str to int
@@ -104,11 +104,11 @@ class GoodCells(Value):
 def good_cells(
     view: LimbView, arc: HorizonArc, table: ProfileTable, clear: Mask, rules: CellRules
 ) -> GoodCells | NoCells:
-    """Fit the cells along a horizon; where they lie off it by more than noise, again about the place of each.
+    """Fit the cells along a horizon; where they deviate by more than noise, again about the position of each.
 
-    Profiles are linear in the shift to second order only. On a horizon with relief, cells that are fitted about where
-    it was predicted take the squares of their shifts for more blur and another law, which moves the whole horizon: by
-    0.3-0.5 px outward with relief of 0.6 px.
+    Profiles are linear in the shift to second order only. On a horizon with relief, the squared shifts of cells fitted
+    about the prediction look like more blur and another law, which moves the whole horizon: by 0.3-0.5 px outward with
+    relief of 0.6 px.
     """
     displaced_px = np.zeros(len(arc.points_px))
     cells = _fitted(view, arc, table, clear, displaced_px, rules)

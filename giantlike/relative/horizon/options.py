@@ -22,9 +22,9 @@ class HorizonScan(ScanOptions):
     ----------
     edges : EdgeModel
         With ``TEMPLATE`` the brightness inside is that of the reflectance law times a line in the cosine of emission;
-        with ``STEP`` a parabola in that cosine, whatever the law. With both, shares of other laws are estimated.
+        with ``STEP`` a parabola in that cosine under any law. With both, fractions of other laws are estimated.
     window_px : float, px
-        How far to both sides of the horizon pixels are used.
+        Largest distance of pixels used, to both sides of the horizon.
     cell_px : float, px
         Length of the cells along the horizon, each with its own brightness; on small disks they are shorter.
     min_cells : int
@@ -32,12 +32,12 @@ class HorizonScan(ScanOptions):
     min_contrast : float
         Mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
     psf_error : float
-        Relative standard deviation of the width of the camera's point spread function. The limb itself tells the width
-        better: told 30 % too wide or narrow at 30 to 300 px, squared errors are 0.6-1.1 per degree of freedom with 0.1
-        to 0.4 here, and sigmas change by 2 %; with 0.05 they reach 2.2.
+        Relative standard deviation of the width of the camera's point spread function. The limb itself constrains the
+        width better: with one declared 30 % too wide or narrow, squared errors at 30 to 300 px are 0.6-1.1 per degree
+        of freedom with 0.1 to 0.4 here, and sigmas change by 2 %; with 0.05 they reach 2.2.
     rings_km : (float, float), optional
         Inner and outer radius of rings in the equator of the body, whose pixels and shadow are left out. Without them,
-        those of the target.
+        the rings of the target.
     """
 
     cell_px: float = 7.0
@@ -56,7 +56,7 @@ class HorizonScan(ScanOptions):
             Rings(*self.rings_km)  # checks the values
 
     def about(self, target: Target) -> HorizonScan:
-        """Return the options with the rings of a target, where they tell none."""
+        """Return the options with the rings of a target, where they declare none."""
         rings = target.rings
         return (
             self
@@ -77,10 +77,10 @@ class HorizonSearch(IteratedSearch):
     Parameters
     ----------
     limb_altitude_km : float, km
-        What is seen as the limb stands so high above the shape: haze, an atmosphere. Where this and its sigma are 0,
-        that of the target's atmosphere.
+        Altitude of the apparent limb above the shape, by haze or an atmosphere. Where this and its sigma are 0, the
+        altitude of the target's atmosphere is used.
     altitude_sigma_km : float, km
-        Standard deviation of that; where it is not zero the altitude is estimated with the position.
+        Standard deviation of the altitude; where it is not zero the altitude is estimated with the position.
     """
 
     limb_altitude_km: float = 0.0
@@ -91,7 +91,7 @@ class HorizonSearch(IteratedSearch):
         Altitude(self.limb_altitude_km, self.altitude_sigma_km)  # checks the values
 
     def altitude(self, geometry: TargetGeometry) -> Altitude:
-        """Return the altitude of the limb as known before.
+        """Return the a priori altitude of the limb.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
 """Brightness of an ellipsoid across its horizon in closed form, without a ray traced or an image rendered.
 
-A blurred step whose place is that of the horizon, times brightness that grows or falls inward as the slant of the
-surface does: the ellipsoidal sigmoid that the estimators on horizons fit to pixels.
+A blurred step at the horizon, times brightness that changes inward with the slant of the surface: the ellipsoidal
+sigmoid that the estimators on horizons fit to pixels.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Seeliger at 100 degrees of phase by 3.7e-4 of the range instead of 2.9e-4 (60,00
 _NODE_PX = 2.0
 """Length of horizon to a point, px."""
 _KNOT_ERROR, _KNOT_REACH = 5e-4, 8
-"""Error of brightness interpolated along the horizon, over the largest; and the most points from one knot to the next.
+"""Error of brightness interpolated along the horizon relative to the largest; and maximum points between knots.
 
 Where the terminator meets the horizon the brightness has a kink, at another place for each depth: with knots in even
 steps of 0.07 rad centers of disks of 300 px moved by up to 0.9 sigma.
@@ -82,7 +82,7 @@ class HorizonArc(Value):
     design : (k, 3) float64, px/km
         Outward motion with the position of the body.
     along_px : (k,) float64, px
-        Length of the horizon from its start; what is not imaged counts nothing.
+        Length of the horizon from its start, without parts that are not imaged.
     spacing_px, perimeter_px : float, px
     complete : bool
         All of the horizon has an image.

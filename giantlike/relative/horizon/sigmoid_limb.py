@@ -30,7 +30,7 @@ class SigmoidLimbOptions(HorizonSearch):
     max_iterations : int
         Times that the horizon is laid anew and fitted.
     tolerance_px : float, px
-        The fit has settled when the horizon would move less than this in another iteration.
+        The fit has converged when the horizon would move less than this in another iteration.
     outlier_mad : float
         Cells beyond so many robust sigmas are left out.
     max_rms_px : float, px
@@ -38,10 +38,10 @@ class SigmoidLimbOptions(HorizonSearch):
     large_rms_px : float, px
         Kept for files of earlier versions: residuals raise no flag.
     limb_altitude_km : float, km
-        What is seen as the limb stands so high above the shape: haze, an atmosphere. Where this and its sigma are 0,
-        that of the target's atmosphere.
+        Altitude of the apparent limb above the shape, by haze or an atmosphere. Where this and its sigma are 0, the
+        altitude of the target's atmosphere is used.
     altitude_sigma_km : float, km
-        Standard deviation of that; where it is not zero the altitude is estimated with the position.
+        Standard deviation of the altitude; where it is not zero the altitude is estimated with the position.
     scan : HorizonScan
     """
 
@@ -59,14 +59,14 @@ class SigmoidLimb(BodyEstimator[SigmoidLimbOptions, PositionFix]):
     Where the Christian-Robinson algorithm first finds points on the horizon and then an ellipsoid through them, here
     the position moves one blurred horizon over all pixels near the lit limb. The brightness inside is free in short
     cells along the limb (gain, growth along and inward), background too; the width of the blur and a smooth error of
-    the reflectance law are common to all cells and known a priori to what the options say. The start is the contrast
-    of the whole outline.
+    the reflectance law are common to all cells, with priors from the options. The start is the contrast of the whole
+    outline.
 
-    ``score`` of the fix is the root mean square of the residuals in px: what each cell alone would move the horizon,
+    ``score`` of the fix is the root mean square of the residuals in px: the shift of the horizon by each cell alone,
     positive outward.
 
     Failures are ``NO_LIMB``, ``NOT_LIT``, ``OUT_OF_FRAME``, ``SATURATED``, ``NOT_CONVERGED``, ``LARGE_RESIDUALS`` and
-    ``DEGENERATE_GEOMETRY``, and ``WRONG_SHAPE`` for a body that is no ellipsoid. The width of
+    ``DEGENERATE_GEOMETRY``, and ``WRONG_SHAPE`` for a body that is not an ellipsoid. The width of
     an unknown point spread function is estimated with the position.
 
     Parameters

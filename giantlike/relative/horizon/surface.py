@@ -1,4 +1,4 @@
-"""The surface of an ellipsoid just inside its horizon, where its brightness is asked for."""
+"""The surface of an ellipsoid just inside its horizon, where its brightness is evaluated."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ def fit_patch(pixels: BoxPixels, patch: Patch, shift_px: NDArray[np.int64], scor
     -----
     The image is modeled as the light of the patch, moved by a fraction of a pixel, times a gain that may slope across
     the landmark, plus the light under another law times a second gain, plus a constant. Slopes are those of the whole
-    model, so that three rounds settle.
+    model, so that three rounds converge.
     """
     box = replace(patch.box, x=patch.box.x + int(shift_px[0]), y=patch.box.y + int(shift_px[1]))
     used = patch.mask & box.cut(pixels.usable)

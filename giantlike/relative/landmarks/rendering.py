@@ -1,4 +1,4 @@
-"""Landmarks rendered for one pose of the body: a template of each, with the pixels of its own ground."""
+"""Landmarks rendered for one pose of the body: a template of each, with the pixels of its ground."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from giantlike.relative.template.state import TemplateState
 from giantlike.shapes.landmarks import Landmark, LandmarkCatalog
 
 BORDER_PX = 3
-"""Pixels of a patch around those that are matched: derivatives need them, and the point spread function."""
+"""Border of a patch around the matched pixels, px, for derivatives and the point spread function."""
 
 _TOGETHER = 3.0  # one render for all, as long as it has no more pixels than this times those of the patches
 _LEAST_PIXELS = 40  # px of its own ground: a landmark of less has hardly any texture: see benchmarks/sensitivity.md
@@ -32,13 +32,15 @@ _ERODED = np.ones((5, 5), np.uint8)  # px: the point spread function carries in 
 _OUTLINE_POINTS = 9  # along each side of a landmark; their hull is its outline
 _OUTLINE_BITS = 4  # fractional bits of outlines drawn: a sixteenth of a pixel
 _MOVED_PX = 1
-"""Motion, px, of the body up to which the rays of one pose serve for another: as much more ground is traced."""
+"""Maximum motion, px, of the body up to which the rays of a pose are reused; as much more ground is traced."""
 _REACH_PX, _REACH_SIGMA = 2, 2.5
-"""Ground traced around the pixels matched, px and widths of the point spread function: for derivatives, and its light
-but for a hundredth at the edge. With 3 px and 3.5 widths eight rocks of 300 px have the same errors and sigmas."""
+"""Ground traced around the matched pixels, px (for derivatives) and widths of the point spread function (99 % of its
+light
+at the edge). With 3 px and 3.5 widths eight rocks of 300 px have the same errors and sigmas."""
 _TURNED_PX = 0.01
-"""Motion, px, of its surface because it is seen from elsewhere, up to which they do: half of the sigma of a body of
-300 px, and what it moves in one direction on one side of the body it moves back on the other."""
+"""Maximum motion, px, of the surface by a change of perspective up to which rays are reused: half of the sigma of a
+body
+of 300 px, with opposite signs on its two sides."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,7 +92,7 @@ class _Images(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TracedGround(Value):
-    """Part of a shape, traced in one pose: what it looks like in poses nearby costs no more rays.
+    """Part of a shape, traced in one pose; images in nearby poses reuse its rays.
 
     Parameters
     ----------
@@ -114,7 +116,7 @@ class TracedGround(Value):
     lit: Mask
 
     def serves(self, body: Body) -> bool:
-        """Return True if the rays serve for another pose: the same surface is seen, and not from elsewhere."""
+        """Return True if the rays can be reused for another pose: the same surface in the same perspective."""
         turned = float((body.camera_from_body * self.body.camera_from_body.inv()).magnitude())
         first, second = self.body.position_camera_km, body.position_camera_km
         ranges = float(np.linalg.norm(first)), float(np.linalg.norm(second))
@@ -125,7 +127,7 @@ class TracedGround(Value):
         return turned * radius_px < _TURNED_PX and moved_px < _MOVED_PX
 
     def daylight(self, body: Body, plane: FocalPlane, box: PixelBox) -> Daylight:
-        """Tell a finer trace, in a box of an image of another scale, where the ground is lit."""
+        """Lit ground for a finer trace, in a box of an image of another scale."""
         scales = [
             each.model.focal_length_px / float(np.linalg.norm(one.position_camera_km))
             for each, one in ((plane, body), (self.plane, self.body))
@@ -159,17 +161,17 @@ class LandmarkRenderer(Value):
     sun_direction_camera : (3,) float64, unitless, camera axes
         Unit vector from body to Sun.
     max_size_px : float, px
-        Of larger landmarks only the middle is rendered.
+        Only the middle of larger landmarks is rendered.
     rays_per_pixel_side : int
     other_law : bool
         True to render under another reflectance law as well.
     surroundings : bool
-        True to render the ground around landmarks too, where it is that of the shape.
+        True to render the ground around landmarks too, where it belongs to the shape.
 
     Notes
     -----
-    Landmarks that were taken from the very shape of the target are cut from a render of that shape, with all the
-    shadows that other ground casts. Those from elsewhere are rendered from their own maps, one by one.
+    Landmarks taken from the shape of the target are cut from a render of that shape, with all shadows cast by other
+    ground. Other landmarks are rendered from their own maps, one by one.
     """
 
     catalog: LandmarkCatalog
@@ -230,7 +232,7 @@ class LandmarkRenderer(Value):
         return cv2.convexHull(finite)[:, 0].astype(np.float64)
 
     def _box(self, outline: Float, center_px: Float) -> PixelBox:
-        """The box around an outline, not more than the largest size around its middle, and a border."""
+        """Box around an outline, at most the largest size around its middle, plus a border."""
         half = 0.5 * self.max_size_px
         low, high = np.maximum(outline.min(axis=0), center_px - half), np.minimum(outline.max(axis=0), center_px + half)
         return PixelBox.spanning(low, high + 1.0, BORDER_PX)

@@ -32,12 +32,12 @@ from giantlike.shapes.landmarks import LandmarkCatalog, load_landmarks
 _NEAR_PX = 3  # px, search once a pose is known
 _FREE_TURN_RAD = 0.03  # rad, error of a free attitude that the first search allows for, at most
 _SETTLED_SIGMA = 0.3  # of the standard deviation of the position: a last step so small adds 5 % to it
-_DAMPED_AFTER = 3  # renders: steps that have not settled by then come from the sampling of the renders, and are halved
-_LOOSE = 3.0  # times the limit of agreement, while templates are rendered for a pose that is off
+_DAMPED_AFTER = 3  # renders, after which steps are halved: they come from the sampling of the renders
+_LOOSE = 3.0  # factor of the limit of agreement, while templates are rendered for an inaccurate pose
 _CELLS_ACROSS = 10
-"""Cells to the width of a landmark in which the first search looks for it; it takes pixels where landmarks are narrower
-than two of these. Half of it, 0.7 of it and no cells at all: errors of 24 rocks of 300 px of 0.027, 0.028 and 0.028 px,
-0.027 with it."""
+"""Cells across a landmark in the first search; pixels where landmarks are narrower than two cells. Errors of 24 rocks
+of
+300 px are 0.027 px with it, and 0.027, 0.028 and 0.028 px with half of it, 0.7 of it and no cells."""
 _RADIUS_PX = 1.5  # px, distance from the common shift by noise of the correlation peaks
 
 
@@ -55,21 +55,21 @@ class SurfaceFeaturesOptions:
     search_range : float
         Largest relative error of the predicted range.
     attitude_sigma_deg : float, deg
-        Standard deviation of the predicted attitude of the body in the camera, about each axis: 0 trusts it, infinity
-        leaves it free. Unless it is 0 the fix has an attitude of its own.
+        Standard deviation of the predicted attitude of the body in the camera, about each axis: 0 holds it, infinity
+        leaves it free. Unless it is 0 the fix has its own attitude.
     min_landmarks : int
-        Least number of landmarks that are found and agree.
+        Minimum number of landmarks that are found and agree.
     min_score : float
-        Least correlation of a landmark that counts as found.
+        Minimum correlation of a landmark that counts as found.
     inlier_px : float, px
         Largest distance of a found landmark from its projection by the pose.
     free_reflectance : bool
-        Let the image mix another reflectance law into that of the target.
+        Mix another reflectance law into the law of the target.
     max_iterations : int
         Renders at most.
     tolerance_px : float, px
-        The pose has settled when no landmark moves by more. With 0.1 px most fixes take a round less, and errors of one
-        scene of 20 landmarks grew from 0.0044 to 0.0070 px.
+        The pose has converged when no landmark moves by more. With 0.1 px most fixes take one iteration fewer, and
+        errors of one scene of 20 landmarks grew from 0.0044 to 0.0070 px.
     visibility : VisibilityOptions
 
     Raises
@@ -116,12 +116,12 @@ class LandmarkFix(PositionFix):
     Parameters
     ----------
     camera_from_body : Rotation
-        As estimated; the predicted one where that is trusted.
+        Estimated attitude; the predicted one where that is held.
     pose_covariance : (6, 6) float64, km and rad
         Of the position and of the small rotation ``e`` about the camera axes with
-        ``camera_from_body_true = Rotation.from_rotvec(e) * camera_from_body``; zero where it is trusted.
+        ``camera_from_body_true = Rotation.from_rotvec(e) * camera_from_body``; zero where it is held.
     attitude_change_rad : (3,) float64, rad
-        The estimated attitude over the predicted one, as a rotation vector about the camera axes.
+        Rotation from the predicted to the estimated attitude, as a rotation vector about the camera axes.
     landmark_names : tuple of str
         Of the landmarks used.
     landmark_px, landmark_predicted_px : (n, 2) float64, px
@@ -130,11 +130,11 @@ class LandmarkFix(PositionFix):
         Of each measured landmark alone: the noise, and the excess of the residuals over it.
     landmark_body_km : (n, 3) float64, km, body-fixed axes
     rejected_names : tuple of str
-        Of the landmarks that were looked for and not used.
+        Of the landmarks that were searched and not used.
     rejected_predicted_px : (k, 2) float64, px
         Projected by the pose.
     rejected_because : tuple of str
-        For each: that it was not found, or by how much it was off the pose.
+        Reason for each: not found, or its distance from the pose.
     """
 
     camera_from_body: Rotation
@@ -183,9 +183,9 @@ class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
     anew there, each is fitted to the pixels, and the pose improved by least squares, until it converges.
 
     ``score`` of the fix is the mean correlation of the landmarks used; ``residuals`` are measured minus projected, px,
-    x and y in turn; ``limb_px`` are the measured points. Landmarks that lie off the pose by more than the scatter of
-    the others explains are rejected. The covariance holds the noise of the pixels and the excess of the residuals over
-    it, the same for all landmarks: errors of the maps, the shape, the sampling and the law.
+    x and y in turn; ``limb_px`` are the measured points. Outliers relative to the scatter of the other landmarks are
+    rejected. The covariance holds the noise of the pixels and the excess of the residuals over it, the same for all
+    landmarks: errors of the maps, the shape, the sampling and the law.
 
     Failures are ``WRONG_SHAPE`` without landmarks; ``OUT_OF_FRAME``, ``NOT_LIT`` or ``TOO_FEW_MATCHES`` when too few
     can be used or are found, ``LOW_CORRELATION`` when they are not like the image, ``PEAK_AT_EDGE`` when the body may
@@ -222,7 +222,7 @@ class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
 
 
 def _moved(body: Body, pose: PnpFix, share: float) -> Body:
-    """A body moved towards a pose, by a share of the way."""
+    """Body moved by a fraction of the way to a pose."""
     turn = (pose.camera_from_body * body.camera_from_body.inv()).as_rotvec()
     return replace(
         body,
@@ -241,7 +241,7 @@ _read_once = lru_cache(maxsize=4)(load_landmarks)
 
 
 class _Search:
-    """Search for a body in one image: holds everything that stays the same from render to render."""
+    """Search for a body in one image, with the state shared by all renders."""
 
     def __init__(self, inputs: EstimatorInputs, catalog: LandmarkCatalog, options: SurfaceFeaturesOptions) -> None:
         self.inputs, self.catalog, self.options = inputs, catalog, options
@@ -258,7 +258,7 @@ class _Search:
         )
 
     def settled(self) -> LandmarkFix | Failure:
-        """Match, solve, render anew, until the pose converges."""
+        """Match, solve and render until the pose converges."""
         body, change_px = self.start, math.inf
         seen, traced = self._seen(body), None
         near, rough = (None, None) if isinstance(seen, Failure) else self._in_cells(seen)
@@ -287,7 +287,7 @@ class _Search:
         return Failure(Reason.NOT_CONVERGED, detail)
 
     def _in_cells(self, seen: SeenLandmarks) -> tuple[Body | None, TracedGround | None]:
-        """Body where coarse cells of the image have it, and its ground; none where landmarks are small or not found."""
+        """Body located in coarse cells, and its ground; none where landmarks are small or not found."""
         size = min(int(np.median(seen.size_px) / _CELLS_ACROSS), *self.inputs.usable.shape)
         if size < 2:
             return None, None
@@ -347,7 +347,7 @@ class _Search:
         return _Found(matches=matches, observed_px=observed, pose=pose, tried=tuple(patch.number for patch in patches))
 
     def _matches(self, body: Body, patches: tuple[Patch, ...], *, first: bool) -> tuple[LandmarkMatch, ...] | Failure:
-        """Landmarks found, each near the shift that all share."""
+        """Landmarks found, each near the common shift."""
         inputs, options = self.inputs, self.options
         search_px = options.search_px if first else _NEAR_PX
         surfaces = [correlation_surface(inputs.pixels_dn, ~inputs.masked, patch, search_px) for patch in patches]
@@ -378,7 +378,7 @@ class _Search:
         return Failure(Reason.TOO_FEW_MATCHES, detail)
 
     def _again(self, body: Body, patches: tuple[Patch, ...], before: _Found) -> tuple[LandmarkMatch, ...] | Failure:
-        """Landmarks of a round before, fitted where they were found then."""
+        """Landmarks of the last iteration, fitted where they were found."""
         pixels, predicted_px = self.inputs.pixels, self._projected(body)
         known = {match.number: (match, px) for match, px in zip(before.matches, before.observed_px, strict=True)}
         matches = []

@@ -79,7 +79,7 @@ class SeenLandmarks(Value):
     size_px : (k,) float64, px
         Foreshortened width.
     outside, oblique, hidden, dark, small : int
-        How many are out of the frame, too oblique, behind other ground, not lit, too small.
+        Numbers out of the frame, too oblique, occulted, not lit, too small.
     """
 
     numbers: Indices

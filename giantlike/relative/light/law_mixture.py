@@ -1,4 +1,4 @@
-"""The reflectance law of a body by the brightness of its parts: how far it is from the one assumed."""
+"""Deviation of the reflectance law of a body from the assumed one, estimated from the brightness of its parts."""
 
 from __future__ import annotations
 
@@ -19,56 +19,56 @@ from giantlike.relative.light.light_sums import mixed
 from giantlike.relative.light.separation import BodyLight, kept_center_of, seen_from
 
 _SHARE_SIGMA = 1.0 / math.sqrt(6.0)
-"""A priori standard deviation of each share: that of the difference of two laws, the true one and the one assumed.
+"""A priori standard deviation of each share: the difference of the true law and the assumed one.
 
-Both lie anywhere between that of Lommel and Seeliger and that of Lambert with equal probability. So does, 1/rad, how
-their brightness falls with the phase angle, between not at all (those two) and 1 (Hapke's law of dark ground from 10 to
-90 degrees), and how fast they go from the one to the other (McEwen's: 0.74 at 15 degrees).
+Both are uniform between Lommel-Seeliger and Lambert. The phase slope of their brightness, 1/rad, is uniform between 0
+(those two) and 1 (Hapke's law of dark ground from 10 to 90 degrees), and so is the rate of their transition from one
+law to the other (McEwen's: 0.74 at 15 degrees).
 """
 _SHARES = 3
-"""Ways in which a law may differ: see :class:`LawMixture`."""
+"""Number of terms by which a law may differ: see :class:`LawMixture`."""
 _BLOCK = 0.25
-"""Side of a block over the radius of the body: markings larger than that are few."""
+"""Side of a block relative to the radius of the body: larger markings are few."""
 _LEAST_BLOCKS = 8
-"""Blocks, and pairs of neighbors, that say something of markings: their scatter is then known to a quarter."""
+"""Minimum number of blocks, and of pairs of neighbors, to estimate markings: their scatter is then known to 25 %."""
 _LARGEST_SHARE = 0.5
-"""Largest marking over the body: what is larger is brightness as a whole, which moves no center."""
+"""Largest marking relative to the body. A larger one is the brightness as a whole, which moves no center."""
 _LIMB, _LIMB_PX, _COVERED = 0.02, 2, 0.999
-"""Margin within the outline that blocks leave out, of the radius and px, for errors of range and PSF; and the share of
-a pixel that the body covers there."""
+"""Margin within the outline that blocks leave out, in radii and px, for errors of range and PSF; and minimum fraction
+of a pixel that the body covers there."""
 _FITTED = 4
-"""Parameters that take markings out of the residuals: brightness, place (two) and law."""
+"""Fitted parameters that absorb markings: brightness, position (two) and law."""
 _MOST_FITTED = 0.75
-"""Part of the variance of markings that these take, at most, so that what is left says something of them."""
+"""Maximum fraction of the variance of markings that these absorb, so that residuals still show them."""
 _ROUNDS, _SETTLED, _STEP = 5, 0.02, 0.1
-"""Rounds of the fit, which is nearly linear, with new images and within each with new errors; change, over its standard
-deviation, that ends them; and step of its numerical derivatives, a tenth of the way between laws."""
+"""Maximum number of outer (new images) and inner (new errors) iterations of the nearly linear fit; change relative to
+its standard deviation at convergence; and step of the numerical derivatives, as a fraction between laws."""
 _LINEAR = 0.1
-"""Change of a share from which on derivatives are taken again: with those at 0, laws far away do not settle."""
+"""Change of a share above which derivatives are recomputed; with those at 0 distant laws do not converge."""
 _GROWN = 0.003
-"""Relative step of the size: some tenths of a pixel."""
+"""Relative step of the size for numerical derivatives: some tenths of a pixel."""
 _MOST = 1.0
-"""Largest share: from one of the laws to the other."""
+"""Largest share: one of the laws instead of the other."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LawMixture(Value):
-    """A body under one law, and what other laws change: they lie between a flat one and one dark at the terminator.
+    """A body under the assumed law, and the changes by other laws, from a flat one to one dark at the terminator.
 
     Parameters
     ----------
     own : Template
         Under the law that is assumed.
     changes : (3, h, w) float64
-        Brightness of the same pixels under the law of Lambert less that under the law of Lommel and Seeliger, each over
-        its sum; and, rad, that under the law assumed, over its sum, and the first of these, times the phase angle in
-        each pixel beyond that at the center.
+        Brightness under Lambert's law minus that under the law of Lommel and Seeliger, each normalized to sum 1; and,
+        rad, the normalized brightness under the assumed law, and the first change, both times the phase angle of each
+        pixel minus that at the center.
 
     Notes
     -----
     The phase angle differs from limb to limb by the angular diameter of the body. On one of 300 px and 3.4 degrees, at
-    a phase of 15 degrees, McEwen's law moves the center of light by 0.45 px by that alone, where those of Lambert and
-    of Lommel and Seeliger do not.
+    a phase of 15 degrees, McEwen's law moves the center of light by 0.45 px by that alone; the laws of Lambert and of
+    Lommel and Seeliger do not.
     """
 
     own: Template
@@ -88,7 +88,7 @@ class LawMixture(Value):
         return cls(own=own, changes=np.stack([change, beyond * share, beyond * change]))
 
     def mapped(self, of_image: Callable[[Float], Float]) -> LawMixture:
-        """Return the same after a linear map of images (h, w)."""
+        """Return the mixture after a linear map of images (h, w)."""
         own = replace(self.own, brightness=np.maximum(of_image(self.own.brightness), 0.0))
         return LawMixture(own=own, changes=np.stack([of_image(each) for each in self.changes]))
 
@@ -97,13 +97,13 @@ class LawMixture(Value):
         return self if scale == 1.0 else self.mapped(_resizing(self.own, scale))
 
     def seen_from(self, corner_px: NDArray[np.int64]) -> LawMixture:
-        """Return the same in coordinates that start at a pixel (2,)."""
+        """Return the mixture in coordinates that start at a pixel (2,)."""
         return replace(self, own=seen_from(self.own, corner_px))
 
     def at(self, shares: Float) -> Template:
-        """Return the body under the law assumed plus a share of each change.
+        """Return the body under the assumed law plus a share of each change.
 
-        ``shares`` (3,), the first, towards the dark law, leaves the light in total as it is (the others are per rad).
+        ``shares`` (3,); the first, toward the dark law, keeps the total light. The others are per rad.
         """
         own, changes = np.ascontiguousarray(self.own.brightness), np.ascontiguousarray(self.changes)
         return replace(self.own, brightness=mixed(own, changes, shares * float(own.sum())))
@@ -111,7 +111,7 @@ class LawMixture(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LawFit(Value):
-    """The law that the light of a body shows.
+    """Reflectance law estimated from the light of a body.
 
     Parameters
     ----------
@@ -122,17 +122,17 @@ class LawFit(Value):
     covariance_px2 : (2, 2) float64, px^2
         Of the correction, by the errors of the shares.
     by_size_px : (2,) float64, px
-        Change of the correction where the body is larger, relative, and the law is another for that.
+        Derivative of the correction by the relative size, including the law estimated for that size.
     template : Template
         The body under the law found.
     unexplained_px2 : (2, 2) float64, px^2
-        Covariance of the center of light by what the law does not explain: markings, or another kind of law.
+        Covariance of the center of light by residuals of the law: markings, or another kind of law.
     markings : float
-        Standard deviation of the brightness of blocks about that of the template, over it, without photon noise.
+        Relative standard deviation of the brightness of blocks about the template, without photon noise.
     unexplained : float
-        Norm of image minus template over that of the light of the body, without that of the noise.
+        Norm of image minus template divided by the norm of the light of the body, without noise.
     residuals : (n,) float64
-        Image minus template in the bright pixels, over the brightest pixel of the template.
+        Image minus template in the bright pixels, divided by the brightest pixel of the template.
     """
 
     shares: Float
@@ -148,9 +148,9 @@ class LawFit(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Blocks(Value):
-    """Pixels (n,) of the body, the block that each belongs to, and the places (blocks, 2) of the blocks.
+    """Pixels (n,) of the body in row-major order, the block of each, and the positions (blocks, 2) of the blocks.
 
-    ``places`` counts the pixels row after row.
+    ``places`` are flat indices of the pixels.
     """
 
     places: NDArray[np.int64]
@@ -160,7 +160,7 @@ class _Blocks(Value):
     cells: NDArray[np.int64]
 
     def clustering(self, marks: Float) -> float:
-        """Blocks that share a marking, by the correlation of the marks (blocks,) of neighbors.
+        """Number of blocks that share a marking, from the correlation of the marks (blocks,) of neighbors.
 
         A correlation ``exp(-d^2 / 2 l^2)`` of blocks at a distance d has the sum ``2 pi l^2``, and for neighbors
         (d = 1) it is ``exp(-1 / 2 l^2)``.
@@ -194,10 +194,10 @@ class _Weighing(Value):
     photon_dn2: Float
 
     def solved(self, expected_dn: Float, changes_dn: Float, at: Float, *, first: bool) -> tuple[Float, Float, Float]:
-        """Shares (3,) and their covariance, by the light (blocks,) expected at some and what they change (3, blocks).
+        """Shares (3,), their covariance, and their derivatives by errors of the light (3, blocks).
 
-        And what an error of that light adds to them, (3, blocks). The first time without the prior of the first share:
-        what a wrong law leaves over looks like markings, with which the law counts little.
+        From the light (blocks,) expected at some shares and its changes (3, blocks) by them. The first time
+        without the prior of the first share: residuals of a wrong law look like markings, which lower its weight.
         """
         photon, gains = self.photon_dn2, np.zeros_like(changes_dn)
         found: Float = at
@@ -245,8 +245,8 @@ def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
 
     Notes
     -----
-    Each block has its photon noise and an albedo of its own, whose scatter is that of the residuals. The body is
-    placed by its center of light under each law, so that no limb is needed.
+    Each block has photon noise and its own albedo, whose scatter is estimated from the residuals. The body is placed by
+    its center of light under each law, so that no limb is needed.
     """
     threshold_dn = light.threshold_dn
     center, steps = light.center_px(threshold_dn), _STEP * np.eye(_SHARES)
@@ -350,17 +350,17 @@ def _interpolation(places: Float, count: int) -> csr_matrix[np.float64]:
 
 
 def _through_six(places: Float, *, first: int) -> Float:
-    """Weights (n, 6) of six values, from pixel ``first`` on, in the polynomial through them at ``places`` (n,)."""
+    """Weights (n, 6) at ``places`` (n,) of the polynomial through six values from pixel ``first`` on."""
     nodes = np.arange(first, first + 6)
     others = np.tile(nodes, (6, 1))[~np.eye(6, dtype=bool)].reshape(6, 5)
     return np.asarray(((places[:, None, None] - others) / (nodes[:, None] - others)).prod(axis=-1))
 
 
 def _unexplained(light: BodyLight, expected_dn: Float, center_px: Float, blocks: _Blocks) -> tuple[Float, float]:
-    """Covariance (2, 2) of the center by the residuals of the blocks, each as one sigma, and the scatter of these.
+    """Covariance (2, 2) of the center by the residuals of the blocks, each as one sigma, and their scatter.
 
-    The brightness of the body is free. Blocks that share a marking count as one; of so few, what was fitted takes out a
-    good part. Markings of the limb, which no block holds, are taken to be those of the rest.
+    The brightness of the body is free. Blocks that share a marking count as one; with few of them the fitted parameters
+    absorb a good part. Markings of the limb, which no block holds, are assumed to be as in the rest.
     """
     values = light.signal_dn[light.bright]
     whole, level = blocks.sums(light.signal_dn), float(blocks.sums(expected_dn).sum())  # bright pixels: above 0

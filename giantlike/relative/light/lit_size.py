@@ -13,32 +13,34 @@ from giantlike.relative.light.separation import LIGHT_SIGMAS, BodyLight
 
 _INCONSISTENT_SIGMAS = 4.0  # between predicted and measured size: once in 16,000 by chance
 _COUNT_PX = 0.5
-"""Error of each pixel along the edge of the lit area, px: 0.3 as it is counted or not, and noise where light fades."""
+"""Error of each pixel along the edge of the lit area, px: 0.3 by the discrete count, and noise where light fades."""
 _EDGE_PX = 0.05
-"""Error of the edge at each level, px, besides: by the rays of the template and the shape of the point spread function.
-Twice as much leaves the errors of exact bodies and makes their sigmas a seventh larger."""
+"""Additional error of the edge at each level, px, by the rays of the template and the shape of the point spread
+function.
+With twice as much the errors of exact bodies stay, and their sigmas are a seventh larger."""
 _TOP = 0.3
-"""Share of the brightest pixel up to which areas are counted: above, they are those of the law."""
+"""Maximum level of counted areas as a fraction of the brightest pixel; above, areas depend on the law."""
 _WIDTH_SIGMA = 0.1
-"""Relative error of the width of the point spread function, which moves the edge at faint levels and hardly at bright
-ones. Sizes of bodies of 120 px whose width is told 30 % off are 0.19, 0.22, 0.34 and 0.35 % wrong at phases of 15, 60,
-90 and 125 degrees; 0.12, 0.15, 0.22 and 0.29 % with 0.15, but then sigmas of exact bodies are a third larger; and 0.6
-to 1.7 % by the faintest level alone."""
+"""Relative error of the width of the point spread function, which moves the edge mainly at faint levels. With a width
+declared 30 % wrong, sizes of bodies of 120 px are in error by 0.19, 0.22, 0.34 and 0.35 % at phases of 15, 60, 90 and
+125 degrees. With 0.15 the errors are 0.12, 0.15, 0.22 and 0.29 %, but sigmas of exact bodies a third larger; by the
+faintest level alone they are 0.6 to 1.7 %."""
 _FADE = 0.02
-"""Relative error of the brightness along the terminator, beside that of the law found: it moves the edge there."""
+"""Relative error of the brightness along the terminator in addition to that of the law: it moves the edge there."""
 _HEIGHT = 0.1
-"""Height, over the radius, of relief with slopes of one radian: markings of a quarter of the radius may be slopes of
-waves of half of it, which are 1 / 4 pi as high."""
+"""Height, radii, of relief with slopes of one radian: markings of a quarter of the radius may be slopes of waves of
+half
+a radius, whose height is 1 / 4 pi of it."""
 _UNKNOWN = 0.1
-"""Relative error of the size before it is measured: larger than any that is searched."""
+"""A priori relative error of the size: larger than any search."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LitSize:
     """Size of the body in the image: ``scale`` times its prediction, with a relative ``sigma``.
 
-    ``excess`` is the difference of measured and predicted size over the largest that is consistent, and ``area_ratio``
-    the lit area over that expected.
+    ``excess`` is the ratio of the difference of measured and predicted size to the largest consistent one, and
+    ``area_ratio`` the ratio of lit area to expected lit area.
     """
 
     scale: float
@@ -48,7 +50,7 @@ class LitSize:
 
 
 def first_scale(light: BodyLight, laws: LawMixture, *, range_sigma: float, trace: float) -> float:
-    """Size over that predicted, under the law assumed, by the faintest level; 1 where they are not consistent."""
+    """Ratio of measured to predicted size, under the assumed law, by the faintest level; 1 if inconsistent."""
     level = _faintest_dn(light, trace)
     seen, own = _areas(light.signal_dn[light.region], level), _areas(light.expected_dn(laws.own.brightness), level)
     scale = math.sqrt(float(seen[0] / own[0]))
@@ -65,15 +67,15 @@ def measured_size(
     psf_sigma_px: float,
     radius_px: float,
 ) -> LitSize:
-    """Size by areas under the law found, on which the faint ones depend little, and size predicted.
+    """Size by areas under the estimated law, on which the faint ones depend little, combined with the predicted size.
 
     ``range_sigma``, ``trace`` as for :func:`first_scale`.
 
     Notes
     -----
-    A point spread function that is wider by a share e moves the edge at a level by ``e`` times its width times the
-    normal quantile of the level over that of the limb: sizes at levels from the faintest up to a third of the peak
-    give size and width together.
+    A point spread function that is wider by a fraction e moves the edge at a level by ``e`` times its width times the
+    normal quantile of the level relative to the limb: sizes at levels from the faintest up to a third of the peak give
+    size and width together.
     """
     from scipy.special import ndtri
 
@@ -92,7 +94,7 @@ def measured_size(
     found = covariance @ (design.T @ (sizes / variance))
     left = float(np.sum((sizes - design @ found) ** 2 / variance)) / max(len(levels) - 2, 1)
     log_size = float(found[0])
-    # Birge's ratio: sizes that are unlikely together, of levels or as predicted, are less certain than they say.
+    # Birge ratio: inconsistent sizes, of levels or prediction, get larger sigmas.
     own_variance = float(covariance[0, 0]) * max(left, 1.0) + (_HEIGHT * law.markings) ** 2
     ratio = float(seen[0] / own[0])
     excess = abs(log_size) / (_INCONSISTENT_SIGMAS * math.sqrt(range_sigma**2 + own_variance))
@@ -104,7 +106,7 @@ def measured_size(
 
 
 def _faintest_dn(light: BodyLight, trace: float) -> float:
-    """A share ``trace`` of the peak, or what the noise allows, DN."""
+    """Fraction ``trace`` of the peak, or the limit by noise if larger, DN."""
     return max(LIGHT_SIGMAS * light.sky.sigma_dn, trace * float(light.signal_dn[light.region].max()))
 
 

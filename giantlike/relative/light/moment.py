@@ -37,33 +37,35 @@ from giantlike.relative.place import apparent_radius_px
 from giantlike.scene import TargetGeometry
 
 _LOWER_THRESHOLD = 0.5
-"""Factor of the threshold whose effect on the center enters the covariance as one sigma."""
+"""Factor of the threshold; its effect on the center enters the covariance as one sigma."""
 _SAMPLING_PX = 0.02  # px, error by the rays of the template on a large body
 _FILL_UNKNOWN = 0.25
-"""Part of the effect of filled pixels on the center that is one sigma: the template that tells it lies within half a
+"""One sigma as a fraction of the effect of filled pixels on the center. The template used for it is right to half a
 pixel and some percent of the range."""
-_LEAST_LIT = 0.05  # of the disk, as of ``unresolved``
+_LEAST_LIT = 0.05  # of the disk, as for ``unresolved``
 _RAYS_ACROSS, _RAYS_SIZE_PX = (96, 300), 40.0
-"""Rays across a full disk, and its size up to which the least number will do: what they leave of its light grows with
-the size and falls with the power 3/2 of their number. A crescent gets as many. See ``_SAMPLING_PX``."""
+"""Minimum and maximum number of rays across a full disk, and its size up to which the minimum is used. The sampling
+error grows with the size and falls with the power 3/2 of the number of rays. A crescent gets as many. See
+``_SAMPLING_PX``."""
 _MOST_RAYS = 24  # along the side of a pixel: bounds the cost of small bodies
 _SIZES, _SETTLED_SIZE = 3, 1e-3
-"""Rounds of law and size, which depend on each other; relative change of the size that ends them: it moves the law by
-0.003 of the way between two, and the center of a body of 300 px by 0.02 px."""
+"""Maximum number of iterations of law and size, and relative change of the size at convergence. Such a change moves the
+center of a body of 300 px by 0.02 px and the law by 0.003 of the difference of two laws."""
 _LEAST_SINE = 1e-3
-"""Of the phase angle, below which all directions from the center lead to larger ones."""
+"""Sine of the phase angle below which it grows in all directions from the center."""
 _BLOCKS_ACROSS = 150
-"""Blocks of pixels across a disk, of which each gets one ray where light is even; those of small ones are of 2 px."""
+"""Blocks of pixels across a disk, each with one ray where light is uniform; 2 px wide on small disks."""
 _CELL_SIGMAS, _LEAST_PSF_PX = math.sqrt(2.0 / 12.0), 0.14
-"""Width of the point spread function by which rays are so fine that what light spreads over their cells is half of its
-variance at most; px, below which the pixel, 0.29 px, is the width that counts. With rays that are as far apart as
-pixels, means of 3 x 3 pixels of ellipsoids of 1,000 px give centers to 1.7 px, not 0.28; with cells as wide as the
-point spread function means of 2 x 2 at 600 px to 0.22 px, not 0.11."""
+"""Side of the cell of a ray in widths of the point spread function, so that the cell adds at most half of its variance;
+and width, px, below which the pixel (0.29 px) is used instead. Centers of ellipsoids of 1,000 px on means of 3 x 3
+pixels have errors of 0.28 px, and 1.7 px with rays as far apart as pixels; at 600 px on means of 2 x 2 pixels 0.11 px,
+and 0.22 px with cells as wide as the point spread function."""
 _AVERAGED_PX, _LEAST_BLOCK_PX = 62.5, 3
-"""Diameter over the square of the side of a block of which means are taken, px, so that the cost grows with the limb:
-that of ``cross_correlation``; and the least side, from 563 px on. Ellipsoids of 600 and 1,000 px have errors of 0.15
-and 0.13 px in blocks of 3 and 4 px, 0.12 and 0.32 px in pixels, where edges of templates are coarser. Blocks of 2 px at
-300 px are as accurate, with smaller sigmas: see "Means over blocks" of ``benchmarks/README.md``."""
+"""Diameter divided by the square of the side of an averaged block, px, as for ``cross_correlation``: the cost grows
+with
+the limb; and minimum side, used from 563 px on. Ellipsoids of 600 and 1,000 px have errors of 0.15 and 0.13 px in
+blocks of 3 and 4 px, and 0.12 and 0.32 px in pixels, where edges of templates are coarser. Blocks of 2 px at 300 px are
+as accurate, with smaller sigmas: see "Means over blocks" of ``benchmarks/README.md``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,32 +102,32 @@ class MomentOptions:
 
 
 class Moment(BodyEstimator[MomentOptions, CenterFix]):
-    """Center of the light of a body that is all in the frame, and a correction for its phase.
+    """Center of the light of a body that lies wholly in the frame, and a correction for its phase.
 
-    Bright pixels are joined to blobs; that of the target, distinguished from those of the other targets of the scene by
-    place and size, is separated from the dark by Otsu's method, and the brightness above the plane through the sky
-    gives the center of light (Liounis et al. eq. 4). The correction to the center of the figure is by default that of
-    the body rendered at its predicted geometry, its light cut at the same level; ``kaasalainen_tanga`` is their
-    eq. 3. It grows with the size of the body, predicted (``range_sigma``) and measured by the lit area above several
-    levels, which show the width of the point spread function beside it; the body rendered is made as large.
+    Bright pixels are joined to blobs. The blob of the target, distinguished from those of other targets of the scene by
+    position and size, is separated from the sky background by Otsu's method, and the brightness above the plane through
+    the sky gives the center of light (Liounis et al. eq. 4). The correction to the center of the figure is by default
+    that of the body rendered at its predicted geometry, its light cut at the same level; ``kaasalainen_tanga`` is their
+    eq. 3. It scales with the size of the body: the predicted one (``range_sigma``) combined with the size measured by
+    the lit area above several levels, which is estimated together with the width of the point spread function.
 
-    No limb and no detail of the surface is used, so that nothing can be mistaken for them. The reflectance law counts:
-    how far it is from the law of the target toward that of Lommel and Seeliger or that of Lambert, and how it changes
-    with the phase angle from limb to limb, follows from the brightness of blocks of a quarter of the radius.
+    No limb and no detail of the surface is used, so that none can be mismatched. The result depends on the reflectance
+    law: its deviation from the law of the target toward Lommel-Seeliger or Lambert, and its change with the phase angle
+    across the body, are estimated from the brightness of blocks of a quarter of the radius.
 
-    ``score`` is the lit area over that expected, ``seen_size`` of its corrections the size over that predicted,
-    ``residuals`` are image minus template over the brightest pixel of the template.
+    ``score`` is the ratio of lit area to expected lit area, ``seen_size`` of its corrections the ratio of measured to
+    predicted size, ``residuals`` are image minus template divided by the brightest pixel of the template.
 
-    The covariance is the sum of ``parts``: ``noise``; ``background``, the plane and, as one sigma, the bend of the sky;
-    ``reflectance``, what the blocks leave open of the law, and of saturated bodies the error of their brightness;
-    ``albedo``, markings and rings, by the residuals of the blocks; ``psf``, the error of the size, also by way of the
-    law, which is found for a size, half of the effect of the wings that the light beside the body shows and, as one
-    sigma, that of a threshold half as high; ``relief``, what limb, terminator and strain of the light show of another
-    figure, by the checks behind every fix. For ``kaasalainen_tanga``, ``ellipsoid`` and ``none`` the difference from
-    the rendered correction is an error of the reflectance.
+    The covariance is the sum of ``parts``: ``noise``; ``background``, the plane and, as one sigma, the curvature of the
+    sky; ``reflectance``, the uncertainty of the law and, for saturated bodies, the error of their brightness;
+    ``albedo``, markings and rings, by the residuals of the blocks; ``psf``, the error of the size, including its effect
+    on the law, half of the effect of the wings estimated from the light next to the body and, as one sigma, the effect
+    of a threshold half as high; ``relief``, an error of the shape indicated by limb, terminator and strain in the
+    checks of every fix. For ``kaasalainen_tanga``, ``ellipsoid`` and ``none`` the difference from the rendered
+    correction is an error of the reflectance.
 
     Failures are ``NO_SIGNAL``, ``AMBIGUOUS``, ``OUT_OF_FRAME`` where light reaches the edge of the image,
-    ``SATURATED`` where hardly a pixel is left, and ``NOT_LIT``.
+    ``SATURATED`` where hardly any unsaturated pixel is left, and ``NOT_LIT``.
 
     Parameters
     ----------
@@ -153,7 +155,7 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
 
 
 def _found(inputs: EstimatorInputs, options: MomentOptions) -> CenterFix | Failure:
-    """Find the body of inputs in their own pixels."""
+    """Find the body in unaveraged pixels."""
     search_px = options.search_px
     laws = _laws(inputs, math.ceil(search_px))
     if isinstance(laws, Failure):
@@ -171,7 +173,7 @@ def _found(inputs: EstimatorInputs, options: MomentOptions) -> CenterFix | Failu
 
 
 def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: MomentOptions) -> CenterFix:
-    """Center of light and the correction, with all that is known of their errors."""
+    """Center of light and the correction, with their error budget."""
     psf_sigma_px = UNKNOWN_PSF_SIGMA_PX if inputs.psf_sigma_px is None else inputs.psf_sigma_px
     laws = laws.seen_from(light.corner_px)
     share = wing_share(light, laws.own, psf_sigma_px=psf_sigma_px, radius_px=inputs.radius_px)
@@ -234,7 +236,7 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: M
 
 
 def _gain_error(light: BodyLight, template: Template, size_sigma: float) -> float:
-    """Relative error of the brightness of a clipped body by that of its size: little of its light shows it."""
+    """Relative error of the brightness of a clipped body by the error of its size."""
     if math.isinf(light.ceiling_dn):
         return 0.0
     expected = light.expected_dn(template.brightness)
@@ -243,7 +245,7 @@ def _gain_error(light: BodyLight, template: Template, size_sigma: float) -> floa
 
 
 def _laws(inputs: EstimatorInputs, margin_px: int) -> LawMixture | Failure:
-    """The body at its predicted place under its own law, a flat one and that of Lambert."""
+    """Mixture of the body at its predicted position under its own law, a flat one and Lambert's."""
     geometry, camera, diameter_px = inputs.geometry, inputs.camera, 2.0 * inputs.radius_px
     lit = max(0.5 * (1.0 + math.cos(geometry.phase_angle_rad)), _LEAST_LIT)
     rays_across = _RAYS_ACROSS[0] * max(diameter_px / _RAYS_SIZE_PX, 1.0) ** (2.0 / 3.0) / math.sqrt(lit)
@@ -287,7 +289,7 @@ def _other_targets(inputs: EstimatorInputs) -> list[ExpectedBlob]:
 
 
 def _expected(geometry: TargetGeometry, camera: Camera) -> list[ExpectedBlob]:
-    """Light of a sphere in the place of a body; none where it is not in the frame or only a point."""
+    """Light of a sphere at the position of a body; none where it is not in the frame or only a point."""
     center = camera.model.project(geometry.position_camera_km)
     if not np.isfinite(center).all() or geometry.range_km <= geometry.target.shape.circumscribing_radius_km:
         return []

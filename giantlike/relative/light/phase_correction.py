@@ -15,25 +15,25 @@ from giantlike.scene import TargetGeometry
 from giantlike.shapes.base import PlacedEllipsoid
 
 _LEAST_SINE = 1e-6  # of the angle between Sun and observer, made round: below, the light is that of a full moon
-_LEAST_LIGHT = 1e-12  # of the light of a full moon: less is rounding
+_LEAST_LIGHT = 1e-12  # of the light of a full moon, below which it is rounding
 _FULL_MOON = 2.0 / 3.0  # of the radius: the mean of mu weighted with mu
-_LEAST_ACROSS = 1e-9  # of the direction to the Sun, across the line of sight: less has no direction but of rounding
+_LEAST_ACROSS = 1e-9  # of the direction to the Sun, perpendicular to the line of sight, below which it is rounding
 
 
 class Correction(StrEnum):
     """Correction of the centroid of the light to the center of the figure."""
 
     RENDERED = "rendered"
-    """That of the body rendered at its predicted geometry."""
+    """Of the body rendered at its predicted geometry."""
     KAASALAINEN_TANGA = "kaasalainen_tanga"
-    """By Liounis et al. eq. 3, meant for bodies that are not resolved."""
+    """By Liounis et al. eq. 3, meant for unresolved bodies."""
     ELLIPSOID = "ellipsoid"
     """By the center of light of its best-fitting ellipsoid under the law of Lommel and Seeliger, in closed form."""
     NONE = "none"
 
 
 def require_correction(name: str) -> None:
-    """Raise :class:`~giantlike.core.errors.InputError` unless ``name`` is that of a :class:`Correction`."""
+    """Raise :class:`~giantlike.core.errors.InputError` unless ``name`` is a :class:`Correction`."""
     known = [str(kind) for kind in Correction]
     require(name in known, f"correction must be one of {', '.join(known)}, got {name!r}")
 
@@ -41,7 +41,7 @@ def require_correction(name: str) -> None:
 def phase_correction_px(
     kind: Correction, rendered_px: Float, geometry: TargetGeometry, model: CameraModel, *, radius_px: float
 ) -> Float:
-    """Correction from the center of the light to that of the figure.
+    """Correction from the center of the light to the center of the figure.
 
     ``rendered_px`` (2,); returns (2,).
     """

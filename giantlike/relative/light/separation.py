@@ -1,4 +1,4 @@
-"""The light of one resolved body, separated from the dark and from other bodies."""
+"""The light of one resolved body, separated from the sky background and from other bodies."""
 
 from __future__ import annotations
 
@@ -20,27 +20,30 @@ from giantlike.relative.light.light_sums import kept_center
 from giantlike.relative.light.sky import SKY_SAMPLE, SkyPlane
 
 LIGHT_SIGMAS = 5.0
-"""Standard deviations of the sky above which a pixel is light: noise is as bright once in 3.5 million."""
+"""Standard deviations of the sky above which a pixel is light: noise exceeds it once in 3.5 million."""
 MIN_AREA_PX = 4
-"""Least area of a blob of light, px: hits and hot pixels are smaller."""
+"""Minimum area of a blob of light, px: hits and hot pixels are smaller."""
 TRACE = 0.002
-"""Share of the brightest pixel of a template above which light of the body counts."""
+"""Fraction of the brightest pixel of a template above which light of the body counts."""
 _MIN_BACKGROUND_PX = 100  # px: their median is then known to an eighth of the noise
 _VISIBLE, _MOST_VISIBLE = 0.02, 0.5  # of the brightest pixel of a template: its expected blob, by the noise of the sky
-_MOST_AREA = 2.0  # over that expected: light of a larger area that touches the frame is no body that the frame cuts
+_MOST_AREA = 2.0  # of the expected area: larger light that touches the frame is not a body cut by the frame
 _REGION_MARGIN, _REGION_MARGIN_PX = 0.05, 3  # of the radius and px, for errors of range and law
 _OTSU_MARGIN = 0.25  # of the radius, for enough dark pixels
 _MAX_SATURATED = 0.95
-"""Of the bright pixels: above, the rim of the body that is left says nothing of its brightness."""
-_WINDOW_MARGIN_PX = 16  # around all that is searched: the point spread function, and dark beside it
+"""Maximum fraction of saturated bright pixels; above, the rim that is left does not show the brightness of the body."""
+_WINDOW_MARGIN_PX = 16  # around the searched region: the point spread function, and sky
 _SETTLING, _SETTLED_PX = 4, 2
-"""Rounds in which the region follows its light, and motion, px, that ends them: less than the margin of the region."""
+"""Maximum number of iterations in which the region follows its light, and motion, px, at convergence: less than the
+margin of the region."""
 _FILL_SIDES_PX, _FILL_SHARE = (65, 17, 5), 0.1
-"""Sides, px, of the squares whose good pixels fill bad ones, the last that hold a tenth of good ones: of a pixel or two
-on all sides of single bad pixels, more in the middle of a missing block."""
+"""Sides, px, of the squares whose good pixels fill bad ones, and minimum fraction of good pixels in a square; the
+smallest square that reaches it is used."""
 _CUT = 1.0
-"""Width of the threshold over it. Errors across the direction of the Sun, of exact ellipsoids of 120 px at 90 and 125
-degrees of phase, are 0.060 and 0.140 px with a sharp one, 0.021 and 0.052 with 1, and 0.021 and 0.042 with 1.6."""
+"""Width of the threshold relative to it. Errors perpendicular to the direction of the Sun, for exact ellipsoids of 120
+px
+at 90 and 125 degrees of phase, are 0.060 and 0.140 px with a sharp threshold, 0.021 and 0.052 with 1, and 0.021 and
+0.042 with 1.6."""
 _ROUNDING = 1e-3  # px, of distances
 _GAIN_ROUNDS = 30
 """Halvings in which the gain of a clipped body is found: to a billionth."""
@@ -48,7 +51,7 @@ _GAIN_ROUNDS = 30
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prediction(Value):
-    """The body as predicted: center, mean and largest radius, px, its light and that of the other targets."""
+    """The body as predicted: center, mean and largest radius, px, its light and the light of the other targets."""
 
     center_px: Float
     radius_px: float
@@ -58,7 +61,7 @@ class Prediction(Value):
     others: list[ExpectedBlob]
 
     def seen_from(self, corner_px: NDArray[np.int64]) -> Prediction:
-        """Return the same in coordinates that start at a pixel (2,)."""
+        """Return the prediction in coordinates that start at a pixel (2,)."""
         others = [
             replace(one, center_px=(one.center_px[0] - int(corner_px[0]), one.center_px[1] - int(corner_px[1])))
             for one in self.others
@@ -68,7 +71,7 @@ class Prediction(Value):
         )
 
     def window(self, columns: int, rows: int) -> PixelBox:
-        """Part of a frame within which the light of all targets is searched, and dark around that of the body."""
+        """Part of a frame within which the light of all targets is searched, with sky around the body."""
         margin = (1.0 + _REGION_MARGIN + _OTSU_MARGIN) * self.reach_px + self.search_px + _WINDOW_MARGIN_PX
         low, high = self.center_px - margin, self.center_px + margin
         for one in self.others:
@@ -90,16 +93,16 @@ def seen_from(template: Template, corner_px: NDArray[np.int64]) -> Template:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BodyLight(Value):
-    """The light of one body in a window of the image; places are counted from the first pixel of the window.
+    """The light of one body in a window of the image; positions are relative to the first pixel of the window.
 
     Parameters
     ----------
     corner_px : (2,) int64, px
-        That pixel in the image.
+        First pixel of the window in the image.
     signal_dn : (rows, columns) float64, DN
         Sky subtracted, bad pixels filled.
     region : (rows, columns) bool
-        Pixels whose light counts as the body's.
+        Pixels whose light is attributed to the body.
     total_dn : float, DN
         Sum of their signal.
     expected : (rows, columns) bool
@@ -107,12 +110,12 @@ class BodyLight(Value):
     threshold_dn : float, DN
         Otsu's, above background.
     ceiling_dn : float, DN
-        Least signal of a saturated pixel; infinite without one.
+        Minimum signal of a saturated pixel; infinite without one.
     sky : SkyPlane
     noise_variance_dn2 : callable
         Variance, DN^2, of the noise of pixels of a given signal.
     shift_px : (2,) int64, px
-        From a template at the predicted place to the light.
+        From a template at the predicted position to the light.
     bad : (rows, columns) bool
         Pixels that were filled.
     """
@@ -135,7 +138,7 @@ class BodyLight(Value):
         return np.asarray(self.region & (self.signal_dn > self.threshold_dn))
 
     def trimmed(self) -> BodyLight:
-        """Return the same in the least window that holds the region and some dark around."""
+        """Return the light in the smallest window that holds the region and some sky around it."""
         columns, rows = (np.flatnonzero(self.region.any(axis=axis)) for axis in (0, 1))
         low = np.array([columns[0], rows[0]], dtype=np.float64)
         high = np.array([columns[-1], rows[-1]], dtype=np.float64) + 1.0
@@ -156,7 +159,7 @@ class BodyLight(Value):
         return center_of(self.region * kept_light(self.signal_dn, threshold_dn))
 
     def variance_dn2(self, signal_dn: Float) -> Float:
-        """Variance of the noise of pixels (n,), DN^2: shot noise, and the noise of the sky as it is."""
+        """Variance of the noise of pixels (n,), DN^2: shot noise, and the measured noise of the sky."""
         shot = self.noise_variance_dn2(signal_dn) - float(self.noise_variance_dn2(np.zeros(1))[0])
         return np.asarray(shot + self.sky.sigma_dn**2)
 
@@ -164,7 +167,7 @@ class BodyLight(Value):
         """Center of the light above a threshold.
 
         Returns ``center_px``; ``noise_px2`` (2, 2), covariance by the noise of the pixels; ``background_px2`` (2, 2),
-        covariance by the errors of the plane under them, and by the bend of the sky, as one sigma.
+        covariance by the errors of the background plane, and by the curvature of the sky, as one sigma.
         """
         rows, columns = np.nonzero(self.region & (self.signal_dn > (1.0 - 0.5 * _CUT) * threshold_dn))
         signal = self.signal_dn[rows, columns]
@@ -180,7 +183,7 @@ class BodyLight(Value):
         return center, noise, lever[:, :3] @ self.sky.covariance_dn2 @ lever[:, :3].T + np.outer(bend, bend)
 
     def expected_dn(self, brightness: Float, *, brighter: float = 1.0) -> Float:
-        """Signal of a template: scaled to all of the light, and clipped where the image is.
+        """Signal of a template, scaled to all of the light and clipped where the image is.
 
         ``brightness`` (h, w); returns (h, w).
         """
@@ -211,14 +214,14 @@ class BodyLight(Value):
 
 
 def kept_light(signal_dn: Float, threshold_dn: float) -> Float:
-    """Light that counts: none below half of a threshold, all from one and a half on, and between them a growing share.
+    """Light weighted by a soft threshold: 0 below half of it, 1 from one and a half on, and a ramp between.
 
     ``signal_dn`` (...); returns (...) DN.
 
     Notes
     -----
-    Where pixels count wholly or not at all, those along the cut move the center of a crescent of 120 px by 0.1 px with
-    the place of the body between pixels. See :data:`_CUT`.
+    With a sharp threshold the center of a crescent of 120 px moves by 0.1 px with the subpixel position of the body.
+    See :data:`_CUT`.
     """
     share = (signal_dn - (1.0 - 0.5 * _CUT) * threshold_dn) / (_CUT * threshold_dn)
     np.clip(share, 0.0, 1.0, out=share)
@@ -234,13 +237,13 @@ def center_of(light: Float) -> Float:
 
 
 def kept_center_of(light: Float, threshold_dn: float) -> Float:
-    """Return the center (2,), px, of the light of an image (h, w) that counts by a threshold; of all if none does."""
+    """Return the center (2,), px, of the light (h, w) above a soft threshold; of all light if none is above."""
     x, y, total = kept_center(np.ascontiguousarray(light), threshold_dn, _CUT)
     return np.array([x, y]) if total > 0.0 else center_of(light)
 
 
 def light_of(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Prediction) -> BodyLight | Failure:
-    """Find the light of the body and separate it from the dark and from other bodies."""
+    """Find the light of the body and separate it from the sky background and from other bodies."""
     sky = _sky(image, prediction)
     if isinstance(sky, Failure):
         return sky
@@ -281,7 +284,7 @@ class _Window(Value):
         return np.asarray(touch.any(axis=1))
 
     def cuts(self, pixels: Mask) -> bool:
-        """Return True if a pixel on the edge of the part is set which is not on that of the image."""
+        """Return True if a pixel on the edge of the part is set which is not on the edge of the image."""
         return self._meets(pixels, None)
 
     def _meets(self, pixels: Mask, frame: PixelBox | None) -> bool:
@@ -385,7 +388,7 @@ def _blob_of(
     thick = cv2.morphologyEx(pixels.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     if window.meets_frame(np.asarray(thick, dtype=bool)):
         return _cut_by_frame() if _may_be_cut(template, window.frame, 0.0) else _joined_to_frame()
-    # What reaches the frame is thin, as a hot column: only what is expected counts.
+    # Light that reaches the frame is thin, as a hot column: only the expected region counts.
     y, x = np.nonzero(pixels & near)
     place = np.array([np.median(x), np.median(y)]) if x.size else template.photocenter_px
     return np.zeros_like(pixels), foreign, place
@@ -419,7 +422,7 @@ def _may_be_cut(
 
 
 def _sky(image: BoxPixels, prediction: Prediction) -> SkyPlane | Failure:
-    """Plane through pixels, evenly spread, that the body cannot reach; through all of them where these are few."""
+    """Plane through evenly spaced pixels that the body cannot reach; through all such pixels where they are few."""
     (x, y), reach_px = prediction.center_px, prediction.reach_px + prediction.search_px
     for step in (max(math.isqrt(image.usable.size // SKY_SAMPLE), 1), 1):
         usable, values = image.usable[::step, ::step], image.values_dn[::step, ::step]
@@ -439,7 +442,7 @@ def _sky(image: BoxPixels, prediction: Prediction) -> SkyPlane | Failure:
 
 
 def _filled(values_dn: Float, bad: Mask) -> Float:
-    """Pixels with bad ones replaced by the mean of the good ones around: of the nearest that are enough."""
+    """Pixels with bad ones replaced by the mean of good neighbors."""
     if not bad.any():
         return values_dn
     result = np.where(bad, 0.0, values_dn)
@@ -452,7 +455,7 @@ def _filled(values_dn: Float, bad: Mask) -> Float:
 
 
 def _regions(template: Template, shift_px: NDArray[np.int64], blob: Mask, radius_px: float) -> tuple[Mask, Mask, Mask]:
-    """Pixels of the body's light, those where it is expected, and a box with enough dark around for a threshold."""
+    """Pixels of the body's light, pixels where it is expected, and a box with enough sky for a threshold."""
     rows, columns = blob.shape
     x, y = (template.corner_px + shift_px).tolist()
     trace = template.brightness > TRACE * float(template.brightness.max())

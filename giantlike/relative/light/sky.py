@@ -1,4 +1,4 @@
-"""The dark around a body: a plane through its pixels, and what is not known of it at the body."""
+"""Sky background of a body: a plane through its pixels, and the error of the plane at the body."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class SkyPlane(Value):
     covariance_dn2 : (3, 3) float64, DN^2
         Of ``plane_dn``, by noise.
     bend_dn : (6,) float64, DN
-        Paraboloid (1, x, y, x^2, x y, y^2) through the same pixels minus the plane: what the sky bends.
+        Paraboloid (1, x, y, x^2, x y, y^2) through the same pixels minus the plane: curvature of the sky.
     sigma_dn : float, DN
         Noise of a pixel about the plane.
     """
@@ -82,7 +82,7 @@ class SkyPlane(Value):
         )
 
     def seen_from(self, corner_px: NDArray[np.int64]) -> SkyPlane:
-        """Return the same plane in coordinates that start at a pixel."""
+        """Return the plane in coordinates that start at a pixel."""
         return replace(self, middle_px=self.middle_px - corner_px)
 
     def basis(self, columns: Float, rows: Float) -> Float:

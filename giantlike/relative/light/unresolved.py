@@ -30,17 +30,18 @@ _BACKGROUND_PX = 12  # px, width of the ring around the search region for the ba
 _CORE_SIGMAS = 2.5  # of the window: saturated or bad pixels here spoil the centroid
 _WINDOW_REACH_SIGMAS = 5.0  # of the window: less than 4e-6 of a Gaussian lies beyond
 _HOT_PSF, _HOT_LIGHT = 0.7, 0.3
-"""Largest width of a hot pixel over that of the point spread function, which may be stated 30 % too wide, and over that
-of the light expected, of which a quarter is the least that is fitted."""
-_RIVAL_FLUX = 0.3  # of the brightest source: a second one as bright is a rival: see benchmarks/sensitivity.md
+"""Maximum width of a hot pixel relative to the point spread function, which may be declared 30 % too wide, and relative
+to the expected light, of which at least a quarter is fitted."""
+_RIVAL_FLUX = 0.3  # of the brightest source, from which a second one is a competing solution: benchmarks/sensitivity.md
 _FIT_MARGIN_PX = 4  # px around the template: derivatives take so many, and the background is fitted
 _RAYS_PER_PIXEL, _RAYS_ACROSS = 10, (96, 240)
-"""Over a body that is lit all over: centers of 2, 5 and 10 px are then right to 0.001-0.003 px up to 120 degrees."""
+"""Rays over a fully lit body, per pixel and in all: centers of 2, 5 and 10 px are right to 0.001-0.003 px up to 120
+deg."""
 _LEAST_LIT, _MOST_RAYS = 0.05, 720
-"""Least lit share of the disk that rays are added for, as many lit ones as on a full disk, and most of them across."""
+"""Minimum lit fraction down to which the number of lit rays is kept as on a full disk, and maximum rays across."""
 _RAYS_THROUGH_PER_PIXEL, _RAYS_THROUGH = 12, 48
-"""Rays through the lit part of a disk: to a pixel of the diameter, and at most. At 150 degrees a crescent of 4 px is
-0.3 px thick, and 96, 372 and 720 rays across move its center by 0.02, 0.005 and 0.003 px."""
+"""Rays through the lit part of a disk: per pixel of the diameter, and maximum. At 150 degrees a crescent of 4 px is
+0.3 px thick; errors of its center with 96, 372 and 720 rays across are 0.02, 0.005 and 0.003 px."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +55,7 @@ class UnresolvedOptions:
     search_px : float, px
         Largest distance of the light from the predicted photocenter.
     min_snr : float
-        Least signal to noise of a detection.
+        Minimum signal to noise of a detection.
     correction : {'rendered', 'kaasalainen_tanga', 'ellipsoid', 'none'}
     range_sigma : float
         A priori standard deviation of the range as a fraction of it; it scales the correction.
@@ -86,18 +87,18 @@ class UnresolvedOptions:
 class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
     """Brightest source near the prediction, a fit of the rendered body to its light, and a phase correction.
 
-    A Gaussian has its center elsewhere than the light of a body that is a few pixels wide, so the body itself is
-    fitted, rendered through the point spread function. The fit gives the center of the figure directly (correction
-    ``rendered``, the default) or, less its offset, the center of the light, to which ``kaasalainen_tanga``, that of the
-    best-fitting ``ellipsoid`` or no correction is applied. Rendered is the default because it knows the shape: on
-    synthetic bodies of 2 to 12 px it is right to 0.01-0.02 px per axis, while the published correction, meant for
-    spheres that are not resolved, leaves 0.1 px at 2 px and 60 degrees and 0.5 px at 12 px.
+    The center of a Gaussian is biased for a body that is a few pixels wide, so the body itself is fitted, rendered
+    through the point spread function. The fit gives the center of the figure directly (correction ``rendered``, the
+    default) or, minus its offset, the center of the light, to which ``kaasalainen_tanga``, that of the best-fitting
+    ``ellipsoid`` or no correction is applied. Rendered is the default because it uses the shape: on synthetic bodies of
+    2 to 12 px its errors are 0.01-0.02 px per axis, those of the published correction, meant for unresolved spheres,
+    0.1 px at 2 px and 60 degrees and 0.5 px at 12 px.
 
-    ``score`` is the signal to noise of the source, ``residuals`` are image minus model over the brightest pixel of the
-    model. The covariance holds, as parts, ``noise`` and ``reflectance``: errors of the model as the residuals show
-    them, an error ``range_sigma`` of the range, and of the correction: for ``rendered`` the effect of another
-    reflectance law, as far as the image leaves that open; for ``kaasalainen_tanga`` and ``ellipsoid`` their difference
-    from the rendered correction, as one sigma.
+    ``score`` is the signal to noise of the source, ``residuals`` are image minus model divided by the brightest pixel
+    of the model. The covariance holds, as parts, ``noise`` and ``reflectance``: errors of the model scaled to the
+    residuals, an error ``range_sigma`` of the range, and of the correction: for ``rendered`` the effect of another
+    reflectance law, as far as the image does not exclude it; for ``kaasalainen_tanga`` and ``ellipsoid`` their
+    difference from the rendered correction, as one sigma.
 
     Failures are ``NOT_UNRESOLVED`` for larger bodies, ``NO_SIGNAL``, ``MASKED``, ``OUT_OF_FRAME``, ``NOT_LIT``,
     ``SATURATED``, ``NOT_CONVERGED`` and ``DEGENERATE_GEOMETRY``.
@@ -182,7 +183,7 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
 
 
 def _excess(total: Float, part: Float) -> Float:
-    """What a covariance (2, 2) has more than a part of it; rounding and what is less count as zero."""
+    """Covariance (2, 2) minus a part of it, with negative eigenvalues set to zero."""
     values, axes = np.linalg.eigh(0.5 * (total + total.T) - 0.5 * (part + part.T))
     return np.asarray((axes * np.maximum(values, 0.0)) @ axes.T)
 
@@ -198,7 +199,7 @@ def rays_across(diameter_px: float, phase_rad: float) -> int:
 def _brightest(
     inputs: EstimatorInputs, template: Template, width_px: float, options: UnresolvedOptions
 ) -> tuple[Float, bool] | Failure:
-    """Position of the brightest source in the search region, and True if another is bright enough to be it instead."""
+    """Position of the brightest source in the search region, and True if another is nearly as bright."""
     image, bad, detector = inputs.pixels, inputs.masked, inputs.camera.detector
     optics_px = UNKNOWN_PSF_SIGMA_PX if inputs.psf_sigma_px is None else inputs.psf_sigma_px
     expected_px, search_px = template.photocenter_px, options.search_px

@@ -15,7 +15,7 @@ from giantlike.relative.light.separation import BodyLight
 WING_UNKNOWN = 0.5
 """Share of the effect of the wings that is one sigma: wings half or twice as wide change it by a third to a half."""
 _WIDTHS = 5.0
-"""Width of the wings over that of the core; scattered light of real optics falls off with a power, not a width."""
+"""Ratio of the widths of wings and core; scattered light of real optics follows a power law instead."""
 _DARK = 1e-4
 """Share of the brightest pixel below which a template without wings has no light."""
 _BRIGHT = 0.5
@@ -29,7 +29,7 @@ _LEAST_PX, _LEAST_SIGMAS = 50, 5.0
 def wing_share(light: BodyLight, template: Template, *, psf_sigma_px: float, radius_px: float) -> float:
     """Share of the light of a body that lies in wings of the point spread function.
 
-    Returns 0 where the dark around the body shows none.
+    Returns 0 where the sky around the body shows none.
     """
     expected = light.expected_dn(template.brightness)
     wings = _blurred(expected, _WIDTHS * psf_sigma_px)

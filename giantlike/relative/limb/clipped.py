@@ -1,8 +1,7 @@
 """Profiles of a limb whose disk is saturated: the rendered body, clipped where the detector was.
 
-A clipped pixel says that it would hold at least as much. A template that is clipped at the same level before it is
-compared says the same: the limb lies where the brightness falls below the level. How bright the body is beyond it is
-one more parameter that all lines share.
+A clipped pixel is a lower limit. The template is clipped at the same level before the comparison, so that the limb lies
+where the brightness falls below the level. The brightness of the body above it is one more parameter of all lines.
 """
 
 from __future__ import annotations
@@ -21,19 +20,20 @@ from giantlike.processing.limb.scan import Scans, match_profiles, values_on_line
 from giantlike.processing.limb.view import LimbView
 
 _GAINS = np.geomspace(1.03, 16.0, 13)
-"""Brightest rendered pixel over the clipping level that is tried: beyond sixteen times the halo of the body, which no
-Gaussian describes, is as wide as the window."""
+"""Trial ratios of the brightest rendered pixel to the clipping level. Beyond sixteen the halo of the body, which is not
+Gaussian, is as wide as the window."""
 _FINER_GAINS = np.geomspace(0.85, 1.18, 9)
-"""Gains over the best of these that are tried then: 4 % apart, over which a clipped profile changes evenly."""
+"""Trial gains relative to the best of these, 4 % apart, over which a clipped profile is nearly linear."""
 LOG_GAIN_SIGMA = 0.5
-"""Standard deviation of the logarithm of the brightness about the best of these, before the fit: two of the steps."""
+"""A priori standard deviation of the logarithm of the brightness about the best of these: two of the steps."""
 EXTRAPOLATION_ERROR = 0.17
-"""Standard deviation of the logarithm of the brightness over the square of how far it is extrapolated from the level.
+"""Ratio of the standard deviation of the logarithm of the brightness to its squared extrapolation above the level.
 
-To first order the brightness is fitted, what is left is of second order. Likeliest of 80 limbs of the independent
+The first order is fitted, so that the error is of second order. Maximum likelihood of 80 limbs of the independent
 renderer (radii of 30-150 px, phase angles of 15-125 deg, levels of a fifth to five sixths of the peak, three laws):
-squared errors per degree of freedom are 0.4 to 2.0 at each level. With an error in proportion, 0.2 of it, they are 0.1
-to 0.3 at half of the peak and more, 2 at a third, and the logarithm of the likelihood is less by 55.
+squared errors per degree of freedom are 0.4 to 2.0 at each level. With a linear error of 0.2 they are 0.1 to 0.3 at
+half
+of the peak and more, 2 at a third, and the log likelihood is lower by 55.
 """
 _EACH_LINE = 4
 """Every so many lines are used to choose among them."""
@@ -79,7 +79,7 @@ def clipped_profiles(
 ) -> ClippedProfiles:
     """Clip a rendered body at a level, with the brightness that fits the image best.
 
-    ``images`` sequence of (rows, columns); ``window_px``, ``search_px`` as of
+    ``images`` sequence of (rows, columns); ``window_px``, ``search_px`` as for
     :func:`giantlike.processing.limb.scan.match_profiles`.
     """
     variance = view.detector.variance_dn2
@@ -116,7 +116,7 @@ def clipped_profiles(
 
 
 def clipped_mean(mean: Float, level: float, sigma: Float) -> tuple[Float, Float]:
-    """Mean of values with noise that are clipped at a level: less than the level even where it is the mean.
+    """Mean of noisy values clipped at a level; below the level even where it equals the mean.
 
     ``mean``, ``sigma`` (...); returns ``clipped`` (...) and ``below`` (...).
 

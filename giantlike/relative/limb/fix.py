@@ -1,4 +1,4 @@
-"""From a limb to a position: the options, the iteration and the fix that all estimators on limbs share."""
+"""Position from a limb: options, iteration and fix shared by all limb estimators."""
 
 from __future__ import annotations
 
@@ -29,27 +29,28 @@ _LOG = logging.getLogger("giantlike.relative")
 Measured = TypeVar("Measured", bound=LimbMeasurement)
 
 PATIENCE = 3
-"""Iterations with full steps; later ones are halved, because the points that are used can alternate."""
+"""Iterations with full steps; later ones are halved, because the points used can alternate."""
 _MAX_RANGE_STEP = 0.1
-"""Largest step over the range: the outline is linear in the position to a few percent over so much."""
+"""Maximum step relative to the range, over which the outline is linear in the position to a few percent."""
 _SURE = 3.0
-"""Standard deviations of the range of a stand-in that must lie within the search: of 28 right fixes of rocks by
-ellipsoids with more, 11 were called suspect, as beyond it or blurred."""
+"""Standard deviations of the range of an approximating ellipsoid that must lie within the search: of 28 correct fixes
+of
+rocks by ellipsoids that exceeded it, 11 were classified as suspect."""
 _MAX_RANGE_SIGMA = 0.25
-"""Standard deviation of the range over the range beyond which a position is none: linear errors end there."""
+"""Maximum relative standard deviation of the range of a position, up to which errors are linear."""
 LEAST_PSF_PX2 = 0.01
-"""Least variance of a point spread function that is estimated, px^2: a tenth of that of a pixel."""
+"""Minimum variance of an estimated point spread function, px^2: about a tenth of that of a pixel."""
 _RELIEF_RMS = 2.0
-"""Residuals in units of the relief that are allowed; no study on bodies with relief yet."""
+"""Maximum residuals in units of the relief; not yet studied on bodies with relief."""
 
 
 class EdgeModel(StrEnum):
-    """Brightness that is expected across a limb."""
+    """Expected brightness across a limb."""
 
     TEMPLATE = "template"
-    """That of the body with its reflectance law and the point spread function."""
+    """The rendered body with its reflectance law and the point spread function."""
     STEP = "step"
-    """That of a blurred step: no photometric model is needed."""
+    """A blurred step: no photometric model is needed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +61,7 @@ class ScanOptions:
     ----------
     edges : EdgeModel
     window_px : float, px
-        How far to both sides of the limb pixels are used.
+        Largest distance of pixels used, to both sides of the limb.
     min_contrast : float
         Mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
     psf_error : float
@@ -82,7 +83,7 @@ class ScanOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimbSearch:
-    """Options of all estimators on limbs: how far limbs are searched and which points and fixes are believed.
+    """Options of all limb estimators: search region, and limits of accepted points and fixes.
 
     Parameters
     ----------
@@ -110,14 +111,14 @@ class LimbSearch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IteratedSearch(LimbSearch):
-    """Options of the estimators that measure a limb again and again until it stands still.
+    """Options of the estimators that iterate the measurement of a limb to convergence.
 
     Parameters
     ----------
     max_iterations : int
         Largest number of measurements.
     tolerance_px : float, px
-        The fit has settled when the limb would move less than this in another iteration.
+        The fit has converged when the limb would move less than this in another iteration.
     max_rms_px : float, px
         Larger residuals, beyond what relief explains, are a failure.
     """
@@ -139,7 +140,7 @@ class IteratedSearch(LimbSearch):
         Parameters
         ----------
         measured : LimbMeasurement
-            Its relief is allowed for.
+            With its relief, which raises the limit.
 
         Returns
         -------
@@ -149,7 +150,7 @@ class IteratedSearch(LimbSearch):
 
 
 def limb_view(inputs: EstimatorInputs) -> LimbView:
-    """Take what measurements of a limb need from the inputs of an estimator."""
+    """Take the inputs of a limb measurement from the inputs of an estimator."""
     camera = inputs.camera
     return LimbView(
         pixels_dn=inputs.pixels_dn,
@@ -192,7 +193,7 @@ class LimbStep(Value):
     ----------
     position_km : (3,) float64, km, camera axes
     keep : (n,) bool
-        Points that agree on it.
+        Points consistent with the position.
     psf_px2 : float, px^2
         Change of the variance of the point spread function.
     """
@@ -203,14 +204,14 @@ class LimbStep(Value):
 
 
 class LimbScan(Protocol[Measured]):
-    """A way to measure the limb of a body where it is thought to be."""
+    """Method to measure the limb of a body at an assumed position."""
 
     def measure(self, state: LimbState) -> Measured | Failure:
         """Measure the limb across the body in a state; all of its points are kept."""
         ...
 
     def step(self, measured: Measured, state: LimbState) -> LimbStep:
-        """Find the step of the body that the points ask for."""
+        """Compute the step of the body from the points."""
         ...
 
     def settled(self, measured: Measured, step: LimbStep, moved_px: float, state: LimbState) -> bool:
@@ -218,14 +219,14 @@ class LimbScan(Protocol[Measured]):
         ...
 
     def finish(self, measured: Measured, step: LimbStep) -> Measured:
-        """Return the measurement for the solution that comes after the last step, which is not taken."""
+        """Return the measurement for the final solution; the last step is not taken."""
         ...
 
 
 def settle_limb(
     scan: LimbScan[Measured], start: LimbState, search: IteratedSearch, *, min_points: int, closest_km: float
 ) -> Measured | Failure:
-    """Measure a limb and move the body until the limb stands still."""
+    """Measure a limb and move the body until convergence."""
     state = start
     for _ in range(search.max_iterations):
         measured = scan.measure(state)
@@ -266,7 +267,7 @@ def agreeing_step(measured: LimbMeasurement, outlier_mad: float) -> LimbStep:
 def next_motion_px(before_px: float, moved_px: float) -> float:
     """Predict the motion of the limb in one more iteration after moving ``before_px`` and then ``moved_px``.
 
-    The iteration converges by about the same factor each time; after the first step nothing is known of it.
+    The iteration converges by about the same factor each time; the factor is unknown after the first step.
 
     ``before_px``: infinite where there was no step before.
 
@@ -289,7 +290,7 @@ class LimbSolution(Value):
     covariances_km2 : mapping of Cause to (3, 3) float64, km^2, camera axes
         Covariance by each cause; they add up.
     residuals_px : (m,) float64, px
-        Of the points used, positive outward.
+        Residuals of the points used, positive outward.
     limb_px : (m, 2) float64, px
         Those points in the image.
     corrections : Corrections
@@ -319,7 +320,7 @@ def limb_fix(
     *,
     allowed_rms_px: float = math.inf,
 ) -> PositionFix | Failure:
-    """Judge a position from a limb and put it into a :class:`PositionFix`."""
+    """Classify a position from a limb and put it into a :class:`PositionFix`."""
     place = _Place.of(inputs, solution)
     refused = _refused(place, inputs, measured, search, allowed_rms_px)
     if refused is not None:
@@ -365,7 +366,7 @@ def limb_fix(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Place(Value):
-    """A solution as the image shows it: center (2,) and its covariance, range and its relative sigma, residuals."""
+    """A solution in image terms: center (2,) and its covariance, range and its relative sigma, residuals."""
 
     center_px: Float
     covariance_px2: Float
@@ -395,7 +396,7 @@ class _Place(Value):
 def _refused(
     place: _Place, inputs: EstimatorInputs, measured: LimbMeasurement, search: LimbSearch, allowed_rms_px: float
 ) -> Failure | None:
-    """Failure of a solution with large residuals or too large a covariance; None of any other."""
+    """Failure of a solution with too large residuals or covariance; None otherwise."""
     if place.rms_px > allowed_rms_px:
         return Failure(
             Reason.LARGE_RESIDUALS,
@@ -432,7 +433,7 @@ def _facts(place: _Place, inputs: EstimatorInputs, measured: LimbMeasurement, se
 
 
 def _share(step: LimbStep, state: LimbState) -> float:
-    """Share of a step that is taken: half of it after some iterations, and at most a tenth of the range."""
+    """Fraction of a step to take: half after some iterations, and at most a tenth of the range."""
     most = _MAX_RANGE_STEP * float(np.linalg.norm(state.position_camera_km))
     limit = most / max(float(np.linalg.norm(step.position_km)), 1e-300)
     return min(1.0, limit) * (1.0 if state.iteration <= PATIENCE else 0.5)

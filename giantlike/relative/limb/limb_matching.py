@@ -42,9 +42,9 @@ class LimbMatchingOptions(IteratedSearch):
     search_range : float
         Largest relative error of the predicted range.
     max_iterations : int
-        Times that the template is rendered and the limb measured.
+        Largest number of renders and measurements.
     tolerance_px : float, px
-        The fit has settled when the limb would move less than this in another iteration.
+        The fit has converged when the limb would move less than this in another iteration.
     outlier_mad : float
         Limb points beyond so many robust sigmas are left out.
     max_rms_px : float, px
@@ -53,10 +53,11 @@ class LimbMatchingOptions(IteratedSearch):
         Kept for files of earlier versions: residuals raise no flag.
     min_diameter_px : float, px
         Smaller bodies (by the predicted size of the sphere of the same volume) are a failure: ``cross_correlation`` and
-        ``unresolved``, which use all of the light, do better. Lower it to have such limbs nevertheless. Squared errors
-        of 32 views each of 14 cases of right and wrong models (``benchmarks/stress.py``, 15 to 125 degrees of phase)
-        are 0.5 to 1.7 of the covariance at 30 px and 0.7 to 1.3 at 24 px, where two dead columns leave 8 limbs of 32,
-        with 3.0 (29 at 30 px); of 11 cases at 20 px up to 1.7, of 4 at 12 px up to 2.1. None was silently wrong.
+        ``unresolved``, which use all of the light, are more accurate. Lower it to measure such limbs nevertheless.
+        Squared errors of 32 views each of 14 cases of correct and wrong models (``benchmarks/stress.py``, 15 to 125
+        degrees of phase) are 0.5 to 1.7 of the covariance at 30 px and 0.7 to 1.3 at 24 px, where two dead columns
+        leave 8 limbs of 32, with 3.0 (29 at 30 px); of 11 cases at 20 px up to 1.7, of 4 at 12 px up to 2.1. There was
+        no undetected failure.
     scan : LimbScanOptions
     """
 
@@ -71,16 +72,16 @@ class LimbMatchingOptions(IteratedSearch):
 class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
     """Full position of a body from its lit limb.
 
-    The outline is found as a whole, then the body is rendered where it seems to be, the image compared with it line
-    by line across the limb, and the position improved by least squares, until the limb stands still. The covariance
-    comes from the residuals: their scatter, and how far along the limb they err together. A wrong reflectance law, and
-    width and wings of the point spread function, leave no residuals along the limb but show in the profile across it:
-    they are estimated with it and are in the covariance, as ``reflectance`` and ``psf`` of the fix's ``parts``. So are
-    the light that haze takes toward the limb, where the target has an atmosphere whose altitude is
-    uncertain. Of saturated disks the template is clipped where the detector was.
+    The outline is located as a whole. Then the body is rendered at the current position, compared with the image line
+    by line across the limb, and its position improved by least squares, until convergence. The covariance comes from
+    the scatter of the residuals and their correlation along the limb. A wrong reflectance law, and width and wings of
+    the point spread function, leave no residuals along the limb but change the profile across it: they are estimated
+    with it and are in the covariance, as ``reflectance`` and ``psf`` of the fix's ``parts``. So is the attenuation by
+    haze toward the limb, where the target has an atmosphere of uncertain altitude. For saturated disks the template is
+    clipped like the detector.
 
-    The ``turn`` of the fix is that of the body about the line of sight, found together with its place, which is then
-    another one; the fix itself takes the orientation of the body as told.
+    The ``turn`` of the fix is the rotation of the body about the line of sight, estimated together with a separate
+    position; the fix itself uses the declared orientation of the body.
 
     ``score`` of the fix is the root mean square of the residuals in px; ``residuals`` are those across the limb, px,
     positive where the limb in the image lies outside that of the body.
@@ -128,11 +129,11 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
         return fix_of_strained(inputs, measured, solution, self.options)
 
     def _lines(self, view: LimbView, body: Body, *, in_haze: bool) -> LineMeasurement | Failure:
-        """Measure the limb, in haze with the light that it takes; without that where lines do not settle with it.
+        """Measure the limb, in haze with its attenuation; without that where lines do not converge with it.
 
-        Of 25 unseen views of ``benchmarks/stress.py`` in haze that is told, squared errors go from 2.0 to 0.9 of the
-        covariance with it; with the light that haze sends besides, of 25 others, to 1.1. Haze that is found behind a
-        fix has no altitude, and no law here: both errors together come to less.
+        Squared errors of 25 unseen views of ``benchmarks/stress.py`` in declared haze go from 2.0 to 0.9 of the
+        covariance with it; in 25 others, with scattered light in addition, to 1.1. Haze that is detected after a fix
+        has no altitude, and no law here; the two errors partly cancel.
         """
         if in_haze:
             laws = (*OTHER_LAWS, *haze_laws(body.reflectance)[:1])
@@ -155,7 +156,7 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
 
 
 def _with_facets(measured: LimbMeasurement, mesh: TriangleMesh) -> LimbMeasurement:
-    """Limb of a mesh with the error that facets are flat, which all of its points share.
+    """Limb of a mesh with the common error of all points by flat facets.
 
     The outline of a mesh whose vertices lie on the body is a polygon: its sides leave out ``L^2 / (12 R)`` on average,
     and its corners, which lie before or behind the limb, ``L^2 / (24 R)``, with sides L and radius R.
@@ -168,7 +169,7 @@ def _with_facets(measured: LimbMeasurement, mesh: TriangleMesh) -> LimbMeasureme
 
 
 def _by_attitude(inputs: EstimatorInputs, sight: Float) -> float:
-    """Share of a turn about the line of sight (3,) that is likely the camera's, which turns the Sun too."""
+    """Fraction of a turn about the line of sight (3,) attributed to the camera, which turns the Sun too."""
     known, covariance_rad2 = inputs.geometry.target.uncertainty, inputs.image.attitude_covariance_rad2
     if covariance_rad2 is None:
         return 1.0

@@ -55,33 +55,34 @@ from giantlike.relative.limb.profiles import (
 
 _OVERVIEW_RAD = np.arange(360) * (2.0 * np.pi / 360)  # of an outline all around: a degree is 2 px at a radius of 100
 _COARSE_LINES, _COARSE_SPACING_PX = 160, 1.0
-"""Lines for the search of the outline as a whole: at most so many, and so far apart at least."""
+"""Maximum number, and minimum spacing, of lines for the search of the outline as a whole."""
 _LEAST_LINES = 8
-"""Lines laid on the shortest limb; fewer than the options ask for, which then say that there are too few."""
+"""Lines laid on the shortest limb: below the minimum of the options, which then reject it."""
 _FIRST_SEARCH_PX = 3.0
-"""Distance that lines are searched farther in the first measurement, px: room for the error of the coarse search."""
+"""Additional search along lines in the first measurement, px, for the error of the coarse search."""
 _FIRST_LINES = 100
-"""Lines of the first measurement, which only needs to be good to the width of a profile."""
+"""Lines of the first measurement, whose error may be up to the width of a profile."""
 _FIRST_MATCHES = 3
-"""Most matches of the first measurement: as its lines stand beside the places that they are compared with, relief of
-the outline moves the body by a tenth of that. Of nine rocks of 300 px errors fell from 0.0054 to 0.0042 px by it."""
+"""Maximum number of matches of the first measurement. Its lines are offset from the compared positions, so that relief
+of
+the outline moves the body by a tenth of that. Errors of nine rocks of 300 px fell from 0.0054 to 0.0042 px by it."""
 _FIRST_TOLERANCE_PX = 0.1
-"""Motion of the limb below which it needs no other match."""
+"""Motion of the limb, px, below which the first measurement has converged."""
 _RELIEF_TOLERANCE, _RELIEF_SEARCH = 0.1, 3.0
-"""Share of the relief by which a limb may still move, and reliefs by which lines are searched farther."""
+"""Tolerance of the motion of a limb, and additional search along lines, in units of the relief."""
 _STEP_SHADOW_PX = 0.1
-"""Width of the shadow along a limb, px, up to which the edge of the light is taken for that of the body by a step."""
+"""Maximum width of the shadow along a limb, px, up to which a step takes the edge of the light as the limb."""
 _UNSURE = 0.5
-"""Share of what the shared parameters leave uncertain by which a limb may still move in the end."""
+"""Final tolerance of the motion of a limb, in standard deviations by the shared parameters."""
 _PSF_STEP = 0.25
-"""Change of the variance of the point spread function, over it, after which the limb is measured again."""
+"""Relative change of the variance of the point spread function above which the limb is measured again."""
 _MIN_WIDTH_PX = 0.3
-"""Least point spread function measured on a limb: below, pixels do not sample it."""
+"""Minimum width of a point spread function measured on a limb, px, that pixels sample."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LimbLines(Value):
-    """Lines across an outline, by the directions from the body's center in which they meet it.
+    """Lines across an outline, by the directions of their intersections from the body's center.
 
     Parameters
     ----------
@@ -141,7 +142,7 @@ class Outline(Value):
         return cls(silhouette=silhouette, brightness=brightness)
 
     def at(self, lines: LimbLines) -> PredictedLimb:
-        """Interpolate the limb where ``lines`` meet it: good to a pixel or so."""
+        """Interpolate the limb where ``lines`` meet it, to about a pixel."""
         outline = self.silhouette
         points, normals, points_km = (
             np.stack([np.interp(lines.angles_rad, outline.angles_rad, v, period=2.0 * np.pi) for v in values.T], -1)
@@ -156,7 +157,7 @@ class Outline(Value):
         )
 
     def moved(self, center_px: Float, scale: float) -> Outline:
-        """Return the outline moved to another center (2,), px, and grown: good to a pixel or so."""
+        """Return the outline moved to another center (2,), px, and scaled, to about a pixel."""
         old = self.silhouette
         points = center_px + scale * (old.points_px - old.center_px)
         return replace(self, silhouette=replace(old, points_px=points, center_px=center_px))
@@ -206,7 +207,7 @@ def measure_by_lines(
     relief: SmoothError | None = None,
     other_laws: tuple[Reflectance, ...] = OTHER_LAWS,
 ) -> LineMeasurement | Failure:
-    """Find the limb of a body and measure it line by line until it stands still."""
+    """Find the limb of a body and measure it line by line until convergence."""
     outline = Outline.traced(view, body)
     lines = lay_lines(
         view, outline, spacing_px=_COARSE_SPACING_PX, max_lines=_COARSE_LINES, margin_px=-search.search_px
@@ -248,7 +249,7 @@ def measure_by_lines(
 def measure_once(
     view: LimbView, body: Body, search: IteratedSearch, options: LimbScanOptions, *, psf_px2: float
 ) -> LineMeasurement | Failure:
-    """Measure the limb of a body line by line where it is."""
+    """Measure the limb of a body line by line at its given position."""
     outline = Outline.traced(view, body)
     lines = lay_lines(
         view, outline, spacing_px=options.spacing_px, max_lines=options.max_lines, margin_px=options.margin_px
@@ -266,7 +267,7 @@ class LineMeasurement(LimbMeasurement):
     Parameters
     ----------
     psf_px2 : float, px^2
-        Variance of the point spread function as the lines show it.
+        Variance of the point spread function estimated from the lines.
     """
 
     psf_px2: float
@@ -285,11 +286,11 @@ class LineScan(Value):
     search : IteratedSearch
     options : LimbScanOptions
     relief : SmoothError or None
-        Departure of the true outline from that of the body; with it profiles need to be less alike.
+        Departure of the true outline from the modeled one; with it the limits on profiles are looser.
     outline : Outline or None
-        Where it was found as a whole: lines of the first measurement start there. None to trace it for that too.
+        Outline as located, the start of the first measurement; None to trace it.
     other_laws : tuple of Reflectance
-        Laws of what the light may have instead or besides.
+        Laws mixed into the law of the body.
     """
 
     view: LimbView
@@ -314,7 +315,7 @@ class LineScan(Value):
         return scan.measured(state.position_camera_km, extra_px=_FIRST_SEARCH_PX)
 
     def step(self, measured: LineMeasurement, state: LimbState) -> LimbStep:
-        """Robust least-squares step, and the width of the point spread function as the lines show it."""
+        """Robust least-squares step, and the width of the point spread function estimated from the lines."""
         step = agreeing_step(measured, self.search.outlier_mad)
         return replace(step, psf_px2=measured.psf_px2 - state.psf_px2)
 
@@ -362,9 +363,9 @@ class LineScan(Value):
         *,
         offsets_px: Float,
     ) -> LineMeasurement:
-        """Match profiles again where the body was found by them, until it stands still: they move as it does.
+        """Match profiles again at the new position of the body, moved along with it, until convergence.
 
-        The first match stands where another moves the body on by more than half as far: it does not lead there.
+        The first match is kept where the next step is more than half as long.
         """
         model, outlier_mad, first = self.view.model, self.search.outlier_mad, found
         step_km = agreeing_step(found, outlier_mad).position_km
@@ -387,7 +388,7 @@ class LineScan(Value):
         return found
 
     def _offsets(self, extra_px: float = 0.0) -> Float:
-        """Places (m,) along lines, px, from the limb; ``extra_px`` farther than ``options`` say."""
+        """Offsets (m,) along lines from the limb, px; ``extra_px`` farther than in ``options``."""
         search_px = self.options.local_search_px + _RELIEF_SEARCH * self.relief_px + extra_px
         return line_offsets(self.options.window_px + search_px, self.options.step_px)
 
@@ -443,7 +444,7 @@ class LineScan(Value):
         )
 
     def _limb(self, body: Body, *, first: bool) -> PredictedLimb | Failure:
-        """The limb where lines meet it in the frame; at first as it was found, which is near enough."""
+        """The limb where lines meet it in the frame; at first as located, which is accurate enough."""
         if first and self.outline is not None and self.options.edges is EdgeModel.TEMPLATE:
             limb = self.outline.seen(self.view, self.lines, self.options.margin_px)
             if limb.points_px.size:
@@ -476,7 +477,7 @@ def _not_seen(view: LimbView, outline: Silhouette, body: Body, margin_px: float)
 
 
 def _psf_sigma(view: LimbView, scans: Scans, options: LimbScanOptions) -> float | Failure:
-    """Width of the point spread function, px: that of the camera, or as measured on the limb."""
+    """Width of the point spread function, px: declared by the camera, or measured on the limb."""
     if view.psf_sigma_px is not None:
         return view.psf_sigma_px
     usable = int(scans.usable.all(axis=1).sum())

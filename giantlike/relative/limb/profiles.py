@@ -1,4 +1,4 @@
-"""Profiles of brightness that lines across a limb should show, and their match with those of the image."""
+"""Expected brightness profiles along lines across a limb, and their match with the image."""
 
 from __future__ import annotations
 
@@ -40,42 +40,43 @@ from giantlike.relative.limb.clipped import (
 from giantlike.relative.limb.fix import EdgeModel, ScanOptions
 
 OTHER_LAWS: tuple[Reflectance, ...] = (Lambert(), LommelSeeliger(), Minnaert(k=0.7))
-"""Laws that the surface may have instead or besides: of strong, no and medium limb darkening.
+"""Laws mixed into the assumed one: strong, no and medium limb darkening.
 
-At one phase angle the mixtures of the first two are all of McEwen's and lunar-Lambert laws, and Hapke's law of dark
-surfaces is close to one; the third is none.
+At one phase angle the mixtures of the first two include all of McEwen's and lunar-Lambert laws and nearly Hapke's law
+of
+dark surfaces, but not the third.
 """
 LAW_SIGMA = 1.0
-"""Standard deviation of the share of each of the other laws before the measurement: as likely as the law given."""
+"""A priori standard deviation of the fraction of each of the other laws: as likely as the assumed law."""
 _DEPTH_STEP_PX = 0.05
 """Step of the integral over depth that blurs the disk of a sphere."""
 _DISK_DN = 3000.0
-"""Brightness of that disk: that of a usual exposure, where noise does not matter."""
+"""Brightness of that disk, DN: a usual exposure, where noise does not matter."""
 _UNKNOWN_PSF_SIGMA_PX2 = 2.0
 """Standard deviation, px^2, of the variance of an unknown point spread function: widths up to 2 px are usual."""
 _LEAST_VARIANCE_PX2 = 0.1
-"""Least variance of the point spread function, px^2, to which ``psf_error`` is applied: that of a pixel."""
+"""Minimum variance of the point spread function, px^2, to which ``psf_error`` is applied: about that of a pixel."""
 _WING_SIGMA, _WING_WIDTH = 0.1, 5.0
-"""Standard deviation of the share of light in the wings of the point spread function before the measurement, and their
-width over that of its core: real cameras scatter some percent over some pixels."""
+"""A priori standard deviation of the fraction of light in the wings of the point spread function, and their width
+relative to its core: real cameras scatter some percent over some pixels."""
 _ROUNDS, _SETTLED_PX = 6, 0.002
-"""Most fits, each about the shared parameters found before; and the shift by their change that needs no other one.
+"""Maximum number of fits, each about the last shared parameters; and shift, px, by their change at convergence.
 
-The shares of laws multiply the gain of each line, so that one linear step from one law to another leaves a few percent.
+The fractions of laws multiply the gain of each line, so that one linear step between laws leaves a few percent.
 """
 _FIRST_RAYS = 2
-"""Rays along a pixel for the first measurement, which only needs to be good to the width of a profile."""
+"""Rays along a pixel for the first measurement, whose error may be up to the width of a profile."""
 _SKY_PX = 4.0
-"""How much less far lines are rendered outward than inward, px: what lies there is sky, and what is not, in a hollow of
-the outline, is rendered as far as the light of other pixels may come from, 5 px and more."""
+"""Length, px, by which lines are rendered less far outward than inward. Outside is sky, except in a concave outline,
+which is still rendered out to at least 5 px."""
 _FEW_RAYS_RADIUS_PX, _MAX_RAYS = 50.0, 12
-"""Radius below which bodies get more rays to a pixel, as few pixels average few rays; and the most they get."""
+"""Radius below which bodies get more rays per pixel, as few pixels average few rays; and maximum number."""
 _MIN_CORRELATION, _MIN_CORRELATION_LOOSE = 0.9, 0.8
-"""Normalized correlation of good lines with the expected profile; loose where that is not of the body itself."""
+"""Minimum correlation of good lines with the expected profile; loose where the profile is not of the body itself."""
 _MAX_UNEXPLAINED, _MAX_UNEXPLAINED_LOOSE = 0.15, 0.3
-"""Residuals of good lines over the height of the profile."""
+"""Maximum residuals of good lines relative to the height of the profile."""
 _MAX_NOISE_PX = 0.5
-"""Standard deviation by noise beyond which a line is too weak: half the width of a usual profile."""
+"""Maximum standard deviation of a line by noise, px: half the width of a usual profile."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,13 +89,13 @@ class LimbScanOptions(ScanOptions):
     spacing_px : float, px
         Between neighboring lines along the limb.
     max_lines : int
-        With longer limbs the lines stand farther apart.
+        On longer limbs the lines are farther apart.
     min_lines : int
         Fewer good lines than this are no limb.
     window_px : float, px
-        How far to both sides of the limb profiles are compared.
+        Largest distance of compared profiles, to both sides of the limb.
     local_search_px : float, px
-        How far a single line may find its edge from the outline that was located as a whole.
+        Largest distance of the edge on a line from the outline that was located as a whole.
     step_px : float, px
         Between samples on a line.
     rays_per_pixel_side : int
@@ -129,22 +130,22 @@ class LimbScanOptions(ScanOptions):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ExpectedProfiles(Value):
-    """Profiles that lines should show, and how parameters that all lines share change them.
+    """Expected profiles of lines, and their derivatives by parameters that all lines share.
 
     Parameters
     ----------
     values : (n, m) float64
         Any unit.
     changes : (n, m, c) float64
-        By each of c parameters.
+        Derivative by each of c parameters.
     layout : Layout
         Of the parameters: shares of other laws and of wings, logarithm of a brightness that is clipped, and, px^2, the
         variance of the point spread function, half the excess of that along columns over that along rows, and the
         covariance of both.
     prior : Prior
-        Of the parameters, from those that the profiles are made with.
+        Of the changes of the parameters from those of the profiles.
     beyond : (n,) float64
-        Logarithm of the brightness of each line over the level at which it is clipped; 0 where it is not.
+        Logarithm of the ratio of the brightness of each line to its clipping level; 0 where it is not clipped.
     """
 
     values: Float
@@ -175,7 +176,7 @@ class MatchedLines(Value):
     psf_px2 : float, px^2
         Change of the variance of the point spread function that was found.
     extrapolated_px : float, px
-        Standard deviation of the limb by how its brightness is extrapolated from what is not clipped.
+        Standard deviation of the limb by the extrapolation of its brightness above the clipping level.
     """
 
     match: ProfileMatch
@@ -196,9 +197,9 @@ def expected_profiles(
     *,
     first: bool,
 ) -> ExpectedProfiles | Failure:
-    """Profiles that lines should show.
+    """Compute the profiles expected along lines.
 
-    Failures are those of :func:`giantlike.ray_tracing.render_near`.
+    Fails as :func:`giantlike.ray_tracing.render_near`.
     """
     if options.edges is EdgeModel.STEP:
         return _alone(np.tile(_step_profile(scans, psf_px2), (len(scans.points_px), 1)))
@@ -246,7 +247,7 @@ def expected_profiles(
 
 
 def _layout(*, laws: int = 0, wings: bool = False, brightness: bool = False, blur: bool = False) -> Layout:
-    """Parameters that all lines share."""
+    """Layout of the parameters that all lines share."""
     return Layout(
         (
             ("laws", Cause.REFLECTANCE, laws),
@@ -259,7 +260,7 @@ def _layout(*, laws: int = 0, wings: bool = False, brightness: bool = False, blu
 
 
 def _wings(values: Float, scans: Scans, psf_px2: float, window_px: float) -> Float:
-    """Change of profiles (n, m) where all light goes into the wings of the point spread function, which are wide."""
+    """Change of profiles (n, m) if all light goes into the wide wings of the point spread function."""
     far = np.abs(scans.offsets_px) > window_px
     inner = values[:, np.flatnonzero(~far)[0], None]
     whole = np.where(far, np.where(scans.offsets_px < 0.0, inner, 0.0), values)
@@ -280,7 +281,7 @@ def _alone(values: Float) -> ExpectedProfiles:
 
 
 def step_shortfall(scans: Scans, psf_px2: float, view: LimbView, options: LimbScanOptions) -> float:
-    """How far a step with a slope misses the limb of a disk that darkens towards it, over what the slope changes."""
+    """Ratio of the error of a step with a slope at the limb of a darkened disk to the change by that slope."""
     width = math.sqrt(psf_px2 + PIXEL_VARIANCE_PX2 + SAMPLING_VARIANCE_PX2)
     depth = np.arange(0.5 * _DEPTH_STEP_PX, scans.offsets_px[-1] + 6.0 * width, _DEPTH_STEP_PX)
     cosine = np.sqrt(np.maximum(1.0 - np.maximum(1.0 - depth / view.radius_px, 0.0) ** 2, 0.0))
@@ -301,9 +302,9 @@ def step_shortfall(scans: Scans, psf_px2: float, view: LimbView, options: LimbSc
 def match_lines(
     view: LimbView, scans: Scans, profiles: ExpectedProfiles, *, window_px: float, search_px: float, loose: bool
 ) -> MatchedLines:
-    """Match the lines of an image with the profiles expected there, and find what all lines share.
+    """Match the lines of an image with the profiles expected there, and estimate the shared parameters.
 
-    ``window_px``, ``search_px`` as of :func:`giantlike.processing.limb.scan.match_profiles`.
+    ``window_px``, ``search_px`` as for :func:`giantlike.processing.limb.scan.match_profiles`.
     """
     variance = view.detector.variance_dn2
     layout, found = profiles.layout, np.zeros(profiles.layout.count)
@@ -346,7 +347,7 @@ def match_lines(
 
 
 def _extrapolated_px(match: ProfileMatch, good: Mask, profiles: ExpectedProfiles) -> float:
-    """Mean shift of good lines by one standard deviation of the brightness that is clipped; 0 where none is."""
+    """Mean shift of good lines by one standard deviation of the clipped brightness; 0 where none is clipped."""
     by_brightness = match.shared_px[good, profiles.layout.span("brightness")].ravel()
     if not by_brightness.size:
         return 0.0
@@ -361,7 +362,7 @@ def _root(covariance: Float) -> Float:
 
 
 def _nominal_psf(view: LimbView, psf_px2: float, psf_error: float) -> tuple[float, float]:
-    """Variance of the point spread function before the measurement, px^2, and its standard deviation."""
+    """A priori variance of the point spread function, px^2, and its standard deviation."""
     if view.psf_sigma_px is None:
         return psf_px2, _UNKNOWN_PSF_SIGMA_PX2
     nominal = view.psf_sigma_px**2
@@ -405,7 +406,7 @@ def _rays_for(radius_px: float, rays: int) -> int:
 
 
 def _judged(match: ProfileMatch, *, loose: bool) -> tuple[Mask, dict[str, int]]:
-    """Good lines and the rejected; loose where the expected profile is not that of the body."""
+    """Good lines and the number of others by reason; loose where the expected profile is not of the body."""
     alike: Mask = match.correlation >= (_MIN_CORRELATION_LOOSE if loose else _MIN_CORRELATION)
     alike &= match.unexplained <= (_MAX_UNEXPLAINED_LOOSE if loose else _MAX_UNEXPLAINED)
     return judge_points(

@@ -1,4 +1,4 @@
-"""From a settled limb to the position of its body, with the covariance that the residuals show."""
+"""Position of a body from a converged limb, with a covariance from the residuals."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Weighted(Value):
     gain : (k, b) float64
         Takes the shifts of these, px, to the parameters.
     own : mapping of Cause to (k, k) float64
-        Covariances by what each point has of its own: noise, and relief.
+        Covariances by the errors of each point: noise, and relief.
     """
 
     means: Float

@@ -1,4 +1,4 @@
-"""Strain test of a limb: residuals of an outline of another figure or orientation."""
+"""Strain test of a limb: residuals by an error of shape or orientation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from giantlike.relative.judge import inflation
 from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, limb_fix
 
 _LEAST_FREEDOM = 3
-"""Least degrees of freedom that residuals must have beside place and strain: errors are estimated from them."""
+"""Minimum degrees of freedom of residuals beyond position and strain, to estimate errors from them."""
 _STRAINS = 2
 
 
@@ -34,15 +34,14 @@ def fix_of_strained(
 def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
     """Factor by which the variances of a limb are too small for its strain; at least 1.
 
-    A pole, a roll or axes that are told wrong, and a smear of the image, stretch an outline along one direction. So do
-    the longest waves of relief, but these come with shorter ones, which the strain leaves among the residuals: how much
-    relief there is follows from them.
+    Errors of the declared pole, roll or axes, and a smear of the image, stretch an outline along one direction. So do
+    the longest waves of relief, whose amplitude is estimated from shorter ones in the residuals.
 
     Notes
     -----
-    The strain s (2,) of no area is fitted beside the place by generalized least squares; the factor is that of
+    The area-preserving strain s (2,) is fitted with the position by generalized least squares; the factor follows from
     ``s.C^-1.s`` (:func:`~giantlike.relative.judge.inflation`). Where noise alone explains the strain, other errors are
-    not looked for.
+    not tested for.
     """
     if inputs.place_alone or measured.relief is not None or measured.terrain is not None:
         return 1.0
@@ -82,7 +81,7 @@ def _strained(points_px: Float, normals_px: Float) -> Float:
 def _squared(shift_px: Float, design: Float, covariance: Float, known: float) -> float:
     """Squared strain over its covariance in a fit of shifts (b,) with a covariance (b, b).
 
-    ``known`` is the standard deviation of a strain that a right body may have.
+    ``known`` is the standard deviation of the strain of a correct body.
     """
     scale = np.linalg.norm(design, axis=0)
     x = design / scale

@@ -1,4 +1,4 @@
-"""Terrain in a measured limb: its predicted altitude taken off every point, and what is not known of it."""
+"""Terrain in a measured limb: its predicted altitude subtracted from every point, and its errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from giantlike.shapes import Ellipsoid
 from giantlike.terrain import limb_profile
 
 ERROR_LENGTH = 0.3
-"""Correlation length, over the radius, along the limb of the errors of a map: that of relief."""
+"""Correlation length, radii, along the limb of the errors of a map, as for relief."""
 SLOPE_ERROR, CELL_SLOPE_ERROR = 0.2, 0.4
 """Error of a limb by light on the slopes of its relief, which a profile of smooth ground does not have, over the root
 mean square of that relief along it; alike over a radius. By lines and edges, and by cells.
@@ -39,8 +39,8 @@ def with_terrain(
 
     Notes
     -----
-    The profile is that of the predicted geometry. A body that is found elsewhere in the image turns no other side to
-    the camera: what moves it is the attitude of the camera, by which its orientation is wrong alike.
+    The profile is computed for the predicted geometry. A shift of the body in the image is attributed to the attitude
+    of the camera, which leaves the visible side unchanged.
     """
     target, geometry, model = inputs.geometry.target, inputs.geometry, inputs.camera.model
     if target.terrain is None or not isinstance(target.shape, Ellipsoid):

@@ -1,7 +1,7 @@
-"""Turn of a body about the line of sight by its limb, together with its place: what the roll of a camera follows from.
+"""Rotation of a body about the line of sight, and its position, from its limb; it gives the roll of a camera.
 
-The fix of a limb takes the orientation of the body as told, and leaves what a turn does to the outline among the
-residuals. Here the turn is one more parameter; the limb is measured again across the turned body until it stands still.
+The fix of a limb uses the declared orientation of the body, and leaves the effect of a rotation in the residuals. Here
+the rotation is one more parameter, and the measurement of the limb is iterated to convergence.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from giantlike.relative.limb.solution import weighted
 from giantlike.relative.place import place_jacobian
 
 _LEAST_LEVER = 1e-3
-"""Motion of an outline by a turn that a motion of its center does not explain, over the radius, root mean square, below
-which it is round: a turn of it would be known to some degrees at best, and the normals of a mesh are off by more."""
+"""Minimum RMS motion of an outline by a rotation that a shift does not explain, radii per rad. Below it the outline is
+round: its rotation is known to some degrees at best, within the errors of the normals of a mesh."""
 _MOST_SIGMA_RAD = 0.3
-"""Standard deviation of a turn beyond which it is not measured: outlines are linear in the turn over less than that."""
+"""Maximum standard deviation of a measured rotation, up to which outlines are linear in it."""
 
 
 def limb_turn(
@@ -39,9 +39,9 @@ def limb_turn(
     search: IteratedSearch,
     min_length_px: float,
 ) -> BodyTurn | None:
-    """Find the turn of a body about the line of sight, and its place with it.
+    """Estimate the rotation of a body about the line of sight together with its position.
 
-    Returns None where the outline is too round, or does not come to rest.
+    Returns None where the outline is too round, or the iteration does not converge.
     """
     axis, turn_rad, before_px = unit(measured.position_camera_km), 0.0, math.inf
     for _ in range(search.max_iterations):
@@ -61,7 +61,7 @@ def limb_turn(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Step(Value):
-    """What one measurement asks for: place (3,), km, turn, and the motion of the limb by the turn, px."""
+    """Step by one measurement: position (3,), km, rotation, and the motion of the limb by the rotation, px."""
 
     position_camera_km: Float
     found: BodyTurn
@@ -71,7 +71,7 @@ class _Step(Value):
 def _solved(
     measured: LimbMeasurement, camera: Camera, radius_px: float, *, outlier_mad: float, min_length_px: float
 ) -> _Step | None:
-    """Solve for place and turn; None where the outline is too round.
+    """Solve for position and rotation; None where the outline is too round.
 
     A limb point that slides along the surface as the body rotates slides along the limb too, so that to first order
     only its own motion counts across the limb.
@@ -81,7 +81,7 @@ def _solved(
         return None
     by_turn = by_rotation @ unit(measured.position_camera_km)
     design = np.concatenate([measured.design, by_turn[:, None]], axis=1)
-    # Outliers are those of place and turn together: what a turn shifts most is no outlier.
+    # Outliers are found with position and rotation free, so that points shifted by the rotation are kept.
     keep = robust_solution(measured.shift_px, design, measured.sigma_px, outlier_mad=outlier_mad)[1]
     measured, design, by_rotation = replace(measured, keep=keep), design[keep], by_rotation[keep]
     lever_px = design[:, 3] - design[:, :3] @ (measured.even_gain @ design[:, 3])
@@ -110,7 +110,7 @@ def _solved(
 
 
 def _by_camera(measured: LimbMeasurement, camera: Camera, gain: Float) -> float:
-    """Variance, by the camera model, of what a gain (m,) makes of the shifts of the points that are kept."""
+    """Variance, by the camera model, of the shifts of the kept points multiplied by a gain (m,)."""
     known, model = camera.uncertainty, camera.model
     if known is None or not known.estimated:
         return 0.0

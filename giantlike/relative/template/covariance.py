@@ -225,7 +225,7 @@ def _first_errors(residuals: Float, variances: VarianceModel) -> Float:
 
 @dataclass(frozen=True, eq=False)
 class LinearFit(Solution):
-    """Images fitted to pixels (h, w), with the covariances that noise and errors of the model make."""
+    """Images fitted to pixels (h, w), with the covariances by noise and errors of the model."""
 
     def sigmas(self, effect: str) -> Float:
         """Standard deviations (j,) of the parameters of an effect, by the weights of the pixels."""

@@ -42,28 +42,30 @@ from giantlike.scene import TargetGeometry
 from giantlike.shapes import Ellipsoid
 
 _ALIGN_RADIUS_PX = 12.0  # px, below which the peak of the correlation is close enough to start the fit from
-_BOX_MARGIN = 0.08  # of the radius of the body: room for an error of the range ...
+_BOX_MARGIN = 0.08  # of the radius of the body: margin for an error of the range ...
 _ALIGNED_MARGIN = 0.02  # ... and for the error that remains after the alignment
 _BOX_MARGIN_PX = 6  # px, for the derivatives, the point spread function and some sky
-_EDGE_LIGHT = 1e-3  # of the brightest pixel: a box may end where the light is fainter
+_EDGE_LIGHT = 1e-3  # of the brightest pixel, below which a box may end
 _LIT = 0.02  # of the brightest pixel: fainter ones are not counted as the light of the body
 _MAX_UNUSABLE_LIGHT = 0.5
-"""Light on saturated or bad pixels above which there is no fit. Half and double: benchmarks/sensitivity.md."""
+"""Maximum fraction of light on saturated or bad pixels. Half and double: benchmarks/sensitivity.md."""
 _SEARCHED_WIDER = (Reason.LOW_CORRELATION, Reason.PEAK_AT_EDGE)  # failures that a body outside the search explains
-_WIDER, _WIDEST_PX = 2.5, 400  # times the declared search, and px: memory and time grow with the square
+_WIDER, _WIDEST_PX = 2.5, 400  # factor of the declared search, and maximum, px: cost grows with the square
 _WIDER_LOG_RANGES = (0.0, -0.08, 0.08)
-"""Ranges tried in the wider search, as logarithms over the predicted one: the alignment reaches 5 % from each."""
+"""Offsets of the logarithm of the range in the wider search: the alignment converges from 5 % around each."""
 _MOST_OVEREXPOSED = 2.0
-"""Signal over saturation above which a limb is lost: half of the light of a sharp limb falls beyond it, so that all of
-the limb is saturated and only the wings of the point spread function are left, which no Gaussian describes."""
+"""Ratio of signal to saturation above which a limb is lost: a sharp limb is at half of the signal, so that all of it is
+saturated and only the wings of the point spread function are left, which are not Gaussian."""
 _LEAST_LIMB_PX = 60.0
-"""Length of lit limb in the frame below which an ellipsoid without markings is not placed, as ``auto`` needs it: flat
-fields, laws and templates are right to some parts in a thousand, with which squared errors by the fall of light alone
-were 6 per degree of freedom (484 px, six draws of noise)."""
+"""Minimum length of lit limb in the frame, px, to locate an ellipsoid without markings, as in ``auto``. Flat fields,
+laws
+and templates are right to some 1e-3; squared errors by the brightness gradient alone were then 6 per degree of freedom
+(484 px, six draws of noise)."""
 _ROUNDS, _SETTLED_BEND = 3, 0.02
-"""Fits with a response, at most, and the change of its bend below which it is found: what remains is estimated."""
+"""Maximum number of fits with a response, and change of its curvature at convergence; the rest is estimated
+linearly."""
 _LINEAR_PX = 1.0
-"""Motion of the surface, in pixels of the fit, up to which its place follows by the gain: the width of an edge."""
+"""Motion of the surface, in pixels of the fit, up to which its position follows linearly: the width of an edge."""
 _OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)  # rad, directions of the outline points of a fix
 
 
@@ -76,27 +78,27 @@ class CrossCorrelationOptions:
     search_px : int, px
         Largest error of the predicted center, along each axis.
     search_range : float
-        Largest relative error of the predicted range. As wide as that of ``ellipse_fit``: the range of a small body is
-        uncertain by some percent itself. Where nothing is found within both, a wider region is searched; what is found
-        beyond them is ``FAR_FROM_PREDICTION``, and so suspect.
+        Largest relative error of the predicted range. As wide as for ``ellipse_fit``: the estimated range of a small
+        body is uncertain by some percent. Where the body is not found within both, a wider region is searched; a fix
+        there is ``FAR_FROM_PREDICTION``, and so suspect.
     min_score : float
-        Least correlation of a body that counts as found.
+        Minimum correlation of a body that counts as found.
     estimate_scale : bool, optional
         True estimates the range too. By default where the body is at least ``min_scale_diameter_px`` wide.
     min_scale_diameter_px : float, px
-        Smaller bodies hardly show their range.
+        Smaller bodies hardly constrain their range.
     range_sigma : float
         Where the range is not estimated: its a priori standard deviation as a fraction of it, which enters the
         covariance of the center.
     free_reflectance : bool
-        Let the image mix another reflectance law into that of the target, so that a wrong law does not pull the center.
+        Mix another reflectance law into the law of the target, so that a wrong law does not bias the center.
     clip_sigma : float
         Pixels with larger residuals, in standard deviations, are rejected.
     max_iterations : int
         Renders at most.
     relief_sigma : float
-        Standard deviation of the errors of the shape along its radii, as a fraction of the radius. The residuals show
-        most of them; errors that are correlated over a good part of the limb they do not, and those are stated here.
+        Standard deviation of the errors of the shape along its radii, as a fraction of the radius. Needed for errors
+        correlated over a good part of the limb, which residuals do not show.
     relief_length_rad : float, rad
         Correlation length of these errors on the body: an angle, seen from its center.
 
@@ -197,9 +199,9 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
     def _completed(
         self, inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch
     ) -> tuple[EstimatorInputs, Blocks, TemplateMatch]:
-        """Put effects that are more probable than not into the model, as long as that makes the pixels more probable.
+        """Add effects that are more probable than not to the model, as long as the likelihood increases.
 
-        How far the place moves with an effect, times the probability of the model that is not taken, is an error.
+        The shift of the position by an effect, times the probability of the rejected model, is an error.
         """
         independent = match.fit.independent
         tries = (self._straightened, independent.of_surface), (self._smeared, independent.of_edges)
@@ -244,7 +246,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
     def _straightened(
         self, inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch
     ) -> tuple[EstimatorInputs, Blocks, TemplateMatch] | None:
-        """Fit with values bent into proportion to light; None where a response is improbable."""
+        """Fit linearized values; None where a nonlinear response is improbable."""
         straight = inputs
         if match.fit.chance("bend") < 0.5:
             return None
@@ -275,7 +277,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
 
 
 def _straight(pixels: BoxPixels, response: Response) -> BoxPixels:
-    """Pixels in proportion to light, with the noise that they had before."""
+    """Linearized pixels, their noise variance scaled by the squared slope of the response."""
     noise = pixels.noise_variance_dn2
 
     def of_light(signal: Float) -> Float:
@@ -297,7 +299,7 @@ class TemplateMatch(Value):
         Renders the template into the box.
     options : TemplateFitOptions
     start : TemplateState
-        Where fits begin, without blur beyond that of the camera.
+        Start of the fits, without blur beyond that of the camera.
     renderer : TemplateRenderer
     """
 
@@ -309,7 +311,7 @@ class TemplateMatch(Value):
     renderer: TemplateRenderer
 
     def motion(self, light: Float, other: Float) -> Float:
-        """Motion (3,) of center and logarithm of the range with another light (h, w) of the body, by the gain."""
+        """Linear motion (3,) of center and logarithm of the range for another light (h, w) of the body."""
         fit = self.fit
         change_dn = float(fit.signal_dn.sum()) / max(float(light.sum()), 1e-300) * (other - light)
         return np.asarray(-np.tensordot(fit.columns.gain("center", "range"), change_dn, 2))
@@ -317,7 +319,7 @@ class TemplateMatch(Value):
     def fitted(
         self, image: BoxPixels, *, response: Response | None = None, smear: Smear | None = None
     ) -> TemplateMatch | Failure:
-        """Return the match with a response or a smear estimated beside the rest."""
+        """Return the match with a response or a smear estimated in addition."""
         options = replace(self.options, response=response or self.options.response)
         start = replace(self.start, smear=smear or self.fit.state.smear)
         fit = fit_template(image.cut(self.box), self.synthesis, start, options=options)
@@ -375,7 +377,7 @@ def match_template(
     fit: TemplateFit | Failure = Failure(Reason.NOT_CONVERGED, "")
     for most_laws in (None, 1, 0) if options.free_reflectance else (0,):
         if isinstance(fit, Failure) and fit.reason is Reason.NOT_CONVERGED:
-            # Real images may not hold all laws apart; what those left out would change is in the covariance.
+            # Real images may not separate all laws; the change by those left out is in the covariance.
             synthesis = renderer.synthesis(
                 box, other_law=options.free_reflectance, most_laws=most_laws, traced=located.traced
             )
@@ -390,7 +392,7 @@ def match_template(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Located(Value):
-    """A template rendered of a traced body, and its place in the image."""
+    """A template rendered from a traced body, and its position in the image."""
 
     trace: Trace
     traced: MovedBody
@@ -401,7 +403,7 @@ class _Located(Value):
 def _located(
     image: BoxPixels, good: Mask, renderer: TemplateRenderer, options: CrossCorrelationOptions
 ) -> _Located | Failure:
-    """Find the template within the declared search, or, where it is not there, the best one in a wider region."""
+    """Find the template within the declared search or, failing that, the best match in a wider region."""
     found = _correlated(image, good, renderer, renderer.start, options.search_px, options.min_score)
     if not isinstance(found, Failure) or found.reason not in _SEARCHED_WIDER:
         return found
@@ -462,7 +464,7 @@ def _scaled(options: CrossCorrelationOptions, radius_px: float) -> bool:
 def _fix(
     inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch, options: CrossCorrelationOptions
 ) -> CenterFix | PositionFix | Failure:
-    """Return the fix of a match, with its flags; ``NO_LIMB`` where nothing but the slope of its light places a body."""
+    """Return the fix of a match, with its flags; ``NO_LIMB`` where only the brightness gradient locates a body."""
     fit, model = match.fit, inputs.camera.model
     signal = fit.signal_dn
     lit = signal >= _LIT * float(signal.max())
@@ -507,7 +509,7 @@ def _fix(
 def _response_of(
     geometry: TargetGeometry, blocks: Blocks, match: TemplateMatch, fix: CenterFix
 ) -> Callable[[TargetGeometry], Float | None]:
-    """Response of the place of a match to the geometry of the body; None where the surface moves too far."""
+    """Response of the position of a match to the geometry of the body; None where the surface moves too far."""
     state, scale = match.fit.state, np.array([blocks.size, blocks.size, 1.0])
 
     @cache
@@ -561,7 +563,7 @@ def _flags(
 
 
 def _overexposure(blocks: Blocks, match: TemplateMatch, lit: Mask) -> float:
-    """Largest signal of the model over the level at which its pixels saturate; 0 where none does."""
+    """Largest ratio of the signal of the model to the saturation level; 0 where no pixel saturates."""
     pixels = blocks.pixels.cut(match.box)
     clipped = None if pixels.censored is None else lit & pixels.censored
     if clipped is None or not clipped.any():

@@ -1,8 +1,8 @@
-"""Photometric fit of a rendered template to an image: center, range, and a covariance that counts model errors.
+"""Photometric fit of a rendered template to an image: center, range, and a covariance that includes model errors.
 
 The image is modeled as ``gain * light + background + sum(mixing_i * difference_i)``: ``light`` is the template rendered
-at the current geometry, the background a plane, and the differences are those that other reflectance laws and wings of
-the point spread function make.
+at the current geometry, the background a plane, and the differences are the changes by other reflectance laws and by
+wings of the point spread function.
 Gauss-Newton steps in center, logarithm of the range and width of the point spread function alternate with new renders,
 so that the solution does not depend on the way derivatives are taken.
 """
@@ -40,20 +40,20 @@ _MAX_STEP_PX, _MAX_STEP_LOG_RANGE = 4.0, 0.1
 _MAX_STEP_BLUR_PX2 = 3.0  # px^2: blur hides errors of the center, as long as these are large
 _MAX_PSF_VARIANCE_PX2 = 25.0  # px^2: a point spread function of 5 px, beyond any camera in focus
 _BLUR_MOVES = 0.1
-"""Motion of the center, px, that counts for a change of the blur by 1 px^2: blur is even where shifts are odd, and
-hardly moves a body."""
-_RETREAT = 0.3  # of a step that made the misfit larger: so much of it is tried next
-_DAMPED_AFTER = 5  # renders: steps that have not settled by then come from the sampling of the renders, and are halved
+"""Motion of the center, px, taken as equivalent to a change of the blur by 1 px^2. Blur is even where shifts are odd,
+and hardly moves a body."""
+_RETREAT = 0.3  # fraction of a step that increased the residuals to try next
+_DAMPED_AFTER = 5  # renders, after which steps are halved: they come from the sampling of the renders
 _FLICKER_PX = 0.6
 """Last step, px, up to which a fit at the end of its renders counts as converged; the step enters the covariance."""
 _ROUGH_ERROR = 0.03  # of the brightest light: error of the model in rough renders, from which only steps follow
 _ROUGH_STEP_PX = 0.5  # px: from so near, one linear step ends where the next hardly moves
 _WRONG_EDGE_PX = 0.015
-"""Error of the model at edges, px, from which on haze and relief are looked for: 0.02 to 0.3 with haze of 0.2 to 0.6 px
-of scale height around 120 px, at most 0.017 without and with right models."""
+"""Error of the model at edges, px, above which haze and relief are tested for: 0.02 to 0.3 with haze of a scale height
+of 0.2 to 0.6 px around 120 px, at most 0.017 without haze and with correct models."""
 _STRAIN_SIGMA = 0.01
-"""A priori standard deviation of a strain that nobody declared: relief of 1 % of the radius, the mean square of relief
-with a median of 0.4 % and a geometric standard deviation of 2.5."""
+"""A priori standard deviation of an undeclared strain: relief of 1 % of the radius, the root mean square of relief with
+a median of 0.4 % and a geometric standard deviation of 2.5."""
 _BLOCK = 0.35
 """Side of the blocks of the jackknife over the rms radius of the light. Half and double: benchmarks/sensitivity.md."""
 _OF_NOISE = (Cause.NOISE, Cause.BACKGROUND, Cause.REFLECTANCE, Cause.PSF)
@@ -79,7 +79,7 @@ class TemplateFitOptions:
     relief_sigma : float
         Standard deviation of the errors of the shape along its radii, as a fraction of the radius.
     relief_length_px : float, px
-        Their correlation length: at a distance d they have the correlation ``exp(-d^2 / (2 relief_length_px^2))``.
+        Their correlation length: the correlation at a distance d is ``exp(-d^2 / (2 relief_length_px^2))``.
     altitude_sigma : float
         Standard deviation of the altitude of the limb by haze, as a fraction of the radius.
     sun_direction : (float, float, float), unitless
@@ -90,11 +90,11 @@ class TemplateFitOptions:
         Render finely from the first: for bodies so small that rough renders save nothing, which then take one render
         where the start is within ``tolerance_px``.
     response : Response, optional
-        By which the pixels were made proportional to light; its bend is estimated along with the rest.
+        Response by which the pixels were linearized; its curvature is estimated along with the rest.
     smear_sigma_px2 : float, px^2
         A priori standard deviation of the variances of a smear.
     complete : bool
-        Leave out no effect that nobody declared: none is looked for in the residuals.
+        The model is complete: undeclared effects are not tested for in the residuals.
     """
 
     max_iterations: int = 8
@@ -155,12 +155,12 @@ class TemplateFit(Value):
     log_variance : float
         Mean logarithm of the variances of the pixels that were offered, with squared residuals of those rejected.
     response, smear : Response and Smear
-        As they were estimated or, where the model has none, a linear estimate from the residuals.
+        Estimated in the model or, where it has none, linearly from the residuals.
     undeclared : mapping of str to Undeclared
-        Effects that nobody declared and the model leaves out, by name.
+        Undeclared effects that the model leaves out, by name.
     independent : IndependentParts
     altitude_sigma : float
-        Standard deviation over the radius of the altitude of the limb, as declared or by haze that the residuals show.
+        Standard deviation of the altitude of the limb relative to the radius, declared or by haze in the residuals.
     """
 
     state: TemplateState
@@ -185,16 +185,16 @@ class TemplateFit(Value):
     corner_px: tuple[int, int] = (0, 0)
 
     def used_at_px(self, block_px: int = 1) -> Float:
-        """Return the places in the image of the pixels used.
+        """Return the image positions of the pixels used.
 
-        Returns (n, 2), middles, in the order of ``residuals_dn[used]``.
+        Returns (n, 2), pixel centers, in the order of ``residuals_dn[used]``.
         """
         rows, columns = np.nonzero(self.used)
         places = np.column_stack([columns, rows]) + np.array(self.corner_px)
         return np.asarray(block_px * places + 0.5 * (block_px - 1), dtype=np.float64)
 
     def chance(self, effect: str) -> float:
-        """Return the probability of an effect that the model leaves out; 0 where it was not looked for."""
+        """Return the probability of an effect that the model leaves out; 0 where it was not tested for."""
         return self.undeclared[effect].chance if effect in self.undeclared else 0.0
 
     def log_evidence(self, parts: float) -> float:
@@ -215,7 +215,7 @@ class TemplateFit(Value):
 
     @property
     def noise_covariance(self) -> Float:
-        """The part of it from the noise of the detector, what is estimated along with the geometry included."""
+        """Part of the covariance by detector noise, with all parameters estimated along with the geometry."""
         return summed(self.parts, _OF_NOISE)
 
 
@@ -231,14 +231,14 @@ def fit_template(
     Notes
     -----
     Pixels are weighted by ``1 / (noise + v0 + v1 |grad M|^2 + v2 S^2)``: the noise variance of the model image ``M``
-    (with its signal ``S``), and three variances of the model error - everywhere, at edges, and in proportion to the
-    light - that maximize the likelihood of the residuals. The covariance of the weighted fit is then widened to that
+    (with its signal ``S``), and three variances of the model error - everywhere, at edges, and proportional to the
+    signal - that maximize the likelihood of the residuals. The covariance of the weighted fit is then widened to that
     of a jackknife over blocks of pixels, which includes residuals that are correlated over the size of a block.
 
-    Relief ``h`` (over the radius) that the shape lacks moves each point of the image by ``h`` times its distance from
-    the center, along that direction: it changes the image by ``-h dM/dlog(range)``. The covariance is nowhere below
-    that of a field of such relief with the given standard deviation and correlation length nor, where blocks are too
-    few for a jackknife, below that of relief with the spectrum that the residuals show, see
+    Unmodeled relief ``h`` (relative to the radius) moves each point of the image by ``h`` times its distance from the
+    center, along that direction: it changes the image by ``-h dM/dlog(range)``. The covariance is nowhere below the
+    covariance by random relief with the given standard deviation and correlation length nor, where blocks are too few
+    for a jackknife, below that of relief with the spectrum of the residuals, see
     :func:`~giantlike.relative.template.relief.relief_covariance`. Other effects of relief on the shading are left to
     the residuals.
     """
@@ -287,7 +287,7 @@ def fit_template(
 
 
 def _prior(state: TemplateState, start: TemplateState, problem: Problem, options: TemplateFitOptions) -> Prior:
-    """Return the prior of the step from ``state``: none of center and background."""
+    """Return the prior of the step from ``state``; center and background have none."""
     mean: dict[str, float | Sequence[float]] = {
         "range": -state.log_range,
         "blur": start.psf_variance_px2 - state.psf_variance_px2,
@@ -303,7 +303,7 @@ def _prior(state: TemplateState, start: TemplateState, problem: Problem, options
 
 @dataclass(frozen=True, slots=True)
 class _Solved:
-    """A linear problem at a state with its prior and its solution, and the share of that which is stepped."""
+    """A linear problem at a state with its prior and solution, and the fraction of the solution to step."""
 
     problem: Problem
     state: TemplateState
@@ -335,7 +335,7 @@ class _Solved:
 
     @property
     def _smeared(self) -> Smear | None:
-        """Smear after the step, which lengthens it by a limited variance or makes it twice as wide."""
+        """Smear after the step, which adds a limited variance or at most doubles its width."""
         known = self.state.smear
         if known is None:
             return None
@@ -348,7 +348,7 @@ class _Solved:
 
     @property
     def motion_px(self) -> float:
-        """Motion of the image, px, by the step: less than that of the center where the frame cuts the body."""
+        """Motion of the image, px, by the step: smaller than the motion of the center where the frame cuts the body."""
         return max(self.problem.motion_px(self._place), _BLUR_MOVES * self._blurred_px2)
 
     @property
@@ -359,17 +359,17 @@ class _Solved:
         return blurred_px2 if smear is None or smeared is None else max(blurred_px2, smeared.less(smear).size_px2)
 
     def returns(self, last: _Solved) -> bool:
-        """Return True if the step goes back most of the last one: renders flicker, or the step was too long."""
+        """Return True if the step reverses most of the last one: renders flicker, or the step was too long."""
         scale = np.array([1.0, 1.0, self.problem.reach_px])
         one, two = scale * self._place, scale * last._place
         return float(one @ two) < -0.5 * float(two @ two)
 
     def shortened(self, share: float) -> _Solved:
-        """Return the same with a shorter step."""
+        """Return the problem with a shorter step."""
         return replace(self, share=share * self.share)
 
     def stepped(self) -> TemplateState:
-        """State after the step, limited by how far the image moves: center and range keep their proportion."""
+        """State after the step, limited by the motion of the image, with center and range scaled alike."""
         state, step = self.state, self._place
         longest = min(
             _MAX_STEP_PX / max(self.problem.motion_px(step), 1e-12),
@@ -434,7 +434,7 @@ class _Solved:
         )
 
     def _response(self, fit: LinearFit, known: Response | None) -> Response:
-        """Response with the bend as it was estimated, or one of values proportional to light."""
+        """Response with the estimated curvature, or a linear one."""
         if known is not None:
             return replace(known, bend=known.bend + float(fit["bend"][0]))
         dark_dn = float(fit["background"][0])
@@ -443,7 +443,7 @@ class _Solved:
     def _left_out(
         self, fit: LinearFit, response: Response, independent: IndependentParts, options: TemplateFitOptions
     ) -> dict[Block, float]:
-        """Effects that nobody declared and the model leaves out, and the independent values that pixels stand for."""
+        """Undeclared effects that the model leaves out, and the number of independent values in the pixels."""
         problem, blocks = self.problem, dict[Block, float]()
         surface, edges = independent.of_surface, independent.of_edges
         if problem.untried is not None:
@@ -463,13 +463,13 @@ class _Solved:
         return blocks
 
     def _estimates(self, left_out: Mapping[str, Undeclared], effect: str) -> list[float]:
-        """Linear estimates of the unknowns of an effect; none where it was not looked for."""
+        """Linear estimates of the unknowns of an effect; none where it was not tested for."""
         return left_out[effect].score.values.tolist() if effect in left_out else []
 
     def _undeclared_altitude(
         self, fit: LinearFit, left_out: Mapping[str, Undeclared], options: TemplateFitOptions
     ) -> float:
-        """Standard deviation, over the radius, of the altitude of the limb by haze that the residuals show."""
+        """Standard deviation of the altitude of the limb relative to the radius, by haze in the residuals."""
         if "haze" not in left_out:
             return 0.0
         place = self.problem.layout.span("center", "range")
@@ -479,7 +479,7 @@ class _Solved:
         return math.sqrt(haze.chance) * haze_altitude(haze.score.step[place], lifted_by, blur=blur)
 
     def _altitude(self, options: TemplateFitOptions, sigma: float) -> Block:
-        """Altitudes of the limb, over the radius, along two axes: if they were linear up to the whole radius."""
+        """Altitudes of the limb along two axes, relative to the radius, extrapolated linearly to the whole radius."""
         (growth,) = self.problem["range"]
         rows, columns = np.indices(growth.shape)
         x, y = self.state.center_px - self.problem.pixels.corner_px
@@ -495,7 +495,7 @@ class _Solved:
 
     @property
     def _wrong_edges(self) -> bool:
-        """True if edges of the image are elsewhere than those of right models."""
+        """True if edges of the image disagree with the model by more than with correct models."""
         return math.sqrt(self.solution.errors[1]) >= _WRONG_EDGE_PX
 
     @property
@@ -522,7 +522,7 @@ class _Solved:
         left_out: Mapping[str, Undeclared],
         options: TemplateFitOptions,
     ) -> dict[Cause, Float]:
-        """Covariance (3, 3) of center and range by cause: of noise, and what residuals show beyond it, as markings."""
+        """Covariance (3, 3) of center and range by cause: noise, and residuals beyond noise as markings."""
         noise, error = variances
         of_noise, of_relief = fit.noise_covariance(noise), self._relief(fit, options)
         whole = fit.full_covariance(
@@ -550,5 +550,5 @@ class _Solved:
 
 
 def _block(effect: str, cause: Cause, matrix: Float, sigmas: list[float]) -> Block:
-    """Unknowns that the fit leaves out."""
+    """Block of unknowns that the fit leaves out."""
     return Block(effect=effect, cause=cause, matrix=matrix, prior=Prior.of_sigmas(sigmas), use=Use.WHEN_SEEN)

@@ -1,7 +1,7 @@
-"""Haze that nobody told of, as a template shows it: what it does to the light of a body, and the altitude to expect.
+"""Undeclared haze in a template fit: haze templates, and the limb altitude that they imply.
 
-Haze darkens the ground where light passes through much of it, toward the limb and the terminator, scatters light of its
-own there, and shows beyond the limb. No mixture of reflectance laws does all three.
+Haze attenuates the ground toward the limb and the terminator, adds scattered light there, and is seen beyond the limb.
+No mixture of reflectance laws does all three.
 """
 
 from __future__ import annotations
@@ -18,21 +18,24 @@ from giantlike.ray_tracing import LommelSeeliger, Reflectance
 from giantlike.ray_tracing.reflectance.law import SurfaceLaw
 
 VEIL_DEPTH = 0.05
-"""Vertical optical depth of the haze that is looked for; others are shares of it."""
+"""Vertical optical depth of the haze template; other depths are scaled from it."""
 _LEAST_COSINE = 0.03
-"""Cosine whose inverse is the most air that a ray meets, in vertical depths: 33; 38 at a thousandth of the radius."""
+"""Minimum cosine of incidence and emission. Its inverse, 33, is the maximum air mass; 38 for a scale height of 1e-3
+radii."""
 _RING = 0.01
-"""A priori standard deviation of the height of light beyond the limb, of the radius. Shares of light taken and sent are
-1 +- 1 of those of :data:`VEIL_DEPTH`: haze takes light from the ground and sends its own."""
+"""A priori standard deviation of the height of light beyond the limb, radii. The amplitudes of attenuation and
+scattering
+are 1 +- 1 times those of :data:`VEIL_DEPTH`."""
 _OF_BLUR = 0.5
-"""Standard deviation of the altitude over the blur by haze: with all of it, squared errors of 24 views in six kinds of
-haze (scale heights of 0.1 to 0.6 px, optical depths of 0.02 to 0.3) come to 0.1 to 0.3 of the covariance, with none of
-it to 3 to 40 times it."""
+"""Ratio of the standard deviation of the altitude to the blur by haze. With 1, squared errors of 24 views in six kinds
+of
+haze (scale heights of 0.1 to 0.6 px, optical depths of 0.02 to 0.3) are 0.1 to 0.3 of the covariance, with 0 3 to 40
+times it."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Veil(SurfaceLaw):
-    """What haze of a small depth takes from the light of the ground, or, without a ground, its own light."""
+    """Light lost from the ground in haze of a small depth or, without a ground, light scattered by the haze."""
 
     type_name: ClassVar[str] = "veil"
 
@@ -40,21 +43,21 @@ class _Veil(SurfaceLaw):
     depth: float = VEIL_DEPTH
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return the light (n,) that is taken or sent; arguments as for all laws."""
+        """Return the light (n,) lost or scattered; arguments as for all laws."""
         down, up = np.hypot(mu0, _LEAST_COSINE), np.hypot(mu, _LEAST_COSINE)
         own = down / (down + up) if self.ground is None else self.ground(mu0, mu, phase_rad)
         return np.asarray(-own * np.expm1(-self.depth * (1.0 / down + 1.0 / up)))
 
 
 def haze_laws(ground: Reflectance, *, depth: float = VEIL_DEPTH) -> tuple[Reflectance, ...]:
-    """Return laws whose images show haze: what it takes, what it sends, and a body as bright at its limb as inside."""
+    """Return laws whose images are haze templates: attenuation, scattered light, and a uniformly bright body."""
     return _Veil(ground, depth), _Veil(None, depth), LommelSeeliger()
 
 
 def haze_block(images: Float) -> Block:
     """Return the unknowns of haze.
 
-    ``images`` (3, h, w) DN, what haze takes, what it sends, and the change of a body of even brightness with the
+    ``images`` (3, h, w) DN: attenuation, scattered light, and the derivative of a uniformly bright body by the
     logarithm of its range.
     """
     prior = Prior(np.array([-1.0, 1.0, 0.0]), np.array([1.0, 1.0, _RING**-2]))
@@ -62,10 +65,10 @@ def haze_block(images: Float) -> Block:
 
 
 def haze_altitude(step: Float, altitude: Float, *, blur: float) -> float:
-    """Return how uncertain the altitude of the limb is by haze.
+    """Return the standard deviation of the altitude of the limb by haze, relative to the radius.
 
     ``step`` (3,); ``altitude`` (3, 3), covariance of center and range by an altitude whose standard deviation is the
-    radius; ``blur``: blur of the image beyond that of the camera, over the radius: about the scale height of the haze.
+    radius; ``blur``: blur of the image beyond the camera's, in radii: about the scale height of the haze.
     """
     unit = np.sqrt(np.diag(altitude))
     values, vectors = np.linalg.eigh(altitude / unit / unit[:, None])

@@ -1,4 +1,4 @@
-"""The linear problem of a template fit: columns of geometry and photometry, and the step that they ask for."""
+"""The linear problem of a template fit: columns of geometry and photometry, and its step."""
 
 from __future__ import annotations
 
@@ -27,17 +27,19 @@ _SECOND_DERIVATIVE = np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20,
 _AS_IT_IS = np.ones(1)
 _TWICE_ALONG_X, _TWICE_ALONG_Y = (_SECOND_DERIVATIVE, _AS_IT_IS), (_AS_IT_IS, _SECOND_DERIVATIVE)
 _MIXING_SIGMA = 1.0
-"""A priori standard deviation of the share of another law in the light; 1 is that law alone: laws of real bodies lie
-about between those that are mixed."""
+"""A priori standard deviation of the fraction of another law; 1 is that law alone. Laws of real bodies lie roughly
+between
+the mixed ones."""
 _WING_SIGMA, _WING_WIDTHS = 0.1, (2.0, 6.0)
-"""A priori standard deviation of the shares of light in wings of the point spread function, and their widths over that
-of its core: two, as for horizons, so that those between are spanned."""
+"""A priori standard deviation of the fractions of light in wings of the point spread function, and their widths
+relative
+to its core; two, as for horizons, span the widths between."""
 BEND_SIGMA = 1.0
-"""A priori standard deviation of the bend of a response about none: tables of square roots come to nearly 1."""
+"""A priori standard deviation of the curvature of a response about 0; square-root tables have nearly 1."""
 SMEAR_SIGMA_PX2 = 1.0
-"""A priori standard deviation, px^2, of the variances of a smear: of a motion by 5 px during the exposure."""
+"""A priori standard deviation, px^2, of the variances of a smear: a motion by 5 px during the exposure."""
 _CUBE_SIGMA = 0.2
-"""A priori standard deviation of the share of a cube in the response: of powers of 0.45, 0.6 it is 0.11, -0.13."""
+"""A priori standard deviation of the cubic term of a response; powers of 0.45 and 0.6 have 0.11 and -0.13."""
 
 
 def layout_of(*, laws: int, wings: int, response: bool, smear: bool) -> Layout:
@@ -66,8 +68,8 @@ def layout_of(*, laws: int, wings: int, response: bool, smear: bool) -> Layout:
 class Problem:
     """One linear step: derivatives of the model around a state, and the pixels to explain.
 
-    The model is linear in its photometry: the light, a constant and a slope of the background, and the differences that
-    other laws and wings of the point spread function make.
+    The model is linear in its photometry: the light, a constant and a slope of the background, and the changes by other
+    laws and by wings of the point spread function.
 
     ``photometry`` (k,).
     """
@@ -143,21 +145,21 @@ class Problem:
         return _MIXING_SIGMA * max(abs(self._shown * self.gain_dn), 1e-12)
 
     def markings(self, radius_px: float) -> MarkingModes:
-        """Modes of undeclared markings, as shares of the light that the image shows.
+        """Modes of undeclared markings, as fractions of the light in the image.
 
-        Of that which a step found they would be the cheaper the more light it gives the body.
+        Relative to the light of a step, a brighter body would make markings more probable.
         """
         return MarkingModes.across(self._shown * self.signal, self._center, radius_px)
 
     @property
     def offered(self) -> Mask:
-        """Pixels (h, w) that say something: those that are usable, and those that are at least so bright."""
+        """Pixels (h, w) that constrain the model: usable ones, and those known to be at least so bright."""
         pixels = self.pixels
         return pixels.usable if pixels.censored is None else pixels.usable | pixels.censored
 
     @property
     def _short(self) -> Mask:
-        """Usable pixels (h, w), and those of which the model falls short."""
+        """Usable pixels (h, w), and lower limits that exceed the model."""
         pixels = self.pixels
         if pixels.censored is None:
             return pixels.usable
@@ -166,8 +168,8 @@ class Problem:
     def motion_px(self, step: Float) -> float:
         """Motion of the image, px, by a step (3,) in x, y and logarithm of the range.
 
-        Its root mean square over the pixels, by the squared slope of the light: of the features that fix the geometry.
-        Where a body is cut by the frame, a center far outside moves more than they do.
+        Root mean square over the pixels, weighted by the squared gradient. Where a body is cut by the frame, a center
+        far outside moves more.
         """
         total, by_x, by_y, by_square = self._slope_moments
         x, y, growth = step.tolist()
@@ -177,8 +179,7 @@ class Problem:
     def by_strain(self, state: TemplateState) -> Float:
         """Change of the model (3, h, w) by a strain about its center.
 
-        Of motion along rows and along columns in proportion to the place along the other axis, and of growth along rows
-        with shrinking along columns.
+        Shear along rows and along columns, and stretch along rows with shrinking along columns.
         """
         x = self.pixels.corner_px[0] + np.arange(self.model.shape[1]) - state.center_px[0]
         y = self.pixels.corner_px[1] + np.arange(self.model.shape[0])[:, None] - state.center_px[1]
@@ -186,12 +187,12 @@ class Problem:
         return np.stack([by_x * y, by_y * x, by_x * x - by_y * y])
 
     def by_smear(self) -> tuple[Float, Float]:
-        """Change of the model (h, w) by the two variances of a short smear, beside what is even in it."""
+        """Change of the model (h, w) by the two variances of a short smear, without its isotropic part."""
         along, across = (_filtered(self.signal, *each) for each in (_TWICE_ALONG_X, _TWICE_ALONG_Y))
         return 0.5 * (along - across), _filtered(self.signal, _FIRST_DERIVATIVE, _FIRST_DERIVATIVE)
 
     def veils(self) -> Float | None:
-        """Images (3, h, w) for :func:`~giantlike.relative.template.haze.haze_altitude`, if there are."""
+        """Haze templates (3, h, w) for :func:`~giantlike.relative.template.haze.haze_altitude`, if any."""
         if self.veiled is None:
             return None
         taken, sent, even = self.veiled()
@@ -199,16 +200,16 @@ class Problem:
         return np.stack([taken, sent, by_log_range])
 
     def misfit_dn2(self) -> float:
-        """Mean square of image minus model, with the brightness that fits best."""
+        """Mean square of image minus model, with the best-fitting brightness."""
         use = self._short
         basis, values = _chosen(self["gain", "smear"], use), self.pixels.values_dn[use]
         found = np.linalg.lstsq(basis @ basis.T, basis @ values, rcond=None)[0]
         return float(np.sum((values - found @ basis) ** 2)) / max(int(np.count_nonzero(self.offered)), 1)
 
     def objective(self, markings: MarkingModes, sigma_dn: float) -> float:
-        """Squared residuals over a variance, with brightness, laws and markings that fit best beside their priors.
+        """Squared residuals divided by a variance, plus priors, with best-fitting brightness, laws and markings.
 
-        Steps of the approach to a solution are compared by it.
+        Merit function to compare the first steps.
         """
         first, last = "gain", "wings"
         span, prior = self.layout.span(first, last), self.prior({}, {})
@@ -248,7 +249,7 @@ class Problem:
         markings: MarkingModes | None = None,
         approach: bool = False,
     ) -> RobustFit | Failure:
-        """Weighted least squares, with the variances of model errors by the residuals or, in an approach, as given."""
+        """Weighted least squares, with variances of model errors estimated from the residuals or, at first, given."""
         pixels, signal = self.pixels, self.signal.ravel()
         shapes = np.stack([np.ones(signal.size), self._slope2.ravel(), signal**2])
         offered = self.offered.ravel()
@@ -288,17 +289,17 @@ def unweighted(basis: Float, pixels: BoxPixels) -> Float:
 
 
 def _chosen(images: Float, use: Mask) -> Float:
-    """Values (k, n) of images (k, h, w) where ``use`` (h, w) is True: no copy where that is everywhere."""
+    """Values (k, n) of images (k, h, w) where ``use`` (h, w) is True; no copy if it is True everywhere."""
     return images.reshape(len(images), -1) if use.all() else images[:, use]
 
 
 def _difference(other: Float, light: Float) -> Float:
-    """Light (h, w) under another law less that under the law of the target, at the same sum."""
+    """Light (h, w) under another law minus the light under the law of the target, at the same sum."""
     return np.asarray(other * (float(light.sum()) / max(float(other.sum()), 1e-300)) - light)
 
 
 def _winged(light: Float, psf_variance_px2: float, width: float) -> Float:
-    """All light (h, w) in the wings of the point spread function; what lies beyond the box is as bright as its edge."""
+    """Light (h, w) convolved with the wings of the point spread function; the box is extended by its edge."""
     sigma_px = width * math.sqrt(max(psf_variance_px2, PIXEL_VARIANCE_PX2))
     return np.asarray(cv2.GaussianBlur(light, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), np.float64)
 

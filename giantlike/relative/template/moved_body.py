@@ -62,7 +62,7 @@ class MovedBody(Value):
     state: TemplateState
 
     def daylight(self, state: TemplateState) -> Daylight | None:
-        """Tell a finer trace where the body is lit.
+        """Lit parts of the body, for a finer trace.
 
         Returns None of a refined trace.
         """

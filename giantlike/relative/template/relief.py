@@ -1,4 +1,4 @@
-"""Relief that the shape of a template does not hold, and the error of its place that no residual shows."""
+"""Unmodeled relief of a template, and the error of the position that residuals do not show."""
 
 from __future__ import annotations
 

@@ -40,38 +40,41 @@ from giantlike.shapes import Ellipsoid
 UNKNOWN_BLUR_SIGMA_PX2 = 1.0
 """A priori standard deviation, px^2, of the variance of a point spread function that the camera does not know."""
 KNOWN_BLUR_SIGMA_PX2 = 0.15
-"""The same where the camera knows it: a tenth of a usual width, and the blur by the sampling of renders."""
+"""As above, for a declared point spread function: a tenth of a usual width, and the blur by the sampling of renders."""
 
 _POINT_PX = 1e-3  # px: smaller bodies, and points, take no more rays
 _MAX_RAYS_PER_PIXEL_SIDE = 24  # bounds the cost of small bodies; ``min_rays_across`` samples them finely enough
-_NARROW_SIDE = 0.5  # rays over the narrow side of a body over those across it: bodies are rarely more elongated
+_NARROW_SIDE = 0.5  # ratio of rays over the narrow side of a body to rays across it: few bodies are more elongated
 _LIMB_PX, _TURNED_PX = 1.0, (0.006, 0.1)
-"""Motion, px, of the limb up to which a body is not traced anew, and of its surface because it is seen from elsewhere,
-in the last renders and on the way: its light moves a third as far at most, which is a fifth of the noise of
-small bright bodies."""
+"""Maximum motion, px, of the limb, and of the surface by a change of perspective (in the last renders and before), up
+to
+which a body is not retraced. Its light moves at most a third as far, a fifth of the noise of small bright bodies."""
 _TOLD_PX = 0.5
-"""The same up to which a rough trace tells where a body is lit: its cells are told by their neighbors, 1 px away."""
+"""As above, up to which a rough trace shows where a body is lit; its cells also use their neighbors, 1 px away."""
 _CUT_PX = 2.0
-"""Motion, px, of a body that the frame cuts up to which it is not traced anew: as much is traced beyond the frame, the
-point spread function included."""
+"""Maximum motion, px, of a body cut by the frame up to which it is not retraced. The trace reaches as far beyond the
+frame, in addition to the point spread function."""
 _AROUND = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
 ROUGH = 2.0
-"""Times the distance between rays: on the way to the solution, which needs no fine edges."""
+"""Factor of the distance between rays before the last renders, which alone need fine edges."""
 _PARTS = 2
-"""Parts along the side of a cell in the last renders, where light is uneven: crescents of 120 px are then right to
-0.007 px, not 0.02, and rocks of 300 px on blocks of 2 px to 0.009 px, not 0.02."""
+"""Parts along the side of a cell in the last renders, where light is not uniform. Errors of crescents of 120 px are
+0.007
+px with it and 0.02 px without, of rocks of 300 px on blocks of 2 px 0.009 and 0.02 px."""
 _SMOOTH_PARTS = 3
-"""The same for ellipsoids, whose errors are those of the sampling of the limb alone: 28 views of 300 px are right to
-0.006 px rms with 3 and to 0.010 with 2, for a fifth more time. Rocks gain a sixth by it, and are then too sure."""
+"""As above, for ellipsoids, whose errors come from the sampling of the limb alone: 0.006 px rms with 3 and 0.010 with 2
+in
+28 views of 300 px, for a fifth more time. Rocks gain a sixth by it, but are then overconfident."""
 _FINE_RAYS = 2  # along the side of a pixel, at least, before uneven ones get more
 _COARSE_RADIUS_PX = 20.0  # px, from which renders on the way are rough; smaller bodies are all edge
 _OTHER_LAWS: tuple[Reflectance, ...] = (Hapke(w=0.9), Minnaert(k=0.6))
-"""Laws that are mixed in besides the one that contrasts: light scattered many times, and a limb brighter than that of
-any mixture of the others. Against truths of Hapke (w = 0.3 and 0.8) and Minnaert (k = 0.6) these two keep errors at
-those of an exact law; without them they reach 0.4 and 2 px of a body of 200 px."""
+"""Laws mixed in besides the contrasting one: multiple scattering, and a limb brighter than in any mixture of the
+others.
+For true laws of Hapke (w = 0.3 and 0.8) and Minnaert (k = 0.6) errors are as with the exact law; without these two they
+reach 0.4 and 2 px on a body of 200 px."""
 _UNTRIED_LAW: Reflectance = Minnaert(k=0.8)
-"""Law that is not mixed in: what it would change says how much laws outside of the mixture matter. Its limb lies
-between those of the others, where sums of laws follow a power law worst."""
+"""Law that is not mixed in; its change of the image measures the error by laws outside of the mixture. Its limb lies
+between the others, where sums of laws approximate a power law worst."""
 _SMALL_RADIUS_PX = 10.0
 """Radius, px, below which a body has one sampling for all of a fit, and only one other law is mixed in."""
 
@@ -114,7 +117,7 @@ class TemplateRenderer(Value):
         return apparent_radius_px(self.plane, center_px, self.target.shape.mean_radius_km, range_km)
 
     def body(self, state: TemplateState) -> Body:
-        """Return the target at the place of a state, its attitude in camera axes unchanged."""
+        """Return the target at the position of a state, its attitude in camera axes unchanged."""
         range_km = float(np.linalg.norm(self.target.position_camera_km)) * math.exp(state.log_range)
         return self.target.at(range_km * self.plane.model.unproject(state.center_px))
 
@@ -138,7 +141,7 @@ class TemplateRenderer(Value):
         )
 
     def trace(self, state: TemplateState, options: RenderOptions, daylight: Daylight | None = None) -> Trace | Failure:
-        """Trace a state, with fewer rays where a rough trace shows nothing but light, or none."""
+        """Trace a state, with fewer rays where a rough trace is all lit or all dark."""
         return trace_body(
             self.body(state),
             self.plane.model,
@@ -179,10 +182,10 @@ class TemplateRenderer(Value):
     ) -> Synthesis:
         """Return the function that renders states into a box, optionally under other reflectance laws as well.
 
-        All laws are shaded on the same rays: what differs between two of their images is the law and nothing else.
-        Under air, one of the others is black ground, which leaves the light of the air; it is mixed in from the first.
-        The body is traced once roughly and once finely, and anew only where it is seen from elsewhere. How brightness
-        changes with the phase angle over the disk is mixed in last, in fine renders, which alone can tell.
+        All laws are shaded on the same rays, so that their images differ by the law alone. Under air, one of the others
+        is black ground, which leaves the light of the air; it is mixed in from the first. The body is traced once
+        roughly and once finely, and again only where the perspective changes. The change of brightness with the phase
+        angle over the disk is mixed in last, in fine renders.
         """
         small = self.radius_px < _SMALL_RADIUS_PX
         air = self.target.air
@@ -192,7 +195,7 @@ class TemplateRenderer(Value):
             others = (*others[:1], Black(), *others[1:])
         laws = (self.target.reflectance, *others)
         every = (*laws, _law_of_phase(laws[0])) if other_law and most_laws is None and not small else laws
-        # On the way: without the field of markings, which fine renders allow, shares would run away.
+        # Rough renders exclude them: without the field of markings, which fine renders allow, shares would diverge.
         few = laws[: 2 if air is None else 3]
         kept: dict[bool, tuple[MovedBody, ShadedRays]] = {}
         if traced is not None:
@@ -242,16 +245,16 @@ class TemplateRenderer(Value):
         return body, body.shaded(laws)
 
     def _daylight(self, rough: MovedBody, state: TemplateState) -> Daylight | None:
-        """Light and dark parts of the body at a state; None where a rough trace saw it from elsewhere."""
+        """Light and dark parts of the body at a state; None where the perspective of a rough trace differs."""
         return rough.daylight(state) if self._turned_px(rough.state, state) < _TOLD_PX else None
 
     def _turned_px(self, first: TemplateState, second: TemplateState) -> float:
-        """Motion, px, of the surface between two states because it is seen from elsewhere."""
+        """Motion, px, of the surface between two states by the change of perspective."""
         sights = self.plane.model.unproject(np.stack([first.center_px, second.center_px]))
         return float(np.linalg.norm(sights[1] - sights[0])) * self.radius_px
 
     def _near(self, first: TemplateState, second: TemplateState, *, fine: bool) -> bool:
-        """Return True if the rays of a state serve for another: the same surface is seen, and not from elsewhere."""
+        """Return True if the rays of a state can be reused for another: the same surface in the same perspective."""
         size, radius_px = np.array([self.plane.columns, self.plane.rows]), self.radius_px
         growth = first.log_range - second.log_range
         ends = np.clip(first.center_px + radius_px * _AROUND, 0.0, size - 1.0) - first.center_px
@@ -263,18 +266,17 @@ class TemplateRenderer(Value):
 
 
 def contrasting_laws(law: Reflectance) -> tuple[Reflectance, ...]:
-    """Return laws that a fit mixes into that of the target, so that a wrong law does not pull the center."""
+    """Return laws that a fit mixes into the law of the target, so that a wrong law does not bias the center."""
     first: Reflectance = LommelSeeliger() if isinstance(law, Lambert) else Lambert()
     return first, *_OTHER_LAWS
 
 
 def _law_of_phase(law: Reflectance) -> Reflectance:
-    """Return the law that shows in a mixture how brightness changes with the phase angle alone, over the disk.
+    """Return the law that models in a mixture the change of brightness with the phase angle over the disk.
 
     McEwen's law changes from Lommel and Seeliger's to Lambert's as the phase angle grows, by 0.5 % over a disk of 1.4
-    degrees. With all three in the mixture that change is between none of it and twice what McEwen tells, by the
-    prior of the shares. A slope of any size over the phase angle took the place of the terminator of a Moon seen
-    through a wide lens: 0.28 px off with 0.006 px stated.
+    degrees. With all three in the mixture the prior limits that change to 0 to 2 times McEwen's. With a free slope over
+    the phase angle, a Moon seen through a wide lens had an error of 0.28 px with a formal sigma of 0.006 px.
     """
     return LommelSeeliger() if isinstance(law, McEwen) else McEwen()
 

@@ -1,4 +1,4 @@
-"""States and images of a template: where a body is rendered, what it looks like there, and how to move the image."""
+"""States and images of a template: its geometry, its renders, and motion of an image."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class TemplateImages(Value):
     winged : bool
         Estimate the share of the light that lies in wings of the point spread function.
     untried : (h, w) float64, optional
-        Brightness under a law that the fit does not mix in; what it would change enters the covariance.
+        Brightness under a law that the fit does not mix in; its effect enters the covariance.
     veiled : callable, optional
         Returns the brightness (3, h, w) under the laws of :func:`~giantlike.relative.template.haze.haze_laws`.
     derivatives : callable, optional

@@ -1,4 +1,4 @@
-"""Effects that nobody declared: how probable each is by the residuals of a template, and what it does to the place."""
+"""Undeclared effects: their probabilities from the residuals of a template, and their effect on the position."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from giantlike.core.values import Value
 from giantlike.image_model.columns import UNDECLARED, Block, Score, Solution
 
 PART_RADII = 0.25
-"""Side of a part of a body, over its radius, whose model errors are independent of those of others: the shortest
-correlation length of markings."""
+"""Side of a part of a body, radii, with independent model errors: the shortest correlation length of markings."""
 _WIDTH = math.sqrt(8.0 * math.log(2.0))
 """Full width of an edge at half maximum over the standard deviation of its blur."""
 
@@ -42,7 +41,7 @@ class Undeclared(Value):
 
 
 def undeclared_effects(fit: Solution, blocks: Mapping[Block, float]) -> dict[str, Undeclared]:
-    """Return the probabilities of effects of which at most one is there."""
+    """Return the probabilities of mutually exclusive effects."""
     columns = fit.columns
     log_odds = [
         np.log(UNDECLARED / (1.0 - UNDECLARED)) + columns.odds_of([block], parts) for block, parts in blocks.items()
@@ -56,7 +55,7 @@ def undeclared_effects(fit: Solution, blocks: Mapping[Block, float]) -> dict[str
 
 @dataclass(frozen=True, slots=True)
 class IndependentParts:
-    """How many independent values pixels stand for.
+    """Number of independent values in pixels.
 
     Parameters
     ----------

@@ -1,11 +1,11 @@
-"""Named alternatives to a fix, each with its odds: a second light in the image, rows or columns shifted from one on.
+"""Named alternatives to a fix, each with its odds: a second image of the body, rows or columns shifted from one on.
 
-An alternative is an image that the fit of a body to cells left out. Its odds are those of two Student-t likelihoods of
-the cells it reaches, with it and without, at an unknown scale of the errors: what a real image leaves of a model is not
-noise, and markings, clouds and laws are alike over a good part of a radius. So as many residuals count as there are
-such parts, which is that likelihood to the power of parts over cells (a tempered, or power, likelihood). The scale has
-a prior of as many parts at the stated errors, so that n parts with squares Q have a likelihood of ``(n + Q)^-n``. The
-amplitude of an alternative is integrated over its prior, and its place over all places that it may have.
+An alternative is an image that the fit of a body to cells left out. Its odds are the ratio of two Student-t likelihoods
+of the affected cells, with it and without, at an unknown scale of the errors. Residuals of real images are not white
+noise: markings, clouds and laws are correlated over a good part of a radius. The likelihood is therefore raised to the
+power of the number of such parts divided by the number of cells (a tempered, or power, likelihood). The scale has a
+prior of as many parts at the formal errors, so that n parts with squares Q have a likelihood of ``(n + Q)^-n``. The
+amplitude of an alternative is integrated over its prior, and its position over all possible positions.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from giantlike.core.causes import Cause
 from giantlike.image_model.columns import Block, Prior, Solution
 
 _LIGHT_SIGMA = 0.5
-"""A priori standard deviation of a second light over the first: exposures of about the same length, and ghosts."""
+"""A priori standard deviation of a second image relative to the first: exposures of similar length, and ghosts."""
 _SHIFT_SIGMA = 0.1
 """A priori standard deviation of a shift of rows, radii."""
 _WAVES, _OUTLINE_SIGMA = (3, 4, 5, 6), 0.1
-"""Waves along the outline of another body, beyond those of a strain, and a priori standard deviation of their
-amplitudes, radii: a guess of how much the outlines of two bodies differ in each."""
+"""Wave numbers along the outline of another body, beyond those of a strain, and a priori standard deviation of their
+amplitudes, radii: a guess of the difference of two outlines."""
 _APART = 0.1
-"""Least distance of a second light, radii: nearer ones are a blur or a motion of the first."""
+"""Minimum distance of a second image, radii: nearer ones are a blur or a motion of the first."""
 _CANDIDATES = 6
-"""Places of a second light whose odds are computed exactly; those of all others are taken to be none."""
+"""Number of positions of a second image whose odds are computed exactly; the odds of all others are set to zero."""
 _REACHED = 0.05
-"""Of its largest value: where an alternative changes less it reaches no cell."""
+"""Fraction of its largest change below which an alternative does not affect a cell."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,9 +42,9 @@ class CellScores:
     Parameters
     ----------
     solution : Solution
-        The fit of the body to the cells (n, n), around its place.
+        The fit of the body to the cells (n, n), around its position.
     temper : float
-        Independent parts of a body over cells.
+        Ratio of independent parts of a body to cells.
     """
 
     solution: Solution
@@ -52,12 +52,12 @@ class CellScores:
 
     @property
     def log_evidence(self) -> float:
-        """Logarithm of the likelihood of the cells under the fit, but for a constant."""
+        """Logarithm of the likelihood of the cells under the fit, up to a constant."""
         parts = self.temper * float(np.count_nonzero(self.solution.columns.weights))
         return -parts * math.log(1.0 + self.temper * self.solution.penalized_squares / max(parts, 1e-300))
 
     def joint_log_odds(self, images: Float, sigma: float) -> float:
-        """Logarithm of the odds of images (a, n, n) in the data beside the fit, all of them together."""
+        """Logarithm of the odds of images (a, n, n) in the data in addition to the fit, all of them together."""
         prior = Prior.of_sigmas([sigma] * len(images))
         score = self.solution.score_omitted(Block(effect="alternative", cause=Cause.NOISE, matrix=images, prior=prior))
         reached = np.any(np.abs(images) > _REACHED * np.abs(images).max(), axis=0)
@@ -72,10 +72,9 @@ class CellScores:
         return parts * math.log(before / after) - 0.5 * float(np.linalg.slogdet(scaled)[1])
 
     def log_odds(self, images: Float, sigma: float) -> Float:
-        """Logarithms (a,) of the odds of images (a, n, n) in the data beside the fit, each alone.
+        """Logarithms (a,) of the odds of images (a, n, n) in the data in addition to the fit, each alone.
 
-        ``sigma`` is the a priori standard deviation of their shares. Shares that take light away count as those that
-        add some.
+        ``sigma`` is the a priori standard deviation of their amplitudes, which may be negative.
         """
         prior = Prior.of_sigmas([sigma] * len(images))
         score = self.solution.score_omitted(Block(effect="alternative", cause=Cause.NOISE, matrix=images, prior=prior))
@@ -94,7 +93,7 @@ class CellScores:
 
 
 def other_outline(scores: CellScores, growth: Float, center: Float) -> float:
-    """Logarithm of the odds of another outline: of another body, in a waves along it that no strain has.
+    """Logarithm of the odds of the outline of another body, by waves along it beyond a strain.
 
     ``growth`` (n, n); ``center`` in cells, column and row of its center.
     """
@@ -105,7 +104,7 @@ def other_outline(scores: CellScores, growth: Float, center: Float) -> float:
 
 
 def second_light(scores: CellScores, light: Float, radius: float, blur: float) -> float:
-    """Logarithm of the odds of a second image of the body beside the first: another exposure, a ghost or a second body.
+    """Logarithm of the odds of a second image of the body: another exposure, a ghost or a second body.
 
     ``light`` (n, n); ``radius``, ``blur`` in cells.
     """
@@ -148,7 +147,7 @@ def shifted_lines(scores: CellScores, motion: Float, axis: int) -> float:
 
 
 def _averaged(scores: CellScores, images: Sequence[Float] | Float, sigma: float, count: float) -> float:
-    """Logarithm of the mean of the odds of images, of ``count`` of which all others have none."""
+    """Logarithm of the mean odds over ``count`` images, of which those not given have odds of zero."""
     if not len(images):
         return -math.inf
     odds = scores.log_odds(np.asarray(images), sigma)

@@ -21,12 +21,12 @@ CELLS_PER_RADIUS = 20
 """Cells to a radius of the body, as far as pixels are not larger: two exposures 5 px apart on a body of 140 px show as
 a blur, with 12 cells they do not."""
 MARGIN = 1.6
-"""Half width of the region over the largest radius: room for a second body or a halo beside the first."""
+"""Half width of the region, largest radii: margin for a second body or a halo next to the first."""
 BLOCK = 0.25
-"""Size over the radius of the parts of a disk whose departures from a model are alike: markings, errors of the law,
-as in ``relative/light/moment.py``. They set how much a better match means, which noise of pixels does not."""
+"""Size, radii, of the parts of a disk with correlated departures from a model: markings, errors of the law, as in
+``relative/light/moment.py``. Their number, not that of pixels, sets the significance of a better match."""
 LEAST_RADIUS_PX = 5.0
-"""Radius, px, below which the point spread function takes away what a face looks like."""
+"""Radius, px, below which the point spread function hides the disk interior."""
 _PSF_REACH = 3.0
 """Standard deviations of the point spread function that the region has around a body."""
 _RAYS_PER_CELL = 3
@@ -81,7 +81,7 @@ class Cells(Value):
 
     @property
     def has_face(self) -> bool:
-        """True if the body is large enough that its face tells something."""
+        """True if the body is large enough to show its disk interior."""
         return self.radius * self.size >= LEAST_RADIUS_PX
 
     @property
@@ -102,7 +102,7 @@ class Cells(Value):
         return self.camera.model.unproject(middles)
 
     def cropped(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
-        """Return what lies in :attr:`inner` of an array (n, n) of the whole region."""
+        """Return the part in :attr:`inner` of an array (n, n) of the whole region."""
         within = slice(self.room, self.box.width - self.room)
         return values[within, within]
 

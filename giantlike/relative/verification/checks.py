@@ -1,4 +1,4 @@
-"""The checks behind every estimate: numbers of a fix that follow from a coarse render at the place found."""
+"""Checks of every fix by a coarse render at the estimated position."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ from giantlike.shapes import Ellipsoid
 AnyFix = TypeVar("AnyFix", bound=CenterFix)
 
 _LINEAR = 0.01
-"""Motion over the radius, and change of the range, up to which derivatives of the coarse render tell the residuals: a
-fifth of a cell."""
+"""Motion in radii, and relative change of the range, up to which the coarse render is linear: a fifth of a cell."""
 _SHARP_PX = 0.4
-"""The same of a limb, px, where the range is not of the fix but told: up to there the square of a motion, which looks
-like a blur, is within half of the standard deviation that known optics leave to one (0.3 px^2). A range 1 % off moves
-the limb of a body of 300 px by 1.5 px."""
+"""As above, for the limb, px, where the range is declared, not estimated. The square of a motion looks like a blur;
+this
+one is within half of the standard deviation for known optics (0.3 px^2). A range in error by 1 % moves the limb of a
+body of 300 px by 1.5 px."""
 _BELIEVED = 0.5
-"""Motion over the radius, and change of the range, beyond which the coarse fit has not found the body."""
+"""Motion in radii, and relative change of the range, beyond which the coarse fit has not found the body."""
 _SMEAR = np.array([[1.0, 0.0, -1.0], [0.0, 2.0, 0.0]])
-"""What of a blur (xx, xy, yy) is more along one direction than across it."""
+"""Anisotropic part of a blur (xx, xy, yy)."""
 _NOTHING_THERE = 0.0
-"""Log odds of no body at all where the image fits a dark one better: of those that are not dark it is the best."""
+"""Log odds of no body where the image fits a dark one better than any bright one."""
 _OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause not in (Cause.SHAPE_SCALE, *DECLARED))
-"""Causes of errors that a fix and the coarse fit of the same shape do not have in common."""
+"""Causes of errors that a fix does not share with the coarse fit of the same shape."""
 
 
 def verified(
@@ -89,7 +89,7 @@ def verified(
 
 
 def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
-    """Factor by which the variances of a fix are too small for what a coarse fit asks for beyond it.
+    """Factor by which the variances of a fix are too small for the corrections estimated by a coarse fit.
 
     The largest factor by motion, strain and, where the point spread function is declared, smear, and at least 1.
     """
@@ -98,7 +98,7 @@ def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
     moved, coarse = fit.place.values[:size], fit.place.covariance[:size, :size]
     place = max(_inflation(moved, coarse + own), explaining_inflation(moved, own, coarse))
     figure = _inflation(fit.strain.values, fit.strain.covariance)
-    # A fix that is less certain than the coarse one has errors of the figure in its covariance already.
+    # A fix that is less precise than the coarse one has errors of the figure in its covariance already.
     room = min(float(np.trace(coarse[:2, :2]) / max(np.trace(own[:2, :2]), 1e-300)), 1.0)
     smear = _inflation(_SMEAR @ fit.blur.values, _SMEAR @ fit.blur.covariance @ _SMEAR.T) if psf_known else 1.0
     return max(place, 1.0 + room * (max(figure, smear) - 1.0))
@@ -110,12 +110,12 @@ def _inflation(difference: Float, covariance: Float) -> float:
 
 
 def _own(fix: CenterFix) -> Float:
-    """Covariance of a fix, of center and logarithm of the range, without what the coarse fit has in common with it."""
+    """Covariance of center and logarithm of the range of a fix, without errors shared with the coarse fit."""
     return summed(fix.parts, _OF_ITS_OWN) if fix.parts else fix.covariance_px2
 
 
 def chance_of(difference: Float, covariance: Float) -> float:
-    """Probability that errors of a covariance come to as much.
+    """p-value of a difference under a covariance.
 
     ``difference`` (k,); ``covariance`` (k, k).
     """
@@ -123,14 +123,14 @@ def chance_of(difference: Float, covariance: Float) -> float:
 
 
 def _chance(squared: float, freedom: int) -> float:
-    """Probability that a squared length over its covariance is as large, of some degrees of freedom."""
+    """p-value of a squared Mahalanobis distance."""
     from scipy.special import chdtrc
 
     return float(chdtrc(freedom, max(squared, 0.0)))
 
 
 def _squared(difference: Float, covariance: Float) -> float:
-    """Squared length of a difference (k,) over its covariance (k, k)."""
+    """Squared Mahalanobis distance of a difference (k,) under its covariance (k, k)."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     whitened = np.linalg.lstsq(covariance / np.outer(scale, scale), difference / scale, rcond=None)[0]
     return float(whitened @ (difference / scale))
@@ -139,8 +139,8 @@ def _squared(difference: Float, covariance: Float) -> float:
 def _off_prediction(fix: CenterFix, fit: CoarseFit | None, inputs: EstimatorInputs) -> tuple[Float, Float] | None:
     """Difference (k,) of fix and prediction, and its covariance; None where no errors of the prediction are declared.
 
-    Center and logarithm of the range; a fix without one has that by which the body looks as large as in the image.
-    Without a covariance of the attitude that the center was predicted with, the range alone is compared.
+    Center and logarithm of the range; a fix without a range takes it from the apparent size in the image. Without a
+    covariance of the attitude of the prediction, the range alone is compared.
     """
     if Cause.EPHEMERIS not in fix.parts:
         return None
@@ -169,7 +169,7 @@ def _size_variance(fix: CenterFix, inputs: EstimatorInputs) -> float:
 
 
 def _odds(coarse: _Coarse, inputs: EstimatorInputs, search_px: float) -> tuple[dict[Alternative, float], float]:
-    """Logarithms of the odds of other models of the image, and of another place in the search region."""
+    """Logarithms of the odds of other models of the image, and of another position in the search region."""
     cells, own, geometry = coarse.cells, coarse.own, inputs.geometry
     alternatives: dict[Alternative, float] = {} if coarse.fit is None else dict(coarse.fit.alternatives)
     side = light_side(cells, coarse.trace, own, geometry.sun_direction_camera) if cells.has_face else None
@@ -189,7 +189,7 @@ def _dark(fit: CoarseFit | None) -> bool:
 
 @runtime_checkable
 class _Oriented(Protocol):
-    """A fix with the orientation of the body as it was estimated."""
+    """A fix with an estimated orientation of the body."""
 
     @property
     def camera_from_body(self) -> Rotation: ...
@@ -197,7 +197,7 @@ class _Oriented(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Coarse(Value):
-    """A body rendered where it was found and fitted to the image; ``fit`` is None where too few cells hold its face."""
+    """A body rendered at its estimate and fitted to the image; ``fit`` is None where too few cells hold its disk."""
 
     cells: Cells
     trace: Trace
@@ -206,10 +206,10 @@ class _Coarse(Value):
 
 
 def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coarse | None:
-    """Render and fit a body where it was found, and again where the image would have it if that is not near by.
+    """Render and fit a body at its estimated position, and again at the fitted position if that is not nearby.
 
-    A body that is seen larger than its shape, by haze around it, or as a fix without a range measured its size, is
-    rendered nearer: the two look the same.
+    A body that appears larger than its shape, by haze or by the measured size of a fix without a range, is rendered
+    nearer, which looks the same.
     """
     geometry, model = inputs.geometry, inputs.camera.model
     range_km = fix.range_km if isinstance(fix, PositionFix) else geometry.range_km
@@ -239,9 +239,8 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
 def _at(body: Body, inputs: EstimatorInputs, search_px: float | None, fix: CenterFix) -> _Coarse | None:
     """Render a body coarsely and fit it; None where it is too small or not seen.
 
-    Without a search, in cells as fine as haze takes, which the residuals are then asked about.
-
-    The response and the smear that the fix has found are none of its errors.
+    Without a search, in the fine cells of the test for haze, which is then made. The response and the smear that the
+    fix estimated are part of the model.
     """
     room_px = None
     if search_px is not None:

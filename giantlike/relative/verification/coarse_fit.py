@@ -1,4 +1,4 @@
-"""The rendered body fitted to the image in cells: what of the light it leaves, and where it would rather be."""
+"""Fit of the rendered body to the image in cells: residuals, and estimated corrections of position and shape."""
 
 from __future__ import annotations
 
@@ -24,28 +24,28 @@ from giantlike.relative.verification.cell_loops import design_of
 from giantlike.relative.verification.cells import BLOCK, Cells
 
 _EDGE_RADIUS, _EDGE_PX = 0.01, 0.3
-"""Standard deviation of a limb or a terminator about those of the model: relief of 1 % of the radius, and px, for the
+"""Standard deviation of a limb or a terminator about the modeled one: relief of 1 % of the radius, and px, for the
 point spread function."""
 _WINGS, _WING_RADIUS = 0.01, 0.35
-"""Light scattered around a body, over its own, and how far from it, radii: wings of a point spread function."""
+"""Ratio of the light scattered around a body to its own, and its distance, radii: wings of a point spread function."""
 _AROUND, _FLOOR = 0.08, 0.02
-"""Radii over which markings reach, so that cells along a limb have them too; and least error of the model over the
-brightest cell. Without it bright images (20,000 DN) of right fixes contradict them
-by up to 9 standard deviations where the law is another one; with 1 and 2 % by up to 5."""
+"""Extent of albedo variations, radii, so that cells along a limb have them too; and minimum error of the model relative
+to the brightest cell. Without it, bright images (20,000 DN) contradict correct fixes by up to 9 standard deviations
+where the law differs; with 1 and 2 % by up to 5."""
 _LAW_SIGMA = 1.0
-"""Share of another law in the light, a priori: anything from the law that was told to the other one."""
+"""A priori standard deviation of the fraction of another law: 0 is the assumed law, 1 the other one."""
 _MOVED, _GROWN, _STRAINED = 0.5, 0.3, 0.3
-"""Motion, radii, growth and strain of a body a priori: far beyond what is linear."""
+"""A priori standard deviations of motion (radii), growth and strain of a body: far beyond the linear range."""
 _OTHER_LAWS = (Lambert(), LommelSeeliger(), Minnaert(k=0.7))
-"""Laws that the light may be a sum of: of strong, no and medium darkening, as for limbs. Minnaert's is no sum of the
-others: without it, it looked like another figure by up to 3 standard deviations."""
+"""Laws of a mixture: strong, no and medium limb darkening, as for limbs. Minnaert's is not a sum of the others: without
+it, such a surface was mistaken for another shape by up to 3 standard deviations."""
 _OTHER_LAW = 0.5
-"""Error that laws beyond those leave, over what they change: half of it."""
+"""Ratio of the error by laws outside of that mixture to the change by the laws in it."""
 _BLURRED = 10.0
-"""Standard deviation of the blur a priori, squares of a cell: far beyond what is linear."""
+"""A priori standard deviation of the blur, squares of a cell: far beyond the linear range."""
 _GAIN_SIGMAS = (0.1, 0.01)
-"""Standard deviations of the brightness a priori, over that of the image, where markings would take all of it or the
-image is darker where the body is: then it is as bright as the image, and what it leaves is another thing."""
+"""A priori standard deviations of the brightness relative to the image, tried in turn where the fitted gain is not
+positive: albedo variations took all of the light, or the image is darker at the body."""
 _SIGMAS: Mapping[str, float | Sequence[float]] = {
     "gain": 0.0,
     "laws": _LAW_SIGMA,
@@ -53,34 +53,35 @@ _SIGMAS: Mapping[str, float | Sequence[float]] = {
     "strain": _STRAINED,
     "blur": _BLURRED,
 }
-"""Standard deviations of the unknowns a priori, over the gain; nothing is known of the others."""
+"""A priori standard deviations of the unknowns relative to the gain; the others are free."""
 _PSF_PX2 = 0.3
-"""Standard deviation, px^2, of the variance of a point spread function that a camera knows: one of 0.7 px to 30 %."""
+"""Standard deviation, px^2, of the variance of a declared point spread function: 0.7 px wide, known to 30 %."""
 _ITERATIONS, _SETTLED = 3, 0.01
-"""The gain that sets the weights of the cells is known to a percent after three; where it is before, and no cell is
-left out any more, these are the last."""
+"""Maximum number of fits, and relative change of the gain at which they have converged. The gain sets the weights of
+the cells."""
 _UNLIKELY = 4.0
-"""Standard deviations beyond which a cell is not explained, by noise and errors of the model together."""
+"""Residual, in standard deviations of noise and model errors together, beyond which a cell is an outlier."""
 _ISOLATED = 3
-"""Side, cells, of the median that takes stars, cosmic rays and single rows out of what is not explained."""
+"""Side, cells, of the median filter that removes stars, cosmic rays and single rows from the outliers."""
 _KERNEL_SIGMAS = 4.0
 """Reach of a Gaussian, standard deviations: less than 1e-4 of it lies beyond."""
 _LIT = 0.05
-"""Of the brightest cell: fainter ones are not counted as lit."""
+"""Fraction of the brightest cell below which cells are not counted as lit."""
 _LONG_WAVES = 1.3
-"""Effect of relief over that of errors of the same scatter that are alike over parts of a face. With 1.0 the variances
-of eight right limbs with relief of 1 % that no shape holds grew threefold, with 1.7 by a half, but rows that are two
-pixels off were no other figure any more."""
+"""Ratio of the effect of relief to that of errors of the same scatter that are correlated over parts of the disk. The
+variances of eight correct limbs with unmodeled relief of 1 % grew threefold with 1.0 and by a half with 1.7, but with
+1.7 rows shifted by two pixels were not detected as another shape."""
 _LEAST_SCALE = 0.1
-"""Least scatter, over that of the errors of the model, that the residuals of the lit cells are taken to show. Of 80
-right fixes of the independent renderer without markings none was then off by more than 1.1 standard deviations in place
-or figure, whatever the law; with 0.6 none by more than 0.6, and a pole that is 10 deg off by 1 to 3 only, now by 5 to
-14. What laws move without leaving residuals is counted on its own. Where fewer parts of a body are seen than there are
-unknowns, which then take up its errors, residuals show nothing: the least is 1."""
+"""Minimum ratio of the scatter of the residuals of lit cells to the errors of the model. None of 80 correct fixes of
+the
+independent renderer without albedo variations had an error of more than 1.1 standard deviations in position or shape
+under any law (0.6 with a minimum of 0.6); a pole in error by 10 deg has 5 to 14 (1 to 3 with 0.6). Motion by other laws
+that leaves no residuals is counted separately. Where fewer parts of a body are seen than there are unknowns, the
+minimum is 1."""
 _EDGES_OF_RIGHT = 0.45
-"""Scatter of limb and terminator, over that of the errors of the model, up to which they are those of a right figure:
-of 288 undisturbed bodies of the gauntlet (20-250 px) none but four crescents came to more than 0.4, of rocks with
-craters of 300 px at 120 degrees of phase one to 0.51."""
+"""Ratio of the scatter of limb and terminator to the errors of the model up to which the shape is correct. Of 288
+undisturbed bodies of the gauntlet (20-250 px) only four crescents exceeded 0.4; one rock with craters (300 px, 120
+degrees of phase) reached 0.51."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +92,7 @@ class Estimate(Value):
     ----------
     values : (k,) float64
     covariance : (k, k) float64
-        Noise, and errors of the model of the size that the residuals show.
+        By noise, and by errors of the model scaled to the residuals.
     """
 
     values: Float
@@ -100,16 +101,16 @@ class Estimate(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Omitted(Value):
-    """Images that were left out of a fit of cells, each alone; none by default.
+    """Effects left out of a fit of cells, each estimated alone from the residuals; none by default.
 
     Parameters
     ----------
     values : (a,) float64
-        Share of each image in the residuals, beside all that is fitted.
+        Amplitude of the image of each effect in the residuals, with all fitted parameters free.
     sigma : (a,) float64
         Standard deviations.
     explains : (a,) float64
-        Squared residuals that each of them explains, over those that noise leaves.
+        Fraction of the squared residuals beyond noise that each of them explains.
     """
 
     values: Float = field(default_factory=lambda: np.zeros(0))
@@ -124,28 +125,27 @@ class CoarseFit(Value):
     Parameters
     ----------
     gain_dn : float, DN
-        Light of a surface seen and lit along its normal.
+        Signal of a surface seen and lit along its normal.
     log_evidence : float
-        Logarithm of the likelihood of the cells, tempered, but for a constant.
+        Logarithm of the tempered likelihood of the cells, up to a constant.
     alternatives : mapping of Alternative to float
         Logarithms of the odds of other models of the cells.
     place : Estimate
         Motion: x and y in px, and of the logarithm of the range.
     strain : Estimate
-        How the parts of the body disagree: motion along rows and along columns in proportion to the place along the
-        other axis, and growth along rows with shrinking along columns; relative.
+        Relative affine residual: shear along rows and along columns, and stretch along rows with shrinking along
+        columns.
     blur : Estimate
-        Covariance of light about its place beyond that of the point spread function: xx, xy and yy, px^2.
+        Covariance of the blur beyond the point spread function: xx, xy and yy, px^2.
     figure_px2 : (2, 2) float64, px^2
-        Covariance of the center of all light by a figure that is not that of the body, as far as edges and strain show
-        it; zero where they are those of a right one.
+        Covariance of the center of all light by an error of the shape, as shown by edges and strain; zero where they
+        are consistent with the shape.
     response : Response
-        The one by which the values were made proportional to light, if they were, with the bend that the residuals
-        show beside all else.
+        Response by which the values were linearized, if any, with the curvature estimated from the residuals.
     bend_sigma : float
-        Standard deviation of its bend.
+        Standard deviation of its curvature.
     bend_log_odds : float
-        Logarithm of the odds of another bend than that.
+        Logarithm of the odds of a curvature other than the linearized one.
     omitted : Omitted
     """
 
@@ -162,17 +162,17 @@ class CoarseFit(Value):
     omitted: Omitted
 
     def at(self, moved: Float) -> CoarseFit:
-        """Return the same with another motion (3,), as of a place from which the body has moved."""
+        """Return the same fit with another motion (3,)."""
         return replace(self, place=replace(self.place, values=moved))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Design(Value):
-    """What the light of cells may be a sum of.
+    """Linear model of the light of cells.
 
-    The unknowns with their derivatives ``matrix`` (k, n, n) and their a priori standard deviations ``sigma`` (k,) over
-    the gain; the light itself, its steepness per cell and what optics scatter of it, (n, n) each; and the modes of
-    undeclared markings of that light, if they are; the light ``around`` (n, n), and the center of the body (2,), cells.
+    Derivatives ``matrix`` (k, n, n) by the unknowns and their a priori standard deviations ``sigma`` (k,) relative to
+    the gain; the light itself, its gradient per cell and the light scattered by optics, (n, n) each; the modes of
+    undeclared markings, if any; the light ``around`` (n, n), and the center of the body (2,), cells.
     """
 
     layout: Layout
@@ -187,15 +187,15 @@ class _Design(Value):
 
     @property
     def plain(self) -> _Design:
-        """The same without markings."""
+        """The design without markings."""
         return replace(self, markings=None)
 
     def columns(
         self, values: Float, weights: Float, gain: float, variances: Float | None, *, gain_sigma: float = 1.0
     ) -> Columns:
-        """Linear look at the values (n, n) of cells, with undeclared markings beside the unknowns.
+        """Linear problem for the values (n, n) of cells, with undeclared markings in addition to the unknowns.
 
-        Markings could take the place of all light: what the body is as bright as in the image is known before.
+        The gain has a prior, because markings could explain all of the light.
         """
         sigma = self.layout.vector({"gain": gain_sigma}) + self.sigma
         markings = None if self.markings is None else self.markings.brighter(gain)
@@ -205,10 +205,10 @@ class _Design(Value):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Fitted(Value):
-    """A design fitted to cells: the solution, the one that may be dark, gain and model errors (n, n).
+    """A design fitted to cells: the solution, the solution with free gain, gain and model errors (n, n).
 
-    ``edge`` (n, n) are the cells whose errors are mostly those of edges, ``least`` the least scatter that the residuals
-    are taken to show; ``noise`` (n, n) is the variance of the noise.
+    ``edge`` (n, n) are the cells whose errors are mostly errors of edges, ``least`` is the minimum scatter of the
+    residuals; ``noise`` (n, n) is the variance of the noise.
     """
 
     cells: Cells
@@ -228,12 +228,12 @@ class _Fitted(Value):
 
     @cached_property
     def lit(self) -> Mask:
-        """Those of them (n, n) where the body is lit."""
+        """Counted cells (n, n) where the body is lit."""
         return self.fresh & _lit(self.design.own)
 
     @cached_property
     def scores(self) -> CellScores:
-        """Scores of what the fit leaves out."""
+        """Score tests of effects left out of the fit."""
         return CellScores(solution=self.solution, temper=1.0 / max((BLOCK * self.cells.radius) ** 2, 1.0))
 
     @cached_property
@@ -261,9 +261,9 @@ def fit_cells(
     smear: Smear | None = None,
     asked: Float | None = None,
 ) -> CoarseFit | None:
-    """Fit gain, law, a plane and small changes of the place to the cells around a body.
+    """Fit gain, law, a plane and small changes of the position to the cells around a body.
 
-    ``asked`` (a, n, n); returns None where too few cells hold the body.
+    ``asked`` (a, n, n) are images tested for in the residuals. None where too few cells hold the body.
     """
     fresh, design = cells.cropped(cells.fresh), _design(cells, trace, own, smear)
     if np.count_nonzero(fresh & _lit(design.own)) <= design.layout.count:
@@ -294,15 +294,15 @@ def fit_cells(
 
 
 def _lit(light: Float) -> Mask:
-    """Cells (n, n) whose light is not much fainter than that of the brightest."""
+    """Cells (n, n) that are not much fainter than the brightest."""
     return np.asarray(light > _LIT * float(light.max()))
 
 
 def _fitted(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: Float) -> _Fitted | None:
-    """Fit a design to cells, weighted by the gain and without isolated cells that it does not explain.
+    """Fit a design to cells, weighted by the gain and without isolated outliers.
 
-    ``sigma`` (n, n) are the errors of the model over the gain, ``coverage`` (n, n) the parts of cells that the body
-    covers. None where the image fits a dark body better than a bright one.
+    ``sigma`` (n, n) are the errors of the model relative to the gain, ``coverage`` (n, n) the fractions of cells that
+    the body covers. None where the image fits a dark body better than a bright one.
     """
     values, noise, fresh = cells.cropped(cells.values), cells.cropped(cells.variance), cells.cropped(cells.fresh)
     gain, variances = _first_gain(values, design.own, fresh), None
@@ -373,7 +373,7 @@ def _geometry(fitted: _Fitted) -> tuple[Estimate, Estimate, Estimate]:
 
 
 def _response(fitted: _Fitted, known: Response | None) -> tuple[Response, float, float]:
-    """The known response, or a linear one, with the bend that the residuals show, its standard deviation and odds."""
+    """The known or a linear response with the curvature that the residuals show, its standard deviation and odds."""
     solution = fitted.solution
     if known is None:
         dark_dn, bright_dn = float(solution["background"][0]), float(solution.model[fitted.lit].max())
@@ -386,7 +386,7 @@ def _response(fitted: _Fitted, known: Response | None) -> tuple[Response, float,
 
 
 def _omitted(fitted: _Fitted, images: Float) -> Omitted:
-    """Shares of images (a, n, n) in the residuals."""
+    """Amplitudes of images (a, n, n) in the residuals."""
     influence, information = _influence(fitted.solution, "omitted", images)
     values = influence.reshape(len(images), -1) @ fitted.solution.residuals.ravel()
     of_noise = fitted.noise * fitted.solution.columns.weights
@@ -397,10 +397,10 @@ def _omitted(fitted: _Fitted, images: Float) -> Omitted:
 
 
 def _influence(solution: Solution, effect: str, images: Float) -> tuple[Float, Float]:
-    """How shares of images (a, n, n) left out, each alone, change with the cells; and the information on them (a,).
+    """Derivatives of the amplitudes of omitted images (a, n, n), each alone, by the cells; and their information (a,).
 
-    Applied to residuals, as here, it counts what is known before of the other unknowns twice: shares are up to 0.15 of
-    their standard deviations from those of ``Score.alone``.
+    Applied to residuals it counts the prior of the other unknowns twice: amplitudes differ from ``Score.alone`` by up
+    to 0.15 standard deviations.
     """
     prior = Prior.of_sigmas([math.inf] * len(images))
     score = solution.score_omitted(Block(effect=effect, cause=Cause.NOISE, matrix=images, prior=prior))
@@ -408,7 +408,7 @@ def _influence(solution: Solution, effect: str, images: Float) -> tuple[Float, F
 
 
 def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None) -> _Design:
-    """The light of the body under its law and others, a plane, and derivatives by place and size."""
+    """Design with the light of the body under its law and others, a plane, and derivatives by position and size."""
     in_cells = None if smear is None else smear.on_blocks(cells.size)
     light = cells.place(own.brightness, own)
     light = light if in_cells is None else in_cells.smeared(light)
@@ -443,7 +443,7 @@ def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None) -> _
 
 
 def _without_laws(columns: Columns) -> Float:
-    """Solution (k,) with the law as it was told."""
+    """Solution (k,) under the assumed law."""
     kept = columns.layout.without("laws")
     solution = np.zeros(columns.layout.count)
     solution[kept] = np.linalg.solve(columns.information[np.ix_(kept, kept)], columns.right[kept])
@@ -451,14 +451,14 @@ def _without_laws(columns: Columns) -> Float:
 
 
 def _first_gain(values: Float, light: Float, fresh: Mask) -> float:
-    """Gain (DN) that makes the light of the body as strong as that of the image about its median."""
+    """Gain (DN) at which the light of the body has the norm of the image about its median."""
     seen = values[fresh]
     above = seen - float(np.median(seen))
     return max(float(np.linalg.norm(above) / np.linalg.norm(light[fresh])), 1e-300)
 
 
 def _blurred(images: Float, sigma: float, border: int = cv2.BORDER_REFLECT) -> Float:
-    """Images (..., n, n) blurred by a Gaussian of a standard deviation in cells, cut at some of them."""
+    """Images (..., n, n) blurred by a truncated Gaussian whose standard deviation is in cells."""
     reach = math.ceil(_KERNEL_SIGMAS * sigma)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     kernel /= kernel.sum()
@@ -470,10 +470,10 @@ def _blurred(images: Float, sigma: float, border: int = cv2.BORDER_REFLECT) -> F
 
 
 def _scale(normalized: Float, lit: Mask, edge: Mask, *, least: float, noise: Float | None = None) -> Float:
-    """Scatter (n, n) that the residuals show over that of the errors of the model: of the face, and of its edges.
+    """Ratio (n, n) of the scatter of the residuals to the errors of the model: in the disk interior, and at edges.
 
-    Relief moves the edges and leaves the face, which has many more cells; and it is alike over longer parts of them.
-    ``noise`` (n, n) are the squares that come from noise: of coarse cells next to none, which may be left out.
+    Relief moves only the edges, and is correlated over longer parts of them. ``noise`` (n, n) are the squared residuals
+    by noise, negligible for coarse cells.
     """
     squares = normalized**2 if noise is None else normalized**2 - noise
     face, rim = (
@@ -484,7 +484,7 @@ def _scale(normalized: Float, lit: Mask, edge: Mask, *, least: float, noise: Flo
 
 
 def _model_sigma(design: _Design, turn_rad: float, cells: Cells) -> tuple[Float, Mask]:
-    """Standard deviation (n, n) of the errors of the model over the gain by cell, and where edges are most of it."""
+    """Standard deviation (n, n) of the errors of the model relative to the gain, and where edges dominate it."""
     edges = (math.hypot(_EDGE_RADIUS, turn_rad) * cells.radius + _EDGE_PX / cells.size) * design.slope
     wings, floor = _WINGS * design.scattered, _FLOOR * float(design.own.max())
     face = wings**2 + floor**2
@@ -492,7 +492,7 @@ def _model_sigma(design: _Design, turn_rad: float, cells: Cells) -> tuple[Float,
 
 
 def _nothing_alike() -> CoarseFit:
-    """The outcome where the image fits a dark body better than a bright one."""
+    """Outcome where the image fits a dark body better than a bright one."""
     nothing = Estimate(np.zeros(3), np.eye(3))
     return CoarseFit(
         gain_dn=0.0,
@@ -510,9 +510,9 @@ def _nothing_alike() -> CoarseFit:
 
 
 def _covariance(influence: Float, noise: Float, model_sigma: Float, cells: Cells) -> Float:
-    """Covariance (k, k) of unknowns where errors of the model are alike over a part of the disk.
+    """Covariance (k, k) of unknowns where errors of the model are correlated over a part of the disk.
 
-    ``influence`` (k, n, n) is how the unknowns change with the cells.
+    ``influence`` (k, n, n) are the derivatives of the unknowns by the cells.
     """
     length = 0.5 * BLOCK * cells.radius
     area = max(2.0 * math.pi * length**2, 1.0)
@@ -524,12 +524,11 @@ def _covariance(influence: Float, noise: Float, model_sigma: Float, cells: Cells
 
 
 def _by_figure(fitted: _Fitted, strain: Estimate) -> Float:
-    """Covariance (2, 2), px^2, of the center of all light by a wrong figure.
+    """Covariance (2, 2), px^2, of the center of all light by an error of the shape.
 
-    A strain (3,) about the center hardly moves light, but a figure that is wrong by as much in what a strain tells is
-    wrong by as much in what a motion tells too: rows that slip strain it by half of what they move it. Markings hardly
-    strain: of 80 nominal fixes of the gauntlet (seeds 3000 and 6000) none is strained beyond its errors. Limb and
-    terminator add errors of the size that their residuals show.
+    A strain (3,) about the center hardly moves light, but an error of the shape that strains the image also moves it:
+    slipping rows strain it by half of their motion. Markings hardly strain: none of 80 nominal fixes of the gauntlet
+    (seeds 3000 and 6000) is strained beyond its errors. Limb and terminator add errors scaled to their residuals.
     """
     cells, light, values = fitted.cells, fitted.design.own, strain.values
     excess = max(1.0 - len(values) / max(float(values @ np.linalg.solve(strain.covariance, values)), 1e-300), 0.0)
@@ -547,9 +546,9 @@ def _by_figure(fitted: _Fitted, strain: Estimate) -> Float:
 
 
 def _share_of_figure(normalized: Float, lit: Mask, edge: Mask) -> float:
-    """Share of the squared residuals of limb and terminator that only another figure leaves.
+    """Fraction of the squared residuals of limb and terminator that only another shape explains.
 
-    Markings and other laws leave as much in the face.
+    Markings and other laws leave as much in the disk interior.
     """
     face, rim = (float(np.mean(normalized[part] ** 2)) if part.any() else 0.0 for part in (lit & ~edge, lit & edge))
     usual = max(_EDGES_OF_RIGHT**2, face)
@@ -557,13 +556,13 @@ def _share_of_figure(normalized: Float, lit: Mask, edge: Mask) -> float:
 
 
 def _isolated(normalized: Float, fresh: Mask) -> Mask:
-    """Cells that nothing explains, alone or in a single line: stars, cosmic rays, dead columns."""
+    """Outlying cells, alone or in a single line: stars, cosmic rays, dead columns."""
     odd = fresh & (np.abs(normalized) > _UNLIKELY)
     return np.asarray(odd & ~_in_patches(odd))
 
 
 def _in_patches(odd: Mask) -> Mask:
-    """Cells most of whose neighbors are odd too."""
+    """Outlying cells most of whose neighbors are outliers too."""
     from scipy.ndimage import median_filter
 
     return np.asarray(median_filter(odd, size=_ISOLATED)) if odd.any() else odd

@@ -1,4 +1,4 @@
-"""Does light lie on the side of the Sun? A body at the place found, lit from other sides, against the image."""
+"""Test of the illumination direction: the body at the estimated position, lit from the Sun and from other sides."""
 
 from __future__ import annotations
 
@@ -21,25 +21,27 @@ _LEAST_SHARE = 0.3
 _OTHER_SIDES_RAD = (0.5 * math.pi, math.pi, 1.5 * math.pi)
 """Angles by which the Sun is turned about the line of sight."""
 _CLEAR = 0.2
-"""Share of the variance that the side of the Sun leaves, over that of the others lit without cast shadows, below which
-no shadows could make these the better ones."""
+"""Ratio of the residual variance for the Sun to that for other directions without cast shadows below which shadows
+could
+not make these fit better."""
 _EXACT = 1e-9
 """Share of the variance that rounding leaves of an exact model."""
 _HALVED_RADIUS, _HALVED_BLUR = 8.0, 0.5
-"""Least radius and largest standard deviation of the point spread function, cells, with which blocks of 2 x 2 cells are
-looked at first, one ray to a cell: at half of that radius and blurred by more, a body is no longer what rays say."""
+"""Minimum radius and maximum standard deviation of the point spread function, cells, to test blocks of 2 x 2 cells with
+one
+ray per cell first; for smaller or more blurred bodies these are too coarse."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightSide:
-    """How well an image matches a body lit from the side of the Sun, and from the best of three others.
+    """Match of an image with a body lit from the Sun, and from the best of three other directions.
 
     Parameters
     ----------
     unexplained, unexplained_by_other : float
-        Share of the variance of the pixels that the body lit so leaves, at the shift that leaves least.
+        Fraction of the variance of the pixels left by the body lit so, at the best shift.
     log_odds : float
-        Logarithm of the likelihood under the other side over that under the side of the Sun.
+        Log likelihood ratio of the other direction to the Sun.
     """
 
     unexplained: float
@@ -54,11 +56,10 @@ def light_side(cells: Cells, trace: Trace, own: Template, sun_direction_camera: 
 
     Notes
     -----
-    Residuals of a body are errors of its law and of its markings: alike over a quarter of a radius, independent beyond.
-    With n such parts the likelihood goes with the unexplained variance to the power of -n / 2. At small phase angles
-    all sides match alike, and the odds are even. Shadows that the body casts on itself under another Sun are traced
-    where they may matter: not for most images. Where blocks of 2 x 2 cells say clearly which side it is, with one ray
-    to a cell, nothing finer is asked.
+    Residuals of a body are errors of its law and of its markings, correlated over a quarter of a radius. With n such
+    parts the likelihood is proportional to the unexplained variance to the power of -n / 2. At small phase angles all
+    sides match alike, and the odds are even. Self-shadowing under another Sun is traced only where it may matter. Where
+    blocks of 2 x 2 cells with one ray per cell are decisive, finer cells are not tested.
     """
     parts = independent_parts(cells, own)
     if parts == 0.0:
@@ -84,7 +85,7 @@ def _compared(left: float, left_by_other: float, parts: float) -> LightSide:
 
 
 def _left_of_halved(cells: Cells, trace: Trace, turned: list[Float]) -> tuple[float, float]:
-    """Shares of the variance of blocks of 2 x 2 cells that the Sun leaves, and other Suns without cast shadows."""
+    """Residual variance fractions of blocks of 2 x 2 cells, for the Sun and for other Suns without cast shadows."""
     room = min(math.ceil(0.5 * cells.radius), cells.room // 2)
     side = (cells.inner.width // 2 + 2 * room) * 2
     first = cells.room - 2 * room
@@ -109,10 +110,10 @@ def independent_parts(cells: Cells, template: Template) -> float:
 
 
 def _without_shadows(trace: Trace) -> Trace:
-    """Return a trace whose body shades itself no more, so that another Sun costs no rays."""
+    """Return a trace without self-shadowing, so that another Sun costs no rays."""
     return replace(trace, view=replace(trace.view, options=replace(trace.view.options, shadows=False)))
 
 
 def _least(matches: ShiftedMatches, light: Float) -> float:
-    """Share of the variance of the cells that light (..., m, m), the best of it, leaves at its best shift."""
+    """Fraction of the variance of the cells left by the best light of (..., m, m) at its best shift."""
     return max(float(matches.unexplained(light).min()), _EXACT)

@@ -1,4 +1,4 @@
-"""Fixes by values that are not in proportion to light, made again where the coarse render shows it."""
+"""Fixes recomputed with linearized values where the coarse render shows a nonlinear response."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from giantlike.relative.verification.coarse_fit import CoarseFit
 
 
 class Looked(Protocol):
-    """What a coarse render shows of a fix."""
+    """Result of a coarse render of a fix."""
 
     @property
     def fit(self) -> CoarseFit | None:
-        """The render fitted to the image; None where too few cells hold the face of the body."""
+        """The render fitted to the image; None where too few cells hold the disk of the body."""
 
 
 AnyFix = TypeVar("AnyFix", bound=CenterFix)
@@ -31,7 +31,7 @@ Coarse = TypeVar("Coarse", bound=Looked)
 
 
 def looks_bent(coarse: Looked | None) -> bool:
-    """Return True where a coarse render speaks for values in another proportion."""
+    """Return True where a coarse render favors a nonlinear response."""
     fit = None if coarse is None else coarse.fit
     return fit is not None and fit.response.bend > LEAST_BEND and fit.bend_log_odds > 0.0
 
@@ -43,9 +43,9 @@ def in_proportion(
     again: Callable[[EstimatorInputs], AnyFix | Failure],
     look: Callable[[AnyFix, EstimatorInputs], Coarse | None],
 ) -> tuple[AnyFix, Coarse, EstimatorInputs] | None:
-    """Make a fix again with values straightened until they are in proportion to light.
+    """Recompute a fix with linearized values until the response converges.
 
-    Returns None where straightened values explain little more: what is wrong with the image is something else.
+    Returns None where linearized values fit little better: the cause is another one.
     """
 
     def tried(response: Response) -> tuple[AnyFix, Coarse, EstimatorInputs] | None:

@@ -1,4 +1,4 @@
-"""Another place in the search region where the body would explain the image about as well."""
+"""Competing solution: another position in the search region where the body fits the image about equally well."""
 
 from __future__ import annotations
 
@@ -12,24 +12,26 @@ from giantlike.relative.verification.cells import BLOCK, Cells
 from giantlike.relative.verification.shifts import ShiftedMatches
 
 _APART, _APART_BLUR = 1.0, 4.0
-"""Least distance between two places, radii and standard deviations of the point spread function: a body matches itself
-to some degree within it."""
+"""Minimum distance between two positions, radii and standard deviations of the point spread function: nearer, a body
+correlates with itself."""
 _FAINT = 0.3
-"""Light over that of the fix below which another place holds another, fainter body or a ghost of this one."""
+"""Ratio of the light at another position to the light of the fix below which it is another body or a ghost."""
 _LEAST_SIGMAS = 6.0
-"""Light at another place, standard deviations of the noise, below which it may be noise: one of some 10^4 places."""
+"""Minimum light at another position, standard deviations of the noise, so that none of about 10^4 positions is
+noise."""
 _CORE = 4.0 * math.pi
-"""Area of a point spread function, squares of its standard deviation: what its pixels tell of a smaller body."""
+"""Area of a point spread function, squares of its standard deviation: it limits the independent parts of small
+bodies."""
 _HALVES = ((0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
 _SAME = 0.99
-"""Squared correlation of a body with itself half a cell away from which on places between cells need no look: a twin of
-a point between four pixels is like it to 0.8, which made it 10^4 times less likely than the fix."""
+"""Squared autocorrelation of a body at half a cell above which positions between cells are skipped. A copy of a point
+source between four pixels has 0.8, which made it 10^4 times less likely than the fix."""
 
 
 def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: float, albedo: float) -> float:
-    """Logarithm of the odds for the best other place in the search region.
+    """Logarithm of the odds for the best other position in the search region.
 
-    Returns minus infinity where no other place is far enough away, or none holds as much light.
+    Returns minus infinity where no other position is far enough away, or none has as much light.
     """
     room = min(math.ceil((search_px + np.abs(predicted_px - cells.center_px).max()) / cells.size), cells.room)
     apart = _APART * cells.radius + _APART_BLUR * cells.blur
@@ -54,7 +56,7 @@ def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: 
 
 
 def _between(light: Float) -> Float:
-    """Light (k, m, m) of a body, with that half a cell away along rows, columns and both where it differs."""
+    """Light (k, m, m) of a body and, where it differs, shifted by half a cell along rows, columns and both."""
     from scipy.ndimage import shift
 
     away = [shift(light, step, order=3) for step in _HALVES]
