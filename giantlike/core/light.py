@@ -1,4 +1,4 @@
-"""What motion does to light: stellar aberration of directions, and of bodies with a size."""
+"""Stellar aberration of directions, and of bodies of finite size."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def boosted(positions_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
     """Compute the apparent places of bodies for a moving observer: direction by aberration, distance by apparent size.
 
     ``positions_km`` (..., 3), inertial axes; ``velocity_km_s`` in inertial axes; returns (..., 3) km, apparent vectors,
-    inertial axes: the direction is that of :func:`aberrate`, and a body of radius R covers the angle
+    inertial axes: the direction is as by :func:`aberrate`, and a body of radius R covers the angle
     ``asin(R / length)``.
 
     Notes
@@ -73,7 +73,7 @@ def boost_jacobian(position_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
 
 
 def _beta_gamma(velocity_km_s: ArrayLike) -> tuple[Float, float]:
-    """Velocity (3,) over that of light, and the Lorentz factor."""
+    """Velocity (3,) in units of the speed of light, and the Lorentz factor."""
     beta = as_finite(velocity_km_s, (3,), "velocity_km_s") / SPEED_OF_LIGHT_KM_S
     squared = float(beta @ beta)
     if not squared < 1.0:  # its text costs more than the rest

@@ -38,7 +38,7 @@ TOLD_LAWS: Mapping[str, Reflectance] = MappingProxyType(
 
 @lru_cache(maxsize=16)
 def markings(number: int, rms: float) -> SphereField:
-    """Return relative albedo less one, another one for each number."""
+    """Return relative albedo minus one, a different map for each number."""
     return bumps(7000 + number, rms=rms, widths_deg=(6.0, 25.0), count=40, cells=_TABLE_CELLS)
 
 
@@ -66,7 +66,7 @@ def rock(number: int, extra: SphereField | None = None) -> tuple[ReliefBody, Tri
 
 
 def ellipsoid(radii_km: Float, albedo: SphereField | None = None) -> tuple[EllipsoidBody, Ellipsoid]:
-    """Return an ellipsoid twice: as it is rendered, and as it is told."""
+    """Return the rendered ellipsoid and the assumed one."""
     return EllipsoidBody(radii_km, albedo), Ellipsoid(radii_km=np.array(radii_km, dtype=float))
 
 

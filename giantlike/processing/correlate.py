@@ -28,7 +28,7 @@ _PARABOLOID = np.array(
     ]
 ) / np.array([[6.0], [6.0], [6.0], [4.0], [6.0]])
 """Least-squares coefficients ``c1`` to ``c5`` of a paraboloid, see :func:`find_peak`, by 3 x 3 values row by row."""
-_CONTRAST_LIMIT = 1e-5  # standard deviation over the largest value: float32 sums do not resolve less
+_CONTRAST_LIMIT = 1e-5  # minimum standard deviation / largest value that float32 sums resolve
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,13 +118,13 @@ def find_peak(surface: Float, *, n_pixels: int = 0) -> CorrelationPeak | None:
     The paraboloid ``c0 + c1 x + c2 y + c3 x^2 + c4 x y + c5 y^2`` is the least-squares fit to the 3 x 3 pixels around
     the peak; a fit without a maximum within a pixel leaves the peak on its pixel.
 
-    To find the highest correlation is to fit place, gain and level of the template by least squares. With N pixels of
-    the same, independent noise, a peak of height r and K the negative second derivatives of the surface there, the
-    covariance of the place is :math:`(1 - r^2) / (r (N - 4)) K^{-1}`: the variance of the noise over the squared light
-    of the template is ``(1 - r^2) / (r^2 (N - 4))``, and K is r times the information of a unit of light. (Derived
-    here.) Differences of image and template that are correlated over several pixels, as those of a wrong model, count
-    for too little in this, and the error of the paraboloid itself, up to some hundredths of a pixel for a peak as
-    narrow as a point spread function, does not count at all.
+    The highest correlation is the least-squares fit of position, gain and level of the template. With N pixels of the
+    same, independent noise, a peak of height r and K the negative second derivatives of the surface there, the
+    covariance of the position is :math:`(1 - r^2) / (r (N - 4)) K^{-1}`: the ratio of the variance of the noise to the
+    squared signal of the template is ``(1 - r^2) / (r^2 (N - 4))``, and K is r times the information of a unit of
+    signal. (Derived here.) It underestimates differences of image and template that are correlated over several pixels,
+    such as errors of the model, and excludes the error of the paraboloid itself, up to a few hundredths of a pixel for
+    a peak as narrow as a point spread function.
 
     References
     ----------

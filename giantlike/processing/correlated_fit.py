@@ -14,12 +14,12 @@ from giantlike.core.statistics import MAD_TO_SIGMA
 from giantlike.core.values import Value
 
 _ITERATIONS = 20
-"""Most iterations of robust weights; they end earlier when the residuals come to rest."""
+"""Maximum iterations of robust weights; they end earlier when the residuals converge."""
 _START_REST, _REST = 0.5, 0.01
 """Motion of the residuals, over a tenth of their median sigma, below which robust weights need no more iterations: on
 the way to a start, and from there."""
 _TUKEY_LIMIT = 1.5
-"""Residual at which a weight reaches zero, over the limit for outliers: what is kept has some weight."""
+"""Residual at which a weight reaches zero, relative to the limit for outliers: kept points have positive weight."""
 _RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 1e6, 22)])
 """Variance of the correlated part over the mean variance of the noise."""
 _LENGTH_STEP = 3.0
@@ -128,7 +128,7 @@ def _weighted(residuals: Float, design: Float, weights: Float) -> Float:
 
 @compiled
 def _remains(residuals: Float, design: Float, solution: Float, left: Float) -> float:
-    """Fill in what a solution leaves (n,) in place of what the one before left; return the largest difference."""
+    """Replace the residuals (n,) of the previous solution by those of a new one; return the largest difference."""
     most = 0.0
     for point in range(len(residuals)):
         before, left[point] = left[point], residuals[point]
@@ -161,7 +161,7 @@ def generalized_solution(
 def solution_gain(design: Float, residual_covariance: Float, *, weights: Float | None = None) -> Float:
     """Matrix that takes residuals to the solution of :func:`generalized_solution`.
 
-    With it goes what each part of the covariance of the residuals does to the solution: ``gain @ part @ gain.T``.
+    It propagates each part of the covariance of the residuals to the solution: ``gain @ part @ gain.T``.
 
     ``design`` (n, k); ``residual_covariance`` (n, n); ``weights`` (n,); returns (k, n).
     """
@@ -225,7 +225,7 @@ def _whitened(values: Float, noise: Float, memory: Float, ratios: Float) -> tupl
     """Whiten columns of values under g covariances: values of variance 1 (g, n, columns), and log determinants (g,).
 
     Noise of variance ``noise`` (n,) is added to a part of variance ``ratios`` (g,) whose correlation from one value to
-    the next is ``memory`` (n - 1, g): a Kalman filter, whose innovations are what is returned, (g, n, columns).
+    the next is ``memory`` (n - 1, g): returns the normalized innovations of a Kalman filter, (g, n, columns).
     """
     white = np.empty((len(values), ratios.size, values.shape[1]))
     state, variance, log_determinant = np.zeros(white.shape[1:]), ratios.copy(), np.zeros(ratios.size)

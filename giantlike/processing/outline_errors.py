@@ -1,9 +1,9 @@
-"""Errors of points along the outline of a body, found from their residuals: noise, and relief by its spectrum.
+"""Errors of points along the outline of a body, estimated from their residuals: noise, and relief by its spectrum.
 
-Relief that a shape does not hold is an error of the outline that neighbors share. Its long waves a fit of the position
-takes up itself, so that residuals show too little of them. But relief has a spectrum: a random field on the sphere
-whose power per degree falls as that of real bodies does says, from the waves that residuals show, how much there is of
-those that they do not. Degrees 0 and 1 are left out: they are size and place of the body, which relief does not change.
+Relief missing from a shape is an error of the outline that is correlated between neighbors. A fit of the position
+absorbs its long waves, so that residuals understate them. They are predicted from the shorter waves by a random field
+on the sphere whose power per degree decreases as on real bodies. Degrees 0 and 1 are excluded: they are size and
+position of the body, which relief does not change.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from giantlike.core.statistics import nearest_covariance
 from giantlike.core.values import Value
 
 _MOST_BINS = 24
-"""Most bins along an outline, in which residuals are averaged before spectra are compared.
+"""Maximum number of bins along an outline, in which residuals are averaged before spectra are compared.
 
-What counts are the long waves; with many bins the likelihood goes by how the shortest ones look. With 16 to 48, squared
-errors per degree of freedom differ by 0.2 on ellipsoids with relief of 1 %, with 64 they are a quarter larger.
+Long waves matter; with many bins the shortest ones dominate the likelihood. With 16 to 48, squared errors per degree of
+freedom differ by 0.2 on ellipsoids with relief of 1 %; with 64 they are a quarter larger.
 """
 _GAP = 3.0
 """Distance between neighbors, over the median of all, that counts as no more than this: a gap is no length of limb."""
@@ -33,11 +33,11 @@ _SMOOTH_DEGREES = (3.0, 6.0, 12.0)
 """Degrees about which the power of smooth relief ends: bumps and old craters of 20, 10 and 5 deg (one sigma)."""
 _SMOOTH = len(_SMOOTH_DEGREES)
 _ROUGH_SHARE = 0.02
-"""Share of rough relief in the variance of smooth relief: no body is without.
+"""Fraction of rough relief in the variance of smooth relief.
 
-Without any, what power there is at degrees far above the end says that there is ten times the relief that shows. With
-0.02, 0.05 and 0.1, squared errors per degree of freedom are 0.8, 0.9 and 1.0 (lines) and 1.0, 1.2 and 1.4 (cells) on
-ellipsoids of 120 px with relief of 1 %, and 1.9, 1.8 and 1.7 on half limbs of fields that follow Kaula's rule.
+With 0, power at degrees far above the end would imply ten times the visible relief. With 0.02, 0.05 and 0.1, squared
+errors per degree of freedom are 0.8, 0.9 and 1.0 (lines) and 1.0, 1.2 and 1.4 (cells) on ellipsoids of 120 px with
+relief of 1 %, and 1.9, 1.8 and 1.7 on half limbs of fields that follow Kaula's rule.
 """
 _LEAST_WAVES = 0.9
 """Waves of the degree about which smooth relief ends that the outline in view must hold: it tells nothing of longer.
@@ -45,13 +45,13 @@ _LEAST_WAVES = 0.9
 An arc of a third of the outline holds one wave of degree 3, but for a few percent of it.
 """
 _LEAST_LENGTH = 1.0 / 12.0
-"""Correlation length over the radius below which a sphere is as good as flat: errors are those of pixels and albedo."""
+"""Correlation length / radius below which a sphere is treated as flat: errors are due to pixels and albedo."""
 _MOST_DEGREE, _ANGLES = 400, 1501
 """Highest degree of spectra, and angles at which their covariances are tabulated: both finer than 0.5 deg."""
 _LEAST_NOISE2 = 0.5
-"""Least variance of the noise over that predicted: neighbors that share pixels make it more, and nothing less.
+"""Minimum ratio of the variance of the noise to the predicted one: neighbors with common pixels only increase it.
 
-With less, residuals that are smooth by chance are taken for relief of few, high waves.
+With a smaller one, residuals that are smooth by chance are mistaken for relief of few, high waves.
 """
 
 
@@ -99,8 +99,8 @@ class OutlineErrors(Value):
 
         Notes
         -----
-        Weights by smooth relief would trust that neighbors err alike to the last digit, and fit a position to how
-        residuals bend: on bodies with relief of 1 % such positions scatter by 0.6 px, without them by 0.3 px.
+        Weights by smooth relief would rely on the exact correlation of neighbors, and fit the position to the curvature
+        of residuals: on bodies with relief of 1 % such positions scatter by 0.6 px, without them by 0.3 px.
         """
         smooth = np.arange(self.log_likelihood.size) >= self.log_likelihood.size - _SMOOTH * _RATIOS.size
         rough = replace(self, log_likelihood=np.where(smooth, -np.inf, self.log_likelihood))
@@ -113,7 +113,8 @@ class OutlineErrors(Value):
             near = np.exp(apart / -length)
             noise += shared[0][0][number] * near
             rough_noise += shared[1][0][number] * near
-        # Relief of a sphere is that of a circle: along other outlines its table may give negative variances.
+        # The table of relief is for the circular outline of a sphere: along other outlines it may give negative
+        # variances.
         relief = nearest_covariance(relief)
         return PointCovariances(noise=noise, relief=relief, for_weights=rough_noise + rough_relief)
 
@@ -137,7 +138,7 @@ class PointCovariances(Value):
     Parameters
     ----------
     noise : (n, n) float64
-        Without relief: independent noise, and what near neighbors share.
+        Without relief: independent noise, and noise common to near neighbors.
     relief : (n, n) float64
         By relief.
     for_weights : (n, n) float64

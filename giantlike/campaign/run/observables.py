@@ -30,7 +30,7 @@ from giantlike.relative.landmarks.surface_features import LandmarkFix
 from giantlike.scene import Scene, TargetGeometry
 
 _MAP_CELLS = 32
-"""Cells along the longer side of a map of residuals: a picture in a report is some 200 px wide; 3 kB in the store."""
+"""Cells along the longer side of a map of residuals: a picture in a report is about 200 px wide; 3 kB in the store."""
 
 
 def status_of(flags: Quality) -> Status:
@@ -102,7 +102,7 @@ def with_stars(
 
 
 def sighting_of(scene: Scene, image: Image, geometry: TargetGeometry) -> SightingRecord:
-    """Record of what was known of a target beforehand."""
+    """A priori record of a target."""
     known = geometry.target.uncertainty
     record = SightingRecord(
         target=geometry.target.name,

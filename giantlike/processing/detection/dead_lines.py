@@ -8,8 +8,8 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.processing.detection.frame_lines import FrameLines
 
 _DARK = 0.5
-"""Signal over that of the darker neighbor below which a pixel may be dead: a point spread function of 0.7 px fills even
-a black line of one pixel to that."""
+"""Signal relative to the darker neighbor below which a pixel may be dead: a point spread function of 0.7 px fills even
+a black line of one pixel to this level."""
 _LEAST_SIGMAS = 16.0
 """Signal of neighbors, standard deviations of the noise without light, from which on a pixel between them tells."""
 _LEAST_LENGTH, _LEAST_SHARE = 8, 0.9

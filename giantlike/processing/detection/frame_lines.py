@@ -15,7 +15,7 @@ from giantlike.core.values import Value
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameLines(Value):
-    """A frame without its bias, and what its rows and columns hold.
+    """A frame without its bias, and maxima and means of its rows and columns.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class FrameLines(Value):
         Of the first and the second half of each row.
     across_largest_dn : (columns,) float64, DN
     across_means_dn : (2, columns) float64, DN
-        The same of columns.
+        As above, for columns.
     """
 
     light_dn: Float

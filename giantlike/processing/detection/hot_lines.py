@@ -10,9 +10,9 @@ from giantlike.processing.detection.dead_lines import whole_lines
 from giantlike.processing.detection.frame_lines import FrameLines
 
 _REACH = 3
-"""Lines on either side whose median is what a line would hold: it follows slopes and edges, which light falls along."""
+"""Number of lines on either side whose median predicts a line: it follows gradients and edges of the signal."""
 _LEAST_SIGMAS = 2.0
-"""Excess over its neighbors, standard deviations of the noise without light, that a hot line has at least: less is
+"""Minimum excess of a hot line over its neighbors, in standard deviations of the noise without light: a smaller one is
 hidden by the noise of each pixel, and all lines of a detector differ a little."""
 _SHARE = 0.7
 """Share of the pixels of a hot part with at least half of its excess: 84 % of those with noise of half of the excess,
@@ -35,8 +35,8 @@ def hot_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:
 
     Notes
     -----
-    Lines of mean brightness that stands out are looked at pixel by pixel. More than two hot lines side by side are not
-    found, nor are those that are hot over less than half of half a frame.
+    Lines whose mean brightness is an outlier are tested pixel by pixel. More than two adjacent hot lines are not found,
+    nor are lines that are hot over less than half of half a frame.
     """
     rows, columns = (_hot_rows(image, noise_dn) for image in (frame, frame.turned))
     return whole_lines(frame.light_dn.shape, rows, columns)

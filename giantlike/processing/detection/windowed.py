@@ -38,7 +38,7 @@ def windowed_centroid(
     """Centroid under a Gaussian window that follows the source.
 
     ``values`` (rows, columns); ``variance`` (rows, columns), noise variance, in the squared unit of ``values``; returns
-    None when the iteration leaves the array, finds no positive flux or does not settle.
+    None when the iteration leaves the array, finds no positive flux or does not converge.
 
     Notes
     -----

@@ -105,8 +105,8 @@ def _esoq2(profile: Float) -> Rotation:
 
     With t the trace of B, S = B + B^T and z its antisymmetric part, ``K q = l q`` for ``q = (e sin, cos)`` of half the
     angle reads ``(l - t) cos = z.e sin`` and ``M e = 0``, ``M = (l - t) ((l + t) I - S) - z z^T``: the axis e is the
-    cross product of two rows of M. That fails for no rotation, so the inertial axes are first turned by half a turn
-    about that of their axes which leaves the largest angle: the one of the smallest trace.
+    cross product of two rows of M. This fails for the identity, so the inertial axes are first rotated by 180 deg about
+    the coordinate axis that gives the largest angle, the smallest trace.
     """
     flips = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
     flip = flips[np.argmin(flips @ np.diag(profile))]

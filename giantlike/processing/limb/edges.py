@@ -1,4 +1,4 @@
-"""Edges between light and dark: whole pixels found along the direction of sunlight, and what a measured edge is.
+"""Edges between light and dark: whole pixels found along the direction of sunlight, and the class of measured edges.
 
 The pixels come from :func:`scan_edges`; ``edges_partial_area`` and ``zernike`` then measure the edge in windows about
 them to a fraction of a pixel.
@@ -47,11 +47,11 @@ class EdgePoints(Value):
     normals_px : (n, 2) float64, unitless
         Unit normals, from light to dark.
     sigma_px : (n,) float64, px
-        Standard deviation along the normal: noise of the pixels, and what the method itself leaves.
+        Standard deviation along the normal: noise of the pixels, and the error of the method.
     sigma_normal_rad : (n,) float64, rad
-        Standard deviation of the direction of the normal by noise.
+        Standard deviation of the direction of the normal from noise.
     contrast_dn : (n,) float64, DN
-        Brightness across the edge, light less dark.
+        Brightness step across the edge, light minus dark.
     """
 
     pixels_px: Pixels

@@ -22,7 +22,7 @@ _RIVAL_COST = 1.0  # an assignment that costs so little more is as good
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Background:
-    """Level and noise of what is dark."""
+    """Level and noise of the sky background."""
 
     level_dn: float
     sigma_dn: float
@@ -131,7 +131,7 @@ def otsu_threshold(values: Float, *, bins: int = 1024) -> float:
 
 
 def background_of(values: Float) -> Background:
-    """Level and noise of the dark among pixels (n,) of which less than half are bright.
+    """Level and noise of the sky background of pixels (n,) of which less than half are bright.
 
     Median and median absolute deviation, bright pixels clipped away.
 
@@ -215,7 +215,7 @@ def identify_blobs(
 
 
 def _assignments(blobs: Blobs, places: Float, looks: Float, search_px: float) -> dict[tuple[int, ...], float]:
-    """Assignments of blobs to bodies and what each costs, about the shift of every first pair."""
+    """Assignments of blobs to bodies and their costs, about the shift of every first pair."""
     found: dict[tuple[int, ...], float] = {}
     for body in range(len(places)):
         for blob in range(len(blobs)):

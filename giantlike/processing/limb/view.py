@@ -15,7 +15,7 @@ from giantlike.core.values import Value
 from giantlike.ray_tracing import FocalPlane
 
 _PATCH_PX = 3
-"""Side of the smallest square of saturated pixels that is taken for a part of a body."""
+"""Side, px, of the smallest square of saturated pixels that is treated as part of a body."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,7 +68,7 @@ class LimbView(Value):
 
     @property
     def with_clipped(self) -> Mask:
-        """Pixels (rows, columns) that are usable or clipped: a clipped one is bright, whatever it holds."""
+        """Pixels (rows, columns) that are usable or clipped: a clipped one is bright, whatever its value."""
         clipped = self.clipped
         return np.asarray(self.usable | clipped) if clipped.any() else self.usable
 
