@@ -1,4 +1,4 @@
-"""Answers in words: what was predicted, found and rejected, which check decided; of an image of a run, or of a fix."""
+"""Explanation of an image of a run, or of a fix, in words: prediction, results, rejections, decisive check."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SOURCES = {
 
 
 def explain(answer: SeenImage | AttitudeFix | CenterFix | Failure) -> str:
-    """Explain the results of an image of a run, or what an estimator or star navigation returned.
+    """Explain the results of an image of a run, or the result of an estimator or of star navigation.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def _problem(problem: Problem | Failure) -> str:
 
 
 def _together(seen: SeenImage, target: str, there: Sequence[ObservationRecord]) -> Iterator[str]:
-    """Which fix to take, and how the others differ from it."""
+    """Recommended fix, and the differences of the others from it."""
     best = chosen_fix(seen, target)
     if best is None or best.center_px is None or best.covariance_px2 is None:
         yield "No estimator made a fix."

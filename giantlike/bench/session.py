@@ -1,4 +1,4 @@
-"""A run with what it was made of: records, images and, where the campaign file is at hand, scenes."""
+"""A run with its inputs: records, images and, where the campaign file is available, scenes."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class SeenImage:
     observations : tuple of ObservationRecord
     points : mapping of (str, str) to mapping
         Lists of points as :meth:`~giantlike.campaign.store.run_folder.RunFolder.points` returns them, by target and
-        estimator of an observation; those of the image itself by two empty names.
+        estimator of an observation; the lists of the image itself by two empty names.
     targets : tuple of TargetRecord
-        Geometry and outlines known beforehand.
+        A priori geometry and outlines.
     edits : tuple of Edit
-        Rejections that stand.
+        Rejections in effect.
     terminators : mapping of str to tuple of (n, 2) float64, px
         By target, where :func:`~giantlike.bench.planes.with_terminators` traced them.
     """
@@ -83,8 +83,8 @@ class Session:
     folder : Path
         The run folder.
     campaign : Path, optional
-        Its campaign file; by default the one that the run was made from, if it is still there. It is needed for what
-        the run does not keep: shapes, backplanes, templates, and to solve again.
+        Its campaign file; by default the one of the run, if it still exists. It is needed for data that the run does
+        not keep (shapes, backplanes, templates) and to solve again.
 
     Raises
     ------

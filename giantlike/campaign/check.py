@@ -1,4 +1,4 @@
-"""All mistakes of a campaign file and of the files that it names, at once, before anything is run."""
+"""Check of a campaign file and of the files that it names: all errors at once, before a run."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ class Mistake:
     ----------
     file : Path
     line : int or None
-        In the campaign file; None where it is about another file, or about all of it.
+        Line of the campaign file; None where the problem concerns another file, or the whole file.
     key : str
         Of the campaign file; may be empty.
     text : str
-        What was found, what was expected, what to do.
+        The finding, the expectation, the remedy.
     fatal : bool
-        False where a run would go on.
+        False where a run would continue.
     """
 
     file: Path
@@ -75,9 +75,9 @@ class Mistake:
 
 
 def check_campaign(path: Path, *, all_images: bool = False) -> list[Mistake]:
-    """Look for mistakes in a campaign file and the files that it names.
+    """Find errors in a campaign file and the files that it names.
 
-    The result is empty if all is well.
+    The result is empty if there are none.
     """
     check = _Check(path)
     try:
@@ -113,7 +113,7 @@ class _Check:
         self.found: list[Mistake] = []
 
     def add(self, key: str, problem: object, *, line: int | None = None, fatal: bool = True) -> None:
-        """Add a mistake; a text that begins with a key tells the place better than ``key``."""
+        """Add an error; a key at the beginning of the text is more specific than ``key``."""
         text = " ".join(str(problem).split()).removeprefix(f"{self.path}: ")
         named = _KEY.match(text)
         if named is not None:
@@ -123,7 +123,7 @@ class _Check:
             self.found.append(Mistake(file=self.path, line=place, key=key, text=text, fatal=fatal))
 
     def attempt(self, key: str, function: Callable[..., Any], *args: Any) -> Any:
-        """Result of a function; None, and a mistake more, if it refuses its arguments."""
+        """Result of a function; None, with an error added, if it rejects its arguments."""
         try:
             return function(*args)
         except (OpNavError, ValidationError) as error:
@@ -212,7 +212,7 @@ def _targets(table: dict[str, Any]) -> Iterator[tuple[int, TargetSection | None]
 
 
 def _pieces(target: TargetSection) -> Iterator[tuple[str, TargetSection]]:
-    """Yield a target once for each of its keys that may be wrong, the others replaced by what is right."""
+    """Yield a target once for each of its keys that may be wrong, the others replaced by valid values."""
     kept = {"options": {}, "estimators": ["moment"]}
     yield "shape", target.model_copy(update=kept | {"reflectance": None})
     yield "reflectance", target.model_copy(update=_ALONE | {"reflectance": target.reflectance})
@@ -222,7 +222,7 @@ def _pieces(target: TargetSection) -> Iterator[tuple[str, TargetSection]]:
 
 
 def _what_is_meant(check: _Check, campaign: Campaign, *, all_images: bool) -> None:
-    """What is allowed, and probably not meant."""
+    """Warnings of settings that are allowed but probably not intended."""
     told = {mistake.key for mistake in check.found}
     for warning in campaign.warnings:
         named = re.match(r"target '(.*?)'", warning)

@@ -56,7 +56,7 @@ class ExportFormat(StrEnum):
 
 
 class PointingSource(StrEnum):
-    """What exported attitudes are from."""
+    """Source of exported attitudes."""
 
     STARS = "stars"
     """The attitudes of the run: stars, or transferred from them."""
@@ -92,11 +92,11 @@ class ExportOptions:
     stars_only : bool
         Leave out attitudes that were transferred from other images.
     max_gap_s : float, s
-        CK and AEM: longest gap to interpolate over. The default was chosen without a study.
+        CK and AEM: longest gap to interpolate over. The default is not from a study.
     instrument_id : int, optional
         CK: NAIF code of the camera frame.
     frame_name : str, optional
-        CK and AEM: name of the camera frame; default: that of the mission's frame or of the camera.
+        CK and AEM: name of the camera frame; default: the mission's frame, or the name of the camera.
     sclk : Path, optional
         CK: clock kernel of the spacecraft; without it, one is made.
     ck_type : int
@@ -104,7 +104,7 @@ class ExportOptions:
     object_name, object_id, originator : str
         AEM: see :func:`~giantlike.io.ccsds_aem.write_aem`. TDM, PSF: the spacecraft, and who writes the message.
     angles : Angles
-        TDM: what is removed of the angles.
+        TDM: corrections removed from the angles.
     sip_order : int
         WCS: order of the polynomials, 2 to 9.
     """

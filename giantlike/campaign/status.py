@@ -1,4 +1,4 @@
-"""State of a run, finished or at work: what is done, what failed and why, who is at it."""
+"""State of a run, finished or in progress: results, failures with reasons, and who runs it."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ def _names(estimate: str) -> list[str]:
 
 
 def _show(summary: dict[str, Any], page: str, *, json: bool) -> None:
-    """Write JSON; or the table, what took no part, why the camera is not used, and where the page is."""
+    """Write JSON; or the table, the excluded images, why the camera is not used, and the path of the page."""
     if json:
         print_json(summary)
         return

@@ -1,4 +1,4 @@
-"""``giantlike shape render``: a picture of a shape for people."""
+"""``giantlike shape render``: a picture of a shape."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _LARGEST_PX = 8192  # 64 megapixels; bounds the memory of a picture
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """From where a shape is seen, and in what light.
+    """Viewing and illumination geometry of a picture of a shape.
 
     Parameters
     ----------

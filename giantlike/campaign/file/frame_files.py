@@ -20,7 +20,7 @@ from giantlike.processing.calibration_frames import CalibrationFrames, combine_f
 
 _KEY = "calibration_frames"
 _SAME_EXPOSURE = 0.01
-"""Relative difference up to which darks count as of one exposure: that of shutters."""
+"""Relative difference up to which darks count as of one exposure, as of shutters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +91,7 @@ class FrameFiles:
         }
 
     def identity(self) -> tuple[Any, ...]:
-        """What corrected pixels depend on: the content of the files, and how they are read."""
+        """Inputs of corrected pixels: the content of the files, and how they are read."""
         hashes = {kind: [file_sha256(path) for path in paths] for kind, paths in self._kinds().items()}
         return hashes, self.dark_exposure_s, self.dark_has_bias, self.flat_has_bias, self.hdu, self.bottom_up
 

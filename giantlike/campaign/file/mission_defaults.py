@@ -15,7 +15,7 @@ _ADDITIONS = frozenset({"binned"})
 
 
 def with_mission(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
-    """Complete the table of a campaign file by what its mission says; keys that are there win.
+    """Complete the table of a campaign file by the defaults of its mission; existing keys take precedence.
 
     Notes
     -----

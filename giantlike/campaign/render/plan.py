@@ -104,7 +104,7 @@ class RenderPlan(Value):
         Name or path of the catalog; None: no stars.
     spice : SpiceSetup or None
     warnings : tuple of str
-        Oddities that are not mistakes.
+        Oddities that are not errors.
     """
 
     path: Path

@@ -39,7 +39,7 @@ class RenderSection(SceneSection):
     truth: bool = True
     """Add the truth as FITS extensions."""
     backplanes: bool = False
-    """Add maps of what each pixel sees as FITS extensions."""
+    """Add backplanes of each pixel as FITS extensions."""
     preview: bool = False
     """Write a PNG for each image."""
     campaign: bool = False
@@ -88,7 +88,7 @@ class DetectorSection(SceneSection):
     """``[detector]``: detector effects beyond the ``[detector]`` of the camera file."""
 
     pattern_seed: int = Field(default=0, ge=0)
-    """Seed of what all images share: pixel response, hot and dead pixels."""
+    """Seed of the properties common to all images: pixel response, hot and dead pixels."""
     shot_noise: bool = True
     """Add the Poisson noise of light and dark current."""
     bits: int = 16

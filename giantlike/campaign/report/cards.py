@@ -1,4 +1,4 @@
-"""Cards of the report of a run: one image each, with what was found in it, in numbers, words and pictures."""
+"""Cards of the report of a run: one image each, with its results in numbers, words and pictures."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class FixLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Card:
-    """One image of the report, with what was found in it.
+    """One image of the report, with its results.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def fix_line(record: ObservationRecord) -> FixLine:
 
 
 def card(result: RunResult, record: AttitudeRecord, colors: Mapping[str, str]) -> Card:
-    """One image with what was found in it."""
+    """One image with its results."""
     folder = RunFolder(result.folder)
     observations = [one for image in result.bodies if image.file == record.file for one in image.observations]
     targets = dict.fromkeys(one.target for one in observations)

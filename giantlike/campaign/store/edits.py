@@ -1,8 +1,8 @@
-"""The edit list of a run: stars, images and fixes that a person rejected or restored, with who, when and why.
+"""The edit list of a run: stars, images and fixes that a user rejected or restored, with who, when and why.
 
-``edits.jsonl`` in the run folder has a line per edit and only grows; the last word on a thing counts. Rejected images
+``edits.jsonl`` in the run folder has a line per edit and only grows; the last edit of an item counts. Rejected images
 and fixes keep their results in the store, so that they can be restored, and are failures with the reason ``rejected``
-wherever a run is read: tables, report, exports. An image of which a star is rejected is solved again.
+wherever a run is read: tables, report, exports. An image with a rejected star is solved again.
 """
 
 from __future__ import annotations

@@ -136,7 +136,7 @@ class Residuals(PlainRecord):
 
 
 class SightingRecord(PlainRecord):
-    """What was known of a target in an image beforehand, for its observables.
+    """A priori data of a target in an image, for its observables.
 
     Parameters
     ----------

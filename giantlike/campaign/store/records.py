@@ -97,11 +97,11 @@ class Attitude(PlainRecord):
     covariance_rad2 : (3, 3) list of float, optional, rad^2
         Of the small rotation about the camera axes; None where unknown.
     parts : mapping of Cause to (3, 3) list of float, rad^2
-        The covariance by cause; empty where all of it is noise.
+        The covariance by cause; empty where all is noise.
     by_camera : (3, m) list of float, optional, rad per unit of each parameter of the camera model
         Derivative of the small rotation, as in :class:`~giantlike.core.outcomes.AttitudeErrors`.
     flags : list of str
-        Names of the flags that fixes made with this attitude share.
+        Names of the flags that fixes made with this attitude inherit.
     """
 
     source: str
@@ -118,7 +118,7 @@ class Attitude(PlainRecord):
 
     @property
     def errors(self) -> AttitudeErrors:
-        """Errors by cause, those shared with the camera, and flags."""
+        """Error budget, errors in common with the camera, and flags."""
         flags = Quality.NONE
         for name in self.flags:
             flags |= Quality[name.upper()]
@@ -137,7 +137,7 @@ class Attitude(PlainRecord):
 
 
 class ImageRecord(PlainRecord):
-    """Base of what one step of a run makes of an image, or of a target in it; one row in the run folder.
+    """Base of the result of one step of a run for an image, or a target in it; one row in the run folder.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class ImageRecord(PlainRecord):
         return "", ""
 
     def light(self) -> Self:
-        """Return the record without its lists of points: what is kept in memory of thousands of images."""
+        """Return the record without its lists of points, which is kept in memory for thousands of images."""
         empty = _without_points(type(self))
         return self.model_copy(update={name: copy(value) for name, value in empty.items()})
 
@@ -184,7 +184,7 @@ def _without_points(kind: type[ImageRecord]) -> dict[str, Any]:
 
 
 class _TriedRecord(ImageRecord):
-    """Base of what a step may fail to make."""
+    """Base of the results of steps that may fail."""
 
     problem: Problem | None = None
 
@@ -344,11 +344,11 @@ class ObservationRecord(_TriedRecord):
     parts : mapping of Cause to (k, k) list of float
         Covariance by cause, as in :class:`~giantlike.core.outcomes.CenterFix`.
     partials : mapping of Cause to (k, m) list of float
-        Derivatives of the place, as there.
+        Derivatives of the position, as there.
     turn : TurnRecord, optional
     landmarks : Landmarks, optional
     limb_px, limb_rejected_px : (n, 2) list of float, px
-        Limb points used, and those of the lit limb that were not.
+        Limb points used, and points of the illuminated limb that were not.
     outline_px : (n, 2) list of float, px
         Outline of a template at the fix.
     residuals : Residuals, optional
@@ -424,13 +424,13 @@ class TargetView(PlainRecord):
 
 
 class TargetRecord(ImageRecord):
-    """What was known of a target in an image beforehand: its geometry, and its outline for the report.
+    """A priori data of a target in an image: its geometry, and its outline for the report.
 
     Parameters
     ----------
     target : str
     sighting : SightingRecord, optional
-        None if the geometry is not known.
+        None if the geometry is unknown.
     view : TargetView, optional
         None if no picture is wanted, if the target cannot be imaged, or for the reason in ``note``.
     note : str, optional
