@@ -56,11 +56,11 @@ class Cause(StrEnum):
 
 
 OUTSIDE = (Cause.ATTITUDE, Cause.EPHEMERIS, Cause.ABERRATION, Cause.EPOCH)
-"""Causes that leave the position in camera axes as it is: they matter where it meets inertial axes or a prediction.
+"""Causes that do not affect the position in camera axes, only its comparison with inertial axes or a prediction.
 
-An attitude turns the body that is looked for as well: that error of its place in the image is ``ORIENTATION``."""
+An attitude error also rotates the predicted body: its effect on the position in the image is ``ORIENTATION``."""
 IN_POSITION = tuple(cause for cause in Cause if cause not in OUTSIDE)
-"""Causes in ``covariance_camera_km2``: those in the image, and the camera that turns pixels into directions."""
+"""Causes in ``covariance_camera_km2``: causes in the image, and the camera that converts pixels to directions."""
 IN_IMAGE = tuple(cause for cause in IN_POSITION if cause is not Cause.CAMERA)
 """Causes in ``covariance_px2``: noise, and models that move the center measured in the image.
 

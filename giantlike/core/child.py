@@ -1,4 +1,4 @@
-"""Calls of C libraries that a damaged file can end: made in a process of their own, with limits on time and memory.
+"""Calls of C libraries that a damaged file can crash, in a separate process with limits on time and memory.
 
 CSPICE trusts the pointers and texts of its kernels. A function is named by its module; it takes a path and returns
 arrays by name, which come back as an ``.npz`` archive. Where the system can fork, a template process that has imported
@@ -124,7 +124,7 @@ class _Template:
         if self._socket is not None:
             self._socket.close()
         if self._process is not None:
-            self._process.returncode = 0  # it is no child of this process: nothing to wait for
+            self._process.returncode = 0  # not a child of this process: nothing to wait for
         self.__init__()  # type: ignore[misc]
 
 
@@ -217,7 +217,7 @@ def _limit(size: int) -> None:
     wanted = {
         resource.RLIMIT_CPU: _BASE_CPU_S + _CPU_S_PER_MB * size // 1_000_000,
         resource.RLIMIT_DATA: _BASE_BYTES + _BYTES_PER_BYTE * size,
-        resource.RLIMIT_CORE: 0,  # the end of such a process is no news
+        resource.RLIMIT_CORE: 0,  # the end of such a process is expected
     }
     for kind, most in wanted.items():
         _, hard = resource.getrlimit(kind)

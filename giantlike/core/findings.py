@@ -80,7 +80,7 @@ class Response(_Stated):
         return np.asarray(self.dark_dn + above + self.bend * above * (above / span_dn - 1.0))
 
     def slope_at(self, light_dn: Float) -> Float:
-        """Return the derivative (...) of :meth:`light_dn` by the values that stand for a light (...), DN."""
+        """Return the derivative (...) of :meth:`light_dn` at the values of a linear signal (...), DN."""
         share = (light_dn - self.dark_dn) / (self.bright_dn - self.dark_dn)
         return np.sqrt(np.maximum((1.0 - self.bend) ** 2 + 4.0 * self.bend * share, 0.0))
 
@@ -186,7 +186,7 @@ class Corrections(_Stated):
     altitude_sigma_km : float or None, km
         Standard deviation of the altitude, by haze or an atmosphere.
     limb_blur_px2 : float or None, px^2
-        Variance of the blur of the limb beyond that of the camera.
+        Variance of the blur of the limb in excess of the camera's.
     seen_size : float or None
         Ratio of the size of the body to its size at the predicted range, of fixes without a range.
     """

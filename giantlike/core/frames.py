@@ -23,7 +23,7 @@ INERTIAL_FRAME = "J2000"
 
 
 def require_same_frame(have: str, need: str) -> None:
-    """Raise unless two frame names agree; an empty name stands for a frame that is not known and fits any other."""
+    """Raise unless two frame names agree; an empty name denotes an unknown frame and matches any other."""
     if have and need and have != need:
         raise FrameMismatchError(have, need)
 

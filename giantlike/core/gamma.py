@@ -40,7 +40,7 @@ class GammaCurve:
     ----------
     gamma : float or 'srgb'
     full_scale_dn : float, DN
-        Value above bias that stands for the brightest light.
+        Value above bias of the brightest signal.
 
     Examples
     --------
@@ -70,7 +70,7 @@ class GammaCurve:
         return np.asarray(np.copysign(light, values) * self.full_scale_dn)
 
     def values_dn(self, light_dn: ArrayLike) -> Float:
-        """Return the values that stand for light: the inverse of :meth:`light_dn`.
+        """Return the values of a linear signal: the inverse of :meth:`light_dn`.
 
         ``light_dn`` (...); returns (...).
         """
@@ -100,8 +100,8 @@ class GammaCurve:
 
         ``variance_dn2`` (64,), of the values of :meth:`samples_dn`; returns ``constant`` in DN^2; ``linear`` in DN;
         ``square``: of ``constant + linear light + square light^2``, none of which is negative: the variance of the
-        values times the squared slope, by least squares relative to it, right to a factor of 2 (of 1.4 in sigma) where
-        light goes as a power of 2.2.
+        values times the squared slope, by relative least squares, accurate to a factor of 2 (1.4 in sigma) for a power
+        of 2.2.
         """
         from scipy.optimize import nnls
 

@@ -246,7 +246,7 @@ class CenterFix(Pictured, Value):
     Raises
     ------
     InputError
-        There are places, but not one for each residual; a part or a derivative has another shape, a part is not
+        There are positions, but not one for each residual; a part or a derivative has another shape, a part is not
         symmetric or not positive semi-definite, or the parts do not sum to the covariance.
     """
 
@@ -284,7 +284,7 @@ class CenterFix(Pictured, Value):
         return f"{type(self).__name__}({self._words()})"
 
     def _words(self) -> str:
-        """Target, status and place with its standard deviations."""
+        """Target, status and position with its standard deviations."""
         (x, y), (sigma_x, sigma_y) = self.center_px, np.sqrt(np.diag(self.covariance_px2))
         place = f"({x:.3f}, {y:.3f}) +- ({sigma_x:.2g}, {sigma_y:.2g}) px"
         return f"{self.target} by {self.estimator}: {_status(self.flags)}, center {place}"
@@ -350,18 +350,17 @@ class PositionFix(CenterFix):
     ----------
     position_camera_km : (3,) float64, km, camera axes
         Apparent position of the origin of the shape model from the camera: light time and aberration not removed. Its
-        length, the range, is the distance by which the size in the image goes: the distance that the light came in
-        the frame of the observer, :func:`~giantlike.core.light.boosted`.
+        length, the range, is the distance that gives the size in the image: the light path in the frame of the
+        observer, :func:`~giantlike.core.light.boosted`.
     covariance_camera_km2 : (3, 3) float64, km^2, camera axes
-        Covariance of the position in camera axes: the causes of ``covariance_px2``, and the camera model by which
-        pixels became directions, as it is without the attitude. The attitude and the ephemeris of the target are not
-        in it.
+        Covariance of the position in camera axes: the causes of ``covariance_px2``, and the camera model alone, which
+        converts pixels to directions. The attitude and the ephemeris of the target are not in it.
     limb_px : (n, 2) float64, px
         Points in the image, for overlays: the limb points used, landmarks used, or the outline of a template.
     limb_rejected_px : (k, 2) float64, px
-        Points of the lit limb that were not used: where they were measured, or predicted where that failed.
+        Points of the illuminated limb that were not used, as measured or, failing that, as predicted.
     turn : BodyTurn or None
-        Turn of the body about the line of sight, of estimators that measure one.
+        Rotation of the body about the line of sight, of estimators that measure it.
     """
 
     position_camera_km: Float

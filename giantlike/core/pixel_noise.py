@@ -18,7 +18,7 @@ UNKNOWN_READ_NOISE_E = 5.0
 _LEAST_VALUES = 16
 """Different values that a common step needs: fewer have one by chance, 16 once in 30,000 images."""
 _SAMPLE = 16_384
-"""Pixels that are looked at for the step, about; all steps between values of the sky occur among so many."""
+"""Approximate number of pixels sampled for the step; enough to contain all steps between values of the sky."""
 _STEP_TOLERANCE = 0.05
 """Largest distance of a difference of two values from a multiple of the step, in steps.
 
@@ -30,7 +30,7 @@ _BLOCK_PX = 16
 """Side, px, of the blocks that noise is measured in: small compared with gradients of the sky; one gives it to 4.5
 %."""
 _BLOCKS = 4096
-"""Blocks that are looked at: all of an image of 1024 x 1024 pixels."""
+"""Maximum number of sampled blocks: all of an image of 1024 x 1024 pixels."""
 _DARKEST = 0.25
 """Fraction of the blocks, darkest first, treated as sky.
 
@@ -61,7 +61,7 @@ def value_step(pixels: NDArray[Any], mask: Mask | None = None) -> float:
     >>> value_step(counts), value_step(16 * counts), round(value_step(1e-4 * counts), 12), value_step(np.sqrt(counts))
     (1.0, 16.0, 0.0001, 0.0)
     """
-    every = max(pixels.size // _SAMPLE, 1) | 1  # odd, or only some columns would be looked at
+    every = max(pixels.size // _SAMPLE, 1) | 1  # odd, or only some columns would be sampled
     sample = pixels.ravel()[::every]
     if mask is not None:
         sample = sample[~mask.ravel()[::every]]
@@ -172,7 +172,7 @@ class _Blocks:
         """Growth of the variance with the signal in the smoothest bright blocks; None where that is not to be seen."""
         above, dark = self.levels - float(np.median(self.levels[self.sky])), self.sky_variance
         bright = above > max(_BRIGHT * float(np.quantile(above, 0.99)), _BRIGHT_SIGMAS * math.sqrt(dark))
-        bright &= (self.largest < self.largest.max()) & (self.variances > 0.0)  # neither saturated nor smeared out
+        bright &= (self.largest < self.largest.max()) & (self.variances > 0.0)  # neither saturated nor blurred
         if np.count_nonzero(bright) < _MIN_BRIGHT_BLOCKS:
             return None
         least = float(gammaincinv(0.5 * self.freedom, _SMOOTHEST)) / (
@@ -184,9 +184,9 @@ class _Blocks:
 
 
 def sky_noise(pixels: NDArray[Any], mask: Mask | None = None) -> float:
-    """Standard deviation of the pixels in the dark parts of an image, about planes.
+    """Standard deviation of the pixels of the sky background of an image, about planes.
 
-    ``pixels`` in DN; returned in DN, 0 where most of the dark parts are equal pixels, as in a render without noise or
+    ``pixels`` in DN; returned in DN, 0 where most of the background has equal pixels, as in a render without noise or
     in a clipped image.
     """
     return math.sqrt(_Blocks.of(pixels, mask).sky_variance)

@@ -15,9 +15,9 @@ class Reason(StrEnum):
     The detail names the file and its error.
     """
     NO_SIGNAL = "no_signal"
-    """Nothing stands out of the noise where the target should be.
+    """Nothing exceeds the noise at the predicted position of the target.
 
-    Look at the image: exposure, pointing, the right target; widen `search_px` if it lies farther off.
+    Look at the image: exposure, pointing, the correct target; widen `search_px` if it lies farther away.
     """
     MASKED = "masked"
     """Bad pixels cover the signal that would be measured.
@@ -42,7 +42,8 @@ class Reason(StrEnum):
     TOO_FEW_MATCHES = "too_few_matches"
     """Too few detections, or landmarks, match at any pose near the a priori one.
 
-    Check the a priori attitude, the focal length and the observer; let stars be sought over the sky (`lost_in_space`).
+    Check the a priori attitude, the focal length and the observer; search for stars over the whole sky
+    (`lost_in_space`).
     """
     NO_PATTERN_MATCH = "no_pattern_match"
     """No pattern of detections is one of the catalog.
@@ -50,9 +51,9 @@ class Reason(StrEnum):
     Check the field of view and distortion of the camera, and the epoch; look for trails and dense fields.
     """
     AMBIGUOUS = "ambiguous"
-    """Two answers explain the image as well.
+    """Two solutions fit the image equally well.
 
-    Give a better a priori, or look which of them is right.
+    Give a better a priori, or check which of them is correct.
     """
     FOV_MISMATCH = "fov_mismatch"
     """The scale of the image differs from the scale of the camera.
@@ -95,7 +96,7 @@ class Reason(StrEnum):
     Nothing, if that is true; else check the direction of the Sun.
     """
     NO_LIMB = "no_limb"
-    """There is no limb to measure: the body is too small, not resolved, or its edge does not stand out.
+    """There is no limb to measure: the body is too small, not resolved, or its edge has no contrast.
 
     The detail tells which; small bodies are for `cross_correlation`, `moment` or `unresolved`.
     """
@@ -148,7 +149,7 @@ class Quality(enum.Flag):
     SATURATED = enum.auto()
     """Saturated pixels lie in the measured region.
 
-    They are left out; a shorter exposure would tell more.
+    They are left out; a shorter exposure would give more information.
     """
     MASKED = enum.auto()
     """Bad pixels lie in the measured region.
@@ -181,7 +182,7 @@ class Quality(enum.Flag):
     Range and the direction along the arc are less precise; the covariance includes this.
     """
     LOW_SCORE = enum.auto()
-    """All of the limb is saturated, so that only the wings of the point spread function are left of it.
+    """All of the limb is saturated, so that only the wings of the point spread function remain.
 
     Expose shorter, or use an estimator of light that knows saturation.
     """
@@ -191,10 +192,10 @@ class Quality(enum.Flag):
     Look at the rejected ones: a wrong shape, clouds, relief or a second body.
     """
     FAR_FROM_PREDICTION = enum.auto()
-    """The estimate lies at or beyond the border of the declared search, or beyond declared errors of the prediction,
-    also by the size of the body in the image.
+    """The estimate lies at or beyond the edge of the declared search, or beyond declared errors of the prediction,
+    including the size of the body in the image.
 
-    Check that it is the right target, and the errors declared of ephemeris and attitude.
+    Check that it is the correct target, and the declared errors of ephemeris and attitude.
     """
     LARGE_RESIDUALS = enum.auto()
     """Residuals of stars, or of a triangulation, are several times the noise.
@@ -209,10 +210,10 @@ class Quality(enum.Flag):
     Check which of them is the target, or narrow the search; of stars, look for a second exposure.
     """
     OBSERVER_UNKNOWN = enum.auto()
-    """The velocity of the observer is not known: the attitude holds stellar aberration, up to 20 arcsec at 1 au.
+    """The velocity of the observer is unknown: the attitude contains stellar aberration, up to 20 arcsec at 1 au.
 
-    The covariance holds it too, as the part `aberration`. Give the position and velocity of
-    the observer with respect to the solar system barycenter: kernels or tables relative to the target do not tell it.
+    The covariance includes it, as the part `aberration`. Give the position and velocity of the observer with respect to
+    the solar system barycenter: kernels or tables relative to the target do not contain it.
     """
     EPOCH_UNKNOWN = enum.auto()
     """No epoch: stars were taken where the catalog has them, at J2016.0, with the error of that in the covariance.
@@ -259,9 +260,10 @@ class Quality(enum.Flag):
     sigma larger.
     """
     DEFOCUSED = enum.auto()
-    """The stars are much wider than the camera's optics make them, in all directions alike: no focus, or a wrong psf.
+    """The stars are much wider than the camera's point spread function, in all directions: no focus, or a wrong psf.
 
-    Their places and the covariance hold. Give the camera the width that its stars have before bodies are measured.
+    Their positions and the covariance are valid. Give the camera the width that its stars have before bodies are
+    measured.
     """
     SUSPECT = (
         LOW_SCORE

@@ -147,7 +147,7 @@ def _optics(plan: Plan, psf: Psf, *, hard: bool) -> Plan:
 
 
 def motion(plan: Plan, rng: np.random.Generator) -> Plan:
-    """The camera turned during the exposure."""
+    """The camera rotated during the exposure."""
     angle, length = rng.uniform(0.0, math.pi), log_uniform(rng, 1.0, 30.0)
     path = (length * math.cos(angle), length * math.sin(angle))
     return _optics(plan, Psf(PSF_PX, motion_px=path), hard=length > 1.5)
@@ -177,7 +177,7 @@ def _maybe_masked(plan: Plan, rng: np.random.Generator) -> Plan:
 
 
 def bit_flips(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Bits turned over in memory."""
+    """Bit flips in memory."""
     share = log_uniform(rng, 1e-4, 0.05)
     return _read(plan, readouts.bit_flips(share), hard=share > 1e-3)
 

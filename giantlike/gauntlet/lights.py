@@ -101,7 +101,7 @@ def other_body(body: Body, position_camera_km: Float, brightness: float, *, in_f
 
 
 def coverage(world: World, body: Body, position_camera_km: Float) -> Float:
-    """Share (rows, columns) of each pixel that a body covers, lit or not."""
+    """Fraction (rows, columns) of each pixel that a body covers, illuminated or not."""
     toward = -position_camera_km / np.linalg.norm(position_camera_km)
     pose = Pose(position_camera_km, world.camera_from_body, toward)
     return render_body(
@@ -210,7 +210,7 @@ def dark(signal: Float, world: World, rng: np.random.Generator) -> Float:
 
 
 def moon_of(rng: np.random.Generator, world: World) -> tuple[EllipsoidBody, Float]:
-    """A round moon between camera and target: its figure, and its place in camera axes, km.
+    """A spherical moon between camera and target: its shape, and its position in camera axes, km.
 
     Returns (3,).
     """

@@ -31,7 +31,7 @@ def _direction(rng: np.random.Generator) -> Float:
 
 
 def wrong_time(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Predict the body where it was, and turned as it was, at another time."""
+    """Predict the body with its position and orientation at another time."""
     world, told = plan.world, plan.told
     late = log_uniform(rng, 0.05, 1.0) * rng.choice([-1.0, 1.0])
     angle = rng.uniform(0.0, 2.0 * math.pi)
@@ -66,7 +66,7 @@ def wrong_roll(plan: Plan, rng: np.random.Generator) -> Plan:
 
 
 def wrong_scale(plan: Plan, rng: np.random.Generator, *, share: float) -> Plan:
-    """Tell a body too large or too small by a share of its size."""
+    """Assume a body too large or too small by a fraction of its size."""
     told = plan.told
     assert told.shape is not None
     new: dict[str, object] = {"shape": scaled(told.shape, 1.0 + share * rng.choice([-1.0, 1.0]))}

@@ -29,7 +29,7 @@ ATTITUDE_SIGMA_DEG = 0.02
 FOCAL_SIGMA, CENTER_SIGMA_PX = 5e-5, 0.02
 """Calibration of the camera: relative error of the focal length and error of its center, px, of a good calibration."""
 EPHEMERIS_SIGMA = (5e-4, 2e-3)
-"""Ephemeris of the target, share of the range along each axis, smallest and largest: 2.5 to 10 px across."""
+"""Sigma of the ephemeris along each axis, as a fraction of the range, minimum and maximum: 2.5 to 10 px."""
 LARGEST_SIGMAS = 3.0
 """Priors are normal and cut off here: the prediction stays within 30 px and 0.6 % of range, inside every search."""
 DECLARED_SHARE = 0.75
@@ -135,17 +135,13 @@ class Told(Value):
         Relative.
     attitude_error : Rotation
         ``told camera_from_inertial = attitude_error * true camera_from_inertial``.
-    attitude_sigma_deg : float, deg
-        Stated.
-    focal_factor : float
+    attitude_sigma_deg : float, deg Declared. focal_factor : float
         Ratio of the assumed to the true focal length.
     center_shift_px : (2,), px
         Assumed minus true center.
     focal_sigma : float
         Declared, relative.
-    saturation_dn : float, DN
-        Stated.
-    dn_scale : float
+    saturation_dn : float, DN Declared. dn_scale : float
         DN of the image for each DN of the detector: below 1 after requantization.
     mask : callable, optional
         Bad pixels that are declared: from the pixels that were read (rows, columns) to (rows, columns) bool.
@@ -236,7 +232,7 @@ LARGEST_ROCK_PX = 130.0
 POINT_PX = (1.0, 3.0)
 """Diameters of bodies that are points of light, px."""
 _MARGIN, _LEAST_FRAME_PX, _STAR_FRAME_PX = 1.6, 256, 512
-"""Frame over the diameter of the body; the smallest frame; the frame of the star camera, px."""
+"""Ratio of frame to diameter of the body; the smallest frame; the frame of the star camera, px."""
 
 
 def normal(rng: np.random.Generator, size: int) -> Float:
@@ -261,7 +257,7 @@ def body_plan(rng: np.random.Generator, base: Base) -> Plan:
     size = int(np.clip(_MARGIN * diameter + 76.0, _LEAST_FRAME_PX, base.largest_frame_px))
     view = PinholeView(FOCAL_PX, tuple(0.5 * (size - 1) + rng.uniform(-3.0, 3.0, 2)), size, size)
     body, shape = _figure(rng, rocky=rocky)
-    # Any place at which the whole body is in the frame, with some pixels of sky around it.
+    # Any position with the whole body in the frame, with a few pixels of sky around it.
     free = max(0.5 * size - 0.65 * diameter - 12.0, 2.0)
     sight = view.directions(0.5 * (size - 1) + rng.uniform(-free, free, 2))
     sight /= np.linalg.norm(sight)

@@ -63,7 +63,7 @@ def zero_mask(pixels: Float) -> Float:
 
 
 def bit_flips(share: float) -> Readout:
-    """Bits turned over in memory, any of each word."""
+    """Bit flips in memory, at any bit of a word."""
 
     def flip(pixels: Float, rng: np.random.Generator) -> Float:
         words = np.clip(pixels, 0.0, 2.0**WORD_BITS - 1.0).astype(np.int64)

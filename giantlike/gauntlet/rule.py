@@ -46,9 +46,10 @@ LEAST_SNR, LARGEST_PHASE_DEG = 15.0, 110.0
 LARGEST_OFFSET_PX, LARGEST_RANGE_ERROR = 30.0, 0.02
 """Error of the prediction within which an answer is demanded: inside the 40 px and 3 % of the narrowest search."""
 POINT_PX, TEMPLATE_PX, LIMB_PX, ELLIPSE_PX = 3.0, 15.0, 40.0, 60.0
-"""Largest point of light; least diameters for templates and moments, for limbs, and for limbs without a prediction."""
+"""Maximum diameter of a point source; minimum diameters for templates and moments, limbs, and limbs without a
+prediction."""
 LEAST_LIMB_PX, LEAST_STARS = 60.0, 15
-"""Length of lit limb in the frame, px, and stars of the catalog in the frame, from which on an answer is demanded."""
+"""Minimum length of illuminated limb, px, and number of catalog stars in the frame for which an answer is required."""
 MARGIN_PX = 10.0
 """Sky around a body that is wholly in the frame, px."""
 _OUTLINE_POINTS = 360

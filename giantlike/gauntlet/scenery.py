@@ -15,7 +15,7 @@ from giantlike.gauntlet.plan import Plan, World, log_uniform, star_plan, sun_at
 from giantlike.independent import Body, EllipsoidBody, ReliefBody, Sampling
 
 _THINNEST_DEG = 1.0
-"""Least phase angle short of 180, deg."""
+"""Minimum distance of the phase angle from 180, deg."""
 _CRESCENT = Sampling(cells=6, edge_rays=10)
 """Rays for thin crescents: 3,600 a pixel at the edge."""
 _DUST_CORE = 0.5
@@ -23,7 +23,7 @@ _DUST_CORE = 0.5
 
 
 def _moved_target(plan: Plan, place_px: Float, *, sun: Float | None = None, predicted: bool = True) -> Plan:
-    """The plan with the target at another place of the image, and its prediction with it."""
+    """The plan with the target, and its prediction, at another position in the image."""
     world, told = plan.world, plan.told
     sight = world.view.directions(place_px)
     position = world.range_km * sight / np.linalg.norm(sight)
@@ -133,7 +133,7 @@ def _beside(world: World, rng: np.random.Generator, away_px: tuple[float, float]
 
 
 def twin(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Add the target a second time, at another place."""
+    """Add the target a second time, at another position."""
     world = plan.world
     diameter = _diameter_px(world)
     assert world.body is not None

@@ -55,10 +55,7 @@ class Stage(Value):
         Without noise.
     pixels_dn : (rows, columns) float64, DN
         As they arrive.
-    image : Image
-    camera : Camera
-        As told.
-    scene : Scene, optional
+    image : Image camera : Camera As assumed. scene : Scene, optional
         As assumed; None for images of stars.
     catalog : MemoryCatalog, optional
         As assumed; None for images of bodies.
@@ -203,7 +200,7 @@ def _camera(plan: Plan) -> Camera:
     view, told = plan.world.view, plan.told
     focal = view.focal_px * told.focal_factor
     center = np.asarray(view.center_px) + told.center_shift_px
-    # One relative error of both focal lengths, and errors of the center of their own.
+    # One relative error of both focal lengths, and separate errors of the center.
     spread = np.zeros((4, 4))
     spread[:2, :2] = (told.focal_sigma * focal) ** 2
     spread[2, 2] = spread[3, 3] = CENTER_SIGMA_PX**2

@@ -26,13 +26,13 @@ matters."""
 WRONG_PX, WRONG_RANGE = 0.5, 0.005
 """Errors of the center, px, and of the range, relative, from which on they matter."""
 VAGUE_FACTOR = 3.0
-"""Sigma over the nominal one from which on an answer is vague."""
+"""Ratio of sigma to the nominal one above which an answer is vague."""
 NAMES = (*ESTIMATORS, STARS)
 """Names of all estimators of the gauntlet, the star chain last."""
 _STATED = (Cause.CAMERA, Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN, Cause.ORIENTATION, Cause.ABERRATION, Cause.EPOCH)
 """Parts of a covariance that are declared with the image, not measured in it."""
 _SURFACE_PX = 180.0
-"""Least diameter, px, of bodies on which surface_features is tried: landmarks need some hundred facets each."""
+"""Minimum diameter, px, of bodies on which surface_features is tried: landmarks need a few hundred facets each."""
 _SMALL_PX = 12.0
 """Largest diameter, px, of bodies on which unresolved is tried."""
 Outcome: TypeAlias = AttitudeFix | CenterFix | Failure
@@ -144,7 +144,7 @@ def answer_of(stage: Stage, name: str) -> Answer:
 
 
 def outcome_of(estimate: Callable[[], Outcome]) -> tuple[Outcome | None, Answer]:
-    """Run an estimator, and tell its status, reason and time."""
+    """Run an estimator, and return its status, reason and time."""
     began = time.process_time()
     try:
         fix = estimate()
@@ -185,7 +185,7 @@ def place_error(stage: Stage, fix: CenterFix) -> Answer:
 
 
 def _zero(parts: Mapping[Cause, Float]) -> dict[Cause, Float]:
-    """A part of nothing, so that a sum of none has the right size."""
+    """A zero part, so that an empty sum has the correct size."""
     return {Cause.EPOCH: np.zeros_like(next(iter(parts.values())))}
 
 

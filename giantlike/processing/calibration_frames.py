@@ -34,7 +34,7 @@ _DEAD_RESPONSE = 0.5
 _SAME_EXPOSURE = 0.01
 """Relative difference of exposures up to which a dark frame needs no scaling."""
 _CALM = 0.999
-"""Share of the pixels, those that scatter least, whose scatter counts as noise: the others flicker."""
+"""Fraction of the pixels, lowest scatter first, whose scatter counts as noise: the others flicker."""
 _NO_SHOT_NOISE = 1e30
 """Gain, electron/DN, that leaves the noise of the frames alone: the scatter of flats holds their shot noise already."""
 _BLOCK_ROWS = 64

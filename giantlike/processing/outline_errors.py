@@ -24,9 +24,9 @@ Long waves matter; with many bins the shortest ones dominate the likelihood. Wit
 freedom differ by 0.2 on ellipsoids with relief of 1 %; with 64 they are a quarter larger.
 """
 _GAP = 3.0
-"""Distance between neighbors, over the median of all, that counts as no more than this: a gap is no length of limb."""
+"""Maximum distance between neighbors, in medians of all: longer gaps are not counted as limb."""
 _RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 1e8, 25)])
-"""Variance of relief over the mean variance of the noise: up to 1e4 sigmas, as for limbs good to 0.003 px."""
+"""Variance of relief / mean variance of the noise: up to 1e4 sigmas, as for limbs accurate to 0.003 px."""
 _LENGTH_STEP = 3.0
 """Ratio of neighboring lengths; averages over them need no finer grid."""
 _SMOOTH_DEGREES = (3.0, 6.0, 12.0)
@@ -40,9 +40,10 @@ errors per degree of freedom are 0.8, 0.9 and 1.0 (lines) and 1.0, 1.2 and 1.4 (
 relief of 1 %, and 1.9, 1.8 and 1.7 on half limbs of fields that follow Kaula's rule.
 """
 _LEAST_WAVES = 0.9
-"""Waves of the degree about which smooth relief ends that the outline in view must hold: it tells nothing of longer.
+"""Minimum number of waves, of the degree about which smooth relief ends, in the visible outline: longer ones are not
+observable.
 
-An arc of a third of the outline holds one wave of degree 3, but for a few percent of it.
+An arc of a third of the outline has one wave of degree 3, to a few percent.
 """
 _LEAST_LENGTH = 1.0 / 12.0
 """Correlation length / radius below which a sphere is treated as flat: errors are due to pixels and albedo."""
@@ -62,10 +63,10 @@ class OutlineErrors(Value):
     Parameters
     ----------
     noise_scale2 : (g,) float64
-        Variance of the independent part over the variances that were given, with each of g shared errors: some kinds,
-        each with several variances.
+        Variance of the independent part / given variances, with each of g correlated errors: several kinds, each with
+        several variances.
     shared_variance : (g,) float64
-        Variance of the part that neighbors share, unit of the residuals squared.
+        Variance of the part correlated between neighbors, unit of the residuals squared.
     log_likelihood : (g,) float64
     lengths : (s,) float64
         Correlation lengths of the first s kinds, unit of the points; the others are kinds of relief.
@@ -162,10 +163,10 @@ def outline_errors(
     -----
     Covariances are ``s^2 (diag(sigma^2) + q m K)``, m the mean of ``sigma^2``. K is either ``exp(-distance / length)``,
     the errors of pixels and albedo, or the covariance of a random field on the sphere, ``sum V_n P_n(cos angle)`` over
-    degrees n from 2 on: ``V_n = (2 n + 1) (n (n + 1))^(-3/2)`` for rough relief, which is Kaula's rule that power goes
-    as degree^-2, followed by planets and asteroids, and ``(2 n + 1) exp(-n (n + 1) / m^2)`` for smooth one. For each K
-    and q, s^2 is found by restricted maximum likelihood, which knows that the fit has absorbed part of the long
-    waves, and covariances are averaged with the likelihoods as weights. Many neighbors are averaged first.
+    degrees n from 2 on: ``V_n = (2 n + 1) (n (n + 1))^(-3/2)`` for rough relief, which is Kaula's rule that power is
+    proportional to degree^-2, followed by planets and asteroids, and ``(2 n + 1) exp(-n (n + 1) / m^2)`` for smooth
+    one. For each K and q, s^2 is found by restricted maximum likelihood, which accounts for the long waves absorbed by
+    the fit, and covariances are averaged with the likelihoods as weights. Many neighbors are averaged first.
     """
     require(len(residuals) > design.shape[1] + 1, f"needed over {design.shape[1] + 1} residuals, got {len(residuals)}")
     means = averages(points, sigma)
@@ -213,7 +214,7 @@ def averages(points: Float, sigma: Float) -> Float:
 
 
 def _length(points: Float) -> float:
-    """Length of the outline for which points (n, 2) stand, without gaps."""
+    """Length of the outline that points (n, 2) represent, without gaps."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     typical = float(np.median(steps))
     return float(np.minimum(steps, _GAP * typical).sum()) + typical
@@ -258,7 +259,7 @@ def _relief_tables() -> Float:
 
 
 def _looked_up(tables: Float, chords: Float) -> Float:
-    """Covariances (k, ...) at chords (...), over the radius, by tables (k, m) in even steps of the angle to pi."""
+    """Covariances (k, ...) at chords / radius (...), by tables (k, m) in even steps of the angle to pi."""
     place = np.arcsin(np.minimum(0.5 * chords, 1.0)) * (2.0 / np.pi * (_ANGLES - 1))
     index = np.minimum(place.astype(np.int64), _ANGLES - 2)
     share = place - index

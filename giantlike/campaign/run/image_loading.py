@@ -1,6 +1,6 @@
 """Images of a campaign with their a priori epoch, pose and scene.
 
-Each of these comes from the geometry table, else from the image's own header, else from SPICE.
+Sources, in order of precedence: the geometry table, the image's own header, SPICE.
 """
 
 from __future__ import annotations

@@ -121,7 +121,7 @@ def fit_stars(
 def windowed_shape(patches: Patches, points_px: Float, background_dn: Float, psf_sigma_px: float) -> Float:
     """Second moments along the longest and the shortest axis in a Gaussian window as wide as a star, in units of it.
 
-    Shifted by the moment of a star at the same place in its pixel, so that stars give 0.5 twice. Along a line or an
+    Corrected by the moment of a star at the same sub-pixel position, so that stars give 0.5 twice. Along a line or an
     edge it is 1, of a hot pixel 0.
 
     ``points_px`` (n, 2); ``background_dn`` (n,); returns (n, 2).
@@ -166,7 +166,7 @@ class _Solution:
         return reduced
 
     def replace(self, which: NDArray[np.integer], other: _Solution) -> None:
-        """Take over the solution of the stars of these indices (k,)."""
+        """Copy the solution of the stars of these indices (k,)."""
         for field in fields(self):
             getattr(self, field.name)[which] = getattr(other, field.name)
 

@@ -1,6 +1,6 @@
 """Common streak of the stars of an image: detection, and fits of the single streaks.
 
-A camera that rotates during the exposure turns every star into a line of one direction and length. Bright elongated
+A camera that rotates during the exposure images every star as a line of one direction and length. Bright elongated
 sources are fitted as lines; if most of them agree, the image is filtered for that line.
 """
 
@@ -21,7 +21,7 @@ from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, Patches
 from giantlike.processing.detection.streak import LineFits, Lines, fit_lines
 
 _BRIGHTEST = 24  # sources fitted to find a common streak: bounds the time
-_LEAST_AGREEING, _AGREEING_SHARE = 4, 0.6  # number and share of these sources that must agree; no study yet
+_LEAST_AGREEING, _AGREEING_SHARE = 4, 0.6  # number and fraction of these sources that must agree; not yet studied
 _AGREE_RELATIVE, _AGREE_PX = 0.15, 0.7  # largest difference of lines that agree: of their length, plus px; no study yet
 _SHORTEST_PX, _SHORTEST_WIDTHS = 2.5, 2.5  # shortest streak, px and widths of a star: below, a point fits as well
 _HALF_PATCH_PX = 32  # half side of the first patches: streaks up to about twice this length are recognized
@@ -101,7 +101,7 @@ def fit_streaks(patches: Patches, streak: CommonStreak, flux_dn: Float) -> LineF
 
 
 def unexplained_power(patches: Patches, fits: LineFits, shares: Float) -> Float:
-    """Share of the power of the light in each patch that its line does not explain.
+    """Fraction of the power of the signal in each patch that its line does not explain.
 
     ``shares`` (n, w, w); returns (n,), at least 0.
     """

@@ -57,17 +57,18 @@ _PSF_SETTLED = 0.2  # largest last change of ln sigma: a filter off by this lose
 _PSF_STARS = 50  # stars in the median width: known to 2 % if single stars are known to 10 %
 _PSF_MOST_TRIED = 1000  # sources tried to find them: bounds the time for images full of hot pixels
 _PSF_MIN_SIGNIFICANCE = 12.0  # of these stars: their widths are then known to about 10 %
-_PSF_WIDTH_PRIOR = 1.0  # standard deviation of the prior on ln sigma: hardly any, the width is to be found
+_PSF_WIDTH_PRIOR = 1.0  # standard deviation of the prior on ln sigma: weak, the width is to be estimated
 _HOT_PIXEL_WIDTH_PX = 0.3  # single bright pixels are fitted narrower than this
 
 _LEAST_MEASURED = 100
-"""Sources measured at least: 100 bright stars give the attitude that 2,000 do to 0.0013 px (``max_sources``)."""
+"""Minimum number of measured sources: attitudes from 100 and 2,000 bright stars agree to 0.0013 px
+(``max_sources``)."""
 _GROWTH = 1.1
-"""Least growth of their number where they hold too little: bounds the number of rounds."""
+"""Minimum growth of their number where their information is too low: bounds the number of rounds."""
 
 _STREAK_MIN_SIGNIFICANCE = 8.0  # of sources that show a common streak: three sigma above the detection limit
 _STREAK_LENGTH_SIGMAS, _STREAK_LENGTH_RELATIVE = 5.0, 0.25  # largest difference from the length of the common streak
-_STREAK_UNEXPLAINED = 0.3  # share of the power left by the fitted line above which a source is no streak; no study yet
+_STREAK_UNEXPLAINED = 0.3  # fraction of unexplained power above which a source is not a streak; not yet studied
 
 _EXTENDED_WIDTH = 2.0  # width / width of a recorded star above which a source is extended
 _EXTENDED_WIDTH_SATURATED = 3.0  # the same for saturated sources: bright stars bloom
@@ -257,7 +258,7 @@ def _half_patch_px(psf_sigma_px: float) -> int:
 def _measure_enough(
     frame: Frame, found: Candidates, psf_sigma_px: float, noise_dn: float, information: float
 ) -> Detections:
-    """Measure the most significant candidates until those that are stars hold that share of the information."""
+    """Measure the most significant candidates until the stars have the required fraction of the information."""
     gain = frame.detector.gain_e_per_dn
     variance = _expected_variance_px2(found.significance, found.flux_dn, psf_sigma_px, gain)
     worth = np.where(found.extended | found.plateau, 0.0, 1.0 / variance)

@@ -28,7 +28,7 @@ class DetectionFlag(enum.IntFlag):
     SHARP = 16
     """Narrower than the PSF: a hot pixel or a cosmic ray."""
     BLENDED = 32
-    """Another detection lies so close that the two fits share pixels."""
+    """Another detection lies so close that the two fits have common pixels."""
     FIT_FAILED = 64
     """The fit did not converge near the peak; the position is the peak, with a wide covariance."""
     COSMIC_RAY = 128

@@ -76,7 +76,7 @@ def _add(
     across_largest: Float,
     across_sums: Float,
 ) -> None:
-    """Fill in light, and largest values and sums of rows and columns, in place of zeros and minus infinities."""
+    """Fill in the signal, and maxima and sums of rows and columns, in place of zeros and minus infinities."""
     rows, columns = pixels.shape
     for row in range(rows):
         line, column_sums = light[row], across_sums[0 if row < rows // 2 else 1]

@@ -13,10 +13,10 @@ from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX
 
 _CONVERGED_PX = 1e-4  # last step: a hundredth of the best centroid error of a bright star
 _CONVERGED_SIGMAS = 0.35  # last step over its error: the next is a fifth of it, 0.5 % of the variance
-_CONVERGED_FLUX = 0.02  # the same over the flux, where that is more: the covariance is that before it
+_CONVERGED_FLUX = 0.02  # as above, relative to the flux, where that is larger: the covariance is from before it
 _CONVERGED_WIDTH = 0.05  # as above, for ln sigma: flags test for width errors of a third
 _REGULAR_PX, _REGULAR_PLANE = 1e-6, 1e-12
-"""Information added, of places and flux and of the plane, so that a star without pixels has a regular matrix."""
+"""Information added on positions and flux, and on the plane, so that a star without pixels has a regular matrix."""
 _LOG_WIDTH_LIMIT = math.log(4.0)  # largest change of ln sigma from the PSF: flags need no more than a factor 3
 _LEAST_LOG_WIDTH = math.log(0.6 * MIN_PSF_SIGMA_PX)
 _ROOT_2, _ROOT_PI = math.sqrt(2.0), math.sqrt(math.pi)
@@ -221,7 +221,7 @@ def windowed_moments(
 
 @compiled
 def _add_moments(light: float, x: float, y: float, sums: Float) -> None:
-    """Add light at a place to sums (4,) of it times 1, xx, yy and xy."""
+    """Add the signal at a position to sums (4,) of it times 1, xx, yy and xy."""
     sums[0] += light
     sums[1] += light * x * x
     sums[2] += light * y * y
@@ -230,7 +230,7 @@ def _add_moments(light: float, x: float, y: float, sums: Float) -> None:
 
 @compiled
 def _shares(offset: float, log_width: float, result: Float) -> None:
-    """Share (w, 3) of the light in each pixel along one axis, and its derivatives by place and ln sigma."""
+    """Fraction (w, 3) of the flux in each pixel along one axis, and its derivatives by position and ln sigma."""
     scale = math.exp(-log_width) / _ROOT_2
     u = (offset - 0.5) * scale
     below, bell = math.erf(u), math.exp(-u * u) / _ROOT_PI

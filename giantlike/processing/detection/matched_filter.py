@@ -25,7 +25,7 @@ NOISE_BOX_PX = 48
 _BOX_HALF_WIDTHS = 6.0  # half side of the background box in star widths: loses 3 % of the signal to noise
 _KERNEL_HALF_WIDTHS = 3.0  # half side of the Gaussian in star widths: 99.5 % of its sum
 _MIN_NOISE_SAMPLES = 100  # per box: the quartiles give its sigma to 12 %
-_MAX_EXCLUDED = 0.8  # share of the samples of a box near sources, above which all samples are used
+_MAX_EXCLUDED = 0.8  # fraction of the samples of a box near sources, above which all samples are used
 
 Image32 = NDArray[np.float32]
 

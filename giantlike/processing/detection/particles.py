@@ -37,7 +37,7 @@ _PIXEL_COST = 4.0  # of a free pixel, in chi-square: the expected square of the 
 _MOST_PIXELS = 12  # of a particle
 _REFUSED_SIGMAS = 4.0  # excess of chi-square over its degrees of freedom, in its standard deviations
 _STAR_UNKNOWNS = 4  # x, y, flux, background
-_LEAST_POWER, _UNLIKE_POWER = 0.07, 0.25  # share of the power unexplained by a star, for lines and for other shapes
+_LEAST_POWER, _UNLIKE_POWER = 0.07, 0.25  # fraction of the power unexplained by a star, for lines and for other shapes
 _LINE_PX2, _LINE_GROWTH, _LINE_MOST_PX2 = 0.08, 0.3, 0.4  # limit of the second moment across a line, see above; px^2
 
 

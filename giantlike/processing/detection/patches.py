@@ -201,7 +201,7 @@ def _squares(
 
 
 def pixel_shares(first: NDArray[np.integer], size: int, center: Float, width: Float) -> tuple[Float, Float, Float]:
-    """Share (n, size) of a unit Gaussian in each pixel along one axis, and its derivatives.
+    """Fraction (n, size) of a unit Gaussian in each pixel along one axis, and its derivatives.
 
     ``first`` (n,) px; ``size`` in px; ``center``, ``width`` (n,) px; returns ``share`` (n, size); ``by_center``
     (n, size) 1/px; ``by_log_width`` (n, size), by the natural logarithm of the width.

@@ -1,6 +1,6 @@
 """Comparison of the images of a sequence: fixed pattern, hot pixels and cosmic rays.
 
-Stars move over the detector from image to image; its own pattern, hot pixels included, stays; a particle hits once.
+Stars move over the detector from image to image; its fixed pattern and hot pixels stay; a particle hits once.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ _STRIP_PX = 1 << 22  # pixels of all images in memory for a median: 16 MB
 _SEARCHED = 3  # images searched for sources that stay at their pixels
 _BRIGHTEST = 30  # sources of an image compared
 _STAY_PX = 1.0  # distance within which a source has stayed
-_STAY_SHARE = 0.5  # share of sources above which the images have one pointing
+_STAY_SHARE = 0.5  # fraction of sources above which the images have one pointing
 _HOT_SIGMAS = 8.0  # of the pattern, and DN at least: of a million normal pixels none exceeds it
 
 _VOTERS = 80  # brightest stars of an image that vote for its shift: 6,400 pairs
 _VOTE_BIN_PX = 3.0  # distance within which displacements agree: roll and distortion spread them
-_LEAST_VOTES, _LEAST_VOTE_SHARE = 5, 0.3  # number and share of the stars that must agree on a shift; no study yet
-_SAME_STAR_PX = 2.0  # distance of a star from its shifted place within which it is the same: a roll moves it too
+_LEAST_VOTES, _LEAST_VOTE_SHARE = 5, 0.3  # number and fraction of the stars that must agree on a shift; not yet studied
+_SAME_STAR_PX = 2.0  # maximum distance of a star from its shifted position: a roll moves it too
 _SAME_PIXEL_PX = 0.75  # distance within which two detections are in the same pixel
 _COMPARED = 8  # images closest in time that an image is compared with
 _SEEN_AGAIN_SNR = 8.0  # signal to noise ratio of sources that are detected again: the limit of 5 and three sigma
-_HOT_SHARE = 0.5  # share of the shifted images in which a hot pixel is found
-_CHANCES = 2  # images that must show the place of a source for it to be a cosmic ray
+_HOT_SHARE = 0.5  # fraction of the shifted images in which a hot pixel is found
+_CHANCES = 2  # images that must show the position of a source for it to be a cosmic ray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

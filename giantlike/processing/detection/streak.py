@@ -123,7 +123,7 @@ def _gauss_legendre(count: int) -> tuple[Float, Float]:
 
 
 def line_shares(patches: Patches, centers_px: Float, halves_px: Float, sigma_px: float) -> tuple[Float, Float]:
-    """Share of a unit line in each pixel, and its derivatives.
+    """Fraction of a unit line in each pixel, and its derivatives.
 
     ``centers_px``, ``halves_px`` (n, 2); returns ``shares`` (n, w, w); ``derivatives`` (n, 4, w, w) 1/px, by center x,
     y and half x, y.

@@ -24,7 +24,7 @@ class WindowedCentroid(Value):
     covariance_px2 : (2, 2) float64, px^2
         From the noise of the pixels alone.
     snr : float
-        Windowed flux over its standard deviation.
+        Windowed flux / standard deviation.
     """
 
     point_px: Float

@@ -18,7 +18,7 @@ from giantlike.core.arrays import Float, as_finite, as_unit, require
 from giantlike.core.outcomes import Failure, Reason
 
 MAX_SIGMA_RAD = 0.5
-"""Largest standard deviation of an attitude about any axis, rad: larger errors are no small rotations."""
+"""Largest standard deviation of an attitude about any axis, rad: larger errors are not small rotations."""
 
 _NEWTON_STEPS = 30  # bound; Newton's method stops at the rounding of float64
 

@@ -17,9 +17,9 @@ Sun, and by 0.03 across it.
 
 
 def lifted(lift_px: Float, sights: Float, position_camera_km: Float, sun_direction_camera: Float) -> Float:
-    """Motions of the points of a limb with its altitude: all alike, and by the height of the Sun over each.
+    """Motions of the points of a limb with its altitude: uniform, and by the elevation of the Sun at each.
 
-    Of an image, points are pixels, and their motions are the changes of its light.
+    For an image, points are pixels, and motions are changes of the signal.
 
     ``lift_px`` (n,) px or DN, outward motion with one standard deviation of the altitude, or with 1 km; ``sights``
     (n, 3), camera axes, unit vectors toward the points; ``sun_direction_camera``: unit vector from body to Sun; returns

@@ -29,7 +29,7 @@ _SETTLED_PX, _FAR_PX = 0.65, 1.1
 More than half a pixel, so that windows do not move to and fro.
 """
 _MOVES = 3
-"""Most moves of a window: seeds lie within two pixels of their edge."""
+"""Maximum moves of a window: seeds lie within two pixels of their edge."""
 _MOST_ROWS = 1 << 31
 """Of an image: column and row of a pixel are one number of 64 bits."""
 
@@ -75,7 +75,7 @@ class EdgePoints(Value):
 def scan_edges(
     pixels_dn: Float, usable: Mask, sunlight: ArrayLike, *, threshold_dn: float, blur_sigma_px: float = 0.0
 ) -> Pixels:
-    """Find the pixels in which sunlight first meets a body, by parallel scan lines from the lit side.
+    """Find the pixels in which sunlight first meets a body, by parallel scan lines from the illuminated side.
 
     ``pixels_dn`` (rows, columns); ``sunlight`` (2,), direction (x, y) in which sunlight travels in the image; returns
     (n, 2) px, pixels (x, y), each once.

@@ -241,7 +241,7 @@ def matched(
 
 @compiled
 def quotient(shifted: float, gain: float) -> float:
-    """Shift of a solution: gain times shift over gain; 0 where there is no gain."""
+    """Shift of a solution: (gain times shift) / gain; 0 where there is no gain."""
     shift = shifted / gain
     return shift if np.isfinite(shift) else 0.0
 
@@ -266,7 +266,7 @@ def _correlation(data: Float, target: Float, usable: Mask, least: int) -> float:
 
 @compiled
 def _cubic(steps: float) -> tuple[int, tuple[float, float, float, float]]:
-    """Whole steps and shares of four samples that move a line towards larger indices, by the cubic through them."""
+    """Whole steps and weights of four samples that shift a line towards larger indices, by cubic interpolation."""
     near = math.floor(-steps)
     t = -steps - near
     return near, (

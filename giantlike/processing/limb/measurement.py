@@ -1,4 +1,4 @@
-"""A lit limb measured in an image: its points with their errors, and the checks that all methods share."""
+"""An illuminated limb measured in an image: its points with their errors, and the checks common to all methods."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from giantlike.processing.limb.view import LimbView
 MIN_BRIGHTNESS = 0.1
 """Minimum brightness of used limb relative to the brightest; darker limb adds hardly any information."""
 GAIN_RANGE = (0.2, 5.0)
-"""Brightness of good points over that expected, in medians of all; points outside lie on something else.
+"""Limits of brightness / expected brightness of good points, in medians of all; points outside lie on something else.
 
 The wider of the ranges that lines (0.3-3) and cells had; on images of Saturn they differ by 0.2-0.6 sigma.
 """
 UNSEEN = "masked, saturated or outside the frame"
-"""Reason of points of which the image tells nothing."""
+"""Reason of points without usable pixels."""
 SATURATED_SHARE = 0.2
 """Share of saturated pixels near a limb above which saturation is named as the reason for its failure; no study yet."""
 
@@ -133,7 +133,7 @@ class LimbMeasurement(Value):
     rotation_design : (n, 3) float64, px/rad, optional
         Outward motion of the points with a small rotation of the body about the camera axes; None where not known.
     wider_px2 : float, px^2, optional
-        Variance of the blur of the limb beyond that of the camera; None where it was not measured or the camera's blur
+        Variance of the blur of the limb in excess of the camera's; None where it was not measured or the camera's blur
         is unknown.
     """
 
@@ -173,7 +173,7 @@ class LimbMeasurement(Value):
 
     @property
     def rejected_px(self) -> Float:
-        """Points (k, 2) of the lit limb that are not used, px: as measured, else where they were predicted."""
+        """Points (k, 2) of the illuminated limb that are not used, px: as measured, else as predicted."""
         return np.concatenate([self.seen_px[~self.keep], self.unmeasured_px])
 
     @property
@@ -188,7 +188,7 @@ class LimbMeasurement(Value):
 
     @property
     def n_offered(self) -> int:
-        """Number of points on lit limb in the frame."""
+        """Number of points on illuminated limb in the frame."""
         return self.keep.size + sum(self.rejected.values())
 
     @property
@@ -233,7 +233,7 @@ class LimbMeasurement(Value):
 
     @property
     def common_sigma_px(self) -> float:
-        """Standard deviation, root mean square over the limb, of the shift that the points have in common, px."""
+        """Standard deviation, root mean square over the limb, of the common shift of the points, px."""
         return math.sqrt(sum(float(np.mean(np.sum(px[self.keep] ** 2, axis=1))) for px in self.common_px.values()))
 
     def motion_sigma_px(self, step_km: Float) -> float:
@@ -308,7 +308,7 @@ def too_few(view: LimbView, area: Mask, good: Mask, rejected: Mapping[str, int],
 
 
 def no_lit_limb(view: LimbView, outline_px: Float, inside: Mask, position_camera_km: Float) -> Failure:
-    """Return the failure of a predicted outline of which no lit part lies in the frame.
+    """Return the failure of a predicted outline without an illuminated part in the frame.
 
     ``outline_px`` (k, 2), all around (points that the camera does not image are NaN or left out); ``inside`` (k,).
     """

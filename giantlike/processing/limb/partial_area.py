@@ -1,4 +1,4 @@
-"""Edges to a fraction of a pixel by the partial area effect: how much of each column of pixels is light."""
+"""Edges to a fraction of a pixel by the partial area effect: the illuminated fraction of each column of pixels."""
 
 from __future__ import annotations
 

@@ -30,7 +30,8 @@ PIXEL_VARIANCE_PX2 = 1.0 / 12.0
 _SPLINE_NOISE = 0.479365  # sum of squares of a cubic B-spline over the pixels, mean over sub-pixel phases
 _SPLINE_NOISE_VARIANCE_PX2 = 2.0 / 3.0  # of its autocorrelation, along each axis
 _RIVAL_PX, _RIVAL_CORRELATION = 2.0, 0.98
-"""Distance from the best shift, px, and correlation over the best from which another shift makes a line ambiguous.
+"""Minimum distance from the best shift, px, and correlation relative to the best, of a shift that makes a line
+ambiguous.
 
 Two pixels are the width of a usual profile; see ``benchmarks/sensitivity.py`` for the correlation.
 """
@@ -38,8 +39,8 @@ _MODEL_ERROR = 0.02
 """Relative error of the expected profile. It limits the weight of the dark side, where noise is lowest and stray light
 matters. Not yet studied."""
 _MEDIAN_SIGMA = 1.2533  # standard error of a median / that of a mean, for a normal distribution: sqrt(pi / 2)
-_LINES_ALIKE = 3.0  # neighboring lines that share pixels and so their errors: a profile of 4 x 4 pixels each 1.5 px
-_LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and how much wider than found slopes may scatter
+_LINES_ALIKE = 3.0  # neighboring lines with common pixels and so common errors: a profile of 4 x 4 pixels each 1.5 px
+_LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and the factor on the measured scatter of slopes
 _LEAST_USABLE, _CORE_PX = 0.5, 2.0
 """Minimum usable fraction of a window, and half width, px, about the limb that must be fully usable: two standard
 deviations of a usual edge, which hold most of the information on its position."""
@@ -76,7 +77,7 @@ class Scans(Value):
 
     @property
     def step_px(self) -> float:
-        """Distance between neighboring places, px."""
+        """Distance between neighboring positions, px."""
         return float(self.offsets_px[1] - self.offsets_px[0])
 
 
@@ -143,7 +144,7 @@ class ProfileMatch(Value):
 
 
 def line_offsets(reach_px: float, step_px: float) -> Float:
-    """Even places along a line, symmetric about zero and zero among them.
+    """Equidistant positions along a line, symmetric about zero and including it.
 
     Returns (m,) px.
 
@@ -280,7 +281,7 @@ def match_profiles(
 def edge_width_px(scans: Scans, *, variance_dn2: Callable[[Float], Float], window_px: float, search_px: float) -> float:
     """Standard deviation, px, of the Gaussian that blurs the edges on the lines, median over the lines.
 
-    All that blurs is in it: point spread, pixel (:data:`PIXEL_VARIANCE_PX2`) and sampling
+    It includes the point spread function, the pixel (:data:`PIXEL_VARIANCE_PX2`) and sampling
     (:data:`SAMPLING_VARIANCE_PX2`).
 
     ``window_px``, ``search_px`` as of :func:`match_profiles`.
@@ -306,7 +307,7 @@ def _at(mask: Mask, places_px: Float) -> Mask:
 
 
 def _noise_correlation(offsets_px: Float) -> Float:
-    """Covariance (w, w) of values at places along a line, over the noise variance of a pixel."""
+    """Covariance (w, w) of values at positions along a line, divided by the noise variance of a pixel."""
     apart = offsets_px[:, None] - offsets_px
     result: Float = _SPLINE_NOISE**2 * np.exp(-0.5 * apart**2 / _SPLINE_NOISE_VARIANCE_PX2)
     return result
@@ -330,6 +331,6 @@ def _stiffness(free: Float, slope_variance: Float) -> Float:
 
 
 def _quotient(shifted: Float, gain: Float) -> Float:
-    """Shifts (n,), px, of gains times shifts; 0 where there is no gain."""
+    """Shifts (n,), px, from gains times shifts; 0 where there is no gain."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.nan_to_num(shifted / gain, posinf=0.0, neginf=0.0)

@@ -17,12 +17,12 @@ from giantlike.processing.limb.view import LimbView, PredictedLimb
 _COARSE_BLUR_PX = 1.0
 """Minimum blur of the searched image, px: half of the step, so that no limb falls between two steps."""
 _COARSE_STEP, _MAX_COARSE_STEP_PX = 0.05, 4.0
-"""First step over the radius, and the most that it may be, px."""
+"""First step / radius, and its maximum, px."""
 _FINE_STEP_PX, _LEAST_STEP_PX, _FINER = 2.0, 0.5, 4
-"""Least first step and last step, px; and how many of the next step go into one."""
+"""Minimum first step and last step, px; and the ratio of a step to the next."""
 _SKY_BLOCK = 5  # pixels along a block whose mean the level of the sky is found from: its noise is a fifth of theirs
-_WHOLE = 1.0 - 1e-5  # share of good pixels from which all of a block are good, but for rounding
-_COARSE_OFFSET_PX = 1.5  # least distance of the compared pixels from the outline: beyond the blur of a sharp limb
+_WHOLE = 1.0 - 1e-5  # fraction of good pixels from which all of a block are good, but for rounding
+_COARSE_OFFSET_PX = 1.5  # minimum distance of the compared pixels from the outline: beyond the blur of a sharp limb
 _COARSE_POINTS = 80  # that the first step needs
 _COARSE_NOISE_SIGMAS = 4.0  # brightness, in noise of the dark, that is added below contrasts: noise alone has none
 _MARGIN_PX = 8  # about the outline, for the blur
@@ -35,19 +35,19 @@ cases on Vesta, 12 on Europa (a tenth of its limb) and 21 on Jupiter. A best fit
 not the limb: for example a terminator where the surface fills the frame.
 """
 _NO_RANGE = 1e-6  # search of size below which there is none
-_LIGHT_SIGMAS = 5.0  # of the noise in the dark, beyond which a pixel is light
+_LIGHT_SIGMAS = 5.0  # of the noise of the sky, above which a pixel is bright
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoarseLimb(Value):
-    """Shift and size at which an outline as a whole fits an image best.
+    """Shift and size of the best fit of a whole outline to an image.
 
     Parameters
     ----------
     shift_px : (2,) float64, px
         From prediction to image.
     scale : float
-        Size in the image over that predicted.
+        Size in the image / predicted size.
     contrast : float
         Mean of (inside - outside) / (inside + outside) across the outline: 1 for a bright body before a black sky.
     """
@@ -115,7 +115,7 @@ def find_limb(
     search_range: float,
     min_contrast: float,
 ) -> tuple[Float, CoarseLimb] | Failure:
-    """Find a whole outline and the position of its body, or tell that there is none.
+    """Find a whole outline and the position of its body, or return a failure.
 
     ``search_px``, ``search_range`` as of :func:`search_limb`.
     """

@@ -17,9 +17,9 @@ from giantlike.core.values import Value
 from giantlike.processing.limb.scan import ProfileMatch
 
 _LINES_TOGETHER = 10
-"""Neighboring lines whose errors are taken to have something in common: 15 px of limb with the usual spacing.
+"""Number of neighboring lines with correlated errors: 15 px of limb with the usual spacing.
 
-Profiles of lines share pixels over 4 px, and albedo is alike over some of that.
+Profiles of lines have common pixels over 4 px, and albedo is correlated over several times that.
 """
 
 
@@ -27,9 +27,9 @@ _GAIN_STEPS = 4
 """Iterations of shared parameters and gains: each removes most of the remaining error, even of gains in error by a
 factor of 2."""
 _SPREAD_STEPS = 3
-"""Rounds of the estimate and of how far lines scatter about it."""
+"""Iterations of the estimate and of the scatter of lines about it."""
 _GAIN_LIMITS = (0.2, 5.0)
-"""Least and largest gain over that fitted before, as for good points of a limb."""
+"""Minimum and maximum ratio of the gain to the previous one, as for good points of a limb."""
 
 
 _SMOOTHED_LINES = 15
@@ -45,7 +45,7 @@ of 1.2 px assumed as 0.7 px to 5 %, on 8 views, squared errors per degree of fre
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SharedEstimate(Value):
-    """Estimate of the parameters that all lines share.
+    """Estimate of the parameters common to all lines.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class SharedEstimate(Value):
 def estimate_shared(
     match: ProfileMatch, good: Mask, *, prior: Float, expected: Float, open_above: Mask
 ) -> SharedEstimate:
-    """Estimate the parameters that all lines share.
+    """Estimate the parameters common to all lines.
 
     ``good`` (n,); ``prior``, ``expected``, ``open_above`` (c,).
 
@@ -93,7 +93,7 @@ def estimate_shared(
 def _solved(
     information: Float, pull: Float, gain_change: Float, prior: Float, expected: Float
 ) -> tuple[Float, Float, Float]:
-    """Shared parameters (c,), inverse (c, c) of all information on them, and gains (n,) over those fitted before."""
+    """Shared parameters (c,), inverse (c, c) of their information, and gains (n,) relative to the previous ones."""
     gain = np.ones(len(pull))
     for _ in range(_GAIN_STEPS):
         total = np.einsum("n,nij->ij", gain**2, information) + np.diag(prior)

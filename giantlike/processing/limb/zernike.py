@@ -17,8 +17,8 @@ from giantlike.processing.limb.edges import EdgePoints, Pixels, WindowEdges, mea
 SIZES = (5, 7)
 """Sides of the windows that have kernels, px."""
 _SUBPIXELS = 101  # along a pixel, for the integrals of the kernels
-_NODES, _REACH_SIGMAS = 41, 5.0  # of the sum over the blur: a Gaussian is integrated to 1e-6
-_TABLE = np.linspace(-0.65, 0.65, 261)  # distance of the edge over the radius of the window
+_NODES, _REACH_SIGMAS = 41, 5.0  # nodes and range, sigmas, of the sum over the blur: a Gaussian is integrated to 1e-6
+_TABLE = np.linspace(-0.65, 0.65, 261)  # distance of the edge / radius of the window
 _PIXEL_AND_HOLD_PX2 = 2.0 / 12.0  # variance of the pixel, and of holding its value over its area
 _TRIALS = 32  # directions of edges in a right angle for the error of sampling
 
@@ -173,7 +173,7 @@ def _measured(windows: Float, table: _Table, curvature: float, variance_dn2: Cal
         distance, slope = table.distance(ratio, curvature)
         to_light = a11 / size
         height = size / np.interp(distance, _TABLE, table.height)
-        # d|A11| = Re(conj(to_light) K11) dI, and the part across it turns the normal
+        # d|A11| = Re(conj(to_light) K11) dI, and the part across it rotates the normal
         turned = np.conj(to_light)[:, None, None] * table.first
         gain = (slope / size)[:, None, None] * (table.second - ratio[:, None, None] * turned.real)
         turn = turned.imag / size[:, None, None]

@@ -67,7 +67,7 @@ class PsfEstimate(Value):
         Size of the image.
     reduced_chi2 : float
     residual_power : float
-        Squared residuals over the squared light, median of the stars, noise subtracted: 0 for a perfect shape.
+        Squared residuals / squared signal, median of the stars, noise subtracted: 0 for a perfect shape.
     n_used, n_rejected : int
         Numbers of stars.
     """
