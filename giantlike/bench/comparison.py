@@ -34,7 +34,7 @@ class TemplateMatch(Value):
         Rendered body, scaled to the image by least squares, on its background.
     image_dn : (rows, columns) float64, DN
     region : (rows, columns) bool
-        Pixels of the template and its border that are no bad ones.
+        Good pixels of the template and its border.
     template : Template
     """
 

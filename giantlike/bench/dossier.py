@@ -196,7 +196,7 @@ def _write_figures(session: Session, output: Path) -> None:
 def _content(
     session: Session, campaign: Campaign, inputs: list[InputFile], notes: list[str], output: Path
 ) -> dict[str, Any]:
-    """Everything that the page says, as JSON has it."""
+    """Content of the page, as JSON."""
     result, provenance = session.result, RunFolder.open(session.folder).provenance()
     environment = provenance.get("environment", {})
     records: list[AttitudeRecord | ObservationRecord] = [*result.attitudes, *result.observations]

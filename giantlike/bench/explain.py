@@ -168,9 +168,9 @@ def _digits(value: float, digits: int, sign: str = "") -> str:
 
 
 def _causes(parts: Mapping[Cause, Any], checks: Mapping[str, float]) -> Iterator[str]:
-    """Shares of the causes in the variance of the place, or of the two axes across the boresight, largest first.
+    """Fractions of the causes in the variance of the position, or of the two axes across the boresight, largest first.
 
-    And by how much the variance was increased because a coarse render at the fix does not match the image.
+    Includes the variance inflation for a mismatch of image and coarse render at the fix.
     """
     sizes = {str(cause): float(np.trace(np.array(part)[:2, :2])) for cause, part in parts.items()}
     total = sum(sizes.values())
@@ -187,7 +187,8 @@ def _causes(parts: Mapping[Cause, Any], checks: Mapping[str, float]) -> Iterator
 
 
 def _tests(checks: Mapping[str, float]) -> Iterator[str]:
-    """Odds of other models of the image and of another place, and how likely the distance from the prediction is."""
+    """Likelihood ratios of other image models and of another position, and p-value of the offset from the
+    prediction."""
     odds = {one: checks[f"{one}_log_odds"] for one in Alternative if f"{one}_log_odds" in checks}
     if odds:
         ranked = sorted(odds.items(), key=lambda item: -item[1])

@@ -22,7 +22,7 @@ _ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)
 _LONGEST_NUMBER = 9
 """Maximum digits of a catalog number next to a mark: enough for Hipparcos, Tycho-2 and UCAC4."""
 TERMINATOR = "#ff7ad9"
-"""Color of the line where the Sun stands at the horizon of the surface."""
+"""Color of the line where the Sun is at the horizon of the surface."""
 LANDMARK, LANDMARK_REJECTED = "#22d3ff", MARKS["limb points rejected"]
 
 

@@ -83,7 +83,7 @@ def backplanes_of(session: Session, file: str, *, estimator: str | None = None, 
 
 
 def with_terminators(session: Session, seen: SeenImage, planes: Backplanes) -> SeenImage:
-    """Add the lines of an image where the Sun stands at the horizon of the surface.
+    """Add the lines of an image where the Sun is at the horizon of the surface.
 
     Parameters
     ----------

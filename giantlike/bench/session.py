@@ -29,7 +29,7 @@ from giantlike.scene import Scene, TargetGeometry
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeenImage:
-    """Everything that a run knows of one image, as it stands after edits.
+    """Results of a run for one image, after edits.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]
 
 
 class Session:
-    """A finished run, opened to be looked at.
+    """A finished run, opened for inspection.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class Session:
     Raises
     ------
     DataError
-        It is no run folder, or the run is not finished.
+        It is not a run folder, or the run is not finished.
     """
 
     def __init__(self, folder: Path, campaign: Path | None = None) -> None:
@@ -175,7 +175,7 @@ class Session:
         raise InputError(f"{self.folder}: there is no image {name!r} in this run; the nearest name is {near[0]}")
 
     def seen(self, file: str) -> SeenImage:
-        """Everything that the run knows of an image.
+        """Return the results of the run for an image.
 
         Parameters
         ----------
@@ -315,7 +315,7 @@ class Session:
 
 
 def chosen_fix(seen: SeenImage, target: str, estimator: str | None = None) -> ObservationRecord | None:
-    """The fix of a target to look at: of an estimator, or the best one.
+    """The fix of a target to show: of an estimator, or the best one.
 
     Returns None where there is no such fix.
     """

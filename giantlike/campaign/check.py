@@ -43,7 +43,7 @@ _ALONE: dict[str, Any] = {
     "air": None,
     "rings": None,
 }
-"""Keys of a target that stand in while one of them is checked."""
+"""Placeholder keys of a target while one of them is checked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +89,7 @@ def check_campaign(path: Path, *, all_images: bool = False) -> list[Mistake]:
         return check.found
     completed = check.attempt("mission", with_mission, path, table)
     if completed is None:
-        table.setdefault("camera", {"preset": preset_names()[0]})  # the mission, once its name is right, tells it
+        table.setdefault("camera", {"preset": preset_names()[0]})  # a mission with a valid name provides it
     else:
         table = completed
     broken = _keys_and_values(check, table)
@@ -188,7 +188,7 @@ def _named_files(check: _Check, table: dict[str, Any], broken: set[str]) -> None
 
 
 def _targets_nowhere(check: _Check, table: dict[str, Any], geometry: GeometryTable) -> None:
-    """Targets without a row in the geometry table, which are looked for in no image: a misspelled name most often."""
+    """Targets without a row in the geometry table, which are never searched for: usually a misspelled name."""
     known = list(dict.fromkeys(row.target for row in geometry.rows if row.target is not None))
     for number, target in enumerate(table.get("targets", [])):
         name = target.get("name") if isinstance(target, dict) else None
@@ -202,7 +202,7 @@ def _targets_nowhere(check: _Check, table: dict[str, Any], geometry: GeometryTab
 
 
 def _targets(table: dict[str, Any]) -> Iterator[tuple[int, TargetSection | None]]:
-    """Yield the targets one by one; None for one with a wrong key or value, which leaves the others to be looked at."""
+    """Yield the targets one by one; None for one with a wrong key or value, so that the others are still checked."""
     tables = table.get("targets")
     for number, target in enumerate(tables if isinstance(tables, list) else []):
         try:
@@ -254,7 +254,7 @@ def _opened(campaign: Campaign, path: Path) -> Image:
 
 
 def _units(check: _Check, campaign: Campaign, number: int, shape: Shape) -> None:
-    """A camera inside of a body says that the unit of one of the two is wrong."""
+    """A camera inside a body indicates a wrong unit."""
     name = campaign.targets[number].name
     ranges = {
         key: float(np.linalg.norm(row.target_position_inertial_km))

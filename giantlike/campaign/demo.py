@@ -245,7 +245,7 @@ def _clear(output: Path) -> None:
 
 
 def _yield_goals(comparison: Comparison) -> Iterable[Goal]:
-    """Goals of the share of fixes that are ok, of all that the truth says can be found, reported or not."""
+    """Goals of the fraction of fixes that are ok among all that are observable by the truth, reported or not."""
     solved = {error.file for error in comparison.attitudes if error.status == "ok"}
     yield _share("attitude", [row.file in solved for row in comparison.truth], _ATTITUDE_SHARE)
     found = {(e.estimator, e.target, e.file) for e in comparison.observations if e.status == "ok"}

@@ -61,8 +61,8 @@ class PointingSource(StrEnum):
     STARS = "stars"
     """The attitudes of the run: stars, or transferred from them."""
     BODIES = "bodies"
-    """The ephemeris: the camera is turned until bodies and landmarks lie where they were seen, weighted against the
-    attitude of the run with its covariance."""
+    """The ephemeris: the camera is rotated to fit bodies and landmarks to their measured positions, with the attitude
+    of the run and its covariance as a priori."""
 
 
 EXPORT_NAMES: Mapping[ExportFormat, str] = MappingProxyType(
@@ -373,7 +373,7 @@ def _sumfiles(output: Path, rows: Iterable[ObservableRow], camera: Camera) -> Ex
 
 
 def _require_label(series: AttitudeSeries, label: str, camera: Camera) -> None:
-    """Refuse to write attitudes under a name that is known to stand for the other of the camera's two frames."""
+    """Refuse to write attitudes under a name that is known to denote the other of the camera's two frames."""
     mission = "" if camera.mission_frame is None else camera.mission_frame.name
     if label in (camera.frame_name, mission):
         require_same_frame(series.frame, label)

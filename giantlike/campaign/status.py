@@ -55,7 +55,7 @@ class RunStatus:
         Of the campaign.
     steps : mapping of str to StepStatus
     edits : int
-        Rejections that stand.
+        Rejections in effect.
     last_event : str or None
         Time of the last line of the log.
     """

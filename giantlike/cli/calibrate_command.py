@@ -55,7 +55,7 @@ def calibrate(
 ) -> ExitCode:
     """Calibrate a camera from images of stars, or of a checkerboard.
 
-    Stars are identified anywhere on the sky and the camera is estimated, by turns; writes camera.toml with its
+    Identification of stars anywhere on the sky and estimation of the camera alternate; writes camera.toml with its
     covariance, calibration.html, calibration.json and the attitudes with the calibrated camera. Images are made a
     campaign first, whose file is kept.
     """

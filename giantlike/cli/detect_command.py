@@ -51,7 +51,7 @@ class DetectRequest:
     psf_sigma_px : float, px, optional
         Instead of the camera's; by default it is estimated from each image.
     min_snr : float
-        Detections of a lower signal to noise ratio are left out.
+        Detections of a lower signal-to-noise ratio are left out.
     hdu : int or str, optional
         Of FITS files.
     reader : ImageReader
@@ -59,7 +59,7 @@ class DetectRequest:
     sequence : bool
         The images are of one camera: a fixed pattern is removed, and detections are compared.
     psf : PsfKind, optional
-        Estimate a point spread function of this kind from each image, and the places of stars with it.
+        Estimate a point spread function of this kind from each image, and the positions of stars with it.
     psf_degree : int
         Of the polynomials with which it varies over the field.
     options : DetectionOptions

@@ -158,7 +158,7 @@ def _fix_parts(record: ObservationRecord) -> dict[Cause, Float] | None:
 
 
 def _unshared(both: Iterable[Mapping[Cause, Float] | None], shared: Iterable[Cause], size: int) -> Float | None:
-    """Sum of the covariances of two results, without the causes that both share; None where one is unknown."""
+    """Sum of the covariances of two results, without their common causes; None where one is unknown."""
     causes = [cause for cause in Cause if cause not in set(shared) and cause is not Cause.EPHEMERIS]
     unshared, total = np.zeros((size, size)), np.zeros((size, size))
     for parts in both:

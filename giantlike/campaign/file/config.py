@@ -316,7 +316,7 @@ def _unmatched(
     *,
     with_spice: bool,
 ) -> list[str]:
-    """Warnings of rows of a geometry table without image, and of images without row (SPICE may know all of those)."""
+    """Warnings of rows of a geometry table without image, and of images without row (SPICE may cover those)."""
     if not geometry:
         return [f"{table.path}: no row names an image of the campaign"]
     paths = [image.path for image in images if image.key in geometry]

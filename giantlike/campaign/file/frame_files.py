@@ -33,9 +33,9 @@ class FrameFiles:
         Empty where there are none.
     bad_pixels : Path or None
     dark_exposure_s : float or None, s
-        None where headers tell.
+        None where headers have it.
     dark_has_bias, flat_has_bias : bool
-        False where bias (and dark current) were taken off.
+        False where bias (and dark current) were subtracted.
     hdu : int or str or None
         FITS extension.
     bottom_up : bool
@@ -131,7 +131,7 @@ def _arrays(images: list[Image]) -> tuple[list[Any], list[Any]]:
 
 
 def _common_exposure_s(images: list[Image]) -> float | None:
-    """Exposure of all images, s; None where a header does not tell it."""
+    """Exposure of all images, s; None where a header does not have it."""
     found = [image.exposure_s for image in images if image.exposure_s is not None]
     if len(found) < len(images):
         return None

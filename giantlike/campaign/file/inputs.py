@@ -78,7 +78,7 @@ class SpiceSetup:
         return ObserverState(position_km=position, velocity_km_s=velocity)
 
     def sun_from(self, position_inertial_km: Float, et: float) -> Float:
-        """Vector (3,) to the Sun from a place given relative to the spacecraft, inertial axes, km.
+        """Vector (3,) to the Sun from a position given relative to the spacecraft, inertial axes, km.
 
         The Sun's own light time and aberration (20 arcsec) do not matter for shading.
         """
@@ -117,7 +117,7 @@ class TargetSetup:
     limb: LimbSetup = field(default_factory=LimbSetup)
 
     def inertial_from_body(self, position_inertial_km: Float, et: float) -> Rotation:
-        """Orientation by SPICE when the light left that a camera sees."""
+        """Orientation by SPICE at the emission time of the observed light."""
         return orientation(self.frame, et - float(np.linalg.norm(position_inertial_km)) / SPEED_OF_LIGHT_KM_S)
 
     def load_shape(self) -> Shape:

@@ -26,7 +26,7 @@ class LimbSetup:
     atmosphere : Atmosphere or None
     rings : Rings or None
     air : bool or None
-        True with air or haze, False without; None where the file does not say.
+        True with air or haze, False without; None where the file does not declare it.
     """
 
     terrain: Path | None = None

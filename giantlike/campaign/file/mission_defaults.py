@@ -11,7 +11,7 @@ from giantlike.core.arrays import require
 from giantlike.io.mission_files import mission, mission_names
 
 _ADDITIONS = frozenset({"binned"})
-"""Keys of ``[camera]`` that say more of the camera of the mission; with any other, it is another camera."""
+"""Keys of ``[camera]`` that refine the camera of the mission; any other key declares another camera."""
 
 
 def with_mission(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:

@@ -117,7 +117,7 @@ class ImagesSection(Section):
     hdu: Annotated[int | str | None, PlainValidator(_checked_hdu)] = None
     """Number (from 0) or name of the FITS extension; default: the first with an image."""
     bottom_up: bool = False
-    """The first stored row is the bottom of the picture: reverse the rows. A camera preset may say so too."""
+    """The first stored row is the bottom of the picture: reverse the rows. A camera preset may declare this too."""
     label_geometry: bool = False
     """Take the position, orientation and Sun of the target from labels of Galileo SSI, and attitude, position and Sun
     from labels of NEAR MSI, where the geometry table has no row."""
@@ -127,7 +127,7 @@ class ImagesSection(Section):
 
 
 class ClockSection(Section):
-    """A count of the spacecraft clock in labels, for the epoch of images whose labels tell no time of the exposure."""
+    """A count of the spacecraft clock in labels, for the epoch of images whose labels have no time of the exposure."""
 
     item: str
     """Item of the label."""
@@ -151,9 +151,9 @@ class CalibrationFramesSection(Section):
     bias: list[str] = Field(default_factory=list)
     """Files or patterns of exposures of zero length."""
     dark: list[str] = Field(default_factory=list)
-    """Files or patterns of exposures in the dark, all of one length."""
+    """Files or patterns of dark exposures, all of one length."""
     dark_exposure_s: float | None = Field(default=None, gt=0)
-    """Their exposure, s, where headers do not tell."""
+    """Their exposure, s, where headers do not have it."""
     dark_has_bias: bool = True
     """The darks hold the bias, as raw exposures do; false for a dark from which it was taken off."""
     flat: list[str] = Field(default_factory=list)
@@ -174,7 +174,7 @@ class SpiceSection(Section):
     spacecraft: str
     """NAIF name or code of the spacecraft."""
     frame: str | None = None
-    """SPICE frame of the camera, or the code of the instrument of a CK that no frame kernel knows; without it SPICE
+    """SPICE frame of the camera, or the instrument code of a CK without a frame kernel; without it SPICE
     gives no a priori attitude."""
     ck_tolerance_s: float = Field(default=0.0, ge=0)
     """Largest distance in time, s, to an attitude of a CK of single (discrete) attitudes; the nearest one counts."""
@@ -209,12 +209,12 @@ class StarsSection(Section):
     drift_arcsec_per_sqrt_s: float = 0.1
     """Random walk of the attitude between images, arcsec per square root of a second."""
     max_disagreement_deg: float = 1.0
-    """Largest difference between the a priori turn and the turn that the method assumes, deg; catches slews, and 180
-    switches the check off."""
+    """Largest difference between the a priori rotation and the rotation that the method assumes, deg; catches slews,
+    and 180 switches the check off."""
     options: Annotated[StarOptions, options_validator(StarOptions, elsewhere=("max_magnitude", "lost_in_space"))] = (
         StarOptions()
     )
-    """Options of the star solution that have no key of their own."""
+    """Options of the star solution without a separate key."""
     detection: Annotated[DetectionOptions, options_validator(DetectionOptions)] = DetectionOptions()
     """Options of the detection of stars."""
 
@@ -294,10 +294,10 @@ class TargetSection(BodySection):
     ([terrain](terrain.md))."""
     air: bool | None = None
     """`true` for a body with air or haze: an ellipsoid without `atmosphere` gets the one that is known by its
-    `spice_body` or `name`. `false` for an airless one: nothing in its image is haze. Left out: haze is looked for,
+    `spice_body` or `name`. `false` for an airless one: no haze. Left out: haze is tested for,
     except on the Moon, Mercury, moons and asteroids that are known to be airless ([terrain](terrain.md))."""
     rings: Annotated[Rings | None, PlainValidator(_checked_rings)] = None
-    """Rings in the equator of an ellipsoid, whose light and shadow are no part of it: `"SATURN"`, or
+    """Rings in the equator of an ellipsoid, whose light and shadow are not part of it: `"SATURN"`, or
     `{ inner_km, outer_km }` ([terrain](terrain.md))."""
 
 
@@ -317,7 +317,7 @@ class CampaignFile(Section):
     camera: dict[str, Any]
     """`file`, the name of a camera file; `preset`, the name of a real camera that comes with the package
     ([list](camera_presets.md)), and with it `binned`, the pixels along one side of a block that was summed; or the keys
-    of a [camera file](campaigns.md#the-camera-file). A `[mission]` may tell it."""
+    of a [camera file](campaigns.md#the-camera-file). A `[mission]` may provide it."""
     spice: SpiceSection | None = None
     stars: StarsSection | None = None
     calibration: CalibrationSection | None = None

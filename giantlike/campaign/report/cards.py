@@ -38,7 +38,7 @@ from giantlike.plotting.style import BLUE, GRAY
 _MAX_ARROWS = 150
 """Stars whose residuals a card shows, evenly chosen: more arrows than that cover each other."""
 _ARROW_SHARE = 1 / 16
-"""Length of the arrow of a typical residual over the width of the field."""
+"""Length of the arrow of a typical residual / width of the field."""
 _LEAST_SIGMA = 1e-9
 """Standard deviations below this one have as many digits as it has."""
 
@@ -179,7 +179,7 @@ def _plain(name: str) -> str:
 
 
 def _digits(sigma: float) -> int:
-    """Digits after the point at which a standard deviation has two that count."""
+    """Decimals at which a standard deviation has two significant digits."""
     return min(max(1 - math.floor(math.log10(max(sigma, _LEAST_SIGMA))), 0), 9) if math.isfinite(sigma) else 3
 
 

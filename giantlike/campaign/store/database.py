@@ -62,7 +62,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class KnownImage:
-    """An image file as the run folder knows it.
+    """An image file as recorded in the run folder.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ class Database:
             connection.executemany(f"DELETE FROM records WHERE {_IS_UNIT}", units)
 
     def images(self) -> dict[str, KnownImage]:
-        """Every image that the file knows, part of the run or not, by name."""
+        """Every image in the file, part of the run or not, by name."""
         with self._connected() as connection:
             rows = connection.execute("SELECT file, stamp, sha256 FROM images")
             return {file: KnownImage(stamp or "", sha256 or "") for file, stamp, sha256 in rows}
@@ -199,7 +199,7 @@ class Database:
             )
 
     def adopt(self, other: Database, path_here: Callable[[str], str]) -> None:
-        """Take over the images that are part of another run, with their records, after those that are here."""
+        """Append the images that are part of another run, with their records."""
         with other._connected() as source, self._connected(write=True) as connection:
             here = {file for (file,) in connection.execute("SELECT file FROM images")}
             images = source.execute(

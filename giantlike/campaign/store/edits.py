@@ -105,7 +105,7 @@ class EditList:
         return {edit.file: edit.problem for edit in self.standing if edit.what is Edited.IMAGE}
 
     def attitudes(self, records: Iterable[AttitudeRecord]) -> list[AttitudeRecord]:
-        """Attitudes as they stand after the edits."""
+        """Attitudes after the edits."""
         rejected = self.rejected_images()
         return [
             record if record.file not in rejected else _without_attitude(record, rejected[record.file])
@@ -113,7 +113,7 @@ class EditList:
         ]
 
     def bodies(self, images: Iterable[ObservationsRecord]) -> list[ObservationsRecord]:
-        """Observations as they stand after the edits."""
+        """Observations after the edits."""
         rejected, fixes = self.rejected_images(), {}
         for edit in self.standing:
             if edit.what is Edited.FIX:

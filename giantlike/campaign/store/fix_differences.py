@@ -14,7 +14,7 @@ from giantlike.core.causes import IN_POSITION, Cause
 from giantlike.core.values import Value
 
 _OF_THE_BODY = (Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN)
-"""Causes of one value for a body, however it is looked at: each moves both fixes at once."""
+"""Causes of one value for a body, in all images: each moves both fixes together."""
 _LEAST_SHARE = 1e-12
 """Variance relative to the largest one, below which the difference has none but rounding."""
 
@@ -42,7 +42,7 @@ class FixDifference(Value):
 
     @property
     def squared(self) -> float:
-        """Squared Mahalanobis distance, ``offset^T covariance^-1 offset``; of right fixes some k."""
+        """Squared Mahalanobis distance, ``offset^T covariance^-1 offset``; about k for correct fixes."""
         scale = np.maximum(self.sigma, np.finfo(float).tiny)
         values, axes = np.linalg.eigh(self.covariance / np.outer(scale, scale))
         along = axes.T @ (self.offset / scale)
@@ -56,7 +56,7 @@ class FixDifference(Value):
 
     @property
     def chance(self) -> float:
-        """Probability that right fixes differ by as much."""
+        """p-value of the difference, for correct fixes."""
         return float(chdtrc(len(self.offset), self.squared))
 
 
@@ -106,7 +106,7 @@ def _of_the_body(cause: Cause, one: ObservationRecord, other: ObservationRecord,
 
 
 def _covariance(record: ObservationRecord, size: int, without: list[Cause]) -> Float:
-    """Covariance of a place in the image by the causes that are its own."""
+    """Covariance of a position in the image from the causes specific to it."""
     if not record.parts:
         covariance = np.zeros((3, 3))
         covariance[:2, :2] = np.array(record.covariance_px2)

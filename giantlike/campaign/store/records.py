@@ -210,7 +210,7 @@ class AttitudeRecord(_TriedRecord):
     star_image, body_image : bool
         True if its own stars were to be solved; True if estimators run on it.
     transferred : bool
-        True if the attitude was looked for in its neighbors in time.
+        True if the attitude was sought from its neighbors in time.
     status : str
     problem : Problem, optional
     apriori_xyzw : (4,) list of float, optional
@@ -218,7 +218,7 @@ class AttitudeRecord(_TriedRecord):
     attitude : Attitude, optional
         The result; None when failed.
     attitude_shares : dict of str to float
-        Of a transferred attitude, the star images it is made of and the share of each.
+        Of a transferred attitude, its star images and the weight of each.
     n_detected, n_matched, n_rejected, rms_px, false_match_probability : int or float, optional
         Of the star solution, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
     ra_deg, dec_deg, roll_deg, fov_deg : float, optional, deg
@@ -399,7 +399,7 @@ class ObservationRecord(_TriedRecord):
 
 
 class TargetView(PlainRecord):
-    """Predicted place of a target in an image, for overlays.
+    """Predicted position of a target in an image, for overlays.
 
     Parameters
     ----------

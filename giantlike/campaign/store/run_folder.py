@@ -203,7 +203,7 @@ class RunFolder:
         return self._results.exists()
 
     def images(self) -> dict[str, KnownImage]:
-        """Every image that the folder knows, by name."""
+        """Every image in the folder, by name."""
         return self._results.images() if self._results.exists() else {}
 
     def set_images(self, images: Sequence[tuple[str, str]]) -> None:
@@ -219,7 +219,7 @@ class RunFolder:
         self._results.set_places(kind.part, places)
 
     def adopt(self, other: RunFolder, path_here: Callable[[str], str]) -> None:
-        """Take over the images of another run, with their records; of images that are here already, nothing."""
+        """Add the images of another run, with their records, except images that are here already."""
         self._results.adopt(other._results, path_here)
 
     def log(self, event: str, **values: Any) -> None:
