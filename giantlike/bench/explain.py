@@ -187,8 +187,7 @@ def _causes(parts: Mapping[Cause, Any], checks: Mapping[str, float]) -> Iterator
 
 
 def _tests(checks: Mapping[str, float]) -> Iterator[str]:
-    """Likelihood ratios of other image models and of another position, and p-value of the offset from the
-    prediction."""
+    """Likelihood ratios of other models and of another position, and p-value of the offset from the prediction."""
     odds = {one: checks[f"{one}_log_odds"] for one in Alternative if f"{one}_log_odds" in checks}
     if odds:
         ranked = sorted(odds.items(), key=lambda item: -item[1])
