@@ -96,7 +96,7 @@ class Reason(StrEnum):
     Nothing, if that is true; else check the direction of the Sun.
     """
     NO_LIMB = "no_limb"
-    """There is no limb to measure: the body is too small, not resolved, or its edge has no contrast.
+    """There is no limb to measure: the body is too small, not resolved, or its edge does not stand out.
 
     The detail tells which; small bodies are for `cross_correlation`, `moment` or `unresolved`.
     """
@@ -192,10 +192,10 @@ class Quality(enum.Flag):
     Look at the rejected ones: a wrong shape, clouds, relief or a second body.
     """
     FAR_FROM_PREDICTION = enum.auto()
-    """The estimate lies at or beyond the edge of the declared search, or beyond declared errors of the prediction,
-    including the size of the body in the image.
+    """The estimate lies at or beyond the border of the declared search, or beyond declared errors of the prediction,
+    also by the size of the body in the image.
 
-    Check that it is the correct target, and the declared errors of ephemeris and attitude.
+    Check that it is the right target, and the errors declared of ephemeris and attitude.
     """
     LARGE_RESIDUALS = enum.auto()
     """Residuals of stars, or of a triangulation, are several times the noise.
