@@ -43,7 +43,7 @@ _THUMBNAIL_PX = 96
 _LONGEST_PX = 2048
 """Pictures of longer images are reduced to this, px: as much as a screen shows."""
 _KEPT_IMAGES = 4
-"""Images whose backplanes and templates are kept: those between which a person goes back and forth."""
+"""Number of images whose backplanes and templates are cached, for a user who switches between them."""
 _DIFFERENCE_PERCENT = 99.5
 """Percentile of the differences at which their gray scale ends: the noise of a bright body stays gray."""
 
@@ -104,7 +104,7 @@ class Answers:
             }
 
     def terminator(self, index: int) -> list[dict[str, Any]]:
-        """Layers of the terminators of an image; they are traced when they are asked for."""
+        """Layers of the terminators of an image; they are traced on request."""
         with self._lock:
             file = self._file(index)
             planes = self._backplanes(index, file)
@@ -169,7 +169,7 @@ class Answers:
         raise InputError(f"there is no chart {which!r}; there are stars, limb, map and correlation")
 
     def pixel(self, index: int, x: str, y: str) -> dict[str, Any]:
-        """Value of a pixel, and what it shows of a body."""
+        """Value of a pixel, and the backplanes of a body there."""
         with self._lock:
             file = self._file(index)
             pixels = self._session.pixels(file).pixels
@@ -199,7 +199,7 @@ class Answers:
         return edit.model_dump(mode="json", exclude_none=True)
 
     def solve(self, wanted: dict[str, Any]) -> dict[str, Any]:
-        """Run the campaign again: what edits changed is made, everything else is kept."""
+        """Rerun the campaign: results changed by edits are recomputed, all others are kept."""
         with self._lock:
             if self._solving["state"] == "at work":
                 return self._solving
@@ -236,7 +236,7 @@ class Answers:
         return names[index]
 
     def _backplanes(self, index: int, file: str) -> Backplanes:
-        """Backplanes of an image; those of a few images are kept."""
+        """Backplanes of an image, cached for a few images."""
         if index not in self._planes:
             planes = backplanes_of(self._session, file)
             while len(self._planes) >= _KEPT_IMAGES:

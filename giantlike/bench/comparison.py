@@ -1,4 +1,4 @@
-"""How well an image and a fix agree: template, image minus template, correlation by shift, residuals of limb points."""
+"""Comparison of an image with a fix: template, image minus template, correlation by shift, residuals of limb points."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class TemplateMatch(Value):
         Rendered body, scaled to the image by least squares, on its background.
     image_dn : (rows, columns) float64, DN
     region : (rows, columns) bool
-        Pixels of the template and its border that are no bad ones.
+        Good pixels of the template and its border.
     template : Template
     """
 
@@ -69,7 +69,7 @@ class TemplateMatch(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LimbResiduals(Value):
-    """Limb points of a fix beside the outline of the body there.
+    """Limb points of a fix, relative to the outline of the body there.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The dossier of a run: what a verification report needs, in one folder."""
+"""Dossier of a run: the data for a verification report, in one folder."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ _EXPORTS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InputFile:
-    """A file that a run was made from.
+    """An input file of a run.
 
     Parameters
     ----------
     role : str
-        What it is to the campaign: ``image``, ``camera``, ``kernel``, ...
+        Role in the campaign: ``image``, ``camera``, ``kernel``, ...
     path : str
         Relative to the dossier.
     sha256 : str
@@ -124,7 +124,7 @@ def _paths_in(value: Any) -> Iterator[Path]:
 
 
 def _require_current(session: Session, campaign: Campaign, bench: Workbench) -> None:
-    """Raise unless the run is what its inputs and its edit list would make today."""
+    """Raise unless the run is up to date with its inputs and its edit list."""
     provenance = RunFolder.open(session.folder).provenance()
     changed = changes(provenance.get("inputs", {}), inputs_of(campaign, bench))
     images = provenance.get("images_sha256", {})
@@ -144,7 +144,7 @@ def _digest_of(path: Path) -> str:
 
 
 def _clear(output: Path) -> None:
-    """Make an empty folder of what is not there, or a dossier."""
+    """Prepare an empty folder at a path that does not exist or is a dossier."""
     if output.is_dir() and any(output.iterdir()):
         if not (output / DOSSIER_FILE).is_file():
             raise InputError(f"{output}: holds something else than a dossier; choose another --output")
@@ -153,7 +153,7 @@ def _clear(output: Path) -> None:
 
 
 def _copy_run(session: Session, campaign: Campaign, output: Path) -> None:
-    """Copy what the run wrote, and the campaign file."""
+    """Copy the outputs of the run, and the campaign file."""
     try:
         shutil.copyfile(campaign.path, output / campaign.path.name)
         make_folder(output / "run")
@@ -196,7 +196,7 @@ def _write_figures(session: Session, output: Path) -> None:
 def _content(
     session: Session, campaign: Campaign, inputs: list[InputFile], notes: list[str], output: Path
 ) -> dict[str, Any]:
-    """Everything that the page says, as JSON has it."""
+    """Content of the page, as JSON."""
     result, provenance = session.result, RunFolder.open(session.folder).provenance()
     environment = provenance.get("environment", {})
     records: list[AttitudeRecord | ObservationRecord] = [*result.attitudes, *result.observations]

@@ -1,4 +1,4 @@
-"""Whether a dossier holds: its inputs are the same, and its run comes out the same again."""
+"""Check of a dossier: its inputs are unchanged, and a rerun reproduces its results."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _TIME_COLUMN = "time_s"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DossierCheck:
-    """Whether a dossier and its inputs are what they were.
+    """Comparison of a dossier and its inputs with their recorded hashes.
 
     Parameters
     ----------
     same : int
-        Number of files that are.
+        Number of unchanged files.
     changed, missing : tuple of str
         Roles and paths of inputs, and files of the dossier.
     versions : tuple of str

@@ -1,4 +1,4 @@
-"""Answers in words: what was predicted, found and rejected, which check decided; of an image of a run, or of a fix."""
+"""Explanation of an image of a run, or of a fix, in words: prediction, results, rejections, decisive check."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SOURCES = {
 
 
 def explain(answer: SeenImage | AttitudeFix | CenterFix | Failure) -> str:
-    """Explain the results of an image of a run, or what an estimator or star navigation returned.
+    """Explain the results of an image of a run, or the result of an estimator or of star navigation.
 
     Parameters
     ----------
@@ -168,9 +168,9 @@ def _digits(value: float, digits: int, sign: str = "") -> str:
 
 
 def _causes(parts: Mapping[Cause, Any], checks: Mapping[str, float]) -> Iterator[str]:
-    """Shares of the causes in the variance of the place, or of the two axes across the boresight, largest first.
+    """Fractions of the causes in the variance of the position, or of the two axes across the boresight, largest first.
 
-    And by how much the variance was increased because a coarse render at the fix does not match the image.
+    Includes the variance inflation for a mismatch of image and coarse render at the fix.
     """
     sizes = {str(cause): float(np.trace(np.array(part)[:2, :2])) for cause, part in parts.items()}
     total = sum(sizes.values())
@@ -187,7 +187,7 @@ def _causes(parts: Mapping[Cause, Any], checks: Mapping[str, float]) -> Iterator
 
 
 def _tests(checks: Mapping[str, float]) -> Iterator[str]:
-    """Odds of other models of the image and of another place, and how likely the distance from the prediction is."""
+    """Likelihood ratios of other models and of another position, and p-value of the offset from the prediction."""
     odds = {one: checks[f"{one}_log_odds"] for one in Alternative if f"{one}_log_odds" in checks}
     if odds:
         ranked = sorted(odds.items(), key=lambda item: -item[1])
@@ -220,7 +220,7 @@ def _problem(problem: Problem | Failure) -> str:
 
 
 def _together(seen: SeenImage, target: str, there: Sequence[ObservationRecord]) -> Iterator[str]:
-    """Which fix to take, and how the others differ from it."""
+    """Recommended fix, and the differences of the others from it."""
     best = chosen_fix(seen, target)
     if best is None or best.center_px is None or best.covariance_px2 is None:
         yield "No estimator made a fix."

@@ -20,9 +20,9 @@ _THREE_SIGMA = 3.0
 _ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)
 """Angles, rad, of the points of an ellipse: 7.5 deg apart, where its corners cannot be seen."""
 _LONGEST_NUMBER = 9
-"""Digits of a catalog number beside a mark: those of Hipparcos, Tycho-2 and UCAC4."""
+"""Maximum digits of a catalog number next to a mark: enough for Hipparcos, Tycho-2 and UCAC4."""
 TERMINATOR = "#ff7ad9"
-"""Color of the line where the Sun stands at the horizon of the surface."""
+"""Color of the line where the Sun is at the horizon of the surface."""
 LANDMARK, LANDMARK_REJECTED = "#22d3ff", MARKS["limb points rejected"]
 
 
@@ -35,15 +35,15 @@ class MarkLayer(Value):
     name : str
         One of ``LAYERS``.
     title : str
-        What it shows, with target and estimator.
+        Content, with target and estimator.
     layer : Layer
         Points, shape and color.
     labels : sequence of str
-        What there is to say of each point; empty where there is nothing.
+        Description of each point; empty where there is none.
     names : sequence of str
-        Short text to write beside each point; empty where there is none. The points that matter most come first.
+        Short text next to each point; empty where there is none. The most important points come first.
     star_ids : sequence of int
-        Number of each point in the catalog; empty where points are no stars.
+        Number of each point in the catalog; empty where points are not stars.
     """
 
     name: str
@@ -149,7 +149,7 @@ def _predicted(seen: SeenImage) -> list[MarkLayer]:
 
 
 def _fitted(seen: SeenImage) -> list[MarkLayer]:
-    """The outline at each fix: that of a template, else the predicted one moved and scaled."""
+    """The outline at each fix: the outline of a template, else the predicted one moved and scaled."""
     made, colors = [], center_colors(seen)
     views = {target.target: target.view for target in seen.targets if target.view is not None}
     for fix in _fixes(seen):
@@ -298,7 +298,7 @@ def _names_of(stars: Mapping[str, Any]) -> list[str]:
 
 
 def _short(number: int) -> str:
-    """Number of a star to write beside it; those of Gaia are so long that they would cover its neighbors."""
+    """Catalog number to write next to a star; empty for long ones (Gaia), which would cover its neighbors."""
     return str(number) if len(str(number)) <= _LONGEST_NUMBER else ""
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_NAMES = 30
-"""Names of a layer that are written, those of the points that matter most: more cover each other."""
+"""Maximum number of names written in a layer, most important first: more would cover each other."""
 _LONGEST_PX = 2048
 """Longer sides of images are reduced to this; a page is not wider."""
 
@@ -28,7 +28,7 @@ def picture_of(
     *,
     box: tuple[float, float, float, float] | None = None,
 ) -> Figure:
-    """Draw an image with layers, and names beside stars and landmarks.
+    """Draw an image with layers, and names next to stars and landmarks.
 
     ``box`` in px, left, top, right and bottom of the part to show (default: all).
     """

@@ -36,9 +36,9 @@ PLANES: Mapping[str, str] = MappingProxyType(
 
 _HORIZON_DEG = 90.0
 _BY_DAY = 0.5
-"""Share of a piece of a terminator that must have sunlight beside it."""
+"""Minimum fraction of a piece of a terminator that borders on sunlit pixels."""
 _LEAST_PIECE = 0.05
-"""Extent of a piece of a terminator over that of the longest, below which it is not drawn."""
+"""Minimum extent of a drawn piece of a terminator, relative to the longest."""
 
 
 def backplanes_of(session: Session, file: str, *, estimator: str | None = None, predicted: bool = False) -> Backplanes:
@@ -83,7 +83,7 @@ def backplanes_of(session: Session, file: str, *, estimator: str | None = None, 
 
 
 def with_terminators(session: Session, seen: SeenImage, planes: Backplanes) -> SeenImage:
-    """Add the lines of an image where the Sun stands at the horizon of the surface.
+    """Add the lines of an image where the Sun is at the horizon of the surface.
 
     Parameters
     ----------
@@ -95,8 +95,8 @@ def with_terminators(session: Session, seen: SeenImage, planes: Backplanes) -> S
     Returns
     -------
     SeenImage
-        With the lines of incidence 90 deg between pixels of one body; pieces within shadows, and those of a few pixels,
-        which single boulders make, are left out.
+        With the lines of incidence 90 deg between pixels of one body; pieces within shadows, and pieces of a few
+        pixels, from single boulders, are left out.
     """
     from matplotlib.figure import Figure
 

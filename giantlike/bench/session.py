@@ -1,4 +1,4 @@
-"""A run with what it was made of: records, images and, where the campaign file is at hand, scenes."""
+"""A run with its inputs: records, images and, where the campaign file is available, scenes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from giantlike.scene import Scene, TargetGeometry
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeenImage:
-    """Everything that a run knows of one image, as it stands after edits.
+    """Results of a run for one image, after edits.
 
     Parameters
     ----------
@@ -37,11 +37,11 @@ class SeenImage:
     observations : tuple of ObservationRecord
     points : mapping of (str, str) to mapping
         Lists of points as :meth:`~giantlike.campaign.store.run_folder.RunFolder.points` returns them, by target and
-        estimator of an observation; those of the image itself by two empty names.
+        estimator of an observation; the lists of the image itself by two empty names.
     targets : tuple of TargetRecord
-        Geometry and outlines known beforehand.
+        A priori geometry and outlines.
     edits : tuple of Edit
-        Rejections that stand.
+        Rejections in effect.
     terminators : mapping of str to tuple of (n, 2) float64, px
         By target, where :func:`~giantlike.bench.planes.with_terminators` traced them.
     """
@@ -76,20 +76,20 @@ def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]
 
 
 class Session:
-    """A finished run, opened to be looked at.
+    """A finished run, opened for inspection.
 
     Parameters
     ----------
     folder : Path
         The run folder.
     campaign : Path, optional
-        Its campaign file; by default the one that the run was made from, if it is still there. It is needed for what
-        the run does not keep: shapes, backplanes, templates, and to solve again.
+        Its campaign file; by default the one of the run, if it still exists. It is needed for data that the run does
+        not keep (shapes, backplanes, templates) and to solve again.
 
     Raises
     ------
     DataError
-        It is no run folder, or the run is not finished.
+        It is not a run folder, or the run is not finished.
     """
 
     def __init__(self, folder: Path, campaign: Path | None = None) -> None:
@@ -175,7 +175,7 @@ class Session:
         raise InputError(f"{self.folder}: there is no image {name!r} in this run; the nearest name is {near[0]}")
 
     def seen(self, file: str) -> SeenImage:
-        """Everything that the run knows of an image.
+        """Return the results of the run for an image.
 
         Parameters
         ----------
@@ -315,7 +315,7 @@ class Session:
 
 
 def chosen_fix(seen: SeenImage, target: str, estimator: str | None = None) -> ObservationRecord | None:
-    """The fix of a target to look at: of an estimator, or the best one.
+    """The fix of a target to show: of an estimator, or the best one.
 
     Returns None where there is no such fix.
     """

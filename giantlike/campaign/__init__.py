@@ -1,7 +1,7 @@
 """Campaigns: one TOML file in, a run folder with tables and a report out.
 
-``run_campaign(Campaign.load("campaign.toml"))`` is what ``giantlike run`` does. The names are imported when first used:
-a report or an export needs none of what makes results.
+``giantlike run`` calls ``run_campaign(Campaign.load("campaign.toml"))``. The names are imported when first used, since
+a report or an export does not need the modules that compute results.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""All mistakes of a campaign file and of the files that it names, at once, before anything is run."""
+"""Check of a campaign file and of the files that it names: all errors at once, before a run."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _ALONE: dict[str, Any] = {
     "air": None,
     "rings": None,
 }
-"""Keys of a target that stand in while one of them is checked."""
+"""Placeholder keys of a target while one of them is checked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,13 +54,13 @@ class Mistake:
     ----------
     file : Path
     line : int or None
-        In the campaign file; None where it is about another file, or about all of it.
+        Line of the campaign file; None where the problem concerns another file, or the whole file.
     key : str
         Of the campaign file; may be empty.
     text : str
-        What was found, what was expected, what to do.
+        The finding, the expectation, the remedy.
     fatal : bool
-        False where a run would go on.
+        False where a run would continue.
     """
 
     file: Path
@@ -75,9 +75,9 @@ class Mistake:
 
 
 def check_campaign(path: Path, *, all_images: bool = False) -> list[Mistake]:
-    """Look for mistakes in a campaign file and the files that it names.
+    """Find errors in a campaign file and the files that it names.
 
-    The result is empty if all is well.
+    The result is empty if there are none.
     """
     check = _Check(path)
     try:
@@ -89,7 +89,7 @@ def check_campaign(path: Path, *, all_images: bool = False) -> list[Mistake]:
         return check.found
     completed = check.attempt("mission", with_mission, path, table)
     if completed is None:
-        table.setdefault("camera", {"preset": preset_names()[0]})  # the mission, once its name is right, tells it
+        table.setdefault("camera", {"preset": preset_names()[0]})  # a mission with a valid name provides it
     else:
         table = completed
     broken = _keys_and_values(check, table)
@@ -113,7 +113,7 @@ class _Check:
         self.found: list[Mistake] = []
 
     def add(self, key: str, problem: object, *, line: int | None = None, fatal: bool = True) -> None:
-        """Add a mistake; a text that begins with a key tells the place better than ``key``."""
+        """Add an error; a key at the beginning of the text is more specific than ``key``."""
         text = " ".join(str(problem).split()).removeprefix(f"{self.path}: ")
         named = _KEY.match(text)
         if named is not None:
@@ -123,7 +123,7 @@ class _Check:
             self.found.append(Mistake(file=self.path, line=place, key=key, text=text, fatal=fatal))
 
     def attempt(self, key: str, function: Callable[..., Any], *args: Any) -> Any:
-        """Result of a function; None, and a mistake more, if it refuses its arguments."""
+        """Result of a function; None, with an error added, if it rejects its arguments."""
         try:
             return function(*args)
         except (OpNavError, ValidationError) as error:
@@ -188,7 +188,7 @@ def _named_files(check: _Check, table: dict[str, Any], broken: set[str]) -> None
 
 
 def _targets_nowhere(check: _Check, table: dict[str, Any], geometry: GeometryTable) -> None:
-    """Targets without a row in the geometry table, which are looked for in no image: a misspelled name most often."""
+    """Targets without a row in the geometry table, which are never searched for: usually a misspelled name."""
     known = list(dict.fromkeys(row.target for row in geometry.rows if row.target is not None))
     for number, target in enumerate(table.get("targets", [])):
         name = target.get("name") if isinstance(target, dict) else None
@@ -202,7 +202,7 @@ def _targets_nowhere(check: _Check, table: dict[str, Any], geometry: GeometryTab
 
 
 def _targets(table: dict[str, Any]) -> Iterator[tuple[int, TargetSection | None]]:
-    """Yield the targets one by one; None for one with a wrong key or value, which leaves the others to be looked at."""
+    """Yield the targets one by one; None for one with a wrong key or value, so that the others are still checked."""
     tables = table.get("targets")
     for number, target in enumerate(tables if isinstance(tables, list) else []):
         try:
@@ -212,7 +212,7 @@ def _targets(table: dict[str, Any]) -> Iterator[tuple[int, TargetSection | None]
 
 
 def _pieces(target: TargetSection) -> Iterator[tuple[str, TargetSection]]:
-    """Yield a target once for each of its keys that may be wrong, the others replaced by what is right."""
+    """Yield a target once for each of its keys that may be wrong, the others replaced by valid values."""
     kept = {"options": {}, "estimators": ["moment"]}
     yield "shape", target.model_copy(update=kept | {"reflectance": None})
     yield "reflectance", target.model_copy(update=_ALONE | {"reflectance": target.reflectance})
@@ -222,7 +222,7 @@ def _pieces(target: TargetSection) -> Iterator[tuple[str, TargetSection]]:
 
 
 def _what_is_meant(check: _Check, campaign: Campaign, *, all_images: bool) -> None:
-    """What is allowed, and probably not meant."""
+    """Warnings of settings that are allowed but probably not intended."""
     told = {mistake.key for mistake in check.found}
     for warning in campaign.warnings:
         named = re.match(r"target '(.*?)'", warning)
@@ -254,7 +254,7 @@ def _opened(campaign: Campaign, path: Path) -> Image:
 
 
 def _units(check: _Check, campaign: Campaign, number: int, shape: Shape) -> None:
-    """A camera inside of a body says that the unit of one of the two is wrong."""
+    """A camera inside a body indicates a wrong unit."""
     name = campaign.targets[number].name
     ranges = {
         key: float(np.linalg.norm(row.target_position_inertial_km))

@@ -43,7 +43,7 @@ _WRITTEN = ("images", "shapes", "run", "camera.toml", "geometry.csv", CAMPAIGN_F
 _CONSISTENT = 0.001
 """Two-sided probability of chi-square beyond which errors contradict their covariances: one false alarm in 1,000."""
 _SMALL_PHASE_DEG = 90.0
-"""Phase angle, deg, up to which the goal of ``unresolved`` holds: beyond, less than half of the disk is lit."""
+"""Phase angle, deg, up to which the goal of ``unresolved`` holds: beyond, less than half of the disk is illuminated."""
 _ATTITUDE_SHARE = 0.95
 """Share of the images that need an attitude: of 39, one may be lost."""
 _BODY_SHARE = 0.8
@@ -56,10 +56,10 @@ _MADE_FOR_PX = MappingProxyType(
         "ellipsoid_cra": (60.0, math.inf),
     }
 )
-"""Least and largest diameter, px, of the bodies that each estimator has to find.
+"""Minimum and maximum diameter, px, of the bodies that each estimator has to find.
 
-``unresolved`` takes up to 12 px across the sphere around the body, up to 1.5 times as wide as that of its volume.
-``limb_matching`` and ``ellipsoid_cra`` need an arc of limb: a body of 60 px has some 100 px of it.
+``unresolved`` allows a circumscribed sphere of up to 12 px, up to 1.5 times as wide as the sphere of equal volume.
+``limb_matching`` and ``ellipsoid_cra`` need an arc of limb: a body of 60 px has about 100 px of it.
 """
 _WHY = MappingProxyType(
     {
@@ -150,7 +150,7 @@ class DemoReport(Value):
                 )
 
     def text(self) -> str:
-        """Tables for people: every observation, then each estimator, then the goals."""
+        """Text tables: every observation, then each estimator, then the goals."""
         lines = ["Every fix: error against truth +- the sigma that the estimator stated", ""]
         lines += _observation_lines(self.comparison.observations)
         lines += ["", "Attitude: error and stated sigma as a shift of the image", ""]
@@ -220,7 +220,7 @@ def run_demo(
 
 
 def _clear(output: Path) -> None:
-    """Mark an empty folder, or clear what a demonstration wrote into a marked one; anything else is refused.
+    """Mark an empty folder, or clear the output of a demonstration from a marked one; anything else is refused.
 
     The marker comes before all else, so that an interrupted demonstration does not block the next one.
     """
@@ -245,7 +245,7 @@ def _clear(output: Path) -> None:
 
 
 def _yield_goals(comparison: Comparison) -> Iterable[Goal]:
-    """Goals of the share of fixes that are ok, of all that the truth says can be found, reported or not."""
+    """Goals of the fraction of fixes that are ok among all that are observable by the truth, reported or not."""
     solved = {error.file for error in comparison.attitudes if error.status == "ok"}
     yield _share("attitude", [row.file in solved for row in comparison.truth], _ATTITUDE_SHARE)
     found = {(e.estimator, e.target, e.file) for e in comparison.observations if e.status == "ok"}
@@ -263,7 +263,7 @@ def _yield_goals(comparison: Comparison) -> Iterable[Goal]:
 
 
 def _share(text: str, hits: Sequence[bool], low: float) -> Goal:
-    """Goal of the share of what can be found that is found; NaN, which is not met, where there is nothing."""
+    """Goal of the fraction of observable bodies that are found; NaN, which is not met, where there are none."""
     share = sum(hits) / len(hits) if hits else math.nan
     return Goal(text=f"{text}: share with a good fix ({sum(hits)} of {len(hits)})", value=share, low=low, high=1.0)
 
@@ -290,7 +290,7 @@ def _accuracy_goals(comparison: Comparison) -> list[Goal]:
 
 
 def _consistency(text: str, total: float, dof: int) -> Goal:
-    """Goal of a mean squared normalized error: the range in which it lies if the stated covariances are right."""
+    """Goal of a mean squared normalized error: its range if the reported covariances are correct."""
     low, high = (float(chi2.ppf(p, dof)) / dof for p in (_CONSISTENT / 2, 1.0 - _CONSISTENT / 2))
     return Goal(text=f"{text} ({dof})", value=total / dof, low=low, high=high)
 
@@ -335,7 +335,7 @@ def _score_lines(title: str, scores: dict[str, Score]) -> list[str]:
 
 
 def _failure_lines(scores: dict[tuple[str, str], Score]) -> list[str]:
-    """Counts of what gave no fix, by reason; empty if everything did."""
+    """Counts of failures by reason; empty if there are none."""
     lines = []
     for (target, estimator), score in scores.items():
         label = f"{target:<7} {estimator:<18}"

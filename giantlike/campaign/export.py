@@ -56,13 +56,13 @@ class ExportFormat(StrEnum):
 
 
 class PointingSource(StrEnum):
-    """What exported attitudes are from."""
+    """Source of exported attitudes."""
 
     STARS = "stars"
     """The attitudes of the run: stars, or transferred from them."""
     BODIES = "bodies"
-    """The ephemeris: the camera is turned until bodies and landmarks lie where they were seen, weighted against the
-    attitude of the run with its covariance."""
+    """The ephemeris: the camera is rotated to fit bodies and landmarks to their measured positions, with the attitude
+    of the run and its covariance as a priori."""
 
 
 EXPORT_NAMES: Mapping[ExportFormat, str] = MappingProxyType(
@@ -92,11 +92,11 @@ class ExportOptions:
     stars_only : bool
         Leave out attitudes that were transferred from other images.
     max_gap_s : float, s
-        CK and AEM: longest gap to interpolate over. The default was chosen without a study.
+        CK and AEM: longest gap to interpolate over. The default is not from a study.
     instrument_id : int, optional
         CK: NAIF code of the camera frame.
     frame_name : str, optional
-        CK and AEM: name of the camera frame; default: that of the mission's frame or of the camera.
+        CK and AEM: name of the camera frame; default: the mission's frame, or the name of the camera.
     sclk : Path, optional
         CK: clock kernel of the spacecraft; without it, one is made.
     ck_type : int
@@ -104,7 +104,7 @@ class ExportOptions:
     object_name, object_id, originator : str
         AEM: see :func:`~giantlike.io.ccsds_aem.write_aem`. TDM, PSF: the spacecraft, and who writes the message.
     angles : Angles
-        TDM: what is removed of the angles.
+        TDM: corrections removed from the angles.
     sip_order : int
         WCS: order of the polynomials, 2 to 9.
     """
@@ -373,7 +373,7 @@ def _sumfiles(output: Path, rows: Iterable[ObservableRow], camera: Camera) -> Ex
 
 
 def _require_label(series: AttitudeSeries, label: str, camera: Camera) -> None:
-    """Refuse to write attitudes under a name that is known to stand for the other of the camera's two frames."""
+    """Refuse to write attitudes under a name that is known to denote the other of the camera's two frames."""
     mission = "" if camera.mission_frame is None else camera.mission_frame.name
     if label in (camera.frame_name, mission):
         require_same_frame(series.frame, label)

@@ -1,4 +1,4 @@
-"""A commented campaign file for a folder of images, to be completed by a person."""
+"""A commented campaign file for a folder of images, to be completed by the user."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""State of a run, finished or at work: what is done, what failed and why, who is at it."""
+"""State of a run, finished or in progress: results, failures with reasons, and who runs it."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class RunStatus:
         Of the campaign.
     steps : mapping of str to StepStatus
     edits : int
-        Rejections that stand.
+        Rejections in effect.
     last_event : str or None
         Time of the last line of the log.
     """

@@ -1,4 +1,4 @@
-"""A campaign run again and again as images arrive."""
+"""A campaign rerun as images arrive."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def watch_campaign(
     announce: Callable[[str], None],
     wait: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Run a campaign, and again whenever its file, an image or the geometry table changed or came; until interrupted.
+    """Run a campaign, and rerun it when its file, an image or the geometry table changes or arrives; until interrupted.
 
-    Mistakes, such as a pattern that matches no file yet, are told once and waited out. An image that is still being
-    written is unreadable, and tried again by the next run.
+    Errors, such as a pattern that matches no file yet, are reported once and retried. An image that is still being
+    written is unreadable, and retried by the next run.
     """
     seen, told = "", ""
     while True:
@@ -43,6 +43,6 @@ def watch_campaign(
 
 
 def _state(campaign: Campaign) -> str:
-    """What tells whether anything changed since the last look."""
+    """State of the watched files, to detect changes."""
     files = [campaign.path, campaign.geometry_file, campaign.camera_file, *(entry.path for entry in campaign.images)]
     return " ".join(f"{file.name} {stamp_of(file)}" for file in files if file is not None)

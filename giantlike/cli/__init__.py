@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def main() -> None:
-    """Run the command line; what ``giantlike`` on a shell does."""
+    """Run the command line, as ``giantlike`` on a shell."""
     from giantlike.cli.app import app
 
     app()

@@ -45,7 +45,7 @@ def show(
     ] = None,
     campaign: CampaignFile = None,
 ) -> ExitCode:
-    """Draw an image of a run with what was found in it."""
+    """Draw an image of a run with its results."""
     from giantlike.bench.pictures import picture_of
 
     names = [name.strip() for name in layers.split(",") if name.strip()]
@@ -65,7 +65,7 @@ def show(
 
 
 def explain(image: ImageName, run: RunOption, json: Json = False) -> ExitCode:
-    """Say in words what was predicted, found and rejected in an image, and which check decided."""
+    """Explain in words the prediction, results and rejections of an image, and which check decided."""
     session = Session(run)
     file = session.find(image)
     seen = session.seen(file)

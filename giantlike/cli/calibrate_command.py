@@ -55,7 +55,7 @@ def calibrate(
 ) -> ExitCode:
     """Calibrate a camera from images of stars, or of a checkerboard.
 
-    Stars are identified anywhere on the sky and the camera is estimated, by turns; writes camera.toml with its
+    Identification of stars anywhere on the sky and estimation of the camera alternate; writes camera.toml with its
     covariance, calibration.html, calibration.json and the attitudes with the calibrated camera. Images are made a
     campaign first, whose file is kept.
     """
@@ -139,7 +139,7 @@ def _names(estimate: str) -> list[str]:
 
 
 def _show(summary: dict[str, Any], page: str, *, json: bool) -> None:
-    """Write JSON; or the table, what took no part, why the camera is not used, and where the page is."""
+    """Write JSON; or the table, the excluded images, why the camera is not used, and the path of the page."""
     if json:
         print_json(summary)
         return

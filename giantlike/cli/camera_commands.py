@@ -66,7 +66,7 @@ def convert(
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> ExitCode:
-    """Write a camera in another file format or as another model, and say what is lost.
+    """Write a camera in another file format or as another model, and list the losses.
 
     A model of another type is fitted over the whole frame; the largest and the rms difference are shown.
     """
@@ -106,7 +106,7 @@ def _read(
     boresight: str | None,
     size: str | None,
 ) -> tuple[Camera, list[str]]:
-    """Camera of a file, and remarks on what it does not take over."""
+    """Camera of a file, and remarks on fields that are not converted."""
     if path.suffix == ".toml":
         return Camera.load(path), []
     found = read_foreign_camera(

@@ -25,7 +25,7 @@ from giantlike.core.reading import file_sha256
 from giantlike.core.units import RAD_PER_DEG
 
 _SHOWN = 40
-"""So many stars are listed for people unless they ask for more."""
+"""Number of stars listed by default."""
 
 
 Catalog = Annotated[str, typer.Argument(metavar="CATALOG", help="default, a built catalog, or a CSV catalog.")]
@@ -213,7 +213,7 @@ def _sources(name: str) -> list[Source]:
 
 
 def _rows(stars: StarTable, directions: Float, distance_deg: Float, epoch: float | None) -> list[dict[str, Any]]:
-    """One object of the JSON list for each star; what is not known is None."""
+    """One object of the JSON list for each star; unknown values are None."""
     ra, dec = radec_from_direction(directions)
     measured = ("magnitude", "pm_ra_mas_yr", "pm_dec_mas_yr", "parallax_mas", "radial_velocity_km_s")
     colors = ("color_bv", "color_bp_rp")

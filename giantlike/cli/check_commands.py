@@ -19,7 +19,7 @@ def check(
     all_images: Annotated[bool, typer.Option("--images", help="Open every image, not only the first.")] = False,
     json: Json = False,
 ) -> ExitCode:
-    """Show all mistakes of a campaign file and of the files that it names, without running it."""
+    """Show all errors of a campaign file and of the files that it names, without running it."""
     found = check_campaign(path, all_images=all_images)
     fatal = sum(mistake.fatal for mistake in found)
     if json:

@@ -14,7 +14,7 @@ from giantlike.cli.arguments import Json, Run
 from giantlike.cli.outcome import ExitCode, print_json, show_result
 
 _WIDTH = 140
-"""Columns of a table in a file, which has no width of its own: no number is cut."""
+"""Width, columns, of a table in a file: wide enough for all numbers."""
 
 
 def compare(
@@ -39,10 +39,10 @@ def compare(
     output: Annotated[Path | None, typer.Option(help="Table of all differences.", metavar="FILE.csv")] = None,
     json: Json = False,
 ) -> ExitCode:
-    """Compare the results of a run with another run, or with those of another team.
+    """Compare the results of a run with those of another run or another team.
 
-    Differences, first minus second, over the combined sigma of both. Errors that both share are in no difference and
-    in no sigma; they are named.
+    Differences, first minus second, are divided by the combined sigma. Errors common to both are in neither; they are
+    named.
     """
     if other.is_dir():
         comparison = compare_runs(folder, other)

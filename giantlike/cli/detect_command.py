@@ -29,12 +29,12 @@ from giantlike.processing.psf.estimate import PsfEstimate, estimate_psf, remeasu
 from giantlike.processing.psf.profile import PsfKind
 
 _SHOWN = 20
-"""Detections of an image that the table for people shows."""
+"""Maximum detections of an image in the text table."""
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Detections of one image, and its point spread function where that was asked for."""
+    """Detections of one image, and its point spread function if requested."""
 
     detections: Detections
     psf: PsfEstimate | Failure | None = None
@@ -51,7 +51,7 @@ class DetectRequest:
     psf_sigma_px : float, px, optional
         Instead of the camera's; by default it is estimated from each image.
     min_snr : float
-        Detections of a lower signal to noise ratio are left out.
+        Detections of a lower signal-to-noise ratio are left out.
     hdu : int or str, optional
         Of FITS files.
     reader : ImageReader
@@ -59,7 +59,7 @@ class DetectRequest:
     sequence : bool
         The images are of one camera: a fixed pattern is removed, and detections are compared.
     psf : PsfKind, optional
-        Estimate a point spread function of this kind from each image, and the places of stars with it.
+        Estimate a point spread function of this kind from each image, and the positions of stars with it.
     psf_degree : int
         Of the polynomials with which it varies over the field.
     options : DetectionOptions
@@ -176,7 +176,7 @@ def _searched(path: Path, wanted: DetectRequest, pattern: FixedPattern | Failure
 
 
 def _result(path: Path, outcome: Found | Failure, wanted: DetectRequest) -> dict[str, Any]:
-    """One object of the JSON list; what is not known is None."""
+    """One object of the JSON list; unknown values are None."""
     values: dict[str, Any] = {"file": str(path), "status": "failed", "reason": None, "detail": ""}
     values |= {"psf_sigma_px": None, "noise_dn": None, "detections": []}
     if isinstance(outcome, Failure):

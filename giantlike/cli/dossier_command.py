@@ -1,4 +1,4 @@
-"""``giantlike dossier``: what a verification report of a run needs, and whether it still holds."""
+"""``giantlike dossier``: the data of a run for a verification report, and its check."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def dossier(
     workers: Workers = None,
     json: Json = False,
 ) -> ExitCode:
-    """Put together what a verification report of a run needs.
+    """Collect the data of a run for a verification report.
 
-    One folder with the hashes of all inputs, versions, options, decisions of people with their reasons, verdicts,
+    One folder with the hashes of all inputs, versions, options, decisions of users with their reasons, outcomes,
     figures, tables and exports. The run must be up to date with its inputs and edits.
     """
     require(not (check and again), "give --check or --reproduce, not both")

@@ -1,4 +1,4 @@
-"""``giantlike estimators``: what there is to find a body with, and with which options."""
+"""``giantlike estimators``: the estimators of bodies, and their options."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _described(name: str) -> dict[str, Any]:
 
 
 def _options(options: Any, prefix: str) -> list[dict[str, Any]]:
-    """Names and defaults of an options dataclass, those of nested ones with dots."""
+    """Names and defaults of an options dataclass, of nested ones with dots."""
     listed = []
     for field in dataclasses.fields(options):
         value = getattr(options, field.name)

@@ -41,10 +41,10 @@ def gauntlet(
     list_kinds: Annotated[bool, typer.Option("--list-kinds", help="List the kinds of images and stop.")] = False,
     json: Json = False,
 ) -> ExitCode:
-    """Put off-nominal images with known truth to every estimator, and judge each answer.
+    """Run every estimator on off-nominal images with known truth, and classify each answer.
 
-    Images come from a renderer that shares no code with the estimators. docs/gauntlet.md tells the kinds, what
-    estimators are told, and the rules of the verdicts.
+    Images come from a renderer that shares no code with the estimators. docs/gauntlet.md describes the kinds, the a
+    priori data of the estimators, and the rules of the outcome classes.
     """
     if list_kinds:
         for kind in KINDS.values():
@@ -107,7 +107,7 @@ def _run(wanted: Gauntlet, output: Path | None, *, resume: bool, overwrite: bool
 
 
 def _show(report: Mapping[str, Any]) -> None:
-    """Counts by estimator and by kind, for people."""
+    """Counts by estimator and by kind, as text."""
     alarms = report["false_alarms_nominal"]
     typer.echo(
         f"{report['images']} images, {report['verdicts']} verdicts: {report['silent_wrong']} silent wrong, "

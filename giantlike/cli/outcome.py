@@ -1,4 +1,4 @@
-"""End of a command: exit codes, and one line for a mistake of the user."""
+"""End of a command: exit codes, and one line for an error of the user."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ class ExitCode(IntEnum):
     DONE = 0
     """All is done."""
     SOME_IMAGES_FAILED = 1
-    """All is done that could be, and the output names what is not: images without an attitude or not readable, a
-    calibration that is refused, a dossier that no longer holds. Fixes that fail, and what you reject, do not count."""
+    """Finished with exceptions, which the output names: images without an attitude or not readable, a calibration that
+    is refused, a dossier that is no longer valid. Failed fixes, and results that you reject, do not count."""
     GOALS_MISSED = 1
     """The demonstration, the gauntlet or a replay ran, and missed a goal."""
     BAD_INPUT = 2
-    """An argument, a file or an option is wrong, in one line on stderr; `check` has a line on stdout for each mistake.
+    """An argument, a file or an option is wrong, in one line on stderr; `check` has a line on stdout for each error.
     Nothing was computed."""
     INTERRUPTED = 130
-    """You pressed Ctrl-C. What is finished is kept; the same command goes on."""
+    """You pressed Ctrl-C. Finished results are kept; the same command resumes."""
 
 
 def command(function: Callable[Arguments, ExitCode]) -> Callable[Arguments, None]:
@@ -65,7 +65,7 @@ def say(text: str) -> None:
 def show_result(
     value: Mapping[str, Any] | Sequence[Any], lines: str | Iterable[str], *, json: bool, failed: bool = False
 ) -> ExitCode:
-    """Write what a command found or made."""
+    """Write the results of a command."""
     if json:
         print_json(value)
     else:

@@ -1,4 +1,4 @@
-"""Progress for people, on stderr: a bar on a terminal, elsewhere, in notebooks too, a line per so many images."""
+"""Progress on stderr: a bar on a terminal, elsewhere, in notebooks too, a line per so many images."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def _in_a_notebook() -> bool:
 
 
 class _Lines:
-    """A line per N images: 10, 20, 50, 100, ..., so that a step has no more than some 20."""
+    """A line per N images: 10, 20, 50, 100, ..., so that a step has at most about 20."""
 
     def __init__(self) -> None:
         self._start: dict[str, tuple[float, int]] = {}

@@ -1,4 +1,4 @@
-"""``giantlike replay``: the results of a paper on a flight system, beside ours."""
+"""``giantlike replay``: comparison of the results of a paper on a flight system with ours."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def replay(
 ) -> ExitCode:
     """Replay a paper on a flight system, and compare each of its figures, tables and numbers with ours.
 
-    docs/replays.md tells what each replay does, and what was assumed where its paper is silent.
+    docs/replays.md describes each replay, and the assumptions where its paper gives no value.
     """
     if (output / "replay.json").exists() and not overwrite:
         raise InputError(f"{output} holds a replay already: use --overwrite or another folder")
@@ -54,7 +54,7 @@ def replay(
 
 
 def _lines(summary: Mapping[str, Any], output: Path) -> Iterator[str]:
-    """A line per comparison, for people."""
+    """A line per comparison."""
     for each in summary["comparisons"]:
         mark = "agrees" if each["agrees"] else "DIFFERS"
         yield (f"{mark:<8}{each['kind']:<12}{each['reference']:<10} {each['what']}: {each['paper']} | {each['ours']}")

@@ -1,4 +1,4 @@
-"""``giantlike report``: the page of a finished run; in a module of its own, for it imports a third of the others."""
+"""``giantlike report``: the page of a finished run; a separate module, since it imports a third of the others."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ from giantlike.cli.outcome import ExitCode, show_result
 
 
 def report(folder: Run, json: Json = False) -> ExitCode:
-    """Write report.html of a finished run again."""
+    """Rewrite report.html of a finished run."""
     path = write_report(load_result(folder))
     return show_result({"report": path}, f"wrote {path}", json=json)

@@ -30,8 +30,8 @@ def run(
 ) -> ExitCode:
     """Run a campaign: attitudes from stars, then every estimator on every image.
 
-    Writes the run folder that the campaign names: tables, report.html, provenance.json, log.jsonl. On a folder that
-    holds results, what nothing has changed for is kept; what is redone is said first.
+    Writes the run folder that the campaign names: tables, report.html, provenance.json, log.jsonl. In a folder with
+    results, those with unchanged inputs are kept; the work to redo is announced first.
     """
     alone = (workers or available_cpus()) == 1
     if dask is None and path.is_file() and not alone:

@@ -1,4 +1,4 @@
-"""What ``giantlike run`` does: a campaign from its file to its run folder, and its outcome on the console."""
+"""Implementation of ``giantlike run``: a campaign from its file to its run folder, and its outcome on the console."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 
 _MAX_DETAILS = 3
-"""Failures told of each reason: enough to see whether they have one cause; the tables, or -v, have all."""
+"""Maximum failures printed for each reason, enough to see a common cause; the tables, or -v, have all."""
 
 
 def run_and_print(
     path: Path, *, workers: int | None, verbose: bool, watch_every_s: float | None, dask: str | None, json: bool
 ) -> ExitCode:
-    """Run a campaign and print what came of it."""
+    """Run a campaign and print its outcome."""
     if dask is not None:
         path = path.absolute()  # workers have other working folders
 
@@ -58,7 +58,7 @@ def _announce(text: str) -> None:
 
 
 class _Telling(logging.Handler):
-    """Tells each event of a run to people."""
+    """Prints each event of a run."""
 
     def emit(self, record: logging.LogRecord) -> None:
         line = getattr(record, "line", {})
@@ -107,7 +107,7 @@ def _print_tables(result: RunResult) -> None:
 
 
 def _print_reasons(result: RunResult) -> None:
-    """The first failures of each reason, and the flags of what is suspect, in full."""
+    """The first failures of each reason, and the flags of suspect results, in full."""
     details: dict[str, dict[str, None]] = {}
     flags: dict[str, int] = {}
     records: list[AttitudeRecord | ObservationRecord] = [*result.attitudes, *result.observations]

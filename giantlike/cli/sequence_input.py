@@ -1,4 +1,4 @@
-"""``--sequence``: images of one camera, whose fixed pattern is removed before they are looked at."""
+"""``--sequence``: images of one camera, whose fixed pattern is removed first."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def sequence_pattern(
 
 
 def without_pattern(image: Image, detector: Detector, pattern: FixedPattern | Failure | None) -> tuple[Image, Detector]:
-    """Return an image without the pattern and its hot pixels, and a detector that knows where its pixels saturate."""
+    """Return an image without the pattern and its hot pixels, and a detector with the saturation of its pixels."""
     if not isinstance(pattern, FixedPattern):
         return image, detector
     limit = saturation_of(image.pixels.dtype, detector.saturation_dn)

@@ -40,7 +40,7 @@ _SHOWN = MappingProxyType(
         "mean_radius_km": "mean radius (km)",
     }
 )
-"""Measures that are shown to people, and how they are called there."""
+"""Measures in the text output, and their names there."""
 
 
 Input = Annotated[Path, typer.Argument(metavar="IN", help="Shape file.")]
@@ -83,8 +83,8 @@ def convert(
 ) -> ExitCode:
     """Write a shape in another format, in km.
 
-    OBJ, PLY, plate tables (.tab, .plt) and .npz keep every digit, STL single precision; an ICQ model (.icq, .txt)
-    takes only what came from one.
+    OBJ, PLY, plate tables (.tab, .plt) and .npz keep every digit, STL single precision; an ICQ model (.icq, .txt) only
+    shapes read from one.
     """
     dsk = _dsk_identity(target, dsk_center, dsk_frame, dsk_surface)
     with units_said():
@@ -176,7 +176,7 @@ def _written(
 
 
 def _info(path: Path, units: str) -> dict[str, Any]:
-    """One object of the JSON list; what is not known is None."""
+    """One object of the JSON list; unknown values are None."""
     values: dict[str, Any] = {"file": str(path), "status": "failed", "detail": ""} | dict(_KEYS)
     try:
         with units_said():

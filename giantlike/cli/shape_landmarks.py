@@ -31,7 +31,7 @@ def landmarks(
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> ExitCode:
-    """Choose landmarks for surface_features: places with strong relief or albedo, spread over the shape."""
+    """Choose landmarks for surface_features: positions with strong relief or albedo, distributed over the shape."""
     given = {"count": count, "size_km": size_km, "samples": samples}
     chosen = {name: value for name, value in given.items() if value is not None}
     if source.is_dir() or source.suffix.lower() == MAPLET_SUFFIX:

@@ -1,4 +1,4 @@
-"""``giantlike shape render``: a picture of a shape for people."""
+"""``giantlike shape render``: a picture of a shape."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from giantlike.ray_tracing import Body, RenderOptions, reflectance_from_mapping,
 from giantlike.shapes import TriangleMesh, load_shape
 
 _DISTANCE_RADII = 100.0  # far enough that perspective is below a percent of the radius
-_FILL = 0.95  # diameter of the sphere around the body over the width of the picture
-_WHITE_QUANTILE = 0.999  # a thousandth of the lit pixels may be clipped: glints do not darken the rest
+_FILL = 0.95  # diameter of the sphere around the body / width of the picture
+_WHITE_QUANTILE = 0.999  # a thousandth of the illuminated pixels may be clipped: glints do not darken the rest
 _LARGEST_PX = 8192  # 64 megapixels; bounds the memory of a picture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """From where a shape is seen, and in what light.
+    """Viewing and illumination geometry of a picture of a shape.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""``--review``: pictures of what was found in an image of stars, and what became of it."""
+"""``--review``: pictures of the detections in an image of stars, and their use."""
 
 from __future__ import annotations
 

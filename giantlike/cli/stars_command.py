@@ -43,16 +43,16 @@ _NUMBERS = MappingProxyType(
 """Numbers of a solution, and how a table shows them: width and format."""
 _SIGMAS = ("sigma_x_arcsec", "sigma_y_arcsec", "sigma_z_arcsec")
 _MORE = ("n_detected", "n_rejected", "false_match_probability", "identification", *_SIGMAS, "quaternion_xyzw")
-"""What JSON tells besides; the quaternion is camera_from_inertial, the sigmas are about the camera axes."""
+"""Additional keys in JSON; the quaternion is camera_from_inertial, the sigmas are about the camera axes."""
 _DEFAULT_FOV_ERROR = 0.2
-"""What the command line hands over when --fov-error is not given."""
+"""Value of the command line when --fov-error is not given."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarsRequest:
-    """Options of a solution, shared by all images: a camera, or a rough field of view along x and its error.
+    """Options of a solution, common to all images: a camera, or a rough field of view along x and its error.
 
-    ``review`` is a folder for pictures of what was found.
+    ``review`` is a folder for pictures of the detections.
     """
 
     catalog: StarCatalog
@@ -131,7 +131,7 @@ def _check_fov(camera: Camera | None, fov_deg: float | None, fov_error: float) -
 
 
 def _solve(path: Path, wanted: StarsRequest) -> dict[str, Any]:
-    """One object of the JSON list; what is not known is None."""
+    """One object of the JSON list; unknown values are None."""
     values: dict[str, Any] = {"file": str(path), "status": "failed", "reason": None} | dict.fromkeys(_NUMBERS)
     values |= {"detail": "", "flags": []} | dict.fromkeys(_MORE)
     try:
@@ -139,7 +139,7 @@ def _solve(path: Path, wanted: StarsRequest) -> dict[str, Any]:
         image = wanted.reader.open(path, Detector() if camera is None else camera.detector)
         if camera is None:
             assert wanted.fov_deg is not None
-            counts = Detector()  # a number counts an electron; what cannot be counts is noticed (Detector.of_image)
+            counts = Detector()  # 1 electron per number; values that cannot be counts are detected (Detector.of_image)
             camera = replace(Camera.from_fov(wanted.fov_deg, image.columns, image.rows), detector=counts)
         image, detector = without_pattern(image, camera.detector, wanted.pattern)
         camera = replace(camera, detector=detector)

@@ -21,7 +21,7 @@ from giantlike.core.arrays import require
 
 
 class Action(StrEnum):
-    """What to do with the edit list."""
+    """Action on the edit list."""
 
     LIST = "list"
     REJECT = "reject"
@@ -29,7 +29,7 @@ class Action(StrEnum):
 
 
 def status(folder: Run, json: Json = False) -> ExitCode:
-    """Show the state of a run, of one at work too: what is done, what failed and why, and who is at it."""
+    """Show the state of a run, finished or in progress: results, failures with reasons, and who runs it."""
     found = status_of_run(folder)
     return show_result(asdict(found), _lines(found), json=json)
 
@@ -65,7 +65,7 @@ def edit(
 ) -> ExitCode:
     """Reject or restore an image of a run, a star of it or a fix of it.
 
-    The edit list stands beside the results, with who, when and why. Every later run, report and export honors it;
+    The edit list is kept with the results, with who, when and why. Every later run, report and export applies it;
     results are kept, so that they can be restored.
     """
     run = RunFolder.open(folder)

@@ -1,8 +1,8 @@
-"""Causes of the errors of a fix, and covariances kept apart by cause.
+"""Causes of the errors of a fix, and covariances split by cause: the error budget.
 
-A covariance by cause is a mapping from :class:`Cause` to matrices of one size that add up. Causes are independent of
-each other; what they have in common with other images differs (noise is new in each image, the camera and the scale
-of a shape are the same in all of them), which is why a filter wants them apart.
+An error budget maps each :class:`Cause` to a covariance matrix; the matrices have one size and sum to the total. Causes
+are independent of each other. They correlate differently between images (noise is new in each image, errors of the
+camera and of the scale of a shape are common to all), so a filter needs them separately.
 """
 
 from __future__ import annotations
@@ -56,23 +56,22 @@ class Cause(StrEnum):
 
 
 OUTSIDE = (Cause.ATTITUDE, Cause.EPHEMERIS, Cause.ABERRATION, Cause.EPOCH)
-"""Causes that leave the position in camera axes as it is: they matter where it meets inertial axes or a prediction.
+"""Causes that do not affect the position in camera axes, only its comparison with inertial axes or a prediction.
 
-An attitude turns the body that is looked for as well: that error of its place in the image is ``ORIENTATION``."""
+An attitude error also rotates the predicted body: its effect on the position in the image is ``ORIENTATION``."""
 IN_POSITION = tuple(cause for cause in Cause if cause not in OUTSIDE)
-"""Causes in ``covariance_camera_km2``: those in the image, and the camera that turns pixels into directions."""
+"""Causes in ``covariance_camera_km2``: causes in the image, and the camera that converts pixels to directions."""
 IN_IMAGE = tuple(cause for cause in IN_POSITION if cause is not Cause.CAMERA)
 """Causes in ``covariance_px2``: noise, and models that move the center measured in the image.
 
-The scale of the shape, its pole, its spin and its orientation are among them: a shape that is too large or turned is
-fitted elsewhere, whatever the camera is.
+The scale of the shape, its pole, its spin and its orientation are among them: a shape that is too large or rotated is
+fitted at another position, for any camera.
 """
 SUM_TOLERANCE = 1e-6
-"""Largest difference of a covariance from the sum of its parts, over the product of the standard deviations.
+"""Tolerance of a covariance against the sum of its parts, divided by the product of the standard deviations.
 
-Parts and covariance come by different ways through Jacobians whose scales differ by the range in km over the angle of
-a pixel, up to some 1e8 in float64: six digits remain, and no sigma is known to six digits. Parts of lower rank are
-positive semi-definite to as many.
+Both are computed with Jacobians whose scales differ by up to about 1e8 (range in km / angle of a pixel), which leaves
+six digits in float64. Parts of lower rank are positive semi-definite to as many.
 """
 
 
@@ -128,7 +127,7 @@ def checked_parts(parts: Mapping[Cause, Float], size: int) -> dict[Cause, Float]
 
 
 def checked_partials(partials: Mapping[Cause, Float], size: int) -> dict[Cause, Float]:
-    """Check the derivatives of a place by what its errors come from, and make them read-only.
+    """Check the derivatives of a position with respect to its error sources, and make them read-only.
 
     ``partials`` mapping of Cause or its value to (size, m).
     """
@@ -145,8 +144,8 @@ def checked_partials(partials: Mapping[Cause, Float], size: int) -> dict[Cause, 
 def require_sum(parts: Mapping[Cause, Float], causes: Iterable[Cause], covariance: Float, name: str) -> None:
     """Raise unless parts sum to a covariance, of the leading coordinates where it has fewer than they.
 
-    ``parts`` mapping of Cause to (k, k); ``covariance`` (n, n), with n <= k (one with infinities or NaN, which stand
-    for what is not known, is not checked).
+    ``parts`` mapping of Cause to (k, k); ``covariance`` (n, n), with n <= k (one with infinities or NaN, for unknown
+    elements, is not checked).
     """
     count = len(covariance)
     total = summed(parts, causes)[:count, :count]

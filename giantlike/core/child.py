@@ -1,4 +1,4 @@
-"""Calls of C libraries that a damaged file can end: made in a process of their own, with limits on time and memory.
+"""Calls of C libraries that a damaged file can crash, in a separate process with limits on time and memory.
 
 CSPICE trusts the pointers and texts of its kernels. A function is named by its module; it takes a path and returns
 arrays by name, which come back as an ``.npz`` archive. Where the system can fork, a template process that has imported
@@ -34,7 +34,7 @@ Arrays = Mapping[str, NDArray[Any]]
 _BASE_CPU_S, _CPU_S_PER_MB = 5, 1
 """Limit of CPU time: s, and s more for each MB of the files; Python and CSPICE start in 1 s."""
 _BASE_BYTES, _BYTES_PER_BYTE = 500_000_000, 20
-"""Limit of memory: bytes, and bytes more for each byte of the files; a DSK takes 6 bytes for each of its own."""
+"""Limit of memory: bytes, and additional bytes for each byte of the files; a DSK takes 6 bytes per byte of the file."""
 _REFUSED, _MISTAKE = "refused", "mistake"  # names of the arrays that hold the text of an error, a traceback
 _FORKS = all(hasattr(os, name) for name in ("fork", "register_at_fork")) and hasattr(socket, "send_fds")
 _LONGEST_REQUEST = 10_000_000  # bytes: the paths of a campaign's kernels, at 4096 each at most on Linux, are fewer
@@ -43,7 +43,7 @@ _LONGEST_REQUEST = 10_000_000  # bytes: the paths of a campaign's kernels, at 40
 def in_child(
     function: Callable[[Sequence[Path]], Arrays], paths: Sequence[Path], *, libraries: Sequence[str] = ()
 ) -> dict[str, NDArray[Any]]:
-    """Call a function of files in a process of its own."""
+    """Call a function of files in a separate process."""
     request = {
         "module": function.__module__,
         "name": function.__name__,
@@ -84,7 +84,7 @@ class _Template:
             except BrokenPipeError:  # somebody ended the template between two calls
                 self.end()
                 return self._asked(request)
-            except BaseException:  # its answer to this request must not be taken for that to the next
+            except BaseException:  # its answer to this request must not be mistaken for the answer to the next
                 self.end()
                 raise
 
@@ -124,7 +124,7 @@ class _Template:
         if self._socket is not None:
             self._socket.close()
         if self._process is not None:
-            self._process.returncode = 0  # it is no child of this process: nothing to wait for
+            self._process.returncode = 0  # not a child of this process: nothing to wait for
         self.__init__()  # type: ignore[misc]
 
 
@@ -147,7 +147,7 @@ def _answer_of_new_process(request: Mapping[str, Any]) -> bytes:
 def main() -> None:
     """Answer the request of the command line to standard output."""
     output = os.dup(1)
-    os.dup2(2, 1)  # what libraries print must not come between the arrays
+    os.dup2(2, 1)  # output printed by libraries must not mix with the arrays
     _answer(json.loads(sys.argv[1]), output)
 
 
@@ -173,7 +173,7 @@ def serve() -> None:
 
 
 def _import(request: Mapping[str, Any]) -> None:
-    """Import what a request needs; its fork tells of what cannot be imported."""
+    """Import the modules a request needs; the forked process reports those that cannot be imported."""
     with contextlib.suppress(ImportError):
         for name in [*request["libraries"], request["module"]]:
             if name not in sys.modules:
@@ -182,7 +182,7 @@ def _import(request: Mapping[str, Any]) -> None:
 
 
 def _end_after(request: Mapping[str, Any], output: int) -> None:
-    """Answer and end this process, without what Python does at its end: that is the template's."""
+    """Answer and end this process without Python's exit handlers, which belong to the template process."""
     code = 1
     try:
         _answer(request, output)
@@ -198,7 +198,7 @@ def _answer(request: Mapping[str, Any], output: int) -> None:
         function = getattr(importlib.import_module(request["module"]), request["name"])
         _limit(sum(path.stat().st_size for path in paths if path.exists()))
         arrays = dict(function(paths))
-    except Exception as error:  # noqa: BLE001  a mistake is raised again in the calling process
+    except Exception as error:  # noqa: BLE001  an error is raised again in the calling process
         if not is_of_content(error):
             arrays = {_MISTAKE: np.array(traceback.format_exc())}
         else:
@@ -217,7 +217,7 @@ def _limit(size: int) -> None:
     wanted = {
         resource.RLIMIT_CPU: _BASE_CPU_S + _CPU_S_PER_MB * size // 1_000_000,
         resource.RLIMIT_DATA: _BASE_BYTES + _BYTES_PER_BYTE * size,
-        resource.RLIMIT_CORE: 0,  # the end of such a process is no news
+        resource.RLIMIT_CORE: 0,  # the end of such a process is expected
     }
     for kind, most in wanted.items():
         _, hard = resource.getrlimit(kind)

@@ -20,10 +20,10 @@ _held: set[str] = set()
 def compiled(function: Function) -> Function:
     """Compile a function of numbers and arrays.
 
-    The code is kept for later processes, beside the module or in the cache of the user; where neither can be written,
-    each process compiles it anew. Where it can, of processes that need it at once (those of a first run) one compiles
-    and the others wait for its code, except on Windows. Divisions by zero give infinities, as in numpy. It is compiled
-    again when its own module changes, not when one does whose functions it calls: ``make clean`` deletes what is kept.
+    The code is cached for later processes, next to the module or in the cache of the user; where neither is writable,
+    each process compiles it. Of processes that need it at once (in a first run) one compiles and the others wait,
+    except on Windows. Divisions by zero give infinities, as in numpy. It is recompiled when its own module changes, not
+    when a module whose functions it calls does: ``make clean`` deletes the cache.
     """
     options = {"error_model": "numpy", "nogil": True}
     try:

@@ -16,19 +16,19 @@ from giantlike.core.pixel_noise import UNKNOWN_READ_NOISE_E, EstimatedNoise, est
 from giantlike.core.tables import checked_table
 
 UNKNOWN_PSF_SIGMA_PX = 0.7
-"""Standard deviation, px, of the point spread function assumed for a camera that states none.
+"""Standard deviation, px, of the point spread function assumed for a camera that declares none.
 
-Chosen by trial on ellipsoids 160 px wide, blurred by 0.4, 0.7 and 1.2 px. Half or twice the default changes
-``ellipsoid_cra`` and ``sigmoid_limb``, which estimate the width, by less than 0.2 sigma; ``cross_correlation`` by up to
-0.02 px; ``moment`` by up to 0.6 px. ``ellipse_fit`` is off by 0.2-0.3 px where the default is right to 0.3 px, and by
-0.3-2.6 px where it is wrong by more.
+Measured on ellipsoids 160 px wide, blurred by 0.4, 0.7 and 1.2 px: half or twice the default changes ``ellipsoid_cra``
+and ``sigmoid_limb``, which estimate the width, by less than 0.2 sigma; ``cross_correlation`` by up to 0.02 px;
+``moment`` by up to 0.6 px. ``ellipse_fit`` is in error by 0.2-0.3 px where the default is correct to 0.3 px, else by
+0.3-2.6 px.
 """
 
 _NOISE = ("gain_e_per_dn", "read_noise_e")
 _OF_IMAGES = ("estimated", "frame_noise_dn", "relative_noise", "noise_of_image")
-"""Fields that are no keys of a camera file: they follow from images and their calibration frames."""
+"""Fields that are not keys of a camera file: they follow from images and their calibration frames."""
 _SPARSE = 101
-"""Pixels from one that is looked at first to the next."""
+"""Step, pixels, of the sample that is tested first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,14 +57,14 @@ class Detector:
     gain_e_per_dn : float, electron/DN
         Electrons per number; 1 by default, so that numbers count electrons.
     read_noise_e : float, electron
-        Standard deviation of the read noise. The default, 5, stands in until the camera file gives the measured value.
+        Standard deviation of the read noise. The default, 5, is used until the camera file gives the measured value.
     saturation_dn : float, DN
         Pixels at or above this value are saturated; infinite when unknown.
     bias_dn : float, DN
         Value of a pixel without light.
     step_dn : float, DN, optional
-        Step of the converter; its square over 12 is the noise of quantization. By default that of the pixels of each
-        image (:meth:`of_image`), and 1 without an image.
+        Step of the converter; ``step_dn**2 / 12`` is the variance of quantization. Default: the step of the pixels of
+        each image (:meth:`of_image`), and 1 without an image.
     estimated : bool
         True where gain and read noise are not declared and follow from each image (:meth:`of_image`); the values of
         the two fields then serve simulations only. The detector of a camera file that declares neither of the two;
@@ -75,10 +75,9 @@ class Detector:
     relative_noise : float
         Standard deviation of the response of a pixel that a flat leaves, relative to the signal.
     gamma : float or 'srgb', optional
-        Coding of the values: the exponent of the light over that of the value, such as 2.2, or ``"srgb"``. Values are
+        Coding of the values: the exponent of the value that gives the signal, such as 2.2, or ``"srgb"``. Values are
         then linearized before they are used (:meth:`giantlike.image.Image.linearized`); gain, read noise and limits
-        are those of the values as stored. None for values that are proportional to light, or whose coding is not
-        known.
+        refer to the values as stored. None for values that are linear in the signal, or whose coding is unknown.
     noise_of_image : EstimatedNoise, optional
         Noise that :meth:`of_image` took from an image, as none was declared; None where gain and read noise are
         declared.
@@ -139,7 +138,7 @@ class Detector:
         return cls(**numbers, gamma=checked_gamma(gamma), estimated=not any(key in numbers for key in _NOISE))
 
     def to_mapping(self) -> dict[str, float | str]:
-        """Return the ``[detector]`` table of a camera file; what is estimated or infinite is left out.
+        """Return the ``[detector]`` table of a camera file, without fields that are estimated or infinite.
 
         Returns
         -------
@@ -215,17 +214,17 @@ class Detector:
         return variance + (self.relative_noise * light) ** 2 if self.relative_noise else variance
 
     def of_light(self, curve: GammaCurve) -> Detector:
-        """Return the detector of values that were linearized, with the noise propagated to light.
+        """Return the detector of linearized values, with the noise propagated through the curve.
 
         Parameters
         ----------
         curve : GammaCurve
-            By which light follows from values above bias.
+            Curve from values above bias to the linear signal.
 
         Returns
         -------
         Detector
-            Without a ``gamma``; its read noise, gain and relative noise are those of light
+            Without a ``gamma``; its read noise, gain and relative noise refer to the linear signal
             (:meth:`~giantlike.core.gamma.GammaCurve.noise_of_light`).
         """
         constant, linear, square = curve.noise_of_light(self.variance_dn2(curve.samples_dn()))
@@ -265,7 +264,7 @@ class Detector:
 
 
 def _reach(pixels: NDArray[Any], *, enough: float) -> float:
-    """Largest less smallest pixel, 0 of none; of some pixels only where these differ enough."""
+    """Largest minus smallest pixel, 0 without pixels; from a sample of the pixels where their range is large enough."""
     reach = 0.0
     for values in (pixels.reshape(-1)[::_SPARSE], pixels):
         reach = float(values.max()) - float(values.min()) if values.size else 0.0

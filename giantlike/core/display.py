@@ -1,7 +1,7 @@
-"""Pictures of values: ``value.plot()`` and what a notebook shows, drawn by whoever provides it.
+"""Pictures of values: ``value.plot()`` and the display in notebooks, drawn by registered painters.
 
-Values lie below what draws them. A painter is registered for a class by the module that draws; :func:`provide` names
-such a module, which is imported when the first picture is wanted.
+Modules of values do not import modules that draw. A drawing module registers a painter for a class; :func:`provide`
+names such a module, which is imported for the first picture.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Pictured:
         Parameters
         ----------
         axes : matplotlib Axes, optional
-            Default: those of a new figure of pyplot, which a notebook shows below the cell.
+            Default: the axes of a new pyplot figure, which a notebook shows below the cell.
         **options
             Of the painter, see docs/notebooks.md.
 
@@ -64,7 +64,7 @@ class Pictured:
         """
         from matplotlib import pyplot
 
-        # loads the backend, which within the style of a painter would forget that it is that of a notebook
+        # loads the backend; loaded within the style of a painter, it would not be the one of the notebook
         pyplot.draw_if_interactive()  # type: ignore[no-untyped-call]
         return painter_of(type(self))(self, axes, **options)
 

@@ -12,7 +12,7 @@ from giantlike.core.compiled import compiled
 RIDGE = 1e-12
 """Added to normal matrices of unit diagonal: beyond rounding, below all information."""
 _NOTHING = 1e-100
-"""Least diagonal of a normal matrix: where nothing is measured there is none, and its square must not underflow."""
+"""Minimum diagonal of a normal matrix: unmeasured unknowns have none, and its square must not underflow."""
 
 
 @compiled

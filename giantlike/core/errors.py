@@ -1,4 +1,4 @@
-"""The exceptions of giantlike: one small tree, one class per kind of mistake.
+"""The exceptions of giantlike: one small tree, one class per kind of error.
 
 A failed fit is not an exception: see :class:`giantlike.core.outcomes.Failure`.
 """
@@ -32,7 +32,7 @@ class FrameMismatchError(InputError):
 
 
 class DataError(OpNavError):
-    """A file is missing, damaged, or does not hold what it should.
+    """A file is missing, damaged, or has unexpected content.
 
     Parameters
     ----------

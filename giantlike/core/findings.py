@@ -1,4 +1,4 @@
-"""What a fix tells of an image beside the place of a body: what it was corrected for, and what became of its checks."""
+"""Results of a fix other than the position: corrections estimated from the image, and outcomes of its checks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import numpy as np
 from giantlike.core.arrays import Float
 
 _ROOM_PX = 4
-"""Pixels around an image that a smear is applied to, beside its own length, so that its ends do not meet."""
+"""Padding, px, in addition to the length of the motion blur, around an image that it is applied to, against
+wrap-around."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,7 +22,7 @@ class _Stated:
 
     @property
     def texts(self) -> dict[str, str]:
-        """Texts of what is known, by name."""
+        """Texts of the values that are known, by name."""
         texts = ((one.name, _text(getattr(self, one.name), one.metadata.get("digits"))) for one in fields(self))
         return {name: text for name, text in texts if text}
 
@@ -39,7 +40,7 @@ def _text(value: Any, digits: int | None) -> str:
 
 
 def _rounded(value: Any, digits: int | None) -> Any:
-    """A figure with the digits with which it is stated; a value with all of its figures so."""
+    """A number rounded to the digits with which it is reported; a value with all of its numbers rounded."""
     if isinstance(value, _Stated):
         known = {one.name: _rounded(getattr(value, one.name), one.metadata.get("digits")) for one in fields(value)}
         return replace(value, **known)
@@ -53,9 +54,9 @@ class Response(_Stated):
     Parameters
     ----------
     bend : float
-        Share of the square: 0 where values are proportional to light, 1 where they are square roots of it.
+        Quadratic coefficient: 0 for a linear response, 1 where values are square roots of the signal.
     dark_dn, bright_dn : float, DN
-        Values that remain as they are: of the sky, and of the brightest light; ``bend`` goes from one to the other.
+        Values that remain unchanged: of the sky, and of the brightest signal; ``bend`` acts between them.
 
     Examples
     --------
@@ -69,7 +70,7 @@ class Response(_Stated):
     bright_dn: float = field(metadata={"digits": 6})
 
     def light_dn(self, values_dn: Float) -> Float:
-        """Return the light of values.
+        """Return the linear signal of values.
 
         ``values_dn`` (...); returns (...).
         """
@@ -79,12 +80,12 @@ class Response(_Stated):
         return np.asarray(self.dark_dn + above + self.bend * above * (above / span_dn - 1.0))
 
     def slope_at(self, light_dn: Float) -> Float:
-        """Return the derivative (...) of :meth:`light_dn` by the values that stand for a light (...), DN."""
+        """Return the derivative (...) of :meth:`light_dn` at the values of a linear signal (...), DN."""
         share = (light_dn - self.dark_dn) / (self.bright_dn - self.dark_dn)
         return np.sqrt(np.maximum((1.0 - self.bend) ** 2 + 4.0 * self.bend * share, 0.0))
 
     def changes_dn(self, light_dn: Float) -> Float:
-        """Return the derivatives of :meth:`light_dn` by the bend, and by the share of a cube that vanishes half way.
+        """Return the derivatives of :meth:`light_dn` by ``bend``, and by that of a cubic that vanishes half way.
 
         ``light_dn`` (...); returns (2, ...).
         """
@@ -97,13 +98,13 @@ class Response(_Stated):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Smear(_Stated):
-    """A motion of even speed during the exposure, by what it adds to the blur of an image.
+    """Uniform motion during the exposure, as the variance it adds to the point spread function.
 
     Parameters
     ----------
     straight_px2, oblique_px2 : float, px^2
-        Half of the variance along x less that along y, and the covariance of x and y: with what is even in all
-        directions they are the variance of a line.
+        Half of (variance along x minus variance along y), and the covariance of x and y; with an isotropic part they
+        are the second moments of a line.
 
     Examples
     --------
@@ -145,12 +146,12 @@ class Smear(_Stated):
 
     @property
     def blur_px2(self) -> Float:
-        """What it adds to the variance of the point spread function, (3,): xx, xy and yy, px^2."""
+        """Variance that it adds to the point spread function, (3,): xx, xy and yy, px^2."""
         even = self.size_px2
         return np.array([even + self.straight_px2, self.oblique_px2, even - self.straight_px2])
 
     def smeared(self, images: Float) -> Float:
-        """Return images smeared by the motion; what lies beyond them is as bright as their edge.
+        """Return images blurred by the motion; edge values are repeated beyond the images.
 
         ``images`` (..., h, w); returns (..., h, w).
         """
@@ -169,15 +170,15 @@ class Smear(_Stated):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Corrections(_Stated):
-    """What an image shows beside the place of a body, and a fix takes into account; None what it does not.
+    """Effects in an image, other than the position of a body, that a fix corrects for; None where it does not.
 
-    Figures are rounded to the digits with which the provenance of the fix states them: a fix that is made again by what
-    is stated of it is the same. ``one | other`` has the corrections of both, of which those of the second one count.
+    Numbers are rounded to the digits with which the provenance of the fix reports them, so that a fix recomputed from
+    its provenance is the same. ``one | other`` has the corrections of both; the second takes precedence.
 
     Parameters
     ----------
     response : Response or None
-        By which values were brought into proportion to light.
+        Response by which values were linearized.
     smear : Smear or None
         Motion of the body in the image during the exposure.
     limb_altitude_km : float or None, km
@@ -185,9 +186,9 @@ class Corrections(_Stated):
     altitude_sigma_km : float or None, km
         Standard deviation of the altitude, by haze or an atmosphere.
     limb_blur_px2 : float or None, px^2
-        Variance of the blur of the limb beyond that of the camera.
+        Variance of the blur of the limb in excess of the camera's.
     seen_size : float or None
-        Size of the body over that at its predicted range, of fixes without a range.
+        Ratio of the size of the body to its size at the predicted range, of fixes without a range.
     """
 
     response: Response | None = None
@@ -208,27 +209,27 @@ class Corrections(_Stated):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Findings(_Stated):
-    """What the checks of a fix came to; None, or empty, what was not checked.
+    """Outcomes of the checks of a fix; None, or empty, for checks that were not made.
 
     Parameters
     ----------
     terrain_mean_km : float or None, km
         Mean altitude, by a height map, of the ground at the limb.
     terrain_log_odds : float or None
-        Logarithm of the odds for the height map, against a smooth limb.
+        Logarithm of the Bayes factor of the height map against a smooth limb.
     terrain_misfit : float or None
-        Residuals of the limb over what noise and the errors of the height map let expect.
+        RMS of the limb residuals, normalized by noise and the errors of the height map.
     checks : mapping of str to float
-        Numbers of the tests behind every fix, see :class:`~giantlike.relative.judge.Judgement`, and the factor by which
-        they made variances larger (``tension``).
+        Statistics of the tests made on every fix, see :class:`~giantlike.relative.judge.Judgement`, and the variance
+        inflation factor that they gave (``tension``).
     chosen, because : str
-        Estimator that ``auto`` took, and why.
+        Estimator that ``auto`` chose, and the reason.
     checked_by : str
-        Estimator whose fix confirms that one.
+        Estimator whose fix confirms the chosen one.
     agreement : float or None
-        Probability that right fixes of these two differ by as much.
+        p-value of the difference of these two fixes.
     weight : float or None
-        Share of the first of two fixes in their mean.
+        Weight of the first of two fixes in their mean.
     """
 
     terrain_mean_km: float | None = field(default=None, metadata={"digits": 6})

@@ -23,7 +23,7 @@ INERTIAL_FRAME = "J2000"
 
 
 def require_same_frame(have: str, need: str) -> None:
-    """Raise unless two frame names agree; an empty name stands for a frame that is not known and fits any other."""
+    """Raise unless two frame names agree; an empty name denotes an unknown frame and matches any other."""
     if have and need and have != need:
         raise FrameMismatchError(have, need)
 
@@ -115,7 +115,7 @@ def position_angle_deg(direction_inertial: ArrayLike, toward_inertial: ArrayLike
 def pointing_deg(camera_from_inertial: Rotation, line_of_sight_camera: ArrayLike) -> tuple[float, float, float]:
     """RA, Dec and roll in degrees of a line of sight of a camera.
 
-    ``line_of_sight_camera``: usually that of the image center ``((columns - 1) / 2, (rows - 1) / 2)``; returns
+    ``line_of_sight_camera``: usually at the image center ``((columns - 1) / 2, (rows - 1) / 2)``; returns
     ``ra_deg``, ``dec_deg``, ``roll_deg``.
     """
     inertial_from_camera = camera_from_inertial.inv()
@@ -184,7 +184,7 @@ def rotation_from_xyzw(quaternion: ArrayLike, name: str = "quaternion") -> Rotat
 
 
 def turned_about(vectors: Float, jacobian: Float) -> Float:
-    """Derivatives (n, k, 3) by a small rotation of what has the derivatives (n, k, 3) by vectors (n, 3).
+    """Derivatives (n, k, 3) by a small rotation, from the derivatives (n, k, 3) by vectors (n, 3).
 
     That is ``-jacobian @ skew(vectors)``, the cross products of the vectors with the rows.
     """

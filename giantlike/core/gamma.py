@@ -12,7 +12,8 @@ from giantlike.core.arrays import Float, as_floats, require, require_number
 from giantlike.core.errors import InputError
 
 Gamma: TypeAlias = float | Literal["srgb"]
-"""Exponent of the light over that of the value (2.2: values are light to the power of 1/2.2), or the curve of sRGB."""
+"""Exponent of the value that gives the signal (2.2: values are the signal to the power of 1/2.2), or the curve of
+sRGB."""
 _LINEAR_END, _LINEAR_SLOPE, _OFFSET, _POWER = 0.04045, 12.92, 0.055, 2.4
 """Curve of sRGB, IEC 61966-2-1: linear below a value, a power law of the shifted value above."""
 _SAMPLES = 64
@@ -39,7 +40,7 @@ class GammaCurve:
     ----------
     gamma : float or 'srgb'
     full_scale_dn : float, DN
-        Value above bias that stands for the brightest light.
+        Value above bias of the brightest signal.
 
     Examples
     --------
@@ -56,7 +57,7 @@ class GammaCurve:
         require_number(self.full_scale_dn, "full_scale_dn", above=0.0)
 
     def light_dn(self, values_dn: ArrayLike) -> Float:
-        """Return the light of values.
+        """Return the linear signal of values.
 
         ``values_dn`` (...); returns (...).
         """
@@ -69,7 +70,7 @@ class GammaCurve:
         return np.asarray(np.copysign(light, values) * self.full_scale_dn)
 
     def values_dn(self, light_dn: ArrayLike) -> Float:
-        """Return the values that stand for light: the inverse of :meth:`light_dn`.
+        """Return the values of a linear signal: the inverse of :meth:`light_dn`.
 
         ``light_dn`` (...); returns (...).
         """
@@ -95,12 +96,12 @@ class GammaCurve:
         return np.asarray(self.gamma * size ** (self.gamma - 1.0))
 
     def noise_of_light(self, variance_dn2: Float) -> tuple[float, float, float]:
-        """Propagate the noise of values to that of light, as a polynomial of the light.
+        """Propagate the noise of values to the noise of the linear signal, as a polynomial of the signal.
 
         ``variance_dn2`` (64,), of the values of :meth:`samples_dn`; returns ``constant`` in DN^2; ``linear`` in DN;
         ``square``: of ``constant + linear light + square light^2``, none of which is negative: the variance of the
-        values times the squared slope, by least squares relative to it, right to a factor of 2 (of 1.4 in sigma) where
-        light goes as a power of 2.2.
+        values times the squared slope, by relative least squares, accurate to a factor of 2 (1.4 in sigma) for a power
+        of 2.2.
         """
         from scipy.optimize import nnls
 

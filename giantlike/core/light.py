@@ -1,4 +1,4 @@
-"""What motion does to light: stellar aberration of directions, and of bodies with a size."""
+"""Stellar aberration of directions, and of bodies of finite size."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ def aberrate(directions: ArrayLike, velocity_km_s: ArrayLike) -> Float:
 
 
 def boosted(positions_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
-    """Compute the apparent places of bodies for a moving observer: direction by aberration, distance by apparent size.
+    """Compute apparent positions of bodies for a moving observer: direction by aberration, distance by apparent size.
 
     ``positions_km`` (..., 3), inertial axes; ``velocity_km_s`` in inertial axes; returns (..., 3) km, apparent vectors,
-    inertial axes: the direction is that of :func:`aberrate`, and a body of radius R covers the angle
+    inertial axes: the direction is as by :func:`aberrate`, and a body of radius R covers the angle
     ``asin(R / length)``.
 
     Notes
     -----
     Emission of the light and its reception are ``(c t, x) = (-r, r n)`` apart, with ``r`` the distance and ``n`` the
     unit direction. The Lorentz boost to the observer gives a vector of the length ``r g (1 + n.b)``, with ``b = v / c``
-    and ``g = 1 / sqrt(1 - b^2)``. That is the distance in the frame of the observer, and the size of a body goes by it:
-    angles around a direction shrink by the Doppler factor ``g (1 + n.b)`` from one observer to another who moves toward
-    the source. It makes a body that moves along with the observer appear as far as it is. SPICE's ``LT+S`` keeps the
-    length, which is 1e-4 of the range too small or too large at the speed of the Earth.
+    and ``g = 1 / sqrt(1 - b^2)``. That is the distance in the frame of the observer, and it determines the apparent
+    size of a body: angles around a direction shrink by the Doppler factor ``g (1 + n.b)`` from one observer to another
+    who moves toward the source. It makes a body that moves along with the observer appear as far as it is. SPICE's
+    ``LT+S`` keeps the length, which is 1e-4 of the range too small or too large at the speed of the Earth.
 
     >>> round(float(np.linalg.norm(boosted([384400.0, 0.0, 0.0], [29.79, 0.0, 0.0])) - 384400.0), 1)
     38.2
@@ -73,7 +73,7 @@ def boost_jacobian(position_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
 
 
 def _beta_gamma(velocity_km_s: ArrayLike) -> tuple[Float, float]:
-    """Velocity (3,) over that of light, and the Lorentz factor."""
+    """Velocity (3,) in units of the speed of light, and the Lorentz factor."""
     beta = as_finite(velocity_km_s, (3,), "velocity_km_s") / SPEED_OF_LIGHT_KM_S
     squared = float(beta @ beta)
     if not squared < 1.0:  # its text costs more than the rest

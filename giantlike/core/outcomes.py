@@ -31,7 +31,7 @@ class Failure:
     reason : Reason
         Kind of failure.
     detail : str
-        One line: what was needed, what was found, and what to do.
+        One line: the requirement, the finding, and the remedy.
     """
 
     reason: Reason
@@ -53,17 +53,17 @@ class Failure:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AttitudeErrors(Value):
-    """Errors of an attitude beyond their covariance: by cause, and those that it has in common with what is measured.
+    """Error budget of an attitude, and the errors that it has in common with the measurement.
 
     Parameters
     ----------
     parts : mapping of Cause to (3, 3) float64, rad^2
-        Covariance of the small rotation ``e`` about the camera axes by cause; empty when all of it is noise.
+        Covariance of the small rotation ``e`` about the camera axes by cause; empty when all is noise.
     by_camera : (3, m) float64, rad per unit of each parameter, optional
         Derivative of ``e`` by the parameters of the camera model, in the order of their names: an attitude from stars
-        follows an error of the camera. None where it does not, or where that is not known.
+        depends on errors of the camera. None where it does not, or where this is unknown.
     flags : Quality
-        Flags of the attitude that fixes made with it share.
+        Flags of the attitude that fixes made with it inherit.
     """
 
     parts: Mapping[Cause, Float] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class AttitudeErrors(Value):
         Value.__post_init__(self)
 
     def apart_from_camera(self, covariance_rad2: Float) -> Float:
-        """Covariance of the attitude beside a body whose camera part already holds the turn of the stars.
+        """Covariance of the attitude for a body whose camera part already includes the rotation of the stars.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class AttitudeErrors(Value):
         Returns
         -------
         (3, 3) float64, rad^2
-            Without the part of the camera where :attr:`by_camera` is known, else the same.
+            Without the camera part where :attr:`by_camera` is known, else unchanged.
         """
         if self.by_camera is None or Cause.CAMERA not in self.parts:
             return covariance_rad2
@@ -116,7 +116,7 @@ class AttitudeFix(Pictured, Value):
     n_detected, n_rejected : int
         Detections offered to identification; tentative matches thrown out as outliers.
     false_match_probability : float
-        Bound on the probability that the whole identification is chance.
+        Bound on the probability that the whole identification is a chance match.
     focal_length_px : float, px
         Focal length along x of the camera model used (the refined one, where the scale was estimated too).
     fov_deg : float, deg
@@ -127,10 +127,9 @@ class AttitudeFix(Pictured, Value):
         Name of the camera whose axes the attitude refers to; empty when unknown.
     flags : Quality
     provenance : mapping of str to str
-        Versions and hashes of what the fix was made from.
+        Versions and hashes of the inputs of the fix.
     parts : mapping of Cause to (3, 3) float64, rad^2
-        ``covariance_rad2`` by cause (noise, camera, aberration, epoch), which it is the sum of; empty when all of it is
-        noise.
+        Terms of ``covariance_rad2`` by cause (noise, camera, aberration, epoch); empty when all is noise.
     by_camera : (3, m) float64, rad per unit of each parameter, optional
         Derivative of ``e`` by the parameters of the camera model, in the order of their names.
     star_names : tuple of n str
@@ -173,7 +172,7 @@ class AttitudeFix(Pictured, Value):
 
     @property
     def errors(self) -> AttitudeErrors:
-        """Errors by cause, the response to the camera and shared flags: what an image keeps of them."""
+        """Error budget, derivatives by the camera and shared flags, as kept in an image."""
         return AttitudeErrors(parts=self.parts, by_camera=self.by_camera, flags=self.flags & _FLAGS_OF_THE_SKY)
 
     @property
@@ -212,9 +211,9 @@ class CenterFix(Pictured, Value):
     center_px : (2,) float64, px
         Measured center, in the distorted image.
     covariance_px2 : (2, 2) float64, px^2
-        Covariance of the place in the image: noise and everything of the models that moves the measured center, the
-        causes of :data:`~giantlike.core.causes.IN_IMAGE`. The camera model, the attitude and the ephemeris of the
-        target are not in it: whatever they are, the center is seen at this pixel.
+        Covariance of the position in the image: noise and the model errors that move the measured center, the causes of
+        :data:`~giantlike.core.causes.IN_IMAGE`. Errors of the camera model, the attitude and the ephemeris of the
+        target do not move it and are not included.
     predicted_px : (2,) float64, px
         Center predicted from the a priori geometry.
     residuals : (n,) float64
@@ -226,29 +225,28 @@ class CenterFix(Pictured, Value):
     flags : Quality
         Quality flags.
     provenance : mapping of str to str
-        Versions and hashes of everything that the fix was made from, and the texts of ``corrections`` and ``findings``.
+        Versions and hashes of all inputs of the fix, and the texts of ``corrections`` and ``findings``.
     parts : mapping of Cause to (k, k) float64
         The covariance by cause, of x and y in px (k = 2) and, in a :class:`PositionFix`, of the natural logarithm of
         the range (k = 3). Causes ``IN_IMAGE`` sum to ``covariance_px2``; the camera, the attitude, the ephemeris and
-        aberration stand beside them, as the pixels by which they shift the direction in inertial axes: where the
-        attitude comes from stars, ``CAMERA`` is what the camera does to stars and body together. Empty when all is
-        noise.
+        aberration are additional, as the pixels by which they shift the direction in inertial axes: where the attitude
+        comes from stars, ``CAMERA`` is the effect of the camera on stars and body together. Empty when all is noise.
     partials : mapping of Cause to (k, m) float64
-        Derivative of the measured place, in the coordinates of ``parts``, by the true value of what the errors come
-        from, as far as it is known: the attitude (a small rotation about the camera axes, rad), the scale of the shape
-        (relative), the pole (two small rotations of the body about its x and y axes, rad), the spin (one about its z
-        axis, rad), and the uncertain parameters of the camera, stars that follow them included.
+        Derivative of the measured position, in the coordinates of ``parts``, by the true values of the error sources,
+        where known: the attitude (a small rotation about the camera axes, rad), the scale of the shape (relative), the
+        pole (two small rotations of the body about its x and y axes, rad), the spin (one about its z axis, rad), and
+        the uncertain parameters of the camera, stars that follow them included.
     residuals_at_px : (n, 2) float64, px
-        Place in the image of each of the ``residuals``; empty where the estimator does not say.
+        Position in the image of each of the ``residuals``; empty where the estimator gives none.
     corrections : Corrections
-        What else the image shows that the fix takes into account.
+        Other effects in the image that the fix corrects for.
     findings : Findings
-        What its checks came to.
+        Outcomes of its checks.
 
     Raises
     ------
     InputError
-        There are places, but not one for each residual; a part or a derivative has another shape, a part is not
+        There are positions, but not one for each residual; a part or a derivative has another shape, a part is not
         symmetric or not positive semi-definite, or the parts do not sum to the covariance.
     """
 
@@ -286,7 +284,7 @@ class CenterFix(Pictured, Value):
         return f"{type(self).__name__}({self._words()})"
 
     def _words(self) -> str:
-        """Target, status and place with its standard deviations."""
+        """Target, status and position with its standard deviations."""
         (x, y), (sigma_x, sigma_y) = self.center_px, np.sqrt(np.diag(self.covariance_px2))
         place = f"({x:.3f}, {y:.3f}) +- ({sigma_x:.2g}, {sigma_y:.2g}) px"
         return f"{self.target} by {self.estimator}: {_status(self.flags)}, center {place}"
@@ -302,7 +300,7 @@ class CenterFix(Pictured, Value):
 
     @property
     def covariance_total(self) -> Float:
-        """Covariance of observed less computed, (k, k) as ``parts``: the sum of all causes.
+        """Covariance of observed minus computed, (k, k) as ``parts``: the sum of all causes.
 
         ``summed(fix.parts, causes)`` of :mod:`giantlike.core.causes` sums a choice of them, such as all but the
         ephemeris for the position in inertial axes.
@@ -321,21 +319,21 @@ class CenterFix(Pictured, Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BodyTurn(Value):
-    """Turn of a body about the line of sight, found together with its place: what the roll of a camera follows from.
+    """Rotation of a body about the line of sight, estimated with its position; it gives the roll of the camera.
 
-    The place differs from that of the fix, which takes the orientation of the body as told.
+    The position differs from that of the fix, which assumes the a priori orientation of the body.
 
     Parameters
     ----------
     turn_rad : float, rad
-        Of the body relative to the declared orientation, about the direction from the camera to it.
+        Rotation of the observed body from its a priori orientation, about the direction from the camera to it.
     center_px : (2,) float64, px
-        Place of its center when it is turned.
+        Position of its center with this rotation.
     covariance : (3, 3) float64
-        Of x and y in px and of the turn in rad, by what the image and the shape leave open. The orientation that was
-        told is not in it; the errors of the camera model are in the variance of the turn alone.
+        Of x and y in px and of the rotation in rad, by noise and the errors of the shape. The a priori orientation does
+        not enter; the errors of the camera model are in the variance of the rotation alone.
     by_rotation : (3, 3) float64, px/rad and rad/rad
-        Derivative of x, y and the turn by a small rotation of the body about the camera axes, its place held.
+        Derivative of x, y and the rotation by a small rotation of the body about the camera axes, its position fixed.
     """
 
     turn_rad: float
@@ -352,18 +350,17 @@ class PositionFix(CenterFix):
     ----------
     position_camera_km : (3,) float64, km, camera axes
         Apparent position of the origin of the shape model from the camera: light time and aberration not removed. Its
-        length, the range, is the distance by which the size in the image goes: the distance that the light came in
-        the frame of the observer, :func:`~giantlike.core.light.boosted`.
+        length, the range, is the distance that gives the size in the image: the light path in the frame of the
+        observer, :func:`~giantlike.core.light.boosted`.
     covariance_camera_km2 : (3, 3) float64, km^2, camera axes
-        Covariance of the position in camera axes: the causes of ``covariance_px2``, and the camera model by which
-        pixels became directions, as it is without the attitude. The attitude and the ephemeris of the target are not
-        in it.
+        Covariance of the position in camera axes: the causes of ``covariance_px2``, and the camera model alone, which
+        converts pixels to directions. The attitude and the ephemeris of the target are not in it.
     limb_px : (n, 2) float64, px
         Points in the image, for overlays: the limb points used, landmarks used, or the outline of a template.
     limb_rejected_px : (k, 2) float64, px
-        Points of the lit limb that were not used: where they were measured, or predicted where that failed.
+        Points of the illuminated limb that were not used, as measured or, failing that, as predicted.
     turn : BodyTurn or None
-        Turn of the body about the line of sight, of estimators that measure one.
+        Rotation of the body about the line of sight, of estimators that measure it.
     """
 
     position_camera_km: Float
@@ -379,7 +376,7 @@ class PositionFix(CenterFix):
         return self.limb_px if made_of_them else np.zeros((0, 2))
 
     def _require_sums(self) -> None:
-        """Raise unless the parts sum to the covariances, of which that of the position is compared along the range."""
+        """Raise unless the parts sum to the covariances; the covariance of the position is compared along the range."""
         CenterFix._require_sums(self)
         variance = np.array([[(self.sigma_range_km / self.range_km) ** 2]])
         along = {cause: part[2:, 2:] for cause, part in self.parts.items()}

@@ -82,11 +82,11 @@ class BoxPixels(Value):
     usable : (h, w) bool
         Neither bad nor saturated.
     censored : (h, w) bool, optional
-        Saturated and not bad: the pixel is at least as bright as its value. None where no pixel is.
+        Saturated and not bad: the pixel is at least as bright as its value. None without such pixels.
     corner_px : (int, int), px
         Column and row of the first element in the image.
     noise_variance_dn2 : callable
-        Variance, DN^2, of the noise of pixels that hold a given signal of the body.
+        Variance, DN^2, of the noise of pixels for a given signal of the body.
     """
 
     values_dn: Float

@@ -18,7 +18,7 @@ UNKNOWN_READ_NOISE_E = 5.0
 _LEAST_VALUES = 16
 """Different values that a common step needs: fewer have one by chance, 16 once in 30,000 images."""
 _SAMPLE = 16_384
-"""Pixels that are looked at for the step, about; all steps between values of the sky occur among so many."""
+"""Approximate number of pixels sampled for the step; enough to contain all steps between values of the sky."""
 _STEP_TOLERANCE = 0.05
 """Largest distance of a difference of two values from a multiple of the step, in steps.
 
@@ -27,11 +27,12 @@ Numbers of 16 bits times a scale, in single precision, are rounded by 0.004 step
 _STEP_PRECISION = 1e-5
 """Relative error of the step, by which it may miss differences of many steps."""
 _BLOCK_PX = 16
-"""Side, px, of the blocks that noise is measured in: small beside slopes of the sky, and one is known to 4.5 %."""
+"""Side, px, of the blocks that noise is measured in: small compared with gradients of the sky; one gives it to 4.5
+%."""
 _BLOCKS = 4096
-"""Blocks that are looked at: all of an image of 1024 x 1024 pixels."""
+"""Maximum number of sampled blocks: all of an image of 1024 x 1024 pixels."""
 _DARKEST = 0.25
-"""Fraction of the blocks, darkest first, that is treated as sky.
+"""Fraction of the blocks, darkest first, treated as sky.
 
 A body may cover up to three quarters of the frame, and stars less than half of these blocks: their median counts.
 """
@@ -43,10 +44,10 @@ quantile of chi-squared is divided out, so that blocks with noise alone give its
 _MIN_BRIGHT_BLOCKS = 16
 """Bright blocks from which on noise is measured: the quantile of as many is known to 5 %."""
 _BRIGHT, _BRIGHT_SIGMAS = 0.25, 10.0
-"""Signal of a bright block, over that of the brightest ones (quantile 0.99) and over the noise of a pixel of the sky:
-beyond both, its level is the level of a body and no gradient of the sky."""
+"""Minimum signal of a bright block, relative to the brightest ones (quantile 0.99) and to the noise of a pixel of the
+sky: beyond both, it shows a body, not a gradient of the sky."""
 _SILENT = 1e-3
-"""Noise of floating point numbers whose dark has none, over their range: that of a well exposed image."""
+"""Noise of floating point numbers whose sky has none, relative to their range: as in a well exposed image."""
 _ROUNDING = 1e-12
 """Variance over squared level of a block of equal numbers, by rounding in single precision (6e-8 squared) and more."""
 
@@ -60,7 +61,7 @@ def value_step(pixels: NDArray[Any], mask: Mask | None = None) -> float:
     >>> value_step(counts), value_step(16 * counts), round(value_step(1e-4 * counts), 12), value_step(np.sqrt(counts))
     (1.0, 16.0, 0.0001, 0.0)
     """
-    every = max(pixels.size // _SAMPLE, 1) | 1  # odd, or only some columns would be looked at
+    every = max(pixels.size // _SAMPLE, 1) | 1  # odd, or only some columns would be sampled
     sample = pixels.ravel()[::every]
     if mask is not None:
         sample = sample[~mask.ravel()[::every]]
@@ -91,7 +92,7 @@ class EightBitValues:
     Parameters
     ----------
     step_dn : float, DN
-        Step whose square over 12 is the noise of quantization: 1, or less for the weighted mean of three channels.
+        Step of quantization, of variance ``step_dn**2 / 12``: 1, or smaller for the weighted mean of three channels.
     """
 
     step_dn: float = 1.0
@@ -109,15 +110,15 @@ class EstimatedNoise:
     Parameters
     ----------
     read_noise_dn : float, DN
-        Standard deviation of a pixel without light, quantization not included.
+        Standard deviation of a pixel without signal, quantization not included.
     gain_e_per_dn : float, electron/DN
-        Signal over the variance that it adds.
+        Ratio of the signal to the variance that it adds.
     in_sky : bool
-        The read noise is that of the sky. False where the sky is constant, as in clipped images: it is the standard
-        deviation of quantization then, or, without noise in the light either, 5 steps.
+        The read noise was measured in the sky. False where the sky is constant, as in clipped images: it is then the
+        standard deviation of quantization, or 5 steps where the signal has no noise either.
     in_light : bool
-        The gain is that of the smoothest bright parts. False where too few pixels are bright, or where their noise is
-        less than that of the sky: the read noise is then taken to be :data:`UNKNOWN_READ_NOISE_E` electrons.
+        The gain was measured in the smoothest bright parts. False where too few pixels are bright, or where their noise
+        is lower than the noise of the sky: the read noise is then assumed to be :data:`UNKNOWN_READ_NOISE_E` electrons.
     """
 
     read_noise_dn: float
@@ -171,7 +172,7 @@ class _Blocks:
         """Growth of the variance with the signal in the smoothest bright blocks; None where that is not to be seen."""
         above, dark = self.levels - float(np.median(self.levels[self.sky])), self.sky_variance
         bright = above > max(_BRIGHT * float(np.quantile(above, 0.99)), _BRIGHT_SIGMAS * math.sqrt(dark))
-        bright &= (self.largest < self.largest.max()) & (self.variances > 0.0)  # neither saturated nor smeared out
+        bright &= (self.largest < self.largest.max()) & (self.variances > 0.0)  # neither saturated nor blurred
         if np.count_nonzero(bright) < _MIN_BRIGHT_BLOCKS:
             return None
         least = float(gammaincinv(0.5 * self.freedom, _SMOOTHEST)) / (
@@ -183,9 +184,9 @@ class _Blocks:
 
 
 def sky_noise(pixels: NDArray[Any], mask: Mask | None = None) -> float:
-    """Standard deviation of the pixels in the dark parts of an image, about planes.
+    """Standard deviation of the pixels of the sky background of an image, about planes.
 
-    ``pixels`` in DN; returned in DN, 0 where most of the dark parts are equal pixels, as in a render without noise or
+    ``pixels`` in DN; returned in DN, 0 where most of the background has equal pixels, as in a render without noise or
     in a clipped image.
     """
     return math.sqrt(_Blocks.of(pixels, mask).sky_variance)
@@ -196,10 +197,10 @@ def estimate_noise(pixels: NDArray[Any], mask: Mask | None = None, *, step_dn: f
 
     Notes
     -----
-    Read noise is what the darkest blocks show about planes, without quantization (``step^2 / 12``) and at least as much
-    as that. Light adds a variance in proportion to itself, measured on the tenth of the bright blocks with the least
-    for their signal: an upper bound where nothing in the image is smooth. It is at least as much as doubles the
-    variance of the dark at the brightest block, since less is not told from it.
+    Read noise is the residual of the darkest blocks about planes, minus quantization (``step^2 / 12``) and no smaller
+    than it. The signal adds a variance proportional to it, measured on the tenth of the bright blocks with the smallest
+    variance for their signal: an upper bound where nothing in the image is smooth. At the brightest block it is at
+    least the variance of the sky, since a smaller one cannot be distinguished.
     """
     blocks, quantization = _Blocks.of(pixels, mask), step_dn**2 / 12.0
     dark, slope = blocks.sky_variance, blocks.variance_per_light()

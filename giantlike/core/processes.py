@@ -1,4 +1,4 @@
-"""Number of worker processes, how they start, and what they do with memory."""
+"""Number of worker processes, their start method, and their use of memory."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from threadpoolctl import ThreadpoolController
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _OWN_PAGES_BYTES = 32 * 2**20
-"""Size from which an array gets pages of its own, given back when it is freed: the largest that glibc allows, four
+"""Size from which an array gets separate pages, returned when it is freed: the largest that glibc allows, four
 frames of 1,024 x 1,024 float64."""
 _KEPT_BYTES = 64 * 2**20
-"""Freed memory that a process keeps, where glibc by itself keeps twice its largest array: 256 MB are no faster."""
+"""Freed memory, bytes, that a process keeps; the default of glibc is twice its largest array. 256 MB are no faster."""
 _COLLECTED_AFTER = 10_000
-"""Objects made and not freed after which cycles of references are looked for: 80 times in a campaign of 255 images, and
-2,000 times with Python's own 700, which takes 1 to 2 % of its CPU. What an image leaves in cycles is small."""
+"""Threshold of the garbage collector, in objects allocated and not freed: 80 collections in a campaign of 255 images.
+Python's default of 700 gives 2,000, which take 1 to 2 % of the CPU. Images leave few objects in cycles."""
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 """Numbers of these settings in ``mallopt`` of glibc (malloc.h)."""
 
@@ -102,8 +102,8 @@ def worker_context(*modules: str) -> BaseContext:
 def importing() -> Iterator[None]:
     """Context manager for the imports of a process of our own.
 
-    Cycles of references are not looked for meanwhile, nor afterwards among what was made: it stays to the end. Among
-    other objects they are looked for less often from then on.
+    Garbage collection is off meanwhile, and skips the imported objects afterwards (``gc.freeze``). Other objects are
+    collected less often from then on.
     """
     enabled = gc.isenabled()
     gc.disable()
@@ -119,8 +119,8 @@ def importing() -> Iterator[None]:
 def keep_memory() -> None:
     """Let a process of our own keep the memory of arrays that it frees, for the next image.
 
-    Otherwise each image asks the system again for what the last one gave back, and has it cleared page by page. With
-    another C library than glibc it does nothing.
+    Otherwise each image requests again the memory that the last one returned, cleared page by page. It has no effect
+    with C libraries other than glibc.
     """
     if sys.platform == "linux":
         import ctypes  # not needed by other commands

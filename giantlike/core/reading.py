@@ -1,9 +1,9 @@
-"""The border of every file reader: what a damaged file makes a parser raise becomes a DataError with the path.
+"""Exception boundary of all file readers: exceptions of a parser on a damaged file become a DataError with the path.
 
-A reader raises ``ValueError`` with a full sentence for content that is not as it should be (:func:`check`), and lets
-through what the libraries under it raise; the decorator :func:`reads` adds the path, and for libraries what to do.
-Mistakes in the code of this package stay what they are: a ``TypeError``, ``AttributeError``, ``NameError`` or
-``AssertionError`` raised in one of its own frames is not caught, the same exception raised inside a parser library is.
+A reader raises ``ValueError`` with a full sentence for unexpected content (:func:`check`), and passes on exceptions of
+the libraries it uses; the decorator :func:`reads` adds the path, and for libraries the remedy. Errors in the code of
+this package are not converted: a ``TypeError``, ``AttributeError``, ``NameError`` or ``AssertionError`` raised in one
+of its own frames is not caught, the same exception raised inside a parser library is.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ _LONGEST_TEXT = 200  # characters of a library's message that are passed on: som
 
 
 _SMALL_BYTES = 200_000_000  # unpacked, read in any case: an image of 7000 x 7000 in single precision
-_MOST_COMPRESSION = 20  # unpacked over packed size of what is larger: tables of stars pack to a third to a sixth
+_MOST_COMPRESSION = 20  # maximum ratio of unpacked to packed size: tables of stars pack to a third to a sixth
 _CHUNK_BYTES = 1_000_000  # unpacked at a time
 
 
 def check(condition: bool, sentence: str) -> None:
-    """Raise ``ValueError`` with ``sentence`` on what is wrong with the content of a file, unless ``condition``."""
+    """Raise ``ValueError`` with ``sentence`` on the error in the content of a file, unless ``condition``."""
     if not condition:
         raise ValueError(sentence)
 
 
 class _Decorator(Protocol):
-    """A decorator that keeps the signature of what it decorates."""
+    """A decorator that keeps the signature of the function."""
 
     def __call__(self, read: Callable[Arguments, Answer], /) -> Callable[Arguments, Answer]: ...
 
@@ -71,7 +71,7 @@ def reads(what: str) -> _Decorator:
 
 @contextmanager
 def resolving(path: Path, what: str) -> Iterator[None]:
-    """Find and check what a file asks for in a ``with`` block; errors become a :class:`DataError` with its path."""
+    """Convert errors in the inputs named by a file, in a ``with`` block, to a :class:`DataError` with its path."""
     try:
         yield
     except DataError:
@@ -128,9 +128,9 @@ def file_sha256(path: Path) -> str:
 
 
 def library_message(error: BaseException) -> str:
-    """One line of the text of an exception, of one without a text its class.
+    """One line of the text of an exception, or its class if it has no text.
 
-    Of those of SPICE, the short message and the first sentence of the long one.
+    For SPICE exceptions, the short message and the first sentence of the long one.
     """
     short, long = str(getattr(error, "short", "")), " ".join(str(getattr(error, "long", "") or error).split())
     first = long.split(". ")[0].rstrip(".") if short else long[:_LONGEST_TEXT]
@@ -138,7 +138,7 @@ def library_message(error: BaseException) -> str:
 
 
 def is_of_content(error: Exception) -> bool:
-    """True if the content of a file caused an exception, not a mistake in this package's own code."""
+    """True if the content of a file caused an exception, not an error in this package's own code."""
     return isinstance(error, _OF_CONTENT) or type(error).__module__ != "builtins" or not _raised_here(error)
 
 
@@ -151,7 +151,7 @@ def _raised_here(error: Exception) -> bool:
 
 
 def problem_text(error: Exception, what: str) -> str:
-    """Sentence for a user on what was needed, what came and, where the reader itself does not say it, what to do."""
+    """Sentence for a user on the requirement, the finding and, where the reader does not say it, the remedy."""
     if isinstance(error, FileNotFoundError):
         return "there is no such file"
     if isinstance(error, OSError) and error.strerror:

@@ -12,20 +12,20 @@ class Reason(StrEnum):
     UNREADABLE_IMAGE = "unreadable_image"
     """The image file cannot be read, or has another size than the camera.
 
-    The detail names the file and what is wrong with it.
+    The detail names the file and its error.
     """
     NO_SIGNAL = "no_signal"
-    """Nothing stands out of the noise where the target should be.
+    """Nothing exceeds the noise at the predicted position of the target.
 
-    Look at the image: exposure, pointing, the right target; widen `search_px` if it lies farther off.
+    Look at the image: exposure, pointing, the correct target; widen `search_px` if it lies farther away.
     """
     MASKED = "masked"
-    """Bad pixels cover what would be measured.
+    """Bad pixels cover the signal that would be measured.
 
     Check the mask and the bad-pixel frame.
     """
     SATURATED = "saturated"
-    """Too much of what would be measured is saturated.
+    """Too much of the signal that would be measured is saturated.
 
     Use a shorter exposure, or an estimator of limbs, which needs only the outline.
     """
@@ -40,9 +40,10 @@ class Reason(StrEnum):
     Use a deeper catalog, or raise `max_magnitude`.
     """
     TOO_FEW_MATCHES = "too_few_matches"
-    """Too few detections, or landmarks, agree with what is known at any pose near the a priori one.
+    """Too few detections, or landmarks, match at any pose near the a priori one.
 
-    Check the a priori attitude, the focal length and the observer; let stars be sought over the sky (`lost_in_space`).
+    Check the a priori attitude, the focal length and the observer; search for stars over the whole sky
+    (`lost_in_space`).
     """
     NO_PATTERN_MATCH = "no_pattern_match"
     """No pattern of detections is one of the catalog.
@@ -50,12 +51,12 @@ class Reason(StrEnum):
     Check the field of view and distortion of the camera, and the epoch; look for trails and dense fields.
     """
     AMBIGUOUS = "ambiguous"
-    """Two answers explain the image as well.
+    """Two solutions fit the image equally well.
 
-    Give a better a priori, or look which of them is right.
+    Give a better a priori, or check which of them is correct.
     """
     FOV_MISMATCH = "fov_mismatch"
-    """The scale of the image differs from that of the camera.
+    """The scale of the image differs from the scale of the camera.
 
     Calibrate the camera, or give its field of view with a larger error.
     """
@@ -65,9 +66,9 @@ class Reason(StrEnum):
     Read it with the rows turned around (`bottom_up`).
     """
     DEGENERATE_GEOMETRY = "degenerate_geometry"
-    """The observations lie so that they do not settle what is sought.
+    """The geometry of the observations does not determine the solution.
 
-    Use more of them, or ones that are spread wider.
+    Use more observations, or ones that are spread wider.
     """
     NO_ATTITUDE = "no_attitude"
     """The image has no attitude.
@@ -110,19 +111,19 @@ class Reason(StrEnum):
     Widen `search_px`, or improve the a priori.
     """
     NOT_CONVERGED = "not_converged"
-    """The iteration did not settle.
+    """The iteration did not converge.
 
     Give a better a priori; look at the image for a second body or stray light.
     """
     LARGE_RESIDUALS = "large_residuals"
-    """Residuals are several times what the model allows.
+    """Residuals are several times those that the model allows.
 
     Look at the residuals: shape, distortion or blur may be wrong.
     """
     WRONG_SHAPE = "wrong_shape"
-    """The declared shape is not the one in the image.
+    """The assumed shape disagrees with the image.
 
-    Use a mesh for a body that is no ellipsoid, or an estimator that takes its relief.
+    Use a mesh for a body that is not an ellipsoid, or an estimator that uses its relief.
     """
     NOT_UNRESOLVED = "not_unresolved"
     """The body is too large for an estimator of unresolved ones.
@@ -135,7 +136,7 @@ class Reason(StrEnum):
     `giantlike edit RUN restore` takes that back.
     """
     INTERNAL_ERROR = "internal_error"
-    """A mistake of this program; the traceback is in the record.
+    """An error of this program; the traceback is in the record.
 
     Report it, with the image.
     """
@@ -148,7 +149,7 @@ class Quality(enum.Flag):
     SATURATED = enum.auto()
     """Saturated pixels lie in the measured region.
 
-    They are left out; a shorter exposure would tell more.
+    They are left out; a shorter exposure would give more information.
     """
     MASKED = enum.auto()
     """Bad pixels lie in the measured region.
@@ -158,7 +159,7 @@ class Quality(enum.Flag):
     CUT_BY_FRAME = enum.auto()
     """The body reaches over the edge of the image.
 
-    Nothing is to be done: what is seen was used.
+    No action is needed: the visible part was used.
     """
     APRIORI_ATTITUDE = enum.auto()
     """The attitude is the a priori one of the image: there is no star solution.
@@ -178,10 +179,10 @@ class Quality(enum.Flag):
     SHORT_ARC = enum.auto()
     """Less than a quarter of the limb was used.
 
-    Range and the direction along the arc are known less; the covariance says how much.
+    Range and the direction along the arc are less precise; the covariance includes this.
     """
     LOW_SCORE = enum.auto()
-    """All of the limb is saturated, so that only the wings of the point spread function are left of it.
+    """All of the limb is saturated, so that only the wings of the point spread function remain.
 
     Expose shorter, or use an estimator of light that knows saturation.
     """
@@ -197,22 +198,22 @@ class Quality(enum.Flag):
     Check that it is the right target, and the errors declared of ephemeris and attitude.
     """
     LARGE_RESIDUALS = enum.auto()
-    """Residuals of stars, or of a triangulation, are several times what noise explains.
+    """Residuals of stars, or of a triangulation, are several times the noise.
 
-    Look at the residuals: distortion or blur may be wrong. No fix of a body has it: there such residuals make the
-    sigma larger.
+    Look at the residuals: distortion or blur may be wrong. Fixes of bodies never have it: there such residuals inflate
+    the sigma.
     """
     AMBIGUOUS = enum.auto()
-    """Another source as good lies in the search region, or the body at another place is not a thousand times less
-    likely; of stars: many bright sources are no star, and many bright stars have no source.
+    """Another source fits equally well in the search region, or the body at another position is not a thousand times
+    less likely; of stars: many bright sources are not stars, and many bright stars have no source.
 
-    Look which of them is the target, or narrow the search; of stars, look for a second exposure.
+    Check which of them is the target, or narrow the search; of stars, look for a second exposure.
     """
     OBSERVER_UNKNOWN = enum.auto()
-    """The velocity of the observer is not known: the attitude holds stellar aberration, up to 20 arcsec at 1 au.
+    """The velocity of the observer is unknown: the attitude contains stellar aberration, up to 20 arcsec at 1 au.
 
-    The covariance holds it too, as the part `aberration`. Give the position and velocity of
-    the observer with respect to the solar system barycenter: kernels or tables relative to the target do not tell it.
+    The covariance includes it, as the part `aberration`. Give the position and velocity of the observer with respect to
+    the solar system barycenter: kernels or tables relative to the target do not contain it.
     """
     EPOCH_UNKNOWN = enum.auto()
     """No epoch: stars were taken where the catalog has them, at J2016.0, with the error of that in the covariance.
@@ -241,14 +242,14 @@ class Quality(enum.Flag):
     Check `bottom_up`, the axes of the camera and the direction of the Sun.
     """
     UNEXPLAINED_LIGHT = enum.auto()
-    """A second image of the body lies beside the first, or the body is darker than the sky, by odds of more than a
-    thousand to one.
+    """A second image of the body lies next to the first, or the body is darker than the sky, at a likelihood ratio
+    above 1000.
 
-    Another exposure, a ghost or a second body: look at the image, and mask what is not the body.
+    Another exposure, a ghost or a second body: look at the image, and mask all but the body.
     """
     WRONG_FIGURE = enum.auto()
     """The outline is that of another body, rows or columns are shifted against each other, or the limb is smooth where
-    a height map has relief, by odds of more than a thousand to one.
+    a height map has relief, at a likelihood ratio above 1000.
 
     Look at the image for shifted rows; check the shape, pole, rotation and epoch.
     """
@@ -259,9 +260,10 @@ class Quality(enum.Flag):
     sigma larger.
     """
     DEFOCUSED = enum.auto()
-    """The stars are much wider than the camera's optics make them, in all directions alike: no focus, or a wrong psf.
+    """The stars are much wider than the camera's point spread function, in all directions: no focus, or a wrong psf.
 
-    Their places and the covariance hold. Give the camera the width that its stars have before bodies are measured.
+    Their positions and the covariance are valid. Give the camera the width that its stars have before bodies are
+    measured.
     """
     SUSPECT = (
         LOW_SCORE

@@ -1,4 +1,4 @@
-"""Robust statistics that several packages share."""
+"""Robust statistics used by several packages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from giantlike.core.arrays import Float
 
 MAD_TO_SIGMA = 1.482602218505602
-"""Standard deviation over the median absolute deviation of a normal distribution: 1 / (inverse normal CDF at 3/4)."""
+"""Standard deviation / median absolute deviation of a normal distribution: 1 / (inverse normal CDF at 3/4)."""
 
 IQR_PER_SIGMA = 1.3489795003921634
 """Interquartile range of a normal distribution of unit standard deviation: twice the inverse normal CDF at 3/4."""
@@ -58,8 +58,8 @@ def squared_residuals(residuals: Float, covariance: Float) -> Float:
 def error_floor(residuals: Float, covariance: Float, *, freedom: int | None = None) -> float:
     """Standard deviation per axis that explains residuals larger than their covariances do.
 
-    ``residuals`` (n, 2); ``covariance`` (n, 2, 2), of each residual, positive definite; returns 0 if they are no larger
-    without.
+    ``residuals`` (n, 2); ``covariance`` (n, 2, 2), of each residual, positive definite; returns 0 if they are not
+    larger.
     """
     variances, axes = _principal(covariance)
     return _floor_along(_turned(residuals, axes) ** 2, variances, freedom)
@@ -114,7 +114,7 @@ def nearest_covariance(matrix: Float) -> Float:
 
 
 def excess(first: Float, second: Float) -> Float:
-    """Least covariance to add to one so that the sum exceeds another in every direction of parameter space.
+    """Smallest covariance to add to one so that the sum exceeds another in every direction of parameter space.
 
     ``first``, ``second`` (k, k), positive semi-definite (a direction in which the first has nothing to rounding counts
     as if it had that); returns (k, k), positive semi-definite.
@@ -131,10 +131,10 @@ def excess(first: Float, second: Float) -> Float:
 def error_terms(residuals: Float, covariance: Float, *, freedom: int) -> tuple[float, float]:
     """Factor on the standard deviations, and an error floor, that together explain residuals.
 
-    Errors that all observations have alike (distortion that is not modeled, turbulence) are a floor; errors that grow
-    with the noise (pixels whose noise is correlated by compression or color filters, an unknown gain) are a factor. Of
-    all pairs that bring the sum of squared residuals to the degrees of freedom the most likely one is taken, for normal
-    errors; a floor alone where the factor makes that no more likely than a parameter costs by the criterion of Akaike.
+    Errors of equal size for all observations (unmodeled distortion, turbulence) are a floor; errors that increase with
+    the noise (pixels whose noise is correlated by compression or color filters, an unknown gain) are a factor. Of all
+    pairs that bring the sum of squared residuals to the degrees of freedom the most likely one is taken, for normal
+    errors; a floor alone where the factor does not pay for a parameter by Akaike's criterion.
 
     ``residuals`` (n, 2); ``covariance`` (n, 2, 2), of each residual, positive definite; returns ``factor``: at least 1;
     ``floor``: at least 0.

@@ -38,6 +38,6 @@ def record_of_numbers(kind: type[Record], table: object, where: str) -> Record:
 
 
 def table_of_numbers(record: object) -> dict[str, float]:
-    """Return the fields of a dataclass of numbers as a table without infinite values, which stand for unknown."""
+    """Return the fields of a dataclass of numbers as a table without infinite values, which mean unknown."""
     values = {entry.name: float(getattr(record, entry.name)) for entry in fields(record)}  # type: ignore[arg-type]
     return {key: value for key, value in values.items() if math.isfinite(value)}

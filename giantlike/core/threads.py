@@ -14,15 +14,15 @@ from giantlike.core.processes import one_thread
 Result = TypeVar("Result")
 
 ALLOWED: ContextVar[int] = ContextVar("threads", default=1)
-"""Threads that work in this context may take. A new thread begins with 1, so that what runs in one starts no others."""
+"""Number of threads available in this context. A new thread begins with 1, so that it starts no others."""
 
 
 @contextlib.contextmanager
 def threads(count: int) -> Iterator[None]:
     """Context manager in which independent estimators of one image run at once, each in a thread.
 
-    ``auto`` then runs the estimator of its choice and the one that checks it at once. All results are those of one
-    thread, bit for bit. It holds for what the thread that enters it does.
+    ``auto`` then runs the chosen estimator and the one that checks it in parallel. All results are bit for bit the same
+    as with one thread. It applies to the thread that enters it.
 
     Parameters
     ----------
@@ -54,9 +54,9 @@ def threads(count: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def at_once(jobs: Mapping[str, Callable[[], Result]]) -> Iterator[Callable[[str], Result]]:
-    """Context manager of jobs that do not need each other: with several threads, all are begun.
+    """Context manager of independent jobs: with several threads, all are started.
 
-    With one, a job runs when its result is asked for, which may be done once.
+    With one thread, a job runs when its result is requested, which may be done once.
     """
     count = min(ALLOWED.get(), len(jobs))
     if count < 2:

@@ -16,5 +16,5 @@ SECONDS_PER_JULIAN_YEAR = 365.25 * SECONDS_PER_DAY
 
 RAD_PER_DEG = math.pi / 180.0  # exact, as the following
 RAD_PER_ARCSEC = RAD_PER_DEG / 3600.0  # 3,600 arcsec to the degree
-ARCSEC_PER_RAD = 1.0 / RAD_PER_ARCSEC  # some 206,265
+ARCSEC_PER_RAD = 1.0 / RAD_PER_ARCSEC  # about 206,265
 RAD_PER_MAS = RAD_PER_ARCSEC / 1000.0  # milliarcseconds

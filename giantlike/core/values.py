@@ -19,11 +19,11 @@ from giantlike.core.arrays import Float, Mask, Scalar, require
 UNIT_TOLERANCE = 1e-9
 """Largest error of the length of a unit vector: rounding of float64 leaves 1e-15, a table with ten digits 1e-10."""
 ASYMMETRY_TOLERANCE = 1e-9
-"""Largest difference of two mirrored elements, over the product of their standard deviations."""
+"""Largest difference of two mirrored elements, divided by the product of their standard deviations."""
 EIGENVALUE_TOLERANCE = 1e-9
-"""How far below zero rounding may bring an eigenvalue of a correlation matrix."""
+"""Tolerance for negative eigenvalues of a correlation matrix, from rounding."""
 _FEW = 3
-"""Most rows of a matrix that is faster checked element by element."""
+"""Maximum rows of a matrix for which a check element by element is faster."""
 
 
 AnyValue = TypeVar("AnyValue", bound="Value")
@@ -39,7 +39,7 @@ class Value:
     Raises
     ------
     InputError
-        A covariance is not symmetric or not positive semi-definite, or a direction is no unit vector.
+        A covariance is not symmetric or not positive semi-definite, or a direction is not a unit vector.
 
     Examples
     --------
@@ -69,7 +69,7 @@ _INVARIANTS: dict[type, tuple[tuple[str, _Check | None], ...]] = {}
 
 
 def _invariants(kind: type) -> tuple[tuple[str, _Check | None], ...]:
-    """Names of the fields of a class of values, and the checks that their names ask for; found once for a class."""
+    """Names of the fields of a class of values, and the checks that their names imply; cached for each class."""
     known = _INVARIANTS.get(kind)
     if known is None:
         names = [field.name for field in fields(kind)]
@@ -78,7 +78,7 @@ def _invariants(kind: type) -> tuple[tuple[str, _Check | None], ...]:
 
 
 def _check_of(name: str) -> _Check | None:
-    """Check that the name of a field asks for."""
+    """Check implied by the name of a field."""
     if name.startswith("covariance"):
         return check_covariance
     return check_directions if "direction_" in name or "directions_" in name else None
@@ -108,10 +108,9 @@ def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
 def check_covariance(covariance: Float, name: str, tolerance: float = EIGENVALUE_TOLERANCE) -> None:
     """Raise :class:`InputError` unless matrices (..., n, n) are symmetric and positive semi-definite.
 
-    Eigenvalues of correlation matrices may be as far below zero as ``tolerance``, and mirrored elements may differ by
-    as much or by :data:`ASYMMETRY_TOLERANCE`, whichever is more. Elements are compared after division by the standard
-    deviations, so that units and scales do not matter. Matrices with infinities or NaN stand for what is not known and
-    are not checked.
+    Eigenvalues of correlation matrices may be as low as ``-tolerance``, and mirrored elements may differ by the larger
+    of ``tolerance`` and :data:`ASYMMETRY_TOLERANCE`. Elements are compared after division by the standard deviations,
+    so that units and scales do not matter. Matrices with infinities or NaN (unknown elements) are not checked.
     """
     shape = covariance.shape
     require(len(shape) >= 2 and shape[-1] == shape[-2], f"{name} must be square, got shape {shape}")
@@ -164,7 +163,7 @@ def _has_cholesky_factor(rows: list[list[float]]) -> bool:
 
 
 def _least_eigenvalues(matrices: Float) -> Float:
-    """Least eigenvalues (m,) of symmetric matrices (m, n, n); of 2 x 2 in closed form, in a ninth of the time."""
+    """Smallest eigenvalues (m,) of symmetric matrices (m, n, n); for 2 x 2 in closed form, 9 times faster."""
     if matrices.shape[-1] != 2:
         return np.asarray(np.linalg.eigvalsh(matrices)[..., :1])
     a, b, d = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 1]

@@ -38,13 +38,13 @@ TOLD_LAWS: Mapping[str, Reflectance] = MappingProxyType(
 
 @lru_cache(maxsize=16)
 def markings(number: int, rms: float) -> SphereField:
-    """Return relative albedo less one, another one for each number."""
+    """Return relative albedo minus one, a different map for each number."""
     return bumps(7000 + number, rms=rms, widths_deg=(6.0, 25.0), count=40, cells=_TABLE_CELLS)
 
 
 @lru_cache(maxsize=16)
 def relief(number: int, rms: float) -> SphereField:
-    """Return heights that no shape model lists, as a share of the radius, others for each number."""
+    """Return heights that are not in the shape model, as a fraction of the radius, different for each number."""
     return bumps(8000 + number, rms=rms, widths_deg=(8.0, 30.0), count=40, cells=_TABLE_CELLS)
 
 
@@ -66,7 +66,7 @@ def rock(number: int, extra: SphereField | None = None) -> tuple[ReliefBody, Tri
 
 
 def ellipsoid(radii_km: Float, albedo: SphereField | None = None) -> tuple[EllipsoidBody, Ellipsoid]:
-    """Return an ellipsoid twice: as it is rendered, and as it is told."""
+    """Return the rendered ellipsoid and the assumed one."""
     return EllipsoidBody(radii_km, albedo), Ellipsoid(radii_km=np.array(radii_km, dtype=float))
 
 
@@ -115,7 +115,7 @@ class EclipsedBody(Value):
         return self.body.shadowed(points_km, sun)
 
     def albedo_at(self, points_km: Float) -> Float | None:
-        """Relative albedo (m,) times the share of the Sun that is left."""
+        """Relative albedo (m,) times the visible fraction of the Sun."""
         away = points_km - self.through_km
         distance = np.linalg.norm(away - (away @ self.sun)[:, None] * self.sun, axis=1)
         light = np.clip((distance - self.radius_km) / self.penumbra_km, 0.0, 1.0)

@@ -82,7 +82,7 @@ def ghost(plan: Plan, rng: np.random.Generator) -> Plan:
 
 
 def double_exposure(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Two exposures between which the camera moved by 5 px and more: less is a motion whose middle is the truth."""
+    """Two exposures between which the camera moved by at least 5 px; a smaller motion has its midpoint as the truth."""
     light = lights.copied(shift_px=_shift(rng, 5.0, 80.0), share=log_uniform(rng, 0.3, 1.0))
     return _lit(plan, light, hard=True)
 
@@ -147,14 +147,14 @@ def _optics(plan: Plan, psf: Psf, *, hard: bool) -> Plan:
 
 
 def motion(plan: Plan, rng: np.random.Generator) -> Plan:
-    """The camera turned during the exposure."""
+    """The camera rotated during the exposure."""
     angle, length = rng.uniform(0.0, math.pi), log_uniform(rng, 1.0, 30.0)
     path = (length * math.cos(angle), length * math.sin(angle))
     return _optics(plan, Psf(PSF_PX, motion_px=path), hard=length > 1.5)
 
 
 def defocus(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Optics 1.5 to 8 times as wide as told."""
+    """Point spread function 1.5 to 8 times as wide as assumed."""
     return _optics(plan, Psf(PSF_PX * log_uniform(rng, 1.5, 8.0)), hard=True)
 
 
@@ -177,7 +177,7 @@ def _maybe_masked(plan: Plan, rng: np.random.Generator) -> Plan:
 
 
 def bit_flips(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Bits turned over in memory."""
+    """Bit flips in memory."""
     share = log_uniform(rng, 1e-4, 0.05)
     return _read(plan, readouts.bit_flips(share), hard=share > 1e-3)
 
@@ -209,20 +209,20 @@ def rows_shifted(plan: Plan, rng: np.random.Generator) -> Plan:
 
 
 def _break_row(plan: Plan, place: float) -> float:
-    """Row at a place, -1 to 1, in the light of the body: if all of it is shifted, nothing in the image tells."""
+    """Row at a position, -1 to 1, in the illuminated part of the body: a shift of all of it is undetectable."""
     world = plan.world
     middle = float(_middle_px(world)[1])
     if world.body is None:
         return middle + 0.1 * place * world.view.rows
     radius_px = world.body.bounding_radius_km / world.range_km * world.view.focal_px
-    # From terminator to limb the light of a sphere reaches from -cos(phase) to 1 radii towards the Sun.
+    # The illuminated part of a sphere extends from -cos(phase) to 1 radii towards the Sun.
     cosine, across = math.cos(world.phase_rad), math.hypot(world.sun[0], world.sun[1])
     toward_sun = float(world.sun[1]) / max(across, 1e-9)
     return middle + 0.5 * radius_px * ((1.0 - cosine) * toward_sun + 0.6 * (1.0 + cosine) * place)
 
 
 def eight_bit(plan: Plan, rng: np.random.Generator, *, square_root: bool) -> Plan:
-    """Values on 255 steps, and a detector told in the new unit; of a table of square roots nobody told."""
+    """Values on 255 steps, and a detector assumed in the new unit; the square-root coding is undeclared."""
     full = min(FULL_DN, BIAS_DN + _level_dn(plan.world) * log_uniform(rng, 1.2, 3.0))
     readout = readouts.eight_bits(full, square_root=square_root)
     return _read(plan, readout, hard=False).but(told={"dn_scale": 255.0 / full}, hard=square_root)

@@ -26,7 +26,7 @@ def has_results(folder: Path) -> bool:
 
 
 def _stamp(wanted: Gauntlet) -> dict[str, Any]:
-    """What results of one image depend on."""
+    """Key of the inputs on which the results of one image depend."""
     return {"seed": wanted.seed, "estimators": list(wanted.estimators), "version": VERSION}
 
 

@@ -1,8 +1,8 @@
-"""Kinds of images: what is wrong with each, drawn from random numbers, and when an answer can still be demanded.
+"""Kinds of images: the disturbance of each, drawn from random numbers, and whether an answer is still required.
 
-A kind takes an undisturbed plan and returns a disturbed one. It says ``hard`` where, by what it drew and before any
-estimator has seen the image, an honest tool may refuse. What follows from size, phase, light and limb in view is not
-decided here but in :mod:`giantlike.gauntlet.rule`, the same for all kinds.
+A kind takes an undisturbed plan and returns a disturbed one. It sets ``hard`` where the drawn disturbance, before any
+estimator has seen the image, justifies a refusal. Limits of size, phase, signal and visible limb are in
+:mod:`giantlike.gauntlet.rule`, the same for all kinds.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ class Kind:
     ----------
     name : str
     summary : str
-        What is wrong, in a line.
+        The disturbance, in a line.
     disturb : callable
         (plan, random numbers) to plan.
     base : Base
         Limits of the undisturbed image of a body.
     body, stars : bool
-        Whether there is a body for the estimators, and whether there are stars for the star chain.
+        True if there is a body for the estimators, or stars for the star chain.
     weight : int
-        How often it comes, in a deck of all kinds.
+        Number of occurrences in a deck of all kinds.
     undisturbed : bool
-        True where nothing is wrong with the image: its sigmas are the nominal ones.
+        True for an image without a disturbance: its sigmas are the nominal ones.
     """
 
     name: str
@@ -55,7 +55,7 @@ def _as_it_is(plan: Plan, rng: np.random.Generator) -> Plan:
     return plan
 
 
-# Limits that several kinds share: large enough for what is drawn on the disk, with points of light, of one figure.
+# Limits common to several kinds: large enough for features drawn on the disk; with point sources; of one shape.
 _WIDE = Base(diameter_px=(60.0, 220.0))
 _WITH_POINTS = Base(points=0.15)
 _ROCK = Base(rocks=1.0, diameter_px=(40.0, 130.0))

@@ -59,7 +59,7 @@ def copied(*, shift_px: tuple[int, int], share: float, blur_px: float = 0.0, tur
 
 
 def moved(image: Float, shift_px: tuple[int, int]) -> Float:
-    """Move an image by whole pixels; what comes in from outside is dark.
+    """Shift an image by whole pixels, padded with zeros.
 
     ``shift_px``: columns and rows; returns (rows, columns).
     """
@@ -79,9 +79,9 @@ def smeared(share: float) -> Light:
 
 
 def other_body(body: Body, position_camera_km: Float, brightness: float, *, in_front: bool = False) -> Light:
-    """A body that nobody told of, beside the target or in front of it.
+    """An undeclared body next to the target or in front of it.
 
-    ``brightness``: of its brightest pixel over that of the target.
+    ``brightness``: ratio of its brightest pixel to that of the target.
     """
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
@@ -101,7 +101,7 @@ def other_body(body: Body, position_camera_km: Float, brightness: float, *, in_f
 
 
 def coverage(world: World, body: Body, position_camera_km: Float) -> Float:
-    """Share (rows, columns) of each pixel that a body covers, lit or not."""
+    """Fraction (rows, columns) of each pixel that a body covers, illuminated or not."""
     toward = -position_camera_km / np.linalg.norm(position_camera_km)
     pose = Pose(position_camera_km, world.camera_from_body, toward)
     return render_body(
@@ -118,7 +118,7 @@ def coverage(world: World, body: Body, position_camera_km: Float) -> Float:
 def rings(*, inner: float, outer: float, brightness: float, opacity: float) -> Light:
     """Rings in the plane of the equator, in front of the body and behind it.
 
-    ``inner``, ``outer``: radii over that of the body; ``brightness``: over that of the brightest pixel of the body.
+    ``inner``, ``outer``: in radii of the body; ``brightness``: relative to the brightest pixel of the body.
     """
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
@@ -144,9 +144,9 @@ def rings(*, inner: float, outer: float, brightness: float, opacity: float) -> L
 
 
 def coma(*, brightness: float, core_px: float, fan: float) -> Light:
-    """Dust around a nucleus: brightness in inverse proportion to the distance, more on the side of the Sun.
+    """Dust around a nucleus: brightness inversely proportional to distance, and higher towards the Sun.
 
-    ``brightness``: at ``core_px`` from the center, over that of the brightest pixel of the nucleus.
+    ``brightness``: at ``core_px`` from the center, relative to the brightest pixel of the nucleus.
     """
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
@@ -210,7 +210,7 @@ def dark(signal: Float, world: World, rng: np.random.Generator) -> Float:
 
 
 def moon_of(rng: np.random.Generator, world: World) -> tuple[EllipsoidBody, Float]:
-    """A round moon between camera and target: its figure, and its place in camera axes, km.
+    """A spherical moon between camera and target: its shape, and its position in camera axes, km.
 
     Returns (3,).
     """

@@ -1,4 +1,4 @@
-"""Kinds in which the image is right and what is told of it is wrong."""
+"""Kinds with a nominal image and wrong a priori data."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from giantlike.independent import EllipsoidBody, StarField
 from giantlike.shapes import Ellipsoid
 
 _STATED_SHARE = 0.5
-"""Share of mistakes of size, focal length and attitude that lie within what is stated of them."""
+"""Fraction of the errors of size, focal length and attitude that are within their declared uncertainty."""
 _SEARCH_PX = 30.0
 """Error of a prediction, px, that every search covers."""
 
@@ -31,7 +31,7 @@ def _direction(rng: np.random.Generator) -> Float:
 
 
 def wrong_time(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Predict the body where it was, and turned as it was, at another time."""
+    """Predict the body with its position and orientation at another time."""
     world, told = plan.world, plan.told
     late = log_uniform(rng, 0.05, 1.0) * rng.choice([-1.0, 1.0])
     angle = rng.uniform(0.0, 2.0 * math.pi)
@@ -43,7 +43,7 @@ def wrong_time(plan: Plan, rng: np.random.Generator) -> Plan:
 
 
 def wrong_attitude(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Turn the attitude by 0.1 to 3 degrees, stated or not; what is not stated is far beyond every search."""
+    """Rotate the attitude by 0.1 to 3 deg, declared or not; undeclared errors are far beyond every search."""
     stated = rng.uniform() < _STATED_SHARE
     focal = plan.world.view.focal_px
     # Unstated errors start at 0.5 deg: 44 px for the camera of bodies, beyond the 40 px that searches declare.
@@ -66,7 +66,7 @@ def wrong_roll(plan: Plan, rng: np.random.Generator) -> Plan:
 
 
 def wrong_scale(plan: Plan, rng: np.random.Generator, *, share: float) -> Plan:
-    """Tell a body too large or too small by a share of its size."""
+    """Assume a body too large or too small by a fraction of its size."""
     told = plan.told
     assert told.shape is not None
     new: dict[str, object] = {"shape": scaled(told.shape, 1.0 + share * rng.choice([-1.0, 1.0]))}
@@ -76,7 +76,7 @@ def wrong_scale(plan: Plan, rng: np.random.Generator, *, share: float) -> Plan:
 
 
 def focal(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Tell a focal length that is 2 % off; half of them are stated to be that uncertain."""
+    """Assume a focal length with an error of 2 %; half of them are declared with that uncertainty."""
     new = {"focal_factor": 1.0 + 0.02 * rng.choice([-1.0, 1.0])}
     if rng.uniform() < _STATED_SHARE:
         new["focal_sigma"] = 0.015
@@ -159,7 +159,7 @@ def wrong_psf(plan: Plan, rng: np.random.Generator) -> Plan:
 
 
 def wrong_law(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Render another reflectance law than the one told."""
+    """Render another reflectance law than the assumed one."""
     laws = ["mcewen", "lambert", "lommel_seeliger", "minnaert", "hapke"]
     others = [law for law in laws if law != plan.told.law]
     return plan.but(world={"law": str(rng.choice(others))}, hard=False)

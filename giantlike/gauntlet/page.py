@@ -75,7 +75,7 @@ def page_of(report: Mapping[str, Any], results: Sequence[ImageResult]) -> str:
 
 
 def _summary(kind: str) -> str:
-    """What is wrong with a kind, in a line."""
+    """Disturbance of a kind, in a line."""
     return KINDS[kind].summary if kind in KINDS else "a real image that does not show the target"
 
 
@@ -92,7 +92,7 @@ def _card(result: ImageResult) -> Card:
 
 
 def _line(row: TrialRow) -> str:
-    """What came of an estimator, in a line."""
+    """Outcome of an estimator, in a line."""
     text = f"{row.estimator}: {row.verdict.replace('_', ' ')}, {row.status}"
     if row.reason:
         text += f" ({row.reason})"

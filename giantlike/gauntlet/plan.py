@@ -1,4 +1,4 @@
-"""What an image of the gauntlet is made from: the world as it is, and what an estimator is told of it."""
+"""Plan of an image of the gauntlet: the true world, and the a priori data for the estimators."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ FOCAL_PX, STAR_FOCAL_PX = 5000.0, 2500.0
 READ_NOISE_DN = 5.0
 """Read noise, DN (1 electron each), as in the other truths of the project."""
 BIAS_DN, FULL_DN = 100.0, 16383.0
-"""Value without light and largest value, DN: those of a converter of 14 bits."""
+"""Value without light and largest value, DN, of a converter of 14 bits."""
 PSF_PX = 0.7
-"""Width of the optics, px: that of most cameras in use."""
+"""Width of the point spread function, px: typical of cameras in use."""
 ATTITUDE_SIGMA_DEG = 0.02
-"""A priori attitude, deg about each axis: 1.7 px for bodies, that of a star tracker and its alignment."""
+"""Sigma of the a priori attitude, deg about each axis: 1.7 px for bodies, as of a star tracker and its alignment."""
 FOCAL_SIGMA, CENTER_SIGMA_PX = 5e-5, 0.02
 """Calibration of the camera: relative error of the focal length and error of its center, px, of a good calibration."""
 EPHEMERIS_SIGMA = (5e-4, 2e-3)
-"""Ephemeris of the target, share of the range along each axis, smallest and largest: 2.5 to 10 px across."""
+"""Sigma of the ephemeris along each axis, as a fraction of the range, minimum and maximum: 2.5 to 10 px."""
 LARGEST_SIGMAS = 3.0
 """Priors are normal and cut off here: the prediction stays within 30 px and 0.6 % of range, inside every search."""
 DECLARED_SHARE = 0.75
-"""Share of the images for which the uncertainty of the ephemeris is stated."""
+"""Fraction of the images with a declared uncertainty of the ephemeris."""
 SPEED_KM_S = 30.0
-"""Speed of the observer, km/s: that of the Earth."""
+"""Speed of the observer, km/s, as of the Earth."""
 FAINTEST_MAG, BRIGHTEST_MAG, STARS = 8.5, 2.0, 110
-"""Star fields: some 70 stars in the frame, of signal to noise ratios from 40 up."""
+"""Star fields: about 70 stars in the frame, of signal-to-noise ratios from 40 up."""
 
 RECORDER = Recorder(read_noise_e=READ_NOISE_DN, bias_dn=BIAS_DN, saturation_dn=FULL_DN)
 """The detector: one electron per DN."""
@@ -45,7 +45,7 @@ RECORDER = Recorder(read_noise_e=READ_NOISE_DN, bias_dn=BIAS_DN, saturation_dn=F
 Light = Callable[[Float, "World", np.random.Generator], Float]
 """Light added or taken away before the detector: (signal DN, world, random numbers) to signal."""
 Readout = Callable[[Float, np.random.Generator], Float]
-"""What happens to the values that a detector gives: (pixels DN, random numbers) to pixels."""
+"""Damage to the values of a detector: (pixels DN, random numbers) to pixels."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -116,7 +116,7 @@ class World(Value):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Told(Value):
-    """What the estimators are told, and how sure of it the one who tells is.
+    """A priori data for the estimators, with declared uncertainties.
 
     Parameters
     ----------
@@ -130,31 +130,27 @@ class Told(Value):
         Before the error of the attitude.
     sun : (3,), true camera axes
     ephemeris_sigma_km : float, km
-        0 where it is not stated.
+        0 where it is not declared.
     scale_sigma : float
         Relative.
     attitude_error : Rotation
         ``told camera_from_inertial = attitude_error * true camera_from_inertial``.
-    attitude_sigma_deg : float, deg
-        Stated.
-    focal_factor : float
-        Focal length told over the true one.
+    attitude_sigma_deg : float, deg Declared. focal_factor : float
+        Ratio of the assumed to the true focal length.
     center_shift_px : (2,), px
-        Center told less the true one.
+        Assumed minus true center.
     focal_sigma : float
-        Stated, relative.
-    saturation_dn : float, DN
-        Stated.
-    dn_scale : float
-        DN of the image for each DN of the detector: less than 1 after requantization.
+        Declared, relative.
+    saturation_dn : float, DN Declared. dn_scale : float
+        DN of the image for each DN of the detector: below 1 after requantization.
     mask : callable, optional
         Bad pixels that are declared: from the pixels that were read (rows, columns) to (rows, columns) bool.
     observer_known : bool
-        False where the velocity of the observer is not stated.
+        False where the velocity of the observer is not declared.
     observer_factor : float
-        Velocity told over the true one.
+        Ratio of the assumed to the true velocity.
     catalog : StarField, optional
-        Stars told.
+        Assumed stars.
     """
 
     shape: Shape | None = None
@@ -187,7 +183,7 @@ class Plan(Value):
     world : World
     told : Told
     hard : bool
-        True where the generator, when it drew the disturbance, gave up the right to an answer.
+        True where the drawn disturbance justifies a refusal.
     """
 
     world: World
@@ -195,7 +191,7 @@ class Plan(Value):
     hard: bool = False
 
     def but(self, *, world: dict[str, Any] | None = None, told: dict[str, Any] | None = None, hard: bool) -> Plan:
-        """Return a plan with some fields of the world and of what is told changed."""
+        """Return a plan with some fields of the world and of the a priori data changed."""
         return Plan(
             world=replace(self.world, **world) if world else self.world,
             told=replace(self.told, **told) if told else self.told,
@@ -210,15 +206,15 @@ class Base:
     Parameters
     ----------
     diameter_px : (2,), px
-        Smallest and largest, drawn evenly in the logarithm; rocks only up to :data:`LARGEST_ROCK_PX`.
+        Minimum and maximum, drawn uniformly in the logarithm; rocks only up to :data:`LARGEST_ROCK_PX`.
     phase_deg : (2,), deg
         Smallest and largest.
     rocks : float
-        Share of bodies of irregular shape.
+        Fraction of bodies of irregular shape.
     points : float
-        Share of bodies of 1 to 3 px.
+        Fraction of bodies of 1 to 3 px.
     declared : float
-        Share of images for which the uncertainty of the ephemeris is stated.
+        Fraction of images with a declared uncertainty of the ephemeris.
     largest_frame_px : int, px
         Side of the largest frame; smaller bodies have smaller ones.
     """
@@ -236,7 +232,7 @@ LARGEST_ROCK_PX = 130.0
 POINT_PX = (1.0, 3.0)
 """Diameters of bodies that are points of light, px."""
 _MARGIN, _LEAST_FRAME_PX, _STAR_FRAME_PX = 1.6, 256, 512
-"""Frame over the diameter of the body; the smallest frame; the frame of the star camera, px."""
+"""Ratio of frame to diameter of the body; the smallest frame; the frame of the star camera, px."""
 
 
 def normal(rng: np.random.Generator, size: int) -> Float:
@@ -250,7 +246,7 @@ def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def body_plan(rng: np.random.Generator, base: Base) -> Plan:
-    """Draw an undisturbed image of a body, and errors of what is told within the uncertainty that is stated."""
+    """Draw an undisturbed image of a body, and a priori errors within the declared uncertainty."""
     rocky = rng.uniform() < base.rocks
     diameter = log_uniform(rng, *base.diameter_px)
     if rocky:
@@ -261,7 +257,7 @@ def body_plan(rng: np.random.Generator, base: Base) -> Plan:
     size = int(np.clip(_MARGIN * diameter + 76.0, _LEAST_FRAME_PX, base.largest_frame_px))
     view = PinholeView(FOCAL_PX, tuple(0.5 * (size - 1) + rng.uniform(-3.0, 3.0, 2)), size, size)
     body, shape = _figure(rng, rocky=rocky)
-    # Any place at which the whole body is in the frame, with some pixels of sky around it.
+    # Any position with the whole body in the frame, with a few pixels of sky around it.
     free = max(0.5 * size - 0.65 * diameter - 12.0, 2.0)
     sight = view.directions(0.5 * (size - 1) + rng.uniform(-free, free, 2))
     sight /= np.linalg.norm(sight)
@@ -302,7 +298,7 @@ def _level(level_dn: float) -> Light:
 
 
 def _told(rng: np.random.Generator, world: World, shape: Shape, *, declared: bool) -> Plan:
-    """What is told of a world by someone who makes no mistake."""
+    """A priori data of a world without errors."""
     sigma_km = log_uniform(rng, *EPHEMERIS_SIGMA) * world.range_km
     told = Told(
         shape=shape,
@@ -326,7 +322,7 @@ def _camera_and_attitude(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def star_plan(rng: np.random.Generator) -> Plan:
-    """Draw an undisturbed image of stars, and errors of what is told within the uncertainty that is stated."""
+    """Draw an undisturbed image of stars, and a priori errors within the declared uncertainty."""
     size = _STAR_FRAME_PX
     view = PinholeView(STAR_FOCAL_PX, tuple(0.5 * (size - 1) + rng.uniform(-3.0, 3.0, 2)), size, size)
     attitude = Rotation.random(rng=rng)

@@ -63,7 +63,7 @@ def zero_mask(pixels: Float) -> Float:
 
 
 def bit_flips(share: float) -> Readout:
-    """Bits turned over in memory, any of each word."""
+    """Bit flips in memory, at any bit of a word."""
 
     def flip(pixels: Float, rng: np.random.Generator) -> Float:
         words = np.clip(pixels, 0.0, 2.0**WORD_BITS - 1.0).astype(np.int64)
@@ -86,7 +86,7 @@ def shifted_rows(first: int, shift_px: int) -> Readout:
 
 
 def jittered_rows(sigma_px: float) -> Readout:
-    """Each row is moved along columns by a few pixels of its own: a scan that shook."""
+    """Each row is shifted along columns by a few random pixels: scan jitter."""
 
     def shake(pixels: Float, rng: np.random.Generator) -> Float:
         steps = np.round(sigma_px * rng.normal(size=len(pixels))).astype(int)

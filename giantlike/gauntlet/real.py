@@ -1,7 +1,7 @@
-"""Real images that do not show the target: any fix that is ok there is silently wrong.
+"""Real images that do not show the target: any fix that is ok there is an undetected failure.
 
-The folder holds image files of any readable format, in folders below it. Each is shown with a target that somebody made
-up: of a size, at a place and under a Sun of its own, in a camera of which nothing is known but its scale.
+The folder holds image files of any readable format, in folders below it. Each gets a fictitious target, with random
+size, position and illumination direction, and a camera of which only the scale is known.
 """
 
 from __future__ import annotations

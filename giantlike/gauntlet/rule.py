@@ -1,8 +1,7 @@
-"""Verdicts, and the rule by which the generator says, before any estimator runs, that an image can be solved.
+"""Outcome classes, and the rule by which the generator declares, before any estimator runs, that an image is solvable.
 
-The rule looks at the plan and at the light without noise, never at a result. Its limits are round numbers on the safe
-side of what the page of each estimator promises, written down before the first image was solved; they are the same
-for all kinds. What a kind adds is one word, ``hard``.
+The rule uses the plan and the signal without noise, never a result. Its limits are round numbers within the documented
+limits of each estimator, fixed before the first image was solved and the same for all kinds. A kind adds only ``hard``.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ STARS = "stars"
 
 
 class Verdict(StrEnum):
-    """Verdict on one estimator and one image; the values are those of JSON and tables."""
+    """Outcome class of one estimator and one image; the values appear in JSON and tables."""
 
     RIGHT = "right"
     """``ok``, within 4 sigma, and that sigma is at most 3 times the nominal one."""
@@ -33,7 +32,7 @@ class Verdict(StrEnum):
     HONEST = "honest"
     """Suspect or failed, where no answer can be demanded, and the reason fits."""
     DOUBTFUL = "doubtful"
-    """``ok`` and beyond 4 sigma, but not silently wrong."""
+    """``ok`` and beyond 4 sigma, but not an undetected failure."""
     SILENT_WRONG = "silent_wrong"
     """``ok``, beyond 5 sigma, and beyond 0.5 px or 0.5 % of range."""
     NEEDLESS_REFUSAL = "needless_refusal"
@@ -47,9 +46,10 @@ LEAST_SNR, LARGEST_PHASE_DEG = 15.0, 110.0
 LARGEST_OFFSET_PX, LARGEST_RANGE_ERROR = 30.0, 0.02
 """Error of the prediction within which an answer is demanded: inside the 40 px and 3 % of the narrowest search."""
 POINT_PX, TEMPLATE_PX, LIMB_PX, ELLIPSE_PX = 3.0, 15.0, 40.0, 60.0
-"""Largest point of light; least diameters for templates and moments, for limbs, and for limbs without a prediction."""
+"""Maximum diameter of a point source; minimum diameters for templates and moments, limbs, and limbs without a
+prediction."""
 LEAST_LIMB_PX, LEAST_STARS = 60.0, 15
-"""Length of lit limb in the frame, px, and stars of the catalog in the frame, from which on an answer is demanded."""
+"""Minimum length of illuminated limb, px, and number of catalog stars in the frame for which an answer is required."""
 MARGIN_PX = 10.0
 """Sky around a body that is wholly in the frame, px."""
 _OUTLINE_POINTS = 360
@@ -62,34 +62,34 @@ _DIM_STAR_DN = 400.0
 
 @dataclass(frozen=True, kw_only=True)
 class Facts:
-    """What the generator knows of an image before it is solved.
+    """Properties of an image that the generator knows before it is solved.
 
     Parameters
     ----------
     hard : bool
-        The kind says that an honest tool may refuse.
+        The kind allows a refusal.
     undisturbed : bool
-        Nothing is wrong with the image.
+        The image has no disturbance.
     absent : bool
         The target is not in the image.
     damaged : bool
         Values were damaged after the detector.
     diameter_px, told_diameter_px : float, px
-        Of a sphere of the same volume: as it is, as it is told.
+        Of a sphere of the same volume: true, assumed.
     phase_deg, told_phase_deg : float, deg
     snr : float
         Of the brightest pixel of the body.
     whole : bool
-        All of the body is in the frame, with :data:`MARGIN_PX` around it.
+        The whole body is in the frame, with :data:`MARGIN_PX` around it.
     limb_px : float, px
-        Lit limb in the frame.
+        Length of illuminated limb in the frame.
     told_ellipsoid : bool
     offset_px : float, px
-        Error of the predicted center, with that of the attitude.
+        Error of the predicted center, error of the attitude included.
     range_error : float
         Relative error of the predicted range.
     saturated : bool
-        Some light is above the largest value.
+        Some signal exceeds the largest value.
     stars : int
         Stars of the catalog in the frame.
     """
@@ -113,7 +113,7 @@ class Facts:
 
 
 def facts_of(plan: Plan, signal_dn: Float, *, undisturbed: bool) -> Facts:
-    """Collect what is known of an image before it is solved.
+    """Collect the known properties of an image before it is solved.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def facts_of(plan: Plan, signal_dn: Float, *, undisturbed: bool) -> Facts:
     signal_dn : (rows, columns) float64, DN
         Without noise.
     undisturbed : bool
-        Nothing is wrong with the image.
+        The image has no disturbance.
 
     Returns
     -------
@@ -141,7 +141,7 @@ def facts_of(plan: Plan, signal_dn: Float, *, undisturbed: bool) -> Facts:
     predicted = rotate(told.attitude_error, told.position_camera_km)
     told_range = float(np.linalg.norm(predicted))
     told_cosine = float(np.clip(-(told.sun @ told.position_camera_km) / told_range, -1.0, 1.0))
-    # As it is, not as it is told.
+    # True, not assumed.
     radius = told.shape.mean_radius_km if world.body is None else _mean_radius_km(world.body, told.shape.mean_radius_km)
     diameter = 2.0 * radius / world.range_km * world.view.focal_px
     background = float(np.median(signal_dn))
@@ -169,7 +169,7 @@ def _mean_radius_km(body: object, otherwise: float) -> float:
 
 
 def _stars_in_frame(plan: Plan) -> int:
-    """Stars in the frame that are in the sky and in the catalog told, bright enough."""
+    """Stars in the frame that are in the sky and in the assumed catalog, bright enough."""
     world, told = plan.world, plan.told
     if world.sky is None or told.catalog is None:
         return 0

@@ -39,7 +39,7 @@ _QUALITY = 60
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Gauntlet(Value):
-    """What to run.
+    """Selection of the images and estimators to run.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class Gauntlet(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageResult:
-    """What came of one image.
+    """Results of one image.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def run_image(seed: int, index: int, estimators: Sequence[str] = ()) -> ImageRes
     """Make an image, run the estimators on it, and judge."""
     began = time.process_time()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of damaged images there are many, and the rows tell what came of them
+        warnings.simplefilter("ignore")  # damaged images raise many; the rows report the outcomes
         stage = stage_of(seed, index)
         rows = tuple(trial(stage, estimators))
     return ImageResult(
@@ -163,15 +163,15 @@ def run_gauntlet(
     finished: Sequence[ImageResult] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[ImageResult]:
-    """Run images, and yield what came of each in the order in which they are done.
+    """Run images, and yield the results of each in order of completion.
 
     Parameters
     ----------
     wanted : Gauntlet
     finished : sequence of ImageResult
-        Images that were run before; they are not run again, nor yielded.
+        Images that were run before; they are skipped, and not yielded.
     progress : callable, optional
-        Takes the number of images done, and of all.
+        Takes the number of images done, and their total.
 
     Yields
     ------
@@ -260,6 +260,6 @@ def _in_order(rows: Sequence[TrialRow], field: str, names: Iterable[str]) -> lis
 
 
 def _alarms(rows: Sequence[TrialRow]) -> dict[str, int]:
-    """Fixes of nominal images, and those of them that a check calls suspect."""
+    """Fixes of nominal images, and the suspect ones among them."""
     fixes = [row for row in rows if row.status in ("ok", "suspect")]
     return {"fixes": len(fixes), "suspect": sum(row.status == "suspect" for row in fixes)}

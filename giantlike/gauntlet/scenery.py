@@ -1,4 +1,4 @@
-"""Kinds in which the scene is another one than was told: other bodies, other light, or none."""
+"""Kinds whose scene differs from the assumed one: other bodies, other illumination, or none."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from giantlike.gauntlet.plan import Plan, World, log_uniform, star_plan, sun_at
 from giantlike.independent import Body, EllipsoidBody, ReliefBody, Sampling
 
 _THINNEST_DEG = 1.0
-"""Least phase angle short of 180, deg."""
+"""Minimum distance of the phase angle from 180, deg."""
 _CRESCENT = Sampling(cells=6, edge_rays=10)
 """Rays for thin crescents: 3,600 a pixel at the edge."""
 _DUST_CORE = 0.5
@@ -23,7 +23,7 @@ _DUST_CORE = 0.5
 
 
 def _moved_target(plan: Plan, place_px: Float, *, sun: Float | None = None, predicted: bool = True) -> Plan:
-    """The plan with the target at another place of the image, and its prediction with it."""
+    """The plan with the target, and its prediction, at another position in the image."""
     world, told = plan.world, plan.told
     sight = world.view.directions(place_px)
     position = world.range_km * sight / np.linalg.norm(sight)
@@ -79,7 +79,7 @@ def outside(plan: Plan, rng: np.random.Generator) -> Plan:
 def _place_at_edge(
     world: World, rng: np.random.Generator, diameters: tuple[float, float], *, more_px: float = 0.0
 ) -> Float:
-    """Place in the image so many diameters of the body beyond one of its edges; less than zero is inside."""
+    """Position in the image, given as diameters of the body beyond one of its edges; negative is inside."""
     size = np.array([world.view.columns - 1, world.view.rows - 1], dtype=float)
     place: Float = rng.uniform(0.2, 0.8, 2) * size
     axis = int(rng.integers(2))
@@ -112,7 +112,7 @@ def wrong_target(plan: Plan, rng: np.random.Generator) -> Plan:
 
 
 def two_bodies(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Add a second body beside the target."""
+    """Add a second body next to the target."""
     world = plan.world
     diameter = _diameter_px(world)
     size = log_uniform(rng, 0.3, 1.5)
@@ -124,7 +124,7 @@ def two_bodies(plan: Plan, rng: np.random.Generator) -> Plan:
 
 
 def _beside(world: World, rng: np.random.Generator, away_px: tuple[float, float]) -> Float:
-    """Place beside the target, in camera axes, km, at a distance in px."""
+    """Position next to the target, in camera axes, km, at a distance in px."""
     angle = rng.uniform(0.0, 2.0 * math.pi)
     offset = rng.uniform(*away_px) * np.array([math.cos(angle), math.sin(angle)])
     sight = world.view.directions(world.center_px + offset)
@@ -133,7 +133,7 @@ def _beside(world: World, rng: np.random.Generator, away_px: tuple[float, float]
 
 
 def twin(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Add the target a second time, at another place."""
+    """Add the target a second time, at another position."""
     world = plan.world
     diameter = _diameter_px(world)
     assert world.body is not None

@@ -1,4 +1,4 @@
-"""One image of the gauntlet, made from (seed, index) alone: pixels, what is told, and the truth."""
+"""One image of the gauntlet, made from (seed, index) alone: pixels, a priori data, and the truth."""
 
 from __future__ import annotations
 
@@ -43,25 +43,22 @@ def deck(seed: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stage(Value):
-    """An image, what is told of it, and the truth.
+    """An image, its a priori data, and the truth.
 
     Parameters
     ----------
     seed, index : int
     kind : Kind
     plan, base : Plan
-        World, and what is told; the same with nothing wrong.
+        True world and a priori data; the same without the disturbance.
     signal_dn : (rows, columns) float64, DN
         Without noise.
     pixels_dn : (rows, columns) float64, DN
         As they arrive.
-    image : Image
-    camera : Camera
-        As told.
-    scene : Scene, optional
-        As told; None for images of stars.
+    image : Image camera : Camera As assumed. scene : Scene, optional
+        As assumed; None for images of stars.
     catalog : MemoryCatalog, optional
-        As told; None for images of bodies.
+        As assumed; None for images of bodies.
     """
 
     seed: int
@@ -83,7 +80,7 @@ class Stage(Value):
 
     @cached_property
     def undisturbed(self) -> Stage:
-        """The same scene without what is wrong, with the same errors of what is told."""
+        """The same scene without the disturbance, with the same a priori errors."""
         if self.kind.undisturbed:
             return self
         known = (self.signal_dn, self.pixels_dn) if self.plan.world is self.base.world else None
@@ -199,11 +196,11 @@ def catalog_of(field: StarField) -> MemoryCatalog:
 
 
 def _camera(plan: Plan) -> Camera:
-    """The camera as it is told."""
+    """The assumed camera."""
     view, told = plan.world.view, plan.told
     focal = view.focal_px * told.focal_factor
     center = np.asarray(view.center_px) + told.center_shift_px
-    # One relative error of both focal lengths, and errors of the center of their own.
+    # One relative error of both focal lengths, and separate errors of the center.
     spread = np.zeros((4, 4))
     spread[:2, :2] = (told.focal_sigma * focal) ** 2
     spread[2, 2] = spread[3, 3] = CENTER_SIGMA_PX**2

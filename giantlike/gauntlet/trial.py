@@ -21,21 +21,22 @@ from giantlike.relative.place import place_jacobian
 from giantlike.stars import StarNavigation
 
 RIGHT_SIGMAS, WRONG_SIGMAS = 4.0, 5.0
-"""An ok answer within the first is right, beyond the second silently wrong if it also matters."""
+"""Limits, sigma: an ok answer within the first is correct, beyond the second an undetected failure if it also
+matters."""
 WRONG_PX, WRONG_RANGE = 0.5, 0.005
 """Errors of the center, px, and of the range, relative, from which on they matter."""
 VAGUE_FACTOR = 3.0
-"""Sigma over the nominal one from which on an answer is vague."""
+"""Ratio of sigma to the nominal one above which an answer is vague."""
 NAMES = (*ESTIMATORS, STARS)
 """Names of all estimators of the gauntlet, the star chain last."""
 _STATED = (Cause.CAMERA, Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN, Cause.ORIENTATION, Cause.ABERRATION, Cause.EPOCH)
-"""Parts of a covariance that are stated with the image, not measured in it."""
+"""Parts of a covariance that are declared with the image, not measured in it."""
 _SURFACE_PX = 180.0
-"""Least diameter, px, of bodies on which surface_features is tried: landmarks need some hundred facets each."""
+"""Minimum diameter, px, of bodies on which surface_features is tried: landmarks need a few hundred facets each."""
 _SMALL_PX = 12.0
 """Largest diameter, px, of bodies on which unresolved is tried."""
 Outcome: TypeAlias = AttitudeFix | CenterFix | Failure
-"""What the star chain or an estimator returns."""
+"""Result of the star chain or an estimator."""
 _OK, _SUSPECT, _FAILED, _RAISED = "ok", "suspect", "failed", "raised"
 
 
@@ -63,7 +64,7 @@ class TrialRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What came of an estimator, in numbers.
+    """Outcome of an estimator, in numbers.
 
     Parameters
     ----------
@@ -77,9 +78,9 @@ class Answer:
     range_error, range_sigma : float
         Relative; NaN where the range is not estimated. Of stars, of the roll in px at the edge of the frame.
     center_sigmas, range_sigmas : float
-        Errors over their sigmas.
+        Errors / sigmas.
     prior_px, prior_range : float
-        Sigmas of what is stated with the image.
+        Sigmas of the errors declared with the image.
     cpu_s : float, s
     """
 
@@ -103,12 +104,12 @@ class Answer:
 
     @property
     def own_px(self) -> float:
-        """Sigma of the center without what is stated with the image, px."""
+        """Sigma of the center without the declared errors, px."""
         return math.sqrt(max(self.sigma_px**2 - self.prior_px**2, 0.0))
 
     @property
     def own_range(self) -> float:
-        """Sigma of the range without what is stated with the image; 0 where the range is not estimated."""
+        """Sigma of the range without the declared errors; 0 where the range is not estimated."""
         return 0.0 if math.isnan(self.range_sigma) else math.sqrt(max(self.range_sigma**2 - self.prior_range**2, 0.0))
 
 
@@ -143,7 +144,7 @@ def answer_of(stage: Stage, name: str) -> Answer:
 
 
 def outcome_of(estimate: Callable[[], Outcome]) -> tuple[Outcome | None, Answer]:
-    """Run an estimator, and tell its status, reason and time."""
+    """Run an estimator, and return its status, reason and time."""
     began = time.process_time()
     try:
         fix = estimate()
@@ -159,11 +160,11 @@ def outcome_of(estimate: Callable[[], Outcome]) -> tuple[Outcome | None, Answer]
 
 
 def place_error(stage: Stage, fix: CenterFix) -> Answer:
-    """Compare the place of a body with the truth: its center in the image, and its range.
+    """Compare the position of a body with the truth: its center in the image, and its range.
 
     The center is compared where the body is in the image, with ``covariance_px2``; the range with the sum of all parts
-    that stand between the pixels and a position in camera axes, the camera that was told among them. Attitude and
-    ephemeris do not: they are no part of what was measured.
+    between the pixels and a position in camera axes, the assumed camera included. Attitude and ephemeris are excluded:
+    they are not measured.
     """
     error = fix.center_px - stage.world.center_px
     parts = fix.parts or {Cause.NOISE: _own_covariance(stage, fix)}
@@ -184,7 +185,7 @@ def place_error(stage: Stage, fix: CenterFix) -> Answer:
 
 
 def _zero(parts: Mapping[Cause, Float]) -> dict[Cause, Float]:
-    """A part of nothing, so that a sum of none has the right size."""
+    """A zero part, so that an empty sum has the correct size."""
     return {Cause.EPOCH: np.zeros_like(next(iter(parts.values())))}
 
 
@@ -242,7 +243,7 @@ def verdict_of(answer: Answer, facts: Facts, *, demanded: bool, stars: bool = Fa
 
 
 def is_vague(answer: Answer, nominal: Answer) -> bool:
-    """Tell whether sigmas are more than 3 times the nominal ones, both without what is stated with the image.
+    """True if sigmas are more than 3 times the nominal ones, both without the declared errors.
 
     Returns False where the undisturbed image has no fix.
     """

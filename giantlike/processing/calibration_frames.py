@@ -1,7 +1,7 @@
 """Bias, dark, flat and bad-pixel frames: many exposures into one, and images corrected by them.
 
-A raw number is ``bias + dark rate * exposure + flat * light``; the light is what is left when it is turned around. The
-frames have noise of their own, and what every image loses by it stands in the detector of the corrected pixels.
+A raw number is ``bias + dark rate * exposure + flat * light``, which is solved for the light. The noise of the frames
+is included in the detector of the corrected pixels.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ White noise reaches it once in 16,000 pixels, which changes the variance of the 
 _HOT_SIGMA = 8.0
 """Excess of a dark pixel over its neighbors, in noise of the frame, from which on it is bad: no white noise has it."""
 _DEAD_RESPONSE = 0.5
-"""Response over that of its neighbors below which a pixel is bad: dust dims by up to a third."""
+"""Response relative to the neighbors below which a pixel is bad: dust dims by up to a third."""
 _SAME_EXPOSURE = 0.01
 """Relative difference of exposures up to which a dark frame needs no scaling."""
 _CALM = 0.999
-"""Share of the pixels, those that scatter least, whose scatter counts as noise: the others flicker."""
+"""Fraction of the pixels, lowest scatter first, whose scatter counts as noise: the others flicker."""
 _NO_SHOT_NOISE = 1e30
 """Gain, electron/DN, that leaves the noise of the frames alone: the scatter of flats holds their shot noise already."""
 _BLOCK_ROWS = 64
@@ -135,7 +135,7 @@ def _unclipped(block: Float, sigma: float) -> Mask:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibratedPixels(Value):
-    """Pixels without bias, dark current and differences of response, and what is known of them.
+    """Pixels corrected for bias, dark current and differences of response, with their mask and detector.
 
     Parameters
     ----------
@@ -144,8 +144,8 @@ class CalibratedPixels(Value):
     mask : (rows, columns) bool
         True where a pixel is bad.
     detector : Detector
-        Noise and limits of these pixels: with the noise of the frames, without the bias that they took off. Saturated
-        is what was so in the raw image.
+        Noise and limits of these pixels: with the noise of the frames, without the bias that was subtracted. Saturation
+        is as in the raw image.
     """
 
     pixels: NDArray[np.float32]
@@ -162,14 +162,14 @@ class CalibrationFrames(Value):
     bias : CombinedFrame, optional
         Exposures of zero length.
     dark : CombinedFrame, optional
-        Exposures in the dark.
+        Exposures without light.
     dark_exposure_s : float, s, optional
         Exposure of the dark; needed with a dark.
     dark_has_bias : bool
-        True if the dark was not corrected for the bias, as raw exposures. Without a bias frame such a dark fits images
-        of its own exposure only.
+        True if the dark was not corrected for the bias, as raw exposures. Without a bias frame such a dark only applies
+        to images of the same exposure.
     flat : CombinedFrame, optional
-        Response of the pixels to even light, without bias and dark; scaled to a median of 1.
+        Response of the pixels to uniform light, without bias and dark; scaled to a median of 1.
     bad : (rows, columns) bool, optional
         True where a pixel is bad. Hot pixels of the dark and dead ones of the flat are added to it.
     """
@@ -221,11 +221,11 @@ class CalibrationFrames(Value):
 
         Notes
         -----
-        The detector gets one number for the noise of bias and dark, which is the same all over the frame, and one
-        relative to the signal for that of the flat. The dark current's own shot noise is that of its median; pixels
-        far above it are hot and bad. Where a detector's noise is estimated from images, it is so from the corrected
-        ones, which hold both. Gain and read noise stay those at a response of 1: in the corners of a lens that
-        passes half of the light there, noise is understated by up to 1.4 (shot) and 2 (read noise) times.
+        The detector gets one number for the noise of bias and dark, uniform over the frame, and one relative to the
+        signal for the noise of the flat. The shot noise of the dark current is that of its median; pixels far above it
+        are hot and bad. Where a detector's noise is estimated from images, the corrected ones are used, which include
+        both. Gain and read noise refer to a response of 1: in the corners of a lens that passes half of the light
+        there, noise is understated by up to 1.4 (shot) and 2 (read noise) times.
         """
         array = as_image(pixels, "pixels")
         require(
@@ -257,7 +257,7 @@ class CalibrationFrames(Value):
         )
 
     def _offset(self, exposure_s: float | None, bias_dn: float) -> tuple[Float | NDArray[np.float32], float, float]:
-        """What the frames take off an image, DN; the median of its dark current, DN; the variance of it all, DN^2."""
+        """Sum of the subtracted frames, DN; the median of its dark current, DN; the variance of the sum, DN^2."""
         off = np.zeros((1, 1)) if self.bias is None else self.bias.pixels
         bias_variance = 0.0 if self.bias is None else self.bias.noise**2
         if self.dark is None or self.dark_exposure_s is None:

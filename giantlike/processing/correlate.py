@@ -15,8 +15,8 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 
-_FITTED = 4  # parameters of a correlation peak: place (two), gain and level
-_LEAST_NOISE = 1e-12  # of the light: where image and template are equal, rounding may leave none
+_FITTED = 4  # parameters of a correlation peak: position (two), gain and level
+_LEAST_NOISE = 1e-12  # minimum relative noise: where image and template are equal, rounding may leave none
 _FEW_SHIFTS = 100  # up to which sums over the pixels of a template are faster one by one than by FFT
 _PARABOLOID = np.array(
     [
@@ -28,7 +28,7 @@ _PARABOLOID = np.array(
     ]
 ) / np.array([[6.0], [6.0], [6.0], [4.0], [6.0]])
 """Least-squares coefficients ``c1`` to ``c5`` of a paraboloid, see :func:`find_peak`, by 3 x 3 values row by row."""
-_CONTRAST_LIMIT = 1e-5  # standard deviation over the largest value: float32 sums do not resolve less
+_CONTRAST_LIMIT = 1e-5  # minimum standard deviation / largest value that float32 sums resolve
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,11 +38,11 @@ class CorrelationOptions:
     Parameters
     ----------
     search_px : int, px
-        Largest distance from the predicted place, along each axis.
+        Largest distance from the predicted position, along each axis.
     min_score : float
-        Least correlation that counts as found.
+        Minimum correlation of a detection.
     min_overlap : float
-        Least number of pixels that image and template share, over the largest such number in the search region.
+        Minimum number of common pixels of image and template, relative to the largest such number in the search region.
     """
 
     search_px: int = 40
@@ -110,7 +110,7 @@ def normalized_correlation(
 def find_peak(surface: Float, *, n_pixels: int = 0) -> CorrelationPeak | None:
     r"""Highest point of a correlation surface, refined by a paraboloid.
 
-    ``surface`` (rows, columns); ``n_pixels``: number of pixels that template and image share at the peak
+    ``surface`` (rows, columns); ``n_pixels``: number of common pixels of template and image at the peak
     (without it the covariance is infinite); returns None where the surface is nowhere defined.
 
     Notes
@@ -118,13 +118,13 @@ def find_peak(surface: Float, *, n_pixels: int = 0) -> CorrelationPeak | None:
     The paraboloid ``c0 + c1 x + c2 y + c3 x^2 + c4 x y + c5 y^2`` is the least-squares fit to the 3 x 3 pixels around
     the peak; a fit without a maximum within a pixel leaves the peak on its pixel.
 
-    To find the highest correlation is to fit place, gain and level of the template by least squares. With N pixels of
-    the same, independent noise, a peak of height r and K the negative second derivatives of the surface there, the
-    covariance of the place is :math:`(1 - r^2) / (r (N - 4)) K^{-1}`: the variance of the noise over the squared light
-    of the template is ``(1 - r^2) / (r^2 (N - 4))``, and K is r times the information of a unit of light. (Derived
-    here.) Differences of image and template that are correlated over several pixels, as those of a wrong model, count
-    for too little in this, and the error of the paraboloid itself, up to some hundredths of a pixel for a peak as
-    narrow as a point spread function, does not count at all.
+    The highest correlation is the least-squares fit of position, gain and level of the template. With N pixels of the
+    same, independent noise, a peak of height r and K the negative second derivatives of the surface there, the
+    covariance of the position is :math:`(1 - r^2) / (r (N - 4)) K^{-1}`: the ratio of the variance of the noise to the
+    squared signal of the template is ``(1 - r^2) / (r^2 (N - 4))``, and K is r times the information of a unit of
+    signal. (Derived here.) It underestimates differences of image and template that are correlated over several pixels,
+    such as errors of the model, and excludes the error of the paraboloid itself, up to a few hundredths of a pixel for
+    a peak as narrow as a point spread function.
 
     References
     ----------
@@ -154,7 +154,7 @@ def locate_template(
     *,
     options: CorrelationOptions = CorrelationOptions(),
 ) -> CorrelationPeak | Failure:
-    """Find a template near its predicted place; either may reach over the frame.
+    """Find a template near its predicted position; either may extend beyond the frame.
 
     ``template`` (h, w); ``corner_px``: predicted column and row of the template's element [0, 0].
     """
@@ -270,9 +270,9 @@ def _summed_directly(flat: Float, image_ok: Mask, pattern: Float, template_ok: M
 
 
 def _paraboloid(patch: Float) -> tuple[Float, float, Float]:
-    """Maximum of the paraboloid through 3 x 3 values: place from their middle (2,), height, curvature (2, 2).
+    """Maximum of the paraboloid through 3 x 3 values: position from their middle (2,), height, curvature (2, 2).
 
-    Without a maximum near the middle the place is the middle and the curvature zero.
+    Without a maximum near the middle the position is the middle and the curvature zero.
     """
     c1, c2, c3, c4, c5 = (_PARABOLOID @ patch.ravel()).tolist()
     determinant = 4.0 * c3 * c5 - c4**2

@@ -1,4 +1,4 @@
-"""Linear least squares for residuals whose neighbors err together: robust weights, and a covariance that knows it."""
+"""Linear least squares for residuals with correlated neighbors: robust weights, and a covariance that includes it."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from giantlike.core.statistics import MAD_TO_SIGMA
 from giantlike.core.values import Value
 
 _ITERATIONS = 20
-"""Most iterations of robust weights; they end earlier when the residuals come to rest."""
+"""Maximum iterations of robust weights; they end earlier when the residuals converge."""
 _START_REST, _REST = 0.5, 0.01
 """Motion of the residuals, over a tenth of their median sigma, below which robust weights need no more iterations: on
 the way to a start, and from there."""
 _TUKEY_LIMIT = 1.5
-"""Residual at which a weight reaches zero, over the limit for outliers: what is kept has some weight."""
+"""Residual at which a weight reaches zero, relative to the limit for outliers: kept points have positive weight."""
 _RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 1e6, 22)])
-"""Variance of the correlated part over the mean variance of the noise."""
+"""Variance of the correlated part / mean variance of the noise."""
 _LENGTH_STEP = 3.0
 """Ratio of neighboring correlation lengths of the grid: solutions are averaged over it, which needs no finer one."""
 _LEAST_SCALE = 1e-12
-"""Least variance over that predicted: residuals that are exactly zero have a likelihood too."""
+"""Minimum ratio of the variance to the predicted one, so that residuals of exactly zero have a likelihood too."""
 _SINGULAR = 1e-12
-"""Least pivot of a normal matrix of trace 1 from which that matrix tells all parameters, far beyond rounding."""
+"""Minimum pivot of a normal matrix of trace 1 that determines all parameters, far above rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,9 +39,9 @@ class CorrelatedFit(Value):
     solution : (k,) float64
     covariance : (k, k) float64
     noise_scale : float
-        Scatter of the independent part over the sigmas that were given: 1 when noise explains it.
+        Scatter of the independent part / given sigmas: 1 when noise explains it.
     correlated_sigma : float
-        Standard deviation of the part that neighbors share, unit of the residuals.
+        Standard deviation of the part correlated between neighbors, unit of the residuals.
     correlation_length : float
         Distance over which it falls to 1/e, unit of the points; most likely value.
     """
@@ -70,9 +70,9 @@ def robust_solution(residuals: Float, design: Float, sigma: Float, *, outlier_ma
 
     Notes
     -----
-    Starts from reweighting towards least absolute residuals, which half of the data being outliers on one side
-    still pulls, but a quarter does not; goes on with Tukey's biweight, whose weights fall to zero smoothly, so that
-    residuals near the limit do not make the solution jump.
+    Starts from reweighting towards least absolute residuals, which is biased by outliers on one side that are half of
+    the data, but not a quarter; continues with Tukey's biweight, whose weights fall to zero smoothly, so that residuals
+    near the limit do not make the solution jump.
     """
     require(residuals.size > design.shape[1], f"needed more than {design.shape[1]} residuals, got {residuals.size}")
     values, columns, noise = (np.array(one, dtype=np.float64) for one in (residuals, design, sigma))
@@ -107,7 +107,7 @@ def _robust(residuals: Float, design: Float, sigma: Float, outlier_mad: float) -
 
 @compiled
 def _weighted(residuals: Float, design: Float, weights: Float) -> Float:
-    """Weighted least squares (k,); by a ridge where the design (n, k), of unit columns, leaves some open."""
+    """Weighted least squares (k,); with a ridge where the design (n, k), of unit columns, is singular."""
     n, size = design.shape
     normal, right = np.zeros((size, size)), np.zeros((size, 1))
     for point in range(n):
@@ -128,7 +128,7 @@ def _weighted(residuals: Float, design: Float, weights: Float) -> Float:
 
 @compiled
 def _remains(residuals: Float, design: Float, solution: Float, left: Float) -> float:
-    """Fill in what a solution leaves (n,) in place of what the one before left; return the largest difference."""
+    """Replace the residuals (n,) of the previous solution by those of a new one; return the largest difference."""
     most = 0.0
     for point in range(len(residuals)):
         before, left[point] = left[point], residuals[point]
@@ -161,7 +161,7 @@ def generalized_solution(
 def solution_gain(design: Float, residual_covariance: Float, *, weights: Float | None = None) -> Float:
     """Matrix that takes residuals to the solution of :func:`generalized_solution`.
 
-    With it goes what each part of the covariance of the residuals does to the solution: ``gain @ part @ gain.T``.
+    It propagates each part of the covariance of the residuals to the solution: ``gain @ part @ gain.T``.
 
     ``design`` (n, k); ``residual_covariance`` (n, n); ``weights`` (n,); returns (k, n).
     """
@@ -189,10 +189,10 @@ def correlated_solution(
     Notes
     -----
     The residuals' covariance is modeled as ``s^2 (diag(sigma^2) + q m exp(-distance / length))``, m the mean of
-    ``sigma^2`` and the distance that along the points: a process without memory but of its last value, which a
-    Kalman filter takes apart in one pass. For a grid of ratios q and lengths, s^2 is found by restricted maximum
-    likelihood, which knows that the solution has absorbed part of the long waves; the solutions are averaged with the
-    likelihoods as weights, their disagreement added to the covariance.
+    ``sigma^2`` and the distance along the points: a first-order Markov process, which a Kalman filter whitens in one
+    pass. For a grid of ratios q and lengths, s^2 is found by restricted maximum likelihood, which accounts for the long
+    waves absorbed by the solution; the solutions are averaged with the likelihoods as weights, their disagreement added
+    to the covariance.
     """
     n, k = design.shape
     require(n > k + 1, f"needed more than {k + 1} residuals, got {n}")
@@ -225,7 +225,7 @@ def _whitened(values: Float, noise: Float, memory: Float, ratios: Float) -> tupl
     """Whiten columns of values under g covariances: values of variance 1 (g, n, columns), and log determinants (g,).
 
     Noise of variance ``noise`` (n,) is added to a part of variance ``ratios`` (g,) whose correlation from one value to
-    the next is ``memory`` (n - 1, g): a Kalman filter, whose innovations are what is returned, (g, n, columns).
+    the next is ``memory`` (n - 1, g): returns the normalized innovations of a Kalman filter, (g, n, columns).
     """
     white = np.empty((len(values), ratios.size, values.shape[1]))
     state, variance, log_determinant = np.zeros(white.shape[1:]), ratios.copy(), np.zeros(ratios.size)

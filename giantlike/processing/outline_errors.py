@@ -1,9 +1,9 @@
-"""Errors of points along the outline of a body, found from their residuals: noise, and relief by its spectrum.
+"""Errors of points along the outline of a body, estimated from their residuals: noise, and relief by its spectrum.
 
-Relief that a shape does not hold is an error of the outline that neighbors share. Its long waves a fit of the position
-takes up itself, so that residuals show too little of them. But relief has a spectrum: a random field on the sphere
-whose power per degree falls as that of real bodies does says, from the waves that residuals show, how much there is of
-those that they do not. Degrees 0 and 1 are left out: they are size and place of the body, which relief does not change.
+Relief missing from a shape is an error of the outline that is correlated between neighbors. A fit of the position
+absorbs its long waves, so that residuals understate them. They are predicted from the shorter waves by a random field
+on the sphere whose power per degree decreases as on real bodies. Degrees 0 and 1 are excluded: they are size and
+position of the body, which relief does not change.
 """
 
 from __future__ import annotations
@@ -18,40 +18,41 @@ from giantlike.core.statistics import nearest_covariance
 from giantlike.core.values import Value
 
 _MOST_BINS = 24
-"""Most bins along an outline, in which residuals are averaged before spectra are compared.
+"""Maximum number of bins along an outline, in which residuals are averaged before spectra are compared.
 
-What counts are the long waves; with many bins the likelihood goes by how the shortest ones look. With 16 to 48, squared
-errors per degree of freedom differ by 0.2 on ellipsoids with relief of 1 %, with 64 they are a quarter larger.
+Long waves matter; with many bins the shortest ones dominate the likelihood. With 16 to 48, squared errors per degree of
+freedom differ by 0.2 on ellipsoids with relief of 1 %; with 64 they are a quarter larger.
 """
 _GAP = 3.0
-"""Distance between neighbors, over the median of all, that counts as no more than this: a gap is no length of limb."""
+"""Maximum distance between neighbors, in medians of all: longer gaps are not counted as limb."""
 _RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 1e8, 25)])
-"""Variance of relief over the mean variance of the noise: up to 1e4 sigmas, as for limbs good to 0.003 px."""
+"""Variance of relief / mean variance of the noise: up to 1e4 sigmas, as for limbs accurate to 0.003 px."""
 _LENGTH_STEP = 3.0
 """Ratio of neighboring lengths; averages over them need no finer grid."""
 _SMOOTH_DEGREES = (3.0, 6.0, 12.0)
 """Degrees about which the power of smooth relief ends: bumps and old craters of 20, 10 and 5 deg (one sigma)."""
 _SMOOTH = len(_SMOOTH_DEGREES)
 _ROUGH_SHARE = 0.02
-"""Share of rough relief in the variance of smooth relief: no body is without.
+"""Fraction of rough relief in the variance of smooth relief.
 
-Without any, what power there is at degrees far above the end says that there is ten times the relief that shows. With
-0.02, 0.05 and 0.1, squared errors per degree of freedom are 0.8, 0.9 and 1.0 (lines) and 1.0, 1.2 and 1.4 (cells) on
-ellipsoids of 120 px with relief of 1 %, and 1.9, 1.8 and 1.7 on half limbs of fields that follow Kaula's rule.
+With 0, power at degrees far above the end would imply ten times the visible relief. With 0.02, 0.05 and 0.1, squared
+errors per degree of freedom are 0.8, 0.9 and 1.0 (lines) and 1.0, 1.2 and 1.4 (cells) on ellipsoids of 120 px with
+relief of 1 %, and 1.9, 1.8 and 1.7 on half limbs of fields that follow Kaula's rule.
 """
 _LEAST_WAVES = 0.9
-"""Waves of the degree about which smooth relief ends that the outline in view must hold: it tells nothing of longer.
+"""Minimum number of waves, of the degree about which smooth relief ends, in the visible outline: longer ones are not
+observable.
 
-An arc of a third of the outline holds one wave of degree 3, but for a few percent of it.
+An arc of a third of the outline has one wave of degree 3, to a few percent.
 """
 _LEAST_LENGTH = 1.0 / 12.0
-"""Correlation length over the radius below which a sphere is as good as flat: errors are those of pixels and albedo."""
+"""Correlation length / radius below which a sphere is treated as flat: errors are due to pixels and albedo."""
 _MOST_DEGREE, _ANGLES = 400, 1501
 """Highest degree of spectra, and angles at which their covariances are tabulated: both finer than 0.5 deg."""
 _LEAST_NOISE2 = 0.5
-"""Least variance of the noise over that predicted: neighbors that share pixels make it more, and nothing less.
+"""Minimum ratio of the variance of the noise to the predicted one: neighbors with common pixels only increase it.
 
-With less, residuals that are smooth by chance are taken for relief of few, high waves.
+With a smaller one, residuals that are smooth by chance are mistaken for relief of few, high waves.
 """
 
 
@@ -62,10 +63,10 @@ class OutlineErrors(Value):
     Parameters
     ----------
     noise_scale2 : (g,) float64
-        Variance of the independent part over the variances that were given, with each of g shared errors: some kinds,
-        each with several variances.
+        Variance of the independent part / given variances, with each of g correlated errors: several kinds, each with
+        several variances.
     shared_variance : (g,) float64
-        Variance of the part that neighbors share, unit of the residuals squared.
+        Variance of the part correlated between neighbors, unit of the residuals squared.
     log_likelihood : (g,) float64
     lengths : (s,) float64
         Correlation lengths of the first s kinds, unit of the points; the others are kinds of relief.
@@ -99,8 +100,8 @@ class OutlineErrors(Value):
 
         Notes
         -----
-        Weights by smooth relief would trust that neighbors err alike to the last digit, and fit a position to how
-        residuals bend: on bodies with relief of 1 % such positions scatter by 0.6 px, without them by 0.3 px.
+        Weights by smooth relief would rely on the exact correlation of neighbors, and fit the position to the curvature
+        of residuals: on bodies with relief of 1 % such positions scatter by 0.6 px, without them by 0.3 px.
         """
         smooth = np.arange(self.log_likelihood.size) >= self.log_likelihood.size - _SMOOTH * _RATIOS.size
         rough = replace(self, log_likelihood=np.where(smooth, -np.inf, self.log_likelihood))
@@ -113,7 +114,8 @@ class OutlineErrors(Value):
             near = np.exp(apart / -length)
             noise += shared[0][0][number] * near
             rough_noise += shared[1][0][number] * near
-        # Relief of a sphere is that of a circle: along other outlines its table may give negative variances.
+        # The table of relief is for the circular outline of a sphere: along other outlines it may give negative
+        # variances.
         relief = nearest_covariance(relief)
         return PointCovariances(noise=noise, relief=relief, for_weights=rough_noise + rough_relief)
 
@@ -137,7 +139,7 @@ class PointCovariances(Value):
     Parameters
     ----------
     noise : (n, n) float64
-        Without relief: independent noise, and what near neighbors share.
+        Without relief: independent noise, and noise common to near neighbors.
     relief : (n, n) float64
         By relief.
     for_weights : (n, n) float64
@@ -161,10 +163,10 @@ def outline_errors(
     -----
     Covariances are ``s^2 (diag(sigma^2) + q m K)``, m the mean of ``sigma^2``. K is either ``exp(-distance / length)``,
     the errors of pixels and albedo, or the covariance of a random field on the sphere, ``sum V_n P_n(cos angle)`` over
-    degrees n from 2 on: ``V_n = (2 n + 1) (n (n + 1))^(-3/2)`` for rough relief, which is Kaula's rule that power goes
-    as degree^-2, followed by planets and asteroids, and ``(2 n + 1) exp(-n (n + 1) / m^2)`` for smooth one. For each K
-    and q, s^2 is found by restricted maximum likelihood, which knows that the fit has absorbed part of the long
-    waves, and covariances are averaged with the likelihoods as weights. Many neighbors are averaged first.
+    degrees n from 2 on: ``V_n = (2 n + 1) (n (n + 1))^(-3/2)`` for rough relief, which is Kaula's rule that power is
+    proportional to degree^-2, followed by planets and asteroids, and ``(2 n + 1) exp(-n (n + 1) / m^2)`` for smooth
+    one. For each K and q, s^2 is found by restricted maximum likelihood, which accounts for the long waves absorbed by
+    the fit, and covariances are averaged with the likelihoods as weights. Many neighbors are averaged first.
     """
     require(len(residuals) > design.shape[1] + 1, f"needed over {design.shape[1] + 1} residuals, got {len(residuals)}")
     means = averages(points, sigma)
@@ -212,7 +214,7 @@ def averages(points: Float, sigma: Float) -> Float:
 
 
 def _length(points: Float) -> float:
-    """Length of the outline for which points (n, 2) stand, without gaps."""
+    """Length of the outline that points (n, 2) represent, without gaps."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     typical = float(np.median(steps))
     return float(np.minimum(steps, _GAP * typical).sum()) + typical
@@ -257,7 +259,7 @@ def _relief_tables() -> Float:
 
 
 def _looked_up(tables: Float, chords: Float) -> Float:
-    """Covariances (k, ...) at chords (...), over the radius, by tables (k, m) in even steps of the angle to pi."""
+    """Covariances (k, ...) at chords / radius (...), by tables (k, m) in even steps of the angle to pi."""
     place = np.arcsin(np.minimum(0.5 * chords, 1.0)) * (2.0 / np.pi * (_ANGLES - 1))
     index = np.minimum(place.astype(np.int64), _ANGLES - 2)
     share = place - index

@@ -1,4 +1,4 @@
-"""``calibration.html``: a camera calibration for people, in one file that needs nothing else."""
+"""``calibration.html``: page of a camera calibration, in one self-contained file."""
 
 from __future__ import annotations
 

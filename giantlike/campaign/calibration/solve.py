@@ -58,11 +58,11 @@ class CampaignCalibration(Value):
     camera : Camera or None
         The calibrated camera; None if calibration failed or was not accepted.
     alignment : AlignmentResult or None
-        Of the camera with respect to the a priori attitudes, if images have them.
+        Alignment of the camera with respect to the a priori attitudes, if images have them.
     lost : tuple of (str, str)
         Images that did not take part, and the reasons.
     targets : str
-        Word for what was observed: stars, or corners of a board.
+        Word for the observed points: stars, or corners of a board.
     """
 
     outcome: StarCalibration | Failure
@@ -251,9 +251,9 @@ def _camera_hash(folder: Path) -> str:
 
 
 def calibration_summary(result: CampaignCalibration) -> dict[str, Any]:
-    """Everything about a calibration but its single observations, as JSON has it.
+    """Results of a calibration except its single observations, as in JSON.
 
-    Returns None for what is unknown.
+    Unknown values are None.
     """
     content: dict[str, Any] = {
         "status": "failed" if isinstance(result.outcome, Failure) else "ok" if result.camera else "not_accepted",

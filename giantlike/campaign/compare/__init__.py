@@ -1,1 +1,1 @@
-"""A run beside another, or beside what another team has: differences over combined sigma, errors that both share."""
+"""Comparison of a run with another, or with another team's results: differences / combined sigma, common errors."""

@@ -32,7 +32,7 @@ class Difference:
     axis : str
     value : float
     sigma : float or None
-        Of the difference: of both results, without the errors that both share; None where one of the two is unknown.
+        Sigma of the difference: from both results, without their common errors; None where one of the two is unknown.
     unit : str
     """
 
@@ -56,10 +56,10 @@ class Comparison:
     Parameters
     ----------
     first, second : str
-        What was compared.
+        Names of the compared results.
     differences : tuple of Difference
     shared : tuple of str
-        Errors that both have, which are in no sigma here and which no comparison of the two can show.
+        Errors common to both, which cancel in the differences and are not in the sigmas.
     only_first, only_second : int
         Results without a counterpart.
     notes : tuple of str

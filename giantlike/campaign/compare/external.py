@@ -1,4 +1,4 @@
-"""A run beside what another team has: attitudes or observables in CSV, angles in a TDM, a C-kernel, a trajectory."""
+"""Comparison of a run with another team's attitudes or observables in CSV, angles in a TDM, C-kernel or trajectory."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ _OBSERVABLES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExternalOptions:
-    """What SPICE files leave open.
+    """Options that SPICE files do not contain.
 
     Parameters
     ----------
     kernels : tuple of str
-        Paths or patterns of the kernels that are needed beside the file: leap seconds, clock, frames, planets.
+        Paths or patterns of the kernels that are needed in addition to the file: leap seconds, clock, frames, planets.
     frame : str, optional
         C-kernel: frame of the camera in them.
     camera_from_frame_xyzw : (4,) tuple of float
@@ -61,7 +61,7 @@ class ExternalOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Seen:
-    """A direction or place that the other side gives; None for what it does not tell."""
+    """A direction or position of the other side; None for values that it does not give."""
 
     file: str | None
     et: float | None
@@ -306,7 +306,7 @@ def _fix(run: _Run, record: ObservationRecord, other: _Seen) -> Iterator[Differe
 
 
 def _trajectory(run: _Run, path: Path, options: ExternalOptions) -> tuple[list[Difference], int]:
-    """Fixes beside the places that a trajectory gives, with light time and stellar aberration."""
+    """Fixes compared with the positions from a trajectory, with light time and stellar aberration."""
     import spiceypy
     from spiceypy.utils.exceptions import SpiceyError
 

@@ -1,4 +1,4 @@
-"""One run beside another: the same images with another camera, shape, option or version."""
+"""Comparison of two runs: the same images with another camera, shape, option or version."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from giantlike.core.frames import rotation_between
 from giantlike.core.units import ARCSEC_PER_RAD
 
 _ROUNDING = 1e-12
-"""Share of a variance that is rounding: parts come by Jacobians that leave some 1e-16 where there is nothing."""
+"""Fraction of a variance that is due to rounding: Jacobians leave about 1e-16 in parts that should be zero."""
 _SAME_FILES = "the same image files; in part, where options differ"
 _OF_PIXELS = (Cause.NOISE, Cause.BACKGROUND, Cause.ALBEDO)
 """Causes that two fixes have in common because they come from the same pixels with the same estimator."""
@@ -31,8 +31,8 @@ _OF_HEADER = (Cause.ABERRATION, Cause.EPOCH)
 def compare_runs(first: Path, second: Path) -> Comparison:
     """Compare two runs, image by image.
 
-    Images are matched by name. A fix is compared with that of the same estimator on the same target. The covariance of
-    a difference is the sum of both, without the causes that both have in common by what their provenance says: the
+    Images are matched by name. A fix is compared with the fix of the same estimator on the same target. The covariance
+    of a difference is the sum of both, without the causes that both have in common according to their provenance: the
     same image file, camera, shape, law.
     """
     one, other = load_result(first), load_result(second)
@@ -59,7 +59,7 @@ def compare_runs(first: Path, second: Path) -> Comparison:
 
 
 class _Shared:
-    """Causes that the results of two runs have in common, and their names for people."""
+    """Causes that the results of two runs have in common, and their names in messages."""
 
     def __init__(self, inputs: list[Mapping[str, Any]], one: RunResult, other: RunResult) -> None:
         first, second = inputs
@@ -158,7 +158,7 @@ def _fix_parts(record: ObservationRecord) -> dict[Cause, Float] | None:
 
 
 def _unshared(both: Iterable[Mapping[Cause, Float] | None], shared: Iterable[Cause], size: int) -> Float | None:
-    """Sum of the covariances of two results, without the causes that both share; None where one is unknown."""
+    """Sum of the covariances of two results, without their common causes; None where one is unknown."""
     causes = [cause for cause in Cause if cause not in set(shared) and cause is not Cause.EPHEMERIS]
     unshared, total = np.zeros((size, size)), np.zeros((size, size))
     for parts in both:

@@ -103,7 +103,7 @@ class Campaign:
     bottom_up : bool
         True if the rows of image files are reversed on reading.
     label_geometry : bool
-        True if the geometry that labels hold is used.
+        True if the geometry in labels is used.
     geometry_file : Path or None
     geometry : mapping of str to ImageGeometry
         Rows of the geometry table, by image key.
@@ -116,7 +116,7 @@ class Campaign:
     max_overlays : int
         Number of images shown in the report.
     warnings : tuple of str
-        Oddities that are not mistakes.
+        Oddities that are not errors.
     apriori_sigma_rad : float or None, rad
         Standard deviation of a priori attitudes about each camera axis.
     frames : FrameFiles or None
@@ -159,7 +159,7 @@ class Campaign:
         Raises
         ------
         DataError
-            Something is wrong with it; one line that names the file, the key and what was expected.
+            The file has an error; one line names the file, the key and the expectation.
         """
         path = Path(path)
         content, table = read_toml(path, CampaignFile, "campaign file", complete=with_mission)
@@ -316,7 +316,7 @@ def _unmatched(
     *,
     with_spice: bool,
 ) -> list[str]:
-    """Warnings of rows of a geometry table without image, and of images without row (SPICE may know all of those)."""
+    """Warnings of rows of a geometry table without image, and of images without row (SPICE may cover those)."""
     if not geometry:
         return [f"{table.path}: no row names an image of the campaign"]
     paths = [image.path for image in images if image.key in geometry]
@@ -344,7 +344,7 @@ def _oddities(
     targets: Sequence[TargetSetup],
     spice: SpiceSetup | None,
 ) -> list[str]:
-    """Warnings of what is allowed but probably not meant."""
+    """Warnings of settings that are allowed but probably not intended."""
     named = {name for image in geometry.values() for name in image.targets}
     texts = [
         f"{geometry_file}: target {name!r} is not in the campaign, its rows are not used"

@@ -20,7 +20,7 @@ from giantlike.processing.calibration_frames import CalibrationFrames, combine_f
 
 _KEY = "calibration_frames"
 _SAME_EXPOSURE = 0.01
-"""Relative difference up to which darks count as of one exposure: that of shutters."""
+"""Relative difference up to which darks count as of one exposure, as of shutters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,9 +33,9 @@ class FrameFiles:
         Empty where there are none.
     bad_pixels : Path or None
     dark_exposure_s : float or None, s
-        None where headers tell.
+        None where headers have it.
     dark_has_bias, flat_has_bias : bool
-        False where bias (and dark current) were taken off.
+        False where bias (and dark current) were subtracted.
     hdu : int or str or None
         FITS extension.
     bottom_up : bool
@@ -91,7 +91,7 @@ class FrameFiles:
         }
 
     def identity(self) -> tuple[Any, ...]:
-        """What corrected pixels depend on: the content of the files, and how they are read."""
+        """Inputs of corrected pixels: the content of the files, and how they are read."""
         hashes = {kind: [file_sha256(path) for path in paths] for kind, paths in self._kinds().items()}
         return hashes, self.dark_exposure_s, self.dark_has_bias, self.flat_has_bias, self.hdu, self.bottom_up
 
@@ -131,7 +131,7 @@ def _arrays(images: list[Image]) -> tuple[list[Any], list[Any]]:
 
 
 def _common_exposure_s(images: list[Image]) -> float | None:
-    """Exposure of all images, s; None where a header does not tell it."""
+    """Exposure of all images, s; None where a header does not have it."""
     found = [image.exposure_s for image in images if image.exposure_s is not None]
     if len(found) < len(images):
         return None

@@ -78,7 +78,7 @@ class SpiceSetup:
         return ObserverState(position_km=position, velocity_km_s=velocity)
 
     def sun_from(self, position_inertial_km: Float, et: float) -> Float:
-        """Vector (3,) to the Sun from a place given relative to the spacecraft, inertial axes, km.
+        """Vector (3,) to the Sun from a position given relative to the spacecraft, inertial axes, km.
 
         The Sun's own light time and aberration (20 arcsec) do not matter for shading.
         """
@@ -117,7 +117,7 @@ class TargetSetup:
     limb: LimbSetup = field(default_factory=LimbSetup)
 
     def inertial_from_body(self, position_inertial_km: Float, et: float) -> Rotation:
-        """Orientation by SPICE when the light left that a camera sees."""
+        """Orientation by SPICE at the emission time of the observed light."""
         return orientation(self.frame, et - float(np.linalg.norm(position_inertial_km)) / SPEED_OF_LIGHT_KM_S)
 
     def load_shape(self) -> Shape:
@@ -153,7 +153,7 @@ def catalog_of(path: Path, name: str) -> str:
 
 
 def geometry_of(path: Path, key: str, name: str, targets: Sequence[BodySection]) -> GeometryTable:
-    """Read the geometry table that a file names; rows without a target are those of an only target."""
+    """Read the geometry table that a file names; rows without a target belong to a single target."""
     only = targets[0].name if len(targets) == 1 else None
     return read_geometry(existing_file(path, key, name), default_target=only)
 
@@ -191,7 +191,7 @@ def preset_of(table: Mapping[str, Any]) -> CameraPreset | None:
 
 
 def _binned(camera: Camera, factor: object) -> Camera:
-    """Camera of summed images; what summing does to noise and saturation is not known."""
+    """Camera of summed images; the effect of summing on noise and saturation is unknown."""
     whole = isinstance(factor, int) and not isinstance(factor, bool) and factor >= 1
     require(whole, f"camera.binned: expected a whole number from 1, got {factor!r}")
     assert isinstance(factor, int)
@@ -287,7 +287,7 @@ def _estimators(path: Path, where: str, section: TargetSection) -> tuple[Estimat
     require(distinct, f"{where}.estimators: an estimator is named twice")
     built: dict[str, Estimator] = {}
     for name in (*section.estimators, *section.options):
-        kind: Any = ESTIMATORS[name]  # each class takes options of a type of its own
+        kind: Any = ESTIMATORS[name]  # each class has its own type of options
         key = f"{where}.options.{name}"
         options = options_from_mapping(type(kind().options), section.options.get(name, {}), key)
         built[name] = kind(with_files_found(options, path.parent, key))

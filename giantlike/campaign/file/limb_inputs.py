@@ -1,4 +1,4 @@
-"""What a campaign file tells of the limbs of its targets: height maps, atmospheres and rings."""
+"""Inputs of a campaign file on the limbs of its targets: height maps, atmospheres and rings."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class LimbSetup:
     terrain : Path or None
         File of a height map.
     terrain_sigma_km : float or None, km
-        Of its heights, where it is not that of the file.
+        Sigma of its heights, where it differs from the file's.
     atmosphere : Atmosphere or None
     rings : Rings or None
     air : bool or None
-        True with air or haze, False without; None where the file does not say.
+        True with air or haze, False without; None where the file does not declare it.
     """
 
     terrain: Path | None = None
@@ -37,7 +37,7 @@ class LimbSetup:
 
     @classmethod
     def of(cls, section: TargetSection, where: str, shape: str | Radii, terrain: Path | None) -> LimbSetup:
-        """Check what a section tells of the limb of its target."""
+        """Check the inputs of a section on the limb of its target."""
         for key, given in (("terrain", terrain), ("atmosphere", section.atmosphere), ("rings", section.rings)):
             smooth = given is None or not isinstance(shape, str)
             require(smooth, f"{where}.{key}: goes with an ellipsoid as shape, got the mesh {shape!r}")

@@ -11,11 +11,11 @@ from giantlike.core.arrays import require
 from giantlike.io.mission_files import mission, mission_names
 
 _ADDITIONS = frozenset({"binned"})
-"""Keys of ``[camera]`` that say more of the camera of the mission; with any other, it is another camera."""
+"""Keys of ``[camera]`` that refine the camera of the mission; any other key declares another camera."""
 
 
 def with_mission(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
-    """Complete the table of a campaign file by what its mission says; keys that are there win.
+    """Complete the table of a campaign file by the defaults of its mission; existing keys take precedence.
 
     Notes
     -----

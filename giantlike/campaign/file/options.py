@@ -1,4 +1,4 @@
-"""Tables of a TOML file to option dataclasses: names and types checked, one clear line for what is wrong."""
+"""Tables of a TOML file to option dataclasses: names and types checked, one line per error."""
 
 from __future__ import annotations
 

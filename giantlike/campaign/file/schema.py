@@ -97,7 +97,7 @@ class CampaignSection(Section):
 class MissionSection(Section):
     """``[mission]``: a mission whose camera, frames, labels and kernels the package knows ([list](missions.md)).
 
-    It fills in what `[camera]`, `[images]` and `[spice]` leave out; keys that are there win.
+    It completes `[camera]`, `[images]` and `[spice]`; existing keys take precedence.
     """
 
     name: str
@@ -113,21 +113,21 @@ class ImagesSection(Section):
     files: list[str] = Field(min_length=1)
     """File names or glob patterns (`**` for subfolders) of images in any readable format."""
     geometry: str | None = None
-    """Table of a priori geometry ([columns](howto/a-priori.md)); what it leaves out comes from headers, then SPICE."""
+    """Table of a priori geometry ([columns](howto/a-priori.md)); missing values come from headers, then SPICE."""
     hdu: Annotated[int | str | None, PlainValidator(_checked_hdu)] = None
     """Number (from 0) or name of the FITS extension; default: the first with an image."""
     bottom_up: bool = False
-    """The first stored row is the bottom of the picture: reverse the rows. A camera preset may say so too."""
+    """The first stored row is the bottom of the picture: reverse the rows. A camera preset may declare this too."""
     label_geometry: bool = False
-    """Take the place, orientation and Sun of the target from labels of Galileo SSI, and attitude, place and Sun from
-    those of NEAR MSI, where the geometry table has no row."""
+    """Take the position, orientation and Sun of the target from labels of Galileo SSI, and attitude, position and Sun
+    from labels of NEAR MSI, where the geometry table has no row."""
     attitude_sigma_deg: float | None = Field(default=None, gt=0, le=30)
     """One sigma of a priori attitudes about each camera axis, deg, for the covariances of fixes made with them; without
     it they hold no uncertainty of the attitude."""
 
 
 class ClockSection(Section):
-    """A count of the spacecraft clock in labels, for the epoch of images whose labels tell no time of the exposure."""
+    """A count of the spacecraft clock in labels, for the epoch of images whose labels have no time of the exposure."""
 
     item: str
     """Item of the label."""
@@ -151,9 +151,9 @@ class CalibrationFramesSection(Section):
     bias: list[str] = Field(default_factory=list)
     """Files or patterns of exposures of zero length."""
     dark: list[str] = Field(default_factory=list)
-    """Files or patterns of exposures in the dark, all of one length."""
+    """Files or patterns of dark exposures, all of one length."""
     dark_exposure_s: float | None = Field(default=None, gt=0)
-    """Their exposure, s, where headers do not tell."""
+    """Their exposure, s, where headers do not have it."""
     dark_has_bias: bool = True
     """The darks hold the bias, as raw exposures do; false for a dark from which it was taken off."""
     flat: list[str] = Field(default_factory=list)
@@ -163,7 +163,7 @@ class CalibrationFramesSection(Section):
     bad_pixels: str | None = None
     """Image that is not 0 where a pixel is bad. Hot pixels of the dark and dead ones of the flat are found."""
     hdu: Annotated[int | str | None, PlainValidator(_checked_hdu)] = None
-    """FITS extension of all of these; default: the first with an image. Rows are ordered as those of the images."""
+    """FITS extension of all of these; default: the first with an image. Rows are ordered as in the images."""
 
 
 class SpiceSection(Section):
@@ -174,7 +174,7 @@ class SpiceSection(Section):
     spacecraft: str
     """NAIF name or code of the spacecraft."""
     frame: str | None = None
-    """SPICE frame of the camera, or the code of the instrument of a CK that no frame kernel knows; without it SPICE
+    """SPICE frame of the camera, or the instrument code of a CK without a frame kernel; without it SPICE
     gives no a priori attitude."""
     ck_tolerance_s: float = Field(default=0.0, ge=0)
     """Largest distance in time, s, to an attitude of a CK of single (discrete) attitudes; the nearest one counts."""
@@ -209,12 +209,12 @@ class StarsSection(Section):
     drift_arcsec_per_sqrt_s: float = 0.1
     """Random walk of the attitude between images, arcsec per square root of a second."""
     max_disagreement_deg: float = 1.0
-    """Largest difference between the a priori turn and the turn that the method assumes, deg; catches slews, and 180
-    switches the check off."""
+    """Largest difference between the a priori rotation and the rotation that the method assumes, deg; catches slews,
+    and 180 switches the check off."""
     options: Annotated[StarOptions, options_validator(StarOptions, elsewhere=("max_magnitude", "lost_in_space"))] = (
         StarOptions()
     )
-    """Options of the star solution that have no key of their own."""
+    """Options of the star solution without a separate key."""
     detection: Annotated[DetectionOptions, options_validator(DetectionOptions)] = DetectionOptions()
     """Options of the detection of stars."""
 
@@ -228,7 +228,7 @@ class CalibrationSection(Section):
     estimate: list[str] = Field(min_length=1)
     """Names of the parameters of the camera model to estimate."""
     model: str | None = None
-    """Type of the model, where it is not that of the camera."""
+    """Type of the model, where it differs from the camera's."""
     min_snr: float = Field(default=DEFAULT_MIN_SNR, ge=0)
     """Lowest signal-to-noise ratio of the stars to calibrate from."""
     scale_error: float = Field(default=0.1, gt=0, le=0.2)
@@ -260,7 +260,7 @@ class BodySection(Section):
 
 
 class UncertaintySection(Section):
-    """One sigma of what is given of a target, for the covariances of fixes; 0 is for what is exact."""
+    """One sigma of the a priori data of a target, for the covariances of fixes; 0 for exact values."""
 
     scale: float = Field(default=0.0, ge=0, le=0.3)
     """Relative error of the size of the shape."""
@@ -269,9 +269,9 @@ class UncertaintySection(Section):
     spin_deg: float = Field(default=0.0, ge=0, le=25)
     """Error of the rotation about the body-fixed z axis, deg."""
     ephemeris_km: float = Field(default=0.0, ge=0)
-    """Error of the predicted position along each axis, km; part of observed less computed, not of the fix."""
+    """Error of the predicted position along each axis, km; part of observed minus computed, not of the fix."""
     albedo: float = Field(default=0.15, ge=0.01, le=2.0)
-    """Brightness of the surface about its law: markings, clouds (0.5). What they leave of the light raises no flag."""
+    """Brightness of the surface about its law: albedo variations, clouds (0.5). Residuals from them raise no flag."""
 
 
 class TargetSection(BodySection):
@@ -280,13 +280,13 @@ class TargetSection(BodySection):
     estimators: list[str] = Field(min_length=1)
     """Names of the estimators; `giantlike estimators` lists them."""
     options: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    """Options by estimator; `giantlike estimators NAME` shows those of one."""
+    """Options by estimator; `giantlike estimators NAME` lists them."""
     uncertainty: UncertaintySection = UncertaintySection()
     terrain: str | None = None
     """Height map of a body whose shape is an ellipsoid: a PDS3 image with its label (such as LOLA's), a GeoTIFF or a
     numpy archive; estimators on limbs then predict the outline with its relief ([terrain](terrain.md))."""
     terrain_sigma_km: float | None = Field(default=None, ge=0, le=100)
-    """One sigma of the heights of the map over wide areas, km; that of the file, else 0."""
+    """One sigma of the heights of the map over wide areas, km; default from the file, else 0."""
     atmosphere: Annotated[Atmosphere | None, PlainValidator(_checked_atmosphere)] = None
     """Altitude at which the limb of an ellipsoid is seen: `"EARTH"`, `"MARS"`, `"VENUS"`, `"JUPITER"`, `"SATURN"`,
     `"URANUS"`, `"NEPTUNE"`, `"TITAN"`, `"TRITON"` or `"PLUTO"`, a known `{ altitude_km = 25, sigma_km = 3 }`, or
@@ -294,10 +294,10 @@ class TargetSection(BodySection):
     ([terrain](terrain.md))."""
     air: bool | None = None
     """`true` for a body with air or haze: an ellipsoid without `atmosphere` gets the one that is known by its
-    `spice_body` or `name`. `false` for an airless one: nothing in its image is haze. Left out: haze is looked for,
+    `spice_body` or `name`. `false` for an airless one: no haze. Left out: haze is tested for,
     except on the Moon, Mercury, moons and asteroids that are known to be airless ([terrain](terrain.md))."""
     rings: Annotated[Rings | None, PlainValidator(_checked_rings)] = None
-    """Rings in the equator of an ellipsoid, whose light and shadow are no part of it: `"SATURN"`, or
+    """Rings in the equator of an ellipsoid, whose light and shadow are not part of it: `"SATURN"`, or
     `{ inner_km, outer_km }` ([terrain](terrain.md))."""
 
 
@@ -305,7 +305,7 @@ class ReportSection(Section):
     """``[report]``: the contents of ``report.html``."""
 
     max_overlays: int = Field(default=24, ge=0)
-    """Number of images shown with what was found in them."""
+    """Number of images shown with their results."""
 
 
 class CampaignFile(Section):
@@ -317,7 +317,7 @@ class CampaignFile(Section):
     camera: dict[str, Any]
     """`file`, the name of a camera file; `preset`, the name of a real camera that comes with the package
     ([list](camera_presets.md)), and with it `binned`, the pixels along one side of a block that was summed; or the keys
-    of a [camera file](campaigns.md#the-camera-file). A `[mission]` may tell it."""
+    of a [camera file](campaigns.md#the-camera-file). A `[mission]` may provide it."""
     spice: SpiceSection | None = None
     stars: StarsSection | None = None
     calibration: CalibrationSection | None = None

@@ -37,7 +37,7 @@ def named(where: str) -> Iterator[None]:
 
 
 Completion: TypeAlias = Callable[[Path, Mapping[str, Any]], dict[str, Any]]
-"""A function of the file and its table that returns the table with defaults of its own."""
+"""A function of the file and its table that returns the table with its defaults added."""
 
 
 def read_toml(
@@ -81,7 +81,7 @@ def _first_problem(error: ValidationError, model: type[BaseModel]) -> str:
 
 
 def _one_problem(problem: ErrorDetails, model: type[BaseModel]) -> str:
-    """One line for a pydantic error: the key, what was expected and what was found."""
+    """One line for a pydantic error: the key, the expectation and the finding."""
     location = problem["loc"]
     key = key_text(location)
     if problem["type"] == "extra_forbidden":

@@ -1,4 +1,4 @@
-"""Lines of a TOML file on which keys stand, for messages."""
+"""Line numbers of the keys of a TOML file, for messages."""
 
 from __future__ import annotations
 

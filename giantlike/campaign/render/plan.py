@@ -58,12 +58,12 @@ FITS_SUFFIXES = frozenset({".fits", ".fit", ".fts"})
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Exposure(Value):
-    """An image to be made, as the files give it; SPICE completes attitude, observer and places.
+    """An image to be rendered, as given by the files; SPICE completes attitude, observer and positions.
 
     Parameters
     ----------
     key : str
-        Its place in the scene file or table, for messages.
+        Its location in the scene file or table, for messages.
     file : str
         File of the image, relative to the output folder.
     epoch : Time
@@ -72,7 +72,7 @@ class Exposure(Value):
     angular_rate_camera_rad_s : (3,) float64, rad/s
     observer : ObserverState or None
     places : mapping of str to GeometryRow
-        Places of targets, by name.
+        Positions of targets, by name.
     """
 
     key: str
@@ -104,7 +104,7 @@ class RenderPlan(Value):
         Name or path of the catalog; None: no stars.
     spice : SpiceSetup or None
     warnings : tuple of str
-        Oddities that are not mistakes.
+        Oddities that are not errors.
     """
 
     path: Path
@@ -343,7 +343,7 @@ def _from_table(where: str, file: str, known: ImageGeometry) -> Exposure:
 
 
 def _detector(path: Path, section: DetectorSection, camera: Camera) -> DetectorModel:
-    """Build the detector: maps are drawn from the seed of the pattern, so that all images share them."""
+    """Build the detector: maps are drawn from the seed of the pattern, so that they are common to all images."""
     seed, size = section.pattern_seed, (camera.columns, camera.rows)
     response = None
     if section.response_file is not None:

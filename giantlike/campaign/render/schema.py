@@ -35,11 +35,11 @@ class RenderSection(SceneSection):
     rays_per_pixel_side: int = Field(default=4, ge=1, le=32)
     """Rays along the side of a pixel; its square is their number in a pixel."""
     geometry: str | None = None
-    """Geometry table that takes the place of `[[images]]`."""
+    """Geometry table that replaces `[[images]]`."""
     truth: bool = True
     """Add the truth as FITS extensions."""
     backplanes: bool = False
-    """Add maps of what each pixel sees as FITS extensions."""
+    """Add backplanes of each pixel as FITS extensions."""
     preview: bool = False
     """Write a PNG for each image."""
     campaign: bool = False
@@ -88,7 +88,7 @@ class DetectorSection(SceneSection):
     """``[detector]``: detector effects beyond the ``[detector]`` of the camera file."""
 
     pattern_seed: int = Field(default=0, ge=0)
-    """Seed of what all images share: pixel response, hot and dead pixels."""
+    """Seed of the properties common to all images: pixel response, hot and dead pixels."""
     shot_noise: bool = True
     """Add the Poisson noise of light and dark current."""
     bits: int = 16
@@ -120,13 +120,13 @@ class PlaceSection(SceneSection):
     position_km: Vector | None = None
     """Apparent vector from camera to target center, inertial axes, km."""
     body_from_inertial_xyzw: Quaternion | None = None
-    """Orientation when the light left, quaternion, scalar last."""
+    """Orientation at the emission time of the light, quaternion, scalar last."""
     sun_direction: Vector | None = None
     """From the target to the Sun, inertial axes, where it is not `light.direction`."""
 
 
 class RenderTargetSection(PlaceSection, BodySection):
-    """``[[targets]]``: a body, and its place unless an image gives another."""
+    """``[[targets]]``: a body, and its position unless an image gives another."""
 
     albedo: float = Field(default=0.045, gt=0)
     """Geometric albedo."""

@@ -1,4 +1,4 @@
-"""Cards of the report of a run: one image each, with what was found in it, in numbers, words and pictures."""
+"""Cards of the report of a run: one image each, with its results in numbers, words and pictures."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from giantlike.plotting.style import BLUE, GRAY
 _MAX_ARROWS = 150
 """Stars whose residuals a card shows, evenly chosen: more arrows than that cover each other."""
 _ARROW_SHARE = 1 / 16
-"""Length of the arrow of a typical residual over the width of the field."""
+"""Length of the arrow of a typical residual / width of the field."""
 _LEAST_SIGMA = 1e-9
 """Standard deviations below this one have as many digits as it has."""
 
@@ -70,7 +70,7 @@ class FixLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Card:
-    """One image of the report, with what was found in it.
+    """One image of the report, with its results.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def fix_line(record: ObservationRecord) -> FixLine:
 
 
 def card(result: RunResult, record: AttitudeRecord, colors: Mapping[str, str]) -> Card:
-    """One image with what was found in it."""
+    """One image with its results."""
     folder = RunFolder(result.folder)
     observations = [one for image in result.bodies if image.file == record.file for one in image.observations]
     targets = dict.fromkeys(one.target for one in observations)
@@ -179,7 +179,7 @@ def _plain(name: str) -> str:
 
 
 def _digits(sigma: float) -> int:
-    """Digits after the point at which a standard deviation has two that count."""
+    """Decimals at which a standard deviation has two significant digits."""
     return min(max(1 - math.floor(math.log10(max(sigma, _LEAST_SIGMA))), 0), 9) if math.isfinite(sigma) else 3
 
 

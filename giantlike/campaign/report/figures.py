@@ -24,7 +24,7 @@ from giantlike.plotting import (
 
 _BODY_PANELS = ("x, px", "y, px", "range, %")
 _MAX_STAR_IMAGES = 500
-"""Images whose stars are in the residual figure: some 50,000 points; no result depends on it."""
+"""Images whose stars are in the residual figure: about 50,000 points; no result depends on it."""
 _PERCENT = np.array([1.0, 1.0, 100.0])
 """Scale of center and logarithm of the range."""
 _TIME_UNITS = ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"), (1.0, "seconds"))

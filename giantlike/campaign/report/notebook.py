@@ -1,4 +1,4 @@
-"""What notebooks show of a run."""
+"""Display of a run in notebooks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``report.html``: a finished run for people, in one file that needs nothing else."""
+"""``report.html``: page of a finished run, in one self-contained file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from giantlike.core.version import VERSION
 _MAX_FAILURES = 300
 """Failures listed one by one; all are counted by reason, and the tables hold the rest."""
 _MAX_FIXES = 4000
-"""Lines of the table of fixes, some 300 bytes each; of more, the good ones are left to the tables."""
+"""Maximum lines of the table of fixes, about 300 bytes each; beyond it, good fixes are only in the tables."""
 _RANK = {"failed": 0, "suspect": 1, "ok": 2}
 
 

@@ -1,4 +1,4 @@
-"""What every process of a run loads once: campaign, catalog, shapes and kernels."""
+"""Data that every process of a run loads once: campaign, catalog, shapes and kernels."""
 
 from __future__ import annotations
 
@@ -103,8 +103,7 @@ class Workbench(Value):
     def with_camera(self, camera: Camera) -> Workbench:
         """Return the workbench for a calibrated camera: only attitudes are left to find, anywhere on the sky.
 
-        They rest on stars as bright as those of the calibration where that has a limit, so that residuals of the two
-        compare.
+        They use the magnitude limit of the calibration, if it has one, so that the residuals are comparable.
         """
         stars, navigation, setup = self.campaign.stars, self.navigation, self.campaign.calibration
         if stars is not None and navigation is not None:
@@ -128,7 +127,7 @@ class Workbench(Value):
         return self.with_camera(replace(camera, model=model))
 
     def without_stars(self, rejected: frozenset[int]) -> Workbench:
-        """Return the workbench for an image of which a person took stars out."""
+        """Return the workbench for an image of which a user rejected stars."""
         navigation = self.navigation
         if navigation is None or not rejected:
             return self

@@ -31,7 +31,7 @@ _OUTLINE_MIN_RADIUS_PX = 2.0
 """Apparent radius, px, below which an overlay shows a cross alone: an outline would be hidden by it."""
 
 Work: TypeAlias = tuple[str, str]
-"""Target and estimator; an empty estimator stands for what is known of the target beforehand."""
+"""Target and estimator; an empty estimator denotes the a priori record of the target."""
 BodyRecord: TypeAlias = ObservationRecord | TargetRecord
 
 

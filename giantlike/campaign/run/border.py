@@ -1,4 +1,4 @@
-"""The border of a worker: what goes wrong with an image ends in its record, and nothing in it can end a run."""
+"""Exception boundary of a worker: errors of an image go to its record, and cannot end a run."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ def keep_campaign(token: str, campaign: Campaign) -> None:
 
 
 def forget_campaign(token: str) -> None:
-    """Free what was loaded for a run; called on a worker."""
+    """Free the data loaded for a run; called on a worker."""
     with _one_at_a_time:
         _campaigns.pop(token, None)
         bench = _benches.pop(token, None)

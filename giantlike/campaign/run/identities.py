@@ -1,4 +1,4 @@
-"""What the image files of a campaign hold, by their hashes: which of them changed since they were read."""
+"""Hashes of the image files of a campaign, to detect those that changed since they were read."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from giantlike.core.reading import file_sha256
 
 
 class Identities:
-    """Hashes of the contents of image files, as far as they are known, and what they were when they were read."""
+    """Hashes of the contents of image files, where known, now and when they were read."""
 
     def __init__(self, folder: RunFolder) -> None:
         self._folder = folder
@@ -37,6 +37,6 @@ class Identities:
         return self._now[entry.key]
 
     def read(self, entry: ImageEntry, sha256: str) -> None:
-        """Keep the hash of what a worker read."""
+        """Keep the hash of the file that a worker read."""
         self._now[entry.key] = sha256
         self._folder.set_image_state(entry.key, KnownImage(self._stamps.get(entry.key, ""), sha256))

@@ -1,6 +1,6 @@
 """Images of a campaign with their a priori epoch, pose and scene.
 
-Each of these comes from the geometry table, else from the image's own header, else from SPICE.
+Sources, in order of precedence: the geometry table, the image's own header, SPICE.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class PreparedImage(Value):
     ----------
     image : Image
     notes : tuple of str
-        Things that were asked for and could not be found.
+        Requested data that could not be found.
     """
 
     image: Image
@@ -134,10 +134,10 @@ def targets_in(campaign: Campaign, key: str) -> tuple[TargetSetup, ...]:
 class _SpiceGeometry:
     """A target, the Sun and the spacecraft, all from SPICE.
 
-    Positions are relative to the barycenter of the Solar System or, if kernels do not link spacecraft and target to
-    it, to the target itself (``relative``). Light time and aberration are then those of the velocity of the spacecraft
-    relative to the target, which is right to first order: the target's own motion shifts it by light time one way
-    and by aberration the other way. Neglected are its acceleration during the light time, and v^2/c^2.
+    Positions are relative to the barycenter of the Solar System or, if kernels do not link spacecraft and target to it,
+    to the target itself (``relative``). Light time and aberration then use the velocity of the spacecraft relative to
+    the target, which is correct to first order: the target's own motion shifts it by light time one way and by
+    aberration the other way. Neglected are its acceleration during the light time, and v^2/c^2.
     """
 
     spice: SpiceSetup
@@ -207,7 +207,7 @@ def scene_of(campaign: Campaign, image: Image, target: TargetSetup, shape: Shape
 def _from_row(
     row: GeometryRow, image: Image, target: TargetSetup, shape: Shape, spice: _SpiceGeometry | None
 ) -> ApparentGeometry | Failure:
-    """Geometry of a row of the table; what it leaves out comes from SPICE, if there is any."""
+    """Geometry of a row of the table; missing values come from SPICE, if available."""
     position, sun = row.target_position_inertial_km, row.sun_direction_inertial
     if position is None:
         if spice is None:

@@ -14,9 +14,9 @@ from giantlike.io.label_geometry import geometry_of_label
 
 
 def attitude_of_label(campaign: Campaign, image: Image) -> Rotation | None:
-    """Attitude that a label states, or that follows from the orientation of its target.
+    """Attitude from a label, given directly or by the orientation of its target.
 
-    Returns None where the label tells none, and its target is none of the campaign or has no orientation by SPICE.
+    Returns None where the label has none, and its target is not in the campaign or has no orientation by SPICE.
     """
     label = geometry_of_label(image.metadata, campaign.camera.model)
     if label is None or label.camera_from_inertial is not None or label.camera_from_body is None:
@@ -34,9 +34,9 @@ def attitude_of_label(campaign: Campaign, image: Image) -> Rotation | None:
 
 
 def row_of_label(campaign: Campaign, image: Image, target: TargetSetup) -> GeometryRow | None:
-    """Place of a target, its orientation and its Sun by the label of an image.
+    """Position of a target, its orientation and its Sun from the label of an image.
 
-    Returns None where the label is of another target or tells no geometry, or the attitude is not known.
+    Returns None where the label is of another target or has no geometry, or the attitude is unknown.
     """
     label = geometry_of_label(image.metadata, campaign.camera.model)
     attitude = image.camera_from_inertial

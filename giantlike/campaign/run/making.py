@@ -1,4 +1,4 @@
-"""The steps of a run: what is missing or rests on something that changed is made, and all else is kept."""
+"""Steps of a run: results that are missing or depend on changed inputs are computed, all others are kept."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ from giantlike.core.outcomes import Reason
 Progress: TypeAlias = Callable[[str, int, int], None]
 """Called with the name of the step, the number of images done, and of all."""
 Announce: TypeAlias = Callable[[str], None]
-"""Called with a line for people."""
+"""Called with a line for users."""
 
 _DIED = Problem(
     reason=Reason.INTERNAL_ERROR,
     detail="the worker process died twice on this image (killed from outside, out of memory, or a crash in a library)",
 )
 _FIRST_STARS, _ATTITUDES, _TARGETS = "calibration", "attitudes", "geometry"
-"""Names of the steps beside those of the estimators."""
+"""Names of the steps other than estimators."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +74,7 @@ class Run:
     camera : Camera or None
         The calibrated camera.
     counts : dict of str to StepCount
-        What was made and kept so far, by step.
+        Results computed and kept so far, by step.
     """
 
     bench: Workbench
@@ -213,7 +213,7 @@ class Run:
         return ImageJob(entry=entry, camera=self.camera, rejected=rejected, solve=solve)
 
     def _process(self, pool: Pool, plan: _Plan, jobs: list[ImageJob], name: str) -> None:
-        """Run jobs; save and log what they give."""
+        """Run jobs; save and log their results."""
         total = len(self.campaign.images)
         done = total - len(jobs)
         if jobs:
@@ -298,7 +298,7 @@ class Run:
         return plan.steps.observation(entry, sha256, target, estimator, attitude) if sha256 else ""
 
     def _say_first(self, counts: dict[str, StepCount]) -> None:
-        """Say what will be done, where there was a run before; and count it."""
+        """Announce the pending work, where there was a run before; and count it."""
         self.counts.update(counts)
         if self.goes_on:
             words = [f"{name}: {count.redone} to do, {count.kept} kept" for name, count in counts.items()]
@@ -307,7 +307,7 @@ class Run:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """What the folder holds of the attitudes and bodies of a campaign, and what of it still holds.
+    """Stored attitudes and bodies of a campaign, and which of them are still valid.
 
     Attitudes are moved from ``stale`` to ``solved`` as they are made.
     """
@@ -338,7 +338,7 @@ class _Plan:
                     plan.solved[entry.key] = record
                     continue
                 plan.stale[entry.key] = record
-            run.identities.of(entry)  # before the file is read: what is written to it later is noticed the next time
+            run.identities.of(entry)  # before the file is read: the next run then detects later changes
             plan.unsolved.append(entry)
         return plan
 

@@ -30,7 +30,7 @@ from giantlike.relative.landmarks.surface_features import LandmarkFix
 from giantlike.scene import Scene, TargetGeometry
 
 _MAP_CELLS = 32
-"""Cells along the longer side of a map of residuals: a picture in a report is some 200 px wide; 3 kB in the store."""
+"""Cells along the longer side of a map of residuals: a picture in a report is about 200 px wide; 3 kB in the store."""
 
 
 def status_of(flags: Quality) -> Status:
@@ -102,7 +102,7 @@ def with_stars(
 
 
 def sighting_of(scene: Scene, image: Image, geometry: TargetGeometry) -> SightingRecord:
-    """Record of what was known of a target beforehand."""
+    """A priori record of a target."""
     known = geometry.target.uncertainty
     record = SightingRecord(
         target=geometry.target.name,
@@ -156,7 +156,7 @@ def _points(fix: PositionFix) -> dict[str, list[list[float]]]:
 
 
 def _residuals(fix: CenterFix) -> Residuals | None:
-    """Residuals for a picture: of points one by one, of pixels as means over cells; None where places are unknown."""
+    """Residuals for a picture: points one by one, pixels as means over cells; None where positions are unknown."""
     at_px, values, cell_px = fix.residuals_at_px, fix.residuals, 0.0
     if isinstance(fix, LandmarkFix) or not len(at_px):
         return None
@@ -174,7 +174,7 @@ def _residuals(fix: CenterFix) -> Residuals | None:
 
 
 def with_prediction(record: ObservationRecord, camera: Camera, geometry: TargetGeometry) -> ObservationRecord:
-    """Record with the place of the target by the a priori geometry."""
+    """Record with the position of the target by the a priori geometry."""
     predicted = camera.model.project(geometry.position_camera_km)
     return record.replace(
         predicted_px=predicted.tolist() if np.isfinite(predicted).all() else None,

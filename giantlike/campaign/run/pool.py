@@ -33,7 +33,7 @@ _QUEUED_PER_WORKER = 2
 
 
 class Jobs(Protocol[Job_co]):
-    """Jobs by their position: a sequence, or what makes each when it is asked for."""
+    """Jobs by their position: a sequence, or an object that makes each on request."""
 
     def __len__(self) -> int: ...
 
@@ -41,10 +41,10 @@ class Jobs(Protocol[Job_co]):
 
 
 class Pool(Protocol):
-    """What the work of a run is handed to; used in a ``with`` block."""
+    """Executor of the work of a run; used in a ``with`` block."""
 
     def __enter__(self) -> Self:
-        """Start what is needed."""
+        """Start the workers."""
         ...
 
     def __exit__(self, *_: object) -> None:
@@ -64,9 +64,9 @@ class WorkerPool:
 
     Notes
     -----
-    When a process dies, ``concurrent.futures`` breaks the whole pool and does not know which job was at fault.
-    The jobs in flight are then run again one by one in a separate process; one that kills this as well is
-    given up, and the rest continue.
+    When a process dies, ``concurrent.futures`` breaks the whole pool and does not know which job was at fault. The jobs
+    in flight are then rerun one by one in a separate process; one that kills this as well is given up, and the rest
+    continue.
 
     Arithmetic is done with one thread in each process, so that results do not depend on the number of processes, and
     worker processes end when the process that started them is gone.
@@ -125,7 +125,7 @@ class WorkerPool:
                     for position in suspects:
                         yield position, self._alone(function, jobs[position])
 
-        with contextlib.suppress(BrokenProcessPool):  # asked for again with the first answer
+        with contextlib.suppress(BrokenProcessPool):  # raised again with the first result
             hand_out()
         return answers()
 

@@ -17,9 +17,9 @@ from giantlike.core.version import VERSION
 
 
 def inputs_of(campaign: Campaign, bench: Workbench) -> dict[str, Any]:
-    """Everything that decides the results of a run but the images, as plain values.
+    """All inputs that determine the results of a run, except the images, as plain values.
 
-    What of it changed is said before a run goes on. The hashes of the images are added at the end of the run.
+    Changes are announced before a run continues. The hashes of the images are added at the end of the run.
     """
     stars = campaign.stars
     kernels = {} if bench.kernels is None else bench.kernels.sha256()
@@ -48,7 +48,7 @@ def inputs_of(campaign: Campaign, bench: Workbench) -> dict[str, Any]:
 
 
 def environment_of(campaign: Campaign) -> dict[str, Any]:
-    """Hashes of files, Python and its packages, for people; they may change when a run is continued."""
+    """Hashes of files, Python and its packages, for information; they may change when a run continues."""
     return {
         "campaign_file": campaign.path_from_output(campaign.path),
         "campaign_sha256": file_sha256(campaign.path),

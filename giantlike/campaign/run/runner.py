@@ -34,7 +34,7 @@ from giantlike.core.errors import DataError, InputError
 from giantlike.core.processes import available_cpus, process_count
 
 PoolMaker: TypeAlias = Callable[[Workbench, int], Pool]
-"""Called with the workbench and the number of images; makes what work is handed to."""
+"""Called with the workbench and the number of images; makes the executor of the work."""
 
 
 def run_campaign(
@@ -58,18 +58,18 @@ def run_campaign(
     ----------
     campaign : Campaign
     workers : int, optional
-        Number of processes; default one per CPU, never more than images. Where there are fewer images to work on,
-        estimators of one image run at once, in no more threads altogether than these.
+        Number of processes; default one per CPU, never more than images. With fewer images, estimators of one image run
+        in parallel, in at most this number of threads in total.
     resume : bool
-        Accepted and without effect: a run always goes on with what its folder holds.
+        Accepted and without effect: a run always continues from its folder.
     bodies : bool
         Run the estimators of bodies too; without them the run ends with the attitudes (and can be continued).
     progress : callable, optional
-        Called with the name of the step, the number of images done, and of all.
+        Called with the name of the step, the number of images done, and their total.
     announce : callable, optional
-        Called with lines that say what changed, what will be done and what is kept, before it is done.
+        Called with lines on the changes, the pending work and the kept results, before the work starts.
     pool : callable, optional
-        Makes what work is handed to, from the workbench and the number of images; default: processes on this machine.
+        Makes the executor of the work, from the workbench and the number of images; default: processes on this machine.
 
     Returns
     -------
@@ -149,7 +149,7 @@ def _provenance(folder: RunFolder) -> dict[str, Any]:
 
 
 def _require_same_images(campaign: Campaign, folder: RunFolder) -> None:
-    """Raise if the folder holds the results of quite other images: a name given twice by mistake."""
+    """Raise if the folder holds the results of unrelated images: a name used twice by error."""
     known = folder.images()
     if known and not any(entry.key in known for entry in campaign.images):
         raise InputError(
@@ -194,7 +194,7 @@ def _observables_table(_: Workbench, images: list[ImageRecords]) -> Any:
 
 
 def _in_order(groups: ObservableGroups, answers: Iterator[tuple[int, Any]]) -> Iterator[Any]:
-    """Tables of groups in their order; those of which a worker died are made here."""
+    """Tables of groups in their order; tables lost with a dead worker are made here."""
     held, number = dict[int, Any](), 0
     for position, table in answers:
         held[position] = table_of(groups[position]) if table is None else table
@@ -223,4 +223,4 @@ def silent(stage: str, done: int, total: int) -> None:
 
 
 def _unheard(text: str) -> None:
-    """Tell nobody."""
+    """Ignore progress."""

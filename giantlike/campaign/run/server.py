@@ -1,4 +1,4 @@
-"""What the server that worker processes are forked from imports: all that they need."""
+"""Imports of the server process from which worker processes are forked: all modules that they need."""
 
 from importlib import import_module
 

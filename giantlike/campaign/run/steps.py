@@ -1,4 +1,4 @@
-"""Hashes of what each step of a run depends on: a result is kept as long as its hash stays the same."""
+"""Hashes of the inputs of each step of a run: a result is kept as long as its hash is unchanged."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _DIGITS = 20
 class Steps:
     """Hashes of the steps of a campaign.
 
-    What all images share is hashed once; a change of the version of the program, of a kernel or of the way in which
-    image files are read reaches every step.
+    Inputs common to all images are hashed once; a change of the version of the program, of a kernel or of the way in
+    which image files are read reaches every step.
     """
 
     def __init__(self, bench: Workbench) -> None:
@@ -69,7 +69,7 @@ class Steps:
         return digest(self._stars, sha256, self._pose(entry), limits, sorted(rejected))
 
     def attitude(self, entry: ImageEntry, sha256: str, rejected: Iterable[int], *, star_image: bool) -> str:
-        """Hash of the attitude of an image, before those of its neighbors are carried to it."""
+        """Hash of the attitude of an image, before attitudes of its neighbors are propagated to it."""
         if star_image and self._stars:
             return digest(self._stars, sha256, self._pose(entry), sorted(rejected))
         return digest(self._apriori, sha256, self._pose(entry))
@@ -77,7 +77,7 @@ class Steps:
     def observation(
         self, entry: ImageEntry, sha256: str, target: str, estimator: str, attitude: Attitude | None
     ) -> str:
-        """Hash of the result of one estimator, or of what is known of a target beforehand."""
+        """Hash of the result of one estimator, or of the a priori record of a target."""
         known = self._geometry.get(entry.key)
         row = None if known is None else known.targets.get(target)
         row = None if row is None else dataclasses.replace(row, file="", line=0, epoch=None)
@@ -85,7 +85,7 @@ class Steps:
         return digest(self._targets[target], sha256, self._pose(entry), row, estimator, options, attitude)
 
     def _pose(self, entry: ImageEntry) -> str:
-        """Hash of what the geometry table says of an image, whatever its targets."""
+        """Hash of the row of the geometry table for an image, for all targets."""
         known = self._geometry.get(entry.key)
         return "" if known is None else digest(dataclasses.replace(known, targets={}))
 

@@ -34,17 +34,17 @@ class ImageJob:
     ----------
     entry : ImageEntry
     camera : Camera or None
-        The calibrated camera; None: that of the campaign.
+        The calibrated camera; None: the camera of the campaign.
     rejected : frozenset of int
-        Stars that a person took out.
+        Stars that a user rejected.
     solve : bool
-        The attitude is to be found; otherwise it is given.
+        The attitude is to be estimated; otherwise it is given.
     attitude : Attitude or None
-        For the estimators: the one to use or, where it is to be found, that of which results are kept.
+        For the estimators: the one to use or, where it is to be estimated, the one that the kept results used.
     bodies : tuple of (str, str)
         Targets and estimators to run.
     bodies_if_turned : tuple of (str, str)
-        Those to run only if the attitude comes out other than ``attitude``.
+        Those to run only if the estimated attitude differs from ``attitude``.
     """
 
     entry: ImageEntry
@@ -58,12 +58,12 @@ class ImageJob:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageAnswer:
-    """What was found in an image.
+    """Results of an image.
 
     Parameters
     ----------
     attitude : PackedRecord of AttitudeRecord, or None
-        None if it was not to be found.
+        None if it was not to be estimated.
     bodies : list of PackedRecord of ObservationRecord or TargetRecord
     """
 
@@ -78,7 +78,7 @@ class ImageAnswer:
 
 
 def process_image(bench: Workbench, job: ImageJob) -> ImageAnswer:
-    """Read an image, solve its stars if that is asked for, and run the estimators on it."""
+    """Read an image, solve its stars if requested, and run the estimators on it."""
     start = time.perf_counter()
     opened = attempt(_opened, bench, job)
     record, attitude, work = None, job.attitude, job.bodies
@@ -148,7 +148,7 @@ def failed_image(campaign: Campaign, entry: ImageEntry, problem: Problem) -> Att
 
 
 def _unsolved(campaign: Campaign, entry: ImageEntry, known: Image | ImageGeometry | None) -> AttitudeRecord:
-    """Record of an image before its attitude, of what is known of its exposure."""
+    """Record of an image before its attitude, with the known data of its exposure."""
     epoch, exposure_s = (None, None) if known is None else (known.epoch, known.exposure_s)
     return AttitudeRecord(
         index=entry.index,
@@ -202,7 +202,7 @@ def _notes(campaign: Campaign, prepared: PreparedImage) -> list[str]:
 
 
 def _from_stars(record: AttitudeRecord, navigation: StarNavigation, image: Image) -> AttitudeRecord:
-    """Record with what the stars of an image give."""
+    """Record with the results from the stars of an image."""
     detections, fix = navigation.detect_and_solve(image)
     if isinstance(detections, Failure):
         return record.replace(problem=Problem.of(detections))

@@ -1,4 +1,4 @@
-"""What differs between the inputs of two runs."""
+"""Differences between the inputs of two runs."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Names of the inputs that differ, dotted down to what changed within tables.
+    """Names of the inputs that differ, dotted for changes within tables.
 
     Examples
     --------

@@ -1,8 +1,8 @@
 """The results of a run in one SQLite file: a row for each image, and for each image, step, target and estimator.
 
-While a run writes, the file is in WAL mode: every record is a transaction of its own, a kill at any moment loses the
-records in flight and nothing else, and any number of readers see the state of the last transaction. At the end of a run
-the log is written back, so that what stays is a plain file that can be copied and read from read-only media.
+While a run writes, the file is in WAL mode: every record is a separate transaction, a kill loses only the records in
+flight, and any number of readers see the state of the last transaction. At the end of a run the log is written back,
+which leaves a plain file that can be copied and read from read-only media.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import TypeAlias, TypeVar
 from giantlike.core.errors import DataError
 
 Unit: TypeAlias = tuple[str, str, str, str]
-"""What a record is of: step, image, target and estimator (empty where the step has none)."""
+"""Key of a record: step, image, target and estimator (empty where the step has none)."""
 
 Content = TypeVar("Content", str, bytes)
 
@@ -62,7 +62,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class KnownImage:
-    """An image file as the run folder knows it.
+    """An image file as recorded in the run folder.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ class Database:
             connection.executemany(f"DELETE FROM records WHERE {_IS_UNIT}", units)
 
     def images(self) -> dict[str, KnownImage]:
-        """Every image that the file knows, part of the run or not, by name."""
+        """Every image in the file, part of the run or not, by name."""
         with self._connected() as connection:
             rows = connection.execute("SELECT file, stamp, sha256 FROM images")
             return {file: KnownImage(stamp or "", sha256 or "") for file, stamp, sha256 in rows}
@@ -183,14 +183,14 @@ class Database:
             )
 
     def set_image_state(self, file: str, known: KnownImage) -> None:
-        """Say what the content of an image file was when it was read."""
+        """Store the hash of an image file when it was read."""
         with self._connected(write=True) as connection:
             connection.execute(
                 "UPDATE images SET stamp = ?, sha256 = ? WHERE file = ?", (known.stamp, known.sha256, file)
             )
 
     def set_places(self, step: str, places: dict[tuple[str, str, str], int]) -> None:
-        """Say which records of a step are part of the run, and in which order those of one image come."""
+        """Store which records of a step are part of the run, and the order of the records of one image."""
         with self._connected(write=True) as connection:
             connection.execute("UPDATE records SET place = NULL WHERE step = ?", (step,))
             connection.executemany(
@@ -199,7 +199,7 @@ class Database:
             )
 
     def adopt(self, other: Database, path_here: Callable[[str], str]) -> None:
-        """Take over the images that are part of another run, with their records, after those that are here."""
+        """Append the images that are part of another run, with their records."""
         with other._connected() as source, self._connected(write=True) as connection:
             here = {file for (file,) in connection.execute("SELECT file FROM images")}
             images = source.execute(
@@ -221,7 +221,7 @@ class Database:
 
     @contextlib.contextmanager
     def _connected(self, *, write: bool = False) -> Iterator[sqlite3.Connection]:
-        """The open connection, or one for this access; what is written is one transaction."""
+        """The open connection, or one for this access; writes form one transaction."""
         with self._border(), contextlib.ExitStack() as ending:
             connection = self._open
             if connection is None:
@@ -269,7 +269,7 @@ def _one_line(error: Exception) -> str:
 
 
 def _crc(content: object) -> int | None:
-    """Check sum of text or bytes; None for what is neither."""
+    """Checksum of text or bytes; None for other types."""
     if isinstance(content, str):
         content = content.encode()
     return zlib.crc32(content) if isinstance(content, bytes) else None

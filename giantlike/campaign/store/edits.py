@@ -1,8 +1,8 @@
-"""The edit list of a run: stars, images and fixes that a person rejected or restored, with who, when and why.
+"""The edit list of a run: stars, images and fixes that a user rejected or restored, with who, when and why.
 
-``edits.jsonl`` in the run folder has a line per edit and only grows; the last word on a thing counts. Rejected images
+``edits.jsonl`` in the run folder has a line per edit and only grows; the last edit of an item counts. Rejected images
 and fixes keep their results in the store, so that they can be restored, and are failures with the reason ``rejected``
-wherever a run is read: tables, report, exports. An image of which a star is rejected is solved again.
+wherever a run is read: tables, report, exports. An image with a rejected star is solved again.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class EditList:
         return {edit.file: edit.problem for edit in self.standing if edit.what is Edited.IMAGE}
 
     def attitudes(self, records: Iterable[AttitudeRecord]) -> list[AttitudeRecord]:
-        """Attitudes as they stand after the edits."""
+        """Attitudes after the edits."""
         rejected = self.rejected_images()
         return [
             record if record.file not in rejected else _without_attitude(record, rejected[record.file])
@@ -113,7 +113,7 @@ class EditList:
         ]
 
     def bodies(self, images: Iterable[ObservationsRecord]) -> list[ObservationsRecord]:
-        """Observations as they stand after the edits."""
+        """Observations after the edits."""
         rejected, fixes = self.rejected_images(), {}
         for edit in self.standing:
             if edit.what is Edited.FIX:

@@ -14,9 +14,9 @@ from giantlike.core.causes import IN_POSITION, Cause
 from giantlike.core.values import Value
 
 _OF_THE_BODY = (Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN)
-"""Causes of one value for a body, however it is looked at: each moves both fixes at once."""
+"""Causes of one value for a body, in all images: each moves both fixes together."""
 _LEAST_SHARE = 1e-12
-"""Variance over the largest one, below which the difference is taken to have none: that of rounding."""
+"""Variance relative to the largest one, below which the difference has none but rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,7 +42,7 @@ class FixDifference(Value):
 
     @property
     def squared(self) -> float:
-        """Squared Mahalanobis distance, ``offset^T covariance^-1 offset``; of right fixes some k."""
+        """Squared Mahalanobis distance, ``offset^T covariance^-1 offset``; about k for correct fixes."""
         scale = np.maximum(self.sigma, np.finfo(float).tiny)
         values, axes = np.linalg.eigh(self.covariance / np.outer(scale, scale))
         along = axes.T @ (self.offset / scale)
@@ -56,7 +56,7 @@ class FixDifference(Value):
 
     @property
     def chance(self) -> float:
-        """Probability that right fixes differ by as much."""
+        """p-value of the difference, for correct fixes."""
         return float(chdtrc(len(self.offset), self.squared))
 
 
@@ -67,12 +67,11 @@ def difference_of(one: ObservationRecord, other: ObservationRecord) -> FixDiffer
 
     Notes
     -----
-    Camera and attitude leave a place in the image as it is, and are left out; the camera's part of a range stays in.
-    What is not known of a body, the scale of its shape, its pole and its spin, has one value for both fixes: it moves
-    the difference by the difference of their partials, ``(P1 - P2) S (P1 - P2)^T``, where the records hold partials,
-    else it counts as independent. Noise, law, markings and relief count as independent, although both fixes see the
-    same pixels: the sigma is rather too large than too small, and a difference that is too large for it means
-    something.
+    Camera and attitude do not change a position in the image, and are left out; the camera's part of a range is
+    included. Errors of the scale, the pole and the spin of a body have one value for both fixes: they change the
+    difference by the difference of their partials, ``(P1 - P2) S (P1 - P2)^T``, where the records hold partials, else
+    they count as independent. Noise, law, albedo and relief count as independent, although both fixes use the same
+    pixels: the sigma is conservative, and a difference that exceeds it is significant.
     """
     first, second = _place(one), _place(other)
     if first is None or second is None:
@@ -107,7 +106,7 @@ def _of_the_body(cause: Cause, one: ObservationRecord, other: ObservationRecord,
 
 
 def _covariance(record: ObservationRecord, size: int, without: list[Cause]) -> Float:
-    """Covariance of a place in the image by the causes that are its own."""
+    """Covariance of a position in the image from the causes specific to it."""
     if not record.parts:
         covariance = np.zeros((3, 3))
         covariance[:2, :2] = np.array(record.covariance_px2)

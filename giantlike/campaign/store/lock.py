@@ -1,4 +1,4 @@
-"""The lock of a run folder: one run at a time writes to it, and a second one is told who holds it."""
+"""Lock of a run folder: one run at a time writes to it; a second one gets an error that names the holder."""
 
 from __future__ import annotations
 

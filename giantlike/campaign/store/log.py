@@ -26,8 +26,7 @@ def log_event(folder: Path, event: str, *, level: int = logging.INFO, **values: 
 class RunLog(logging.Handler):
     """Writes the events of one run to its ``log.jsonl``; attached inside a ``with`` block.
 
-    Other handlers get what they would get without it: events below the level that the program chose for the logger
-    end in the file only.
+    Other handlers are not affected: events below the level that the program chose for the logger go to the file only.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -60,4 +59,4 @@ class RunLog(logging.Handler):
         folder = getattr(record, "run_folder", None)
         if folder == self._folder:
             self.handle(record)
-        return folder not in (None, self._folder)  # another run in this process has a filter of its own
+        return folder not in (None, self._folder)  # another run in this process has its own filter

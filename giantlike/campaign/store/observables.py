@@ -46,7 +46,7 @@ from giantlike.scene import Circumstances, TargetUncertainty
 OBSERVABLES_FILE = "observables.parquet"
 """Name of the observables file in the run folder."""
 _IMAGES_OF_A_GROUP = 256
-"""Most images of a group: with some hundred landmarks each, which are not counted, some 40 MB."""
+"""Maximum images of a group: about 40 MB with a few hundred landmarks each, which are not counted."""
 
 
 def write_run_observables(result: RunResult, path: Path | None = None, *, tables: Iterable[Any] | None = None) -> int:

@@ -84,7 +84,7 @@ class Landmarks(PlainRecord):
     observed_px, predicted_px : (n, 2) list of float, px
         Measured, and projected by the pose that they give.
     covariance_px2 : list of n (2, 2) lists, px^2
-        Of each alone: noise and the excess of the residuals over it.
+        Covariance of each alone: noise and the excess of the residuals.
     body_km : (n, 3) list of float, km, body-fixed axes
     rejected_names : (k,) list of str
         Of those looked for and not used.
@@ -104,7 +104,7 @@ class Landmarks(PlainRecord):
 
 
 class TurnRecord(PlainRecord):
-    """Turn of a body about the line of sight, and its place when it is turned.
+    """Rotation of a body about the line of sight, and its position with this rotation.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class TurnRecord(PlainRecord):
 
 
 class Residuals(PlainRecord):
-    """Residuals of a fix where they are in the image, for pictures of them.
+    """Residuals of a fix with their positions in the image, for pictures.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class Residuals(PlainRecord):
     values : (n,) list of float
         As in :class:`~giantlike.core.outcomes.CenterFix`.
     cell_px : float, px
-        0: all residuals one by one. Else each value is the mean over a square of this side around its place.
+        0: all residuals one by one. Else each value is the mean over a square of this side around its position.
     """
 
     at_px: list[Pair]
@@ -136,7 +136,7 @@ class Residuals(PlainRecord):
 
 
 class SightingRecord(PlainRecord):
-    """What was known of a target in an image beforehand, for its observables.
+    """A priori data of a target in an image, for its observables.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class SightingRecord(PlainRecord):
     origin, observer_position_km, ..., light_time_s
         As in :class:`~giantlike.scene.Circumstances`; None where unknown.
     camera_from_body_xyzw : (4,) list of float
-        Orientation when the light left, by the attitude used; scalar last.
+        Orientation at the emission time of the light, by the attitude used; scalar last.
     sun_direction_camera : (3,) list of float
         From the body to the Sun.
     scale_sigma, pole_sigma_rad, spin_sigma_rad, ephemeris_sigma_km : float

@@ -97,11 +97,11 @@ class Attitude(PlainRecord):
     covariance_rad2 : (3, 3) list of float, optional, rad^2
         Of the small rotation about the camera axes; None where unknown.
     parts : mapping of Cause to (3, 3) list of float, rad^2
-        The covariance by cause; empty where all of it is noise.
+        The covariance by cause; empty where all is noise.
     by_camera : (3, m) list of float, optional, rad per unit of each parameter of the camera model
         Derivative of the small rotation, as in :class:`~giantlike.core.outcomes.AttitudeErrors`.
     flags : list of str
-        Names of the flags that fixes made with this attitude share.
+        Names of the flags that fixes made with this attitude inherit.
     """
 
     source: str
@@ -118,7 +118,7 @@ class Attitude(PlainRecord):
 
     @property
     def errors(self) -> AttitudeErrors:
-        """Errors by cause, those shared with the camera, and flags."""
+        """Error budget, errors in common with the camera, and flags."""
         flags = Quality.NONE
         for name in self.flags:
             flags |= Quality[name.upper()]
@@ -137,7 +137,7 @@ class Attitude(PlainRecord):
 
 
 class ImageRecord(PlainRecord):
-    """Base of what one step of a run makes of an image, or of a target in it; one row in the run folder.
+    """Base of the result of one step of a run for an image, or a target in it; one row in the run folder.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ class ImageRecord(PlainRecord):
         return "", ""
 
     def light(self) -> Self:
-        """Return the record without its lists of points: what is kept in memory of thousands of images."""
+        """Return the record without its lists of points, which is kept in memory for thousands of images."""
         empty = _without_points(type(self))
         return self.model_copy(update={name: copy(value) for name, value in empty.items()})
 
@@ -184,7 +184,7 @@ def _without_points(kind: type[ImageRecord]) -> dict[str, Any]:
 
 
 class _TriedRecord(ImageRecord):
-    """Base of what a step may fail to make."""
+    """Base of the results of steps that may fail."""
 
     problem: Problem | None = None
 
@@ -210,7 +210,7 @@ class AttitudeRecord(_TriedRecord):
     star_image, body_image : bool
         True if its own stars were to be solved; True if estimators run on it.
     transferred : bool
-        True if the attitude was looked for in its neighbors in time.
+        True if the attitude was sought from its neighbors in time.
     status : str
     problem : Problem, optional
     apriori_xyzw : (4,) list of float, optional
@@ -218,7 +218,7 @@ class AttitudeRecord(_TriedRecord):
     attitude : Attitude, optional
         The result; None when failed.
     attitude_shares : dict of str to float
-        Of a transferred attitude, the star images it is made of and the share of each.
+        Of a transferred attitude, its star images and the weight of each.
     n_detected, n_matched, n_rejected, rms_px, false_match_probability : int or float, optional
         Of the star solution, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
     ra_deg, dec_deg, roll_deg, fov_deg : float, optional, deg
@@ -344,11 +344,11 @@ class ObservationRecord(_TriedRecord):
     parts : mapping of Cause to (k, k) list of float
         Covariance by cause, as in :class:`~giantlike.core.outcomes.CenterFix`.
     partials : mapping of Cause to (k, m) list of float
-        Derivatives of the place, as there.
+        Derivatives of the position, as there.
     turn : TurnRecord, optional
     landmarks : Landmarks, optional
     limb_px, limb_rejected_px : (n, 2) list of float, px
-        Limb points used, and those of the lit limb that were not.
+        Limb points used, and points of the illuminated limb that were not.
     outline_px : (n, 2) list of float, px
         Outline of a template at the fix.
     residuals : Residuals, optional
@@ -399,7 +399,7 @@ class ObservationRecord(_TriedRecord):
 
 
 class TargetView(PlainRecord):
-    """Predicted place of a target in an image, for overlays.
+    """Predicted position of a target in an image, for overlays.
 
     Parameters
     ----------
@@ -424,13 +424,13 @@ class TargetView(PlainRecord):
 
 
 class TargetRecord(ImageRecord):
-    """What was known of a target in an image beforehand: its geometry, and its outline for the report.
+    """A priori data of a target in an image: its geometry, and its outline for the report.
 
     Parameters
     ----------
     target : str
     sighting : SightingRecord, optional
-        None if the geometry is not known.
+        None if the geometry is unknown.
     view : TargetView, optional
         None if no picture is wanted, if the target cannot be imaged, or for the reason in ``note``.
     note : str, optional

@@ -81,11 +81,11 @@ class RunResult(Pictured, Value):
         Number of images shown in the report.
     warnings : tuple of str
     time_s : float, s
-        Of the last part of the run.
+        Duration of the last part of the run.
     calibration : dict, optional
         Content of ``calibration.json``, if the campaign calibrates.
     steps : mapping of str to StepCount
-        What this run made and kept, by step; empty for a run that was read back.
+        Results computed and kept by this run, by step; empty for a run that was read back.
     """
 
     folder: Path
@@ -142,9 +142,9 @@ class RunResult(Pictured, Value):
 
     @property
     def failed_images(self) -> tuple[str, ...]:
-        """Images without an attitude, and those with a body of which no estimator made a fix.
+        """Images without an attitude, and images with a body for which no estimator made a fix.
 
-        What a person rejected is no failure.
+        Results rejected by a user are not failures.
         """
         tried = [record for record in self.observations if not _rejected(record)]
         seen = {record.file for record in tried}

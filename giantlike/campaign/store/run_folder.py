@@ -28,11 +28,11 @@ from giantlike.core.outcomes import Reason
 Record = TypeVar("Record", bound=ImageRecord)
 
 CAMERA_FILE, CALIBRATION_FILE, RESIDUALS_FILE = "camera.toml", "calibration.json", "calibration_residuals.csv"
-"""What a calibration writes into the run folder: the camera, the summary, every residual."""
+"""Files that a calibration writes into the run folder: the camera, the summary, every residual."""
 CALIBRATION_PAGE, REPORT_PAGE = "calibration.html", "report.html"
 RESULTS_FILE = "results.sqlite"
 TRANSFER = "transfer"
-"""Step whose records, attitudes from neighbors in time, stand for those of the step ``attitude``."""
+"""Step whose records, attitudes from neighbors in time, replace those of the step ``attitude``."""
 _PROVENANCE = "provenance.json"
 _PARTS = "parts"
 _TRIED_AGAIN = frozenset({Reason.UNREADABLE_IMAGE, Reason.INTERNAL_ERROR})
@@ -137,10 +137,10 @@ class RunFolder:
             raise damaged(self._results.path, error) from error
 
     def keys(self, kind: type[ImageRecord], *, step: str | None = None) -> dict[tuple[str, str, str], str]:
-        """Hashes of the records of a kind; empty for one that is to be made again whatever it depends on.
+        """Hashes of the records of a kind; empty for a record that is to be recomputed in any case.
 
-        That is so if it says that the image could not be read, or of an internal error: that may have been put right.
-        Damaged records are left out.
+        These are records of an unreadable image or an internal error, which may have been fixed. Damaged records are
+        left out.
         """
         return self._results.keys(step or kind.part) if self._results.exists() else {}
 
@@ -203,7 +203,7 @@ class RunFolder:
         return self._results.exists()
 
     def images(self) -> dict[str, KnownImage]:
-        """Every image that the folder knows, by name."""
+        """Every image in the folder, by name."""
         return self._results.images() if self._results.exists() else {}
 
     def set_images(self, images: Sequence[tuple[str, str]]) -> None:
@@ -211,15 +211,15 @@ class RunFolder:
         self._results.set_images(images)
 
     def set_image_state(self, file: str, known: KnownImage) -> None:
-        """Say what the content of an image file was when it was read."""
+        """Store the hash of an image file when it was read."""
         self._results.set_image_state(file, known)
 
     def set_places(self, kind: type[ImageRecord], places: dict[tuple[str, str, str], int]) -> None:
-        """Say which records of a kind are part of the run, and in which order those of one image come."""
+        """Store which records of a kind are part of the run, and the order of the records of one image."""
         self._results.set_places(kind.part, places)
 
     def adopt(self, other: RunFolder, path_here: Callable[[str], str]) -> None:
-        """Take over the images of another run, with their records; of images that are here already, nothing."""
+        """Add the images of another run, with their records, except images that are here already."""
         self._results.adopt(other._results, path_here)
 
     def log(self, event: str, **values: Any) -> None:

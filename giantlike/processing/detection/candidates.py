@@ -15,7 +15,7 @@ from giantlike.processing.detection.lit_pixels import connected, peaks_among
 from giantlike.processing.detection.matched_filter import FilteredImage, Image32
 from giantlike.processing.detection.options import DetectionOptions
 
-_EXTENDED_AREA = 4.0  # area over that of a star of the same peak above the threshold; no study yet
+_EXTENDED_AREA = 4.0  # area / area of a star of the same peak above the threshold; not yet studied
 _EXTENDED_AREA_MARGIN_PX = 12  # added to it, px: small areas fluctuate with the noise
 _LEAST_SIDE = 0.05  # of the peak: a neighbor below it, which noise may bring below zero, has no logarithm to rely on
 _ROWS = 64  # of the image compared with its threshold at a time
@@ -30,16 +30,16 @@ class Candidates(Value):
     peaks_px : (n, 2) int64, px
         Brightest pixel (x, y) of each.
     points_px : (n, 2) float64, px
-        Maximum of the Gaussian through that pixel and its neighbors: a star is there to some 0.03 px and its noise.
+        Maximum of the Gaussian through that pixel and its neighbors: the position of a star to about 0.03 px and noise.
     flux_dn : (n,) float64, DN
-        Of a star with that maximum.
+        Flux of a star with that maximum.
     noise_dn : (n,) float64, DN
     significance : (n,) float64
-        Peak over its noise.
+        Peak / noise.
     area_px : (n,) int64, px
-        Of the component: connected pixels above the threshold.
+        Area of the component: connected pixels above the threshold.
     extended : (n,) bool
-        True where that is far larger than a star.
+        True where the area is far larger than a star.
     plateau : (n,) bool
         True where a pixel of the peak or a neighbor is saturated.
     alone : (n,) bool

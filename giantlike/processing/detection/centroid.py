@@ -33,7 +33,7 @@ from giantlike.processing.detection.gauss_newton import fitted, last_steps, subt
 from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, PIXEL_VARIANCE_PX2, Patches, chi2_inflation
 
 _MAX_STEPS = 16  # a star that has not converged after so many gets FIT_FAILED
-_STEPS_ALONE = 4  # before neighbors are subtracted: what has not converged goes on together with what has neighbors
+_STEPS_ALONE = 4  # before neighbors are subtracted: unconverged stars continue together with those that have neighbors
 _N_UNKNOWNS = 7
 _PLANE = [3, 5, 6]  # level of the background and its slopes, of these unknowns
 _MAX_SHIFT_WIDTHS = 0.5  # a star may be so many PSF widths (and 1 px) off its peak: more is another source
@@ -104,7 +104,7 @@ def fit_stars(
         again = np.zeros(len(start), dtype=bool)
         again[near[changed[near[:, 1]], 0]] = True
         if done:
-            again &= solution.good  # what did not converge without its neighbors never will
+            again &= solution.good  # fits that did not converge without their neighbors never will
         restarted = again & ~solution.good
         which = np.flatnonzero(again if done else again | solution.unsettled)
         if not which.size:
@@ -121,7 +121,7 @@ def fit_stars(
 def windowed_shape(patches: Patches, points_px: Float, background_dn: Float, psf_sigma_px: float) -> Float:
     """Second moments along the longest and the shortest axis in a Gaussian window as wide as a star, in units of it.
 
-    Shifted by the moment of a star at the same place in its pixel, so that stars give 0.5 twice. Along a line or an
+    Corrected by the moment of a star at the same sub-pixel position, so that stars give 0.5 twice. Along a line or an
     edge it is 1, of a hot pixel 0.
 
     ``points_px`` (n, 2); ``background_dn`` (n,); returns (n, 2).
@@ -148,8 +148,8 @@ def neighbor_pairs(points_px: Float, reach_px: float) -> NDArray[np.int64]:
 class _Solution:
     """Parameters (n, 7), their covariances (n, 7, 7), chi-squares (n,), pixels used (n,), converged near the peak (n,).
 
-    Covariance and chi-square are those before the last step, a tenth of a sigma at most. ``unsettled`` (n,) are those
-    that want more steps.
+    Covariance and chi-square are from before the last step, a tenth of a sigma at most. ``unsettled`` (n,) marks stars
+    that need more steps.
     """
 
     parameters: Float
@@ -166,7 +166,7 @@ class _Solution:
         return reduced
 
     def replace(self, which: NDArray[np.integer], other: _Solution) -> None:
-        """Take over the solution of the stars of these indices (k,)."""
+        """Copy the solution of the stars of these indices (k,)."""
         for field in fields(self):
             getattr(self, field.name)[which] = getattr(other, field.name)
 

@@ -1,6 +1,6 @@
 """Common streak of the stars of an image: detection, and fits of the single streaks.
 
-A camera that rotates during the exposure turns every star into a line of one direction and length. Bright elongated
+A camera that rotates during the exposure images every star as a line of one direction and length. Bright elongated
 sources are fitted as lines; if most of them agree, the image is filtered for that line.
 """
 
@@ -21,13 +21,13 @@ from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, Patches
 from giantlike.processing.detection.streak import LineFits, Lines, fit_lines
 
 _BRIGHTEST = 24  # sources fitted to find a common streak: bounds the time
-_LEAST_AGREEING, _AGREEING_SHARE = 4, 0.6  # number and share of these sources that must agree; no study yet
+_LEAST_AGREEING, _AGREEING_SHARE = 4, 0.6  # number and fraction of these sources that must agree; not yet studied
 _AGREE_RELATIVE, _AGREE_PX = 0.15, 0.7  # largest difference of lines that agree: of their length, plus px; no study yet
 _SHORTEST_PX, _SHORTEST_WIDTHS = 2.5, 2.5  # shortest streak, px and widths of a star: below, a point fits as well
 _HALF_PATCH_PX = 32  # half side of the first patches: streaks up to about twice this length are recognized
-_QUICK_HALF_PX = 5  # half side of the patches of the quick check: the window of the moments is some 1 px wide
+_QUICK_HALF_PX = 5  # half side of the patches of the quick check: the window of the moments is about 1 px wide
 _POWER_SIGMAS = 5.0  # excess of the residual power over the noise that counts as unexplained
-_QUICK_LONG = 0.55  # elongation above which lines are fitted: points of up to 1 px width have 0.5 and less
+_QUICK_LONG = 0.55  # elongation above which lines are fitted: points of up to 1 px width have at most 0.5
 _MOMENT_SIGMAS = 3.0  # threshold of the pixels in a moment; smoothing by 1 px leaves 0.3 of the noise
 _WIDTHS = (0.5, 0.65, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5)  # trial widths across a streak, px: steps of 25 %
 _USUAL_WIDTH, _FOR_WIDTH = 1.0, 8  # first width, px, and number of streaks from which the width is estimated
@@ -101,7 +101,7 @@ def fit_streaks(patches: Patches, streak: CommonStreak, flux_dn: Float) -> LineF
 
 
 def unexplained_power(patches: Patches, fits: LineFits, shares: Float) -> Float:
-    """Share of the power of the light in each patch that its line does not explain.
+    """Fraction of the power of the signal in each patch that its line does not explain.
 
     ``shares`` (n, w, w); returns (n,), at least 0.
     """

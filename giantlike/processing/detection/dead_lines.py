@@ -8,12 +8,12 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.processing.detection.frame_lines import FrameLines
 
 _DARK = 0.5
-"""Signal over that of the darker neighbor below which a pixel may be dead: a point spread function of 0.7 px fills even
-a black line of one pixel to that."""
+"""Signal relative to the darker neighbor below which a pixel may be dead: a point spread function of 0.7 px fills even
+a black line of one pixel to this level."""
 _LEAST_SIGMAS = 16.0
-"""Signal of neighbors, standard deviations of the noise without light, from which on a pixel between them tells."""
+"""Minimum signal of neighbors, in standard deviations of the noise without light, for testing a pixel between them."""
 _LEAST_LENGTH, _LEAST_SHARE = 8, 0.9
-"""Pixels between bright neighbors that a dead line has at least, and the share of them that are dark."""
+"""Minimum number of pixels of a dead line between bright neighbors, and the minimum fraction of them that are dark."""
 
 
 def dead_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:

@@ -1,15 +1,15 @@
 """Detection of stars and other point sources in an image.
 
-1. The image is filtered with a Gaussian of the width of a star minus a box of the same sum, and the noise of the
-   result measured on a coarse grid (:func:`~giantlike.processing.detection.matched_filter.matched_filter`).
+1. The image is filtered with a Gaussian of the width of a star minus a box of the same sum, and the noise of the result
+is measured on a coarse grid (:func:`~giantlike.processing.detection.matched_filter.matched_filter`).
 2. Pixels above ``threshold_sigma`` are joined to connected components. Each local maximum of the filtered image in
-   them is a candidate; only the highest where the component is far larger than a star, or saturated.
-3. All candidates are fitted at once (:func:`~giantlike.processing.detection.centroid.fit_stars`).
-4. Flags compare area, fitted width and windowed second moments with those of a star.
+   them is a candidate; only the highest one where the component is far larger than a star, or saturated.
+3. All candidates are fitted together (:func:`~giantlike.processing.detection.centroid.fit_stars`).
+4. Flags compare area, fitted width and windowed second moments with the values of a star.
 
 This is the scheme of Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, section
 "Identifying Potential Stars in an Optical Image" (flatten, threshold in units of the noise, connected components,
-Gaussian fit), with a linear filter instead of the 5 x 5 median, which removes light of stars of its own size.
+Gaussian fit), with a linear filter instead of the 5 x 5 median, which removes light of stars of its size.
 """
 
 from __future__ import annotations
@@ -56,20 +56,21 @@ _PSF_ROUNDS = 3  # of filtering and estimating the width
 _PSF_SETTLED = 0.2  # largest last change of ln sigma: a filter off by this loses 1 % of the signal to noise
 _PSF_STARS = 50  # stars in the median width: known to 2 % if single stars are known to 10 %
 _PSF_MOST_TRIED = 1000  # sources tried to find them: bounds the time for images full of hot pixels
-_PSF_MIN_SIGNIFICANCE = 12.0  # of these stars: their widths are then known to some 10 %
-_PSF_WIDTH_PRIOR = 1.0  # standard deviation of the prior on ln sigma: hardly any, the width is to be found
+_PSF_MIN_SIGNIFICANCE = 12.0  # of these stars: their widths are then known to about 10 %
+_PSF_WIDTH_PRIOR = 1.0  # standard deviation of the prior on ln sigma: weak, the width is to be estimated
 _HOT_PIXEL_WIDTH_PX = 0.3  # single bright pixels are fitted narrower than this
 
 _LEAST_MEASURED = 100
-"""Sources measured at least: 100 bright stars give the attitude that 2,000 do to 0.0013 px (``max_sources``)."""
+"""Minimum number of measured sources: attitudes from 100 and 2,000 bright stars agree to 0.0013 px
+(``max_sources``)."""
 _GROWTH = 1.1
-"""Least growth of their number where they hold too little: bounds the number of rounds."""
+"""Minimum growth of their number where their information is too low: bounds the number of rounds."""
 
 _STREAK_MIN_SIGNIFICANCE = 8.0  # of sources that show a common streak: three sigma above the detection limit
 _STREAK_LENGTH_SIGMAS, _STREAK_LENGTH_RELATIVE = 5.0, 0.25  # largest difference from the length of the common streak
-_STREAK_UNEXPLAINED = 0.3  # share of the power left by the fitted line above which a source is no streak; no study yet
+_STREAK_UNEXPLAINED = 0.3  # fraction of unexplained power above which a source is not a streak; not yet studied
 
-_EXTENDED_WIDTH = 2.0  # width over that of a recorded star above which a source is extended
+_EXTENDED_WIDTH = 2.0  # width / width of a recorded star above which a source is extended
 _EXTENDED_WIDTH_SATURATED = 3.0  # the same for saturated sources: bright stars bloom
 _ELONGATED = 0.9  # longest axis of the windowed moments: 0.5 for a star, 1 for anything longer than the window
 _SHARP_WIDTH = 0.62  # width over the usual width of the stars of the image below which a source is sharp; no study yet
@@ -137,7 +138,7 @@ def detect_in_parts(
     mask: ArrayLike | None = None,
     options: DetectionOptions,
 ) -> Iterator[Detections | Failure]:
-    """Detect sources, and measure more of them as long as more are asked for."""
+    """Detect sources, and measure more of them until ``options.information`` is reached."""
     if psf_sigma_px is not None:
         require_number(psf_sigma_px, "psf_sigma_px", least=0.0)
     frame = frame_of(pixels, mask, detector, options)
@@ -179,7 +180,7 @@ def detect_in_parts(
 def _search(
     frame: Frame, psf_sigma_px: float | None, options: DetectionOptions
 ) -> tuple[float, FilteredImage, Candidates]:
-    """Search with the given width of the PSF or, without one, that of the sources of the image."""
+    """Search with the given width of the PSF or, without one, with the width of the sources of the image."""
     if psf_sigma_px is not None:
         psf = max(psf_sigma_px, MIN_PSF_SIGMA_PX)
         return psf, *_search_with(frame, psf, options)
@@ -257,11 +258,11 @@ def _half_patch_px(psf_sigma_px: float) -> int:
 def _measure_enough(
     frame: Frame, found: Candidates, psf_sigma_px: float, noise_dn: float, information: float
 ) -> Detections:
-    """Measure the most significant candidates until those that are stars hold that share of the information."""
+    """Measure the most significant candidates until the stars have the required fraction of the information."""
     gain = frame.detector.gain_e_per_dn
     variance = _expected_variance_px2(found.significance, found.flux_dn, psf_sigma_px, gain)
     worth = np.where(found.extended | found.plateau, 0.0, 1.0 / variance)
-    beyond = np.append(np.cumsum(worth[::-1])[::-1], 0.0)  # what those from the n-th on hold
+    beyond = np.append(np.cumsum(worth[::-1])[::-1], 0.0)  # sum from the n-th on
     least, known = (1.0 - information) * beyond[0], 0
     measured: Detections | None = None
     while True:
@@ -449,7 +450,7 @@ def _combined_flags(masks: Mapping[DetectionFlag, ArrayLike]) -> NDArray[np.uint
 def _usual_width_px(fits: StarFits, compact: Mask, psf_sigma_px: float) -> float:
     """Median width, px, of the stars of the image, at most that of the PSF.
 
-    Stars sharper than the given PSF must not be taken for hot pixels.
+    Stars sharper than the given PSF must not be mistaken for hot pixels.
     """
     brightest = np.argsort(-np.where(compact & fits.converged, fits.flux_dn, -np.inf))[:_PSF_STARS]
     widths = fits.width_px[brightest][(compact & fits.converged)[brightest]]

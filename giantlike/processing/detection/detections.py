@@ -28,9 +28,9 @@ class DetectionFlag(enum.IntFlag):
     SHARP = 16
     """Narrower than the PSF: a hot pixel or a cosmic ray."""
     BLENDED = 32
-    """Another detection lies so close that the two fits share pixels."""
+    """Another detection lies so close that the two fits have common pixels."""
     FIT_FAILED = 64
-    """The fit did not converge near the peak; the position is that of the peak, with a wide covariance."""
+    """The fit did not converge near the peak; the position is the peak, with a wide covariance."""
     COSMIC_RAY = 128
     """The track of a charged particle: light in a few pixels, unlike a point through the PSF."""
     HOT_PIXEL = 256
@@ -92,8 +92,8 @@ class Detections(Value):
     flux_dn : (n,) float64, DN
         Integral of the fitted Gaussian.
     snr : (n,) float64
-        That of a matched filter: ``flux / (noise * 2 sqrt(pi) sigma)`` with the noise at the source and the recorded
-        width of a star, ``sigma^2 = psf_sigma_px^2 + 1/12``.
+        Signal-to-noise ratio of a matched filter: ``flux / (noise * 2 sqrt(pi) sigma)`` with the noise at the source
+        and the recorded width of a star, ``sigma^2 = psf_sigma_px^2 + 1/12``.
     peak_dn : (n,) float64, DN
         Brightest pixel of the core above background.
     area_px : (n,) int64, px
@@ -101,7 +101,7 @@ class Detections(Value):
     background_dn : (n,) float64, DN
         Level under the source, from the fit.
     width_px : (n,) float64, px
-        Fitted standard deviation of the source before the pixels integrate it; that of a star is ``psf_sigma_px``.
+        Fitted standard deviation of the source before the pixels integrate it; ``psf_sigma_px`` for a star.
     flags : (n,) uint16
         Combinations of :class:`DetectionFlag`.
     psf_sigma_px : float, px
@@ -115,7 +115,7 @@ class Detections(Value):
         Standard deviation of half the length.
     moments : (n, 2) float64, optional
         Second moments along the longest and the shortest axis in a Gaussian window as wide as a star, in units of the
-        window's, 0.5 of a star; None where streaks were fitted.
+        window's; 0.5 for a star; None where streaks were fitted.
     left_out : UnmeasuredSources, optional
         Sources found that ``DetectionOptions.information`` left unmeasured; None where all were measured.
     """

@@ -15,7 +15,7 @@ from giantlike.core.values import Value
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameLines(Value):
-    """A frame without its bias, and what its rows and columns hold.
+    """A frame without its bias, and maxima and means of its rows and columns.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class FrameLines(Value):
         Of the first and the second half of each row.
     across_largest_dn : (columns,) float64, DN
     across_means_dn : (2, columns) float64, DN
-        The same of columns.
+        As above, for columns.
     """
 
     light_dn: Float
@@ -76,7 +76,7 @@ def _add(
     across_largest: Float,
     across_sums: Float,
 ) -> None:
-    """Fill in light, and largest values and sums of rows and columns, in place of zeros and minus infinities."""
+    """Fill in the signal, and maxima and sums of rows and columns, in place of zeros and minus infinities."""
     rows, columns = pixels.shape
     for row in range(rows):
         line, column_sums = light[row], across_sums[0 if row < rows // 2 else 1]

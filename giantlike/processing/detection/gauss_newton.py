@@ -1,4 +1,4 @@
-"""Gaussians and their pixels, one star after the other, compiled: least squares, and what flags ask of the pixels."""
+"""Numba kernels for Gaussians and their pixels, star by star: least squares, and pixel statistics for flags."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX
 
 _CONVERGED_PX = 1e-4  # last step: a hundredth of the best centroid error of a bright star
 _CONVERGED_SIGMAS = 0.35  # last step over its error: the next is a fifth of it, 0.5 % of the variance
-_CONVERGED_FLUX = 0.02  # the same over the flux, where that is more: the covariance is that before it
-_CONVERGED_WIDTH = 0.05  # the same of ln sigma: flags ask for widths off by a third
+_CONVERGED_FLUX = 0.02  # as above, relative to the flux, where that is larger: the covariance is from before it
+_CONVERGED_WIDTH = 0.05  # as above, for ln sigma: flags test for width errors of a third
 _REGULAR_PX, _REGULAR_PLANE = 1e-6, 1e-12
-"""Information added, of places and flux and of the plane, so that a star without pixels has a regular matrix."""
-_LOG_WIDTH_LIMIT = math.log(4.0)  # largest change of ln sigma from that of the PSF: flags need no more than a factor 3
+"""Information added on positions and flux, and on the plane, so that a star without pixels has a regular matrix."""
+_LOG_WIDTH_LIMIT = math.log(4.0)  # largest change of ln sigma from the PSF: flags need no more than a factor 3
 _LEAST_LOG_WIDTH = math.log(0.6 * MIN_PSF_SIGMA_PX)
 _ROOT_2, _ROOT_PI = math.sqrt(2.0), math.sqrt(math.pi)
 
@@ -41,8 +41,8 @@ def fitted(
     ``values_dn``, ``valid``, ``saturated`` (n, w, w); ``variance_dn2`` (n,); ``corner_px`` (n, 2); ``start`` (n, 7), x,
     y, flux, background, ln sigma, slopes of the background along x and y; ``log_psf``, ``width_prior``: mean and
     standard deviation of ln sigma a priori; returns ``parameters`` (n, 7); ``covariance`` (n, 7, 7), before the last
-    step, which is a third of a sigma at most, not finite where the matrix is singular; ``chi2`` (n,); ``count`` (n,);
-    ``settled`` (n,), False for stars that want more steps.
+    step, which is a third of a sigma at most; not finite where the matrix is singular; ``chi2`` (n,); ``count`` (n,);
+    ``settled`` (n,), False for stars that need more steps.
     """
     n, size = values_dn.shape[0], values_dn.shape[1]
     parameters, covariances = start.copy(), np.empty((n, 7, 7))
@@ -110,9 +110,9 @@ def last_steps(steps: Float, parameters: Float, covariance: Float, reduced_chi2:
 
 @compiled
 def subtract(values_dn: Float, corner_px: NDArray[np.int64], stars: NDArray[np.int64], neighbors: Float) -> None:
-    """Take the light of neighbors off the pixels of stars.
+    """Subtract neighbors from the pixels of stars.
 
-    ``values_dn`` (n, w, w); ``corner_px`` (n, 2); ``stars`` (m,); ``neighbors`` (m, 7), parameters of the other.
+    ``values_dn`` (n, w, w); ``corner_px`` (n, 2); ``stars`` (m,); ``neighbors`` (m, 7), parameters of the neighbors.
     """
     size = values_dn.shape[1]
     columns, rows = np.empty((size, 3)), np.empty((size, 3))
@@ -221,7 +221,7 @@ def windowed_moments(
 
 @compiled
 def _add_moments(light: float, x: float, y: float, sums: Float) -> None:
-    """Add light at a place to sums (4,) of it times 1, xx, yy and xy."""
+    """Add the signal at a position to sums (4,) of it times 1, xx, yy and xy."""
     sums[0] += light
     sums[1] += light * x * x
     sums[2] += light * y * y
@@ -230,7 +230,7 @@ def _add_moments(light: float, x: float, y: float, sums: Float) -> None:
 
 @compiled
 def _shares(offset: float, log_width: float, result: Float) -> None:
-    """Share (w, 3) of the light in each pixel along one axis, and its derivatives by place and ln sigma."""
+    """Fraction (w, 3) of the flux in each pixel along one axis, and its derivatives by position and ln sigma."""
     scale = math.exp(-log_width) / _ROOT_2
     u = (offset - 0.5) * scale
     below, bell = math.erf(u), math.exp(-u * u) / _ROOT_PI

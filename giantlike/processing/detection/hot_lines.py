@@ -1,4 +1,4 @@
-"""Rows and columns of a detector with charge that is no light, found in the image: optics draw no line as sharp."""
+"""Hot rows and columns of a detector, found in the image as lines sharper than the point spread function."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from giantlike.processing.detection.dead_lines import whole_lines
 from giantlike.processing.detection.frame_lines import FrameLines
 
 _REACH = 3
-"""Lines on either side whose median is what a line would hold: it follows slopes and edges, which light falls along."""
+"""Number of lines on either side whose median predicts a line: it follows gradients and edges of the signal."""
 _LEAST_SIGMAS = 2.0
-"""Excess over its neighbors, standard deviations of the noise without light, that a hot line has at least: less is
+"""Minimum excess of a hot line over its neighbors, in standard deviations of the noise without light: a smaller one is
 hidden by the noise of each pixel, and all lines of a detector differ a little."""
 _SHARE = 0.7
-"""Share of the pixels of a hot part with at least half of its excess: 84 % of those with noise of half of the excess,
-and none of a line that a few stars make bright."""
+"""Minimum fraction of the pixels of a hot part with at least half of its excess: 84 % of them reach it with noise of
+half of the excess, none of a line with a few bright stars."""
 _BLEED = 0.2
-"""Excess of the lines next to a hot one over those one farther, over its own, at most: optics of 0.5 px leave 0.3.
-Smear below a bright body (Hayabusa2, 20151203_000006) has peaks as narrow, of 0.8."""
+"""Maximum excess of the lines next to a hot one over those one farther, relative to its own: a PSF of 0.5 px gives 0.3.
+Smear below a bright body (Hayabusa2, 20151203_000006) has equally narrow peaks, of 0.8."""
 _WIDEST = 2
 """Hot lines side by side, at most: optics of 0.6 px and more spread a line over three."""
 _LEAST_LENGTH = 16
-"""Pixels of half a line, at least: fewer have no median that stands out of the noise."""
+"""Minimum pixels of half a line: with fewer, the median is too noisy."""
 _MOST = 0.1
 """Share of all lines beyond which they are a pattern of the image, not defects."""
 
@@ -35,8 +35,8 @@ def hot_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:
 
     Notes
     -----
-    Lines of mean brightness that stands out are looked at pixel by pixel. More than two hot lines side by side are not
-    found, nor are those that are hot over less than half of half a frame.
+    Lines whose mean brightness is an outlier are tested pixel by pixel. More than two adjacent hot lines are not found,
+    nor are lines that are hot over less than half of half a frame.
     """
     rows, columns = (_hot_rows(image, noise_dn) for image in (frame, frame.turned))
     return whole_lines(frame.light_dn.shape, rows, columns)
@@ -66,7 +66,7 @@ def _hot_in(image: Float, mean: Float, noise_dn: float) -> np.ndarray:
 
 
 def _is_sharp(image: Float, group: np.ndarray, level: dict[int, float]) -> bool:
-    """Tell whether the rows next to a group are no brighter than those one farther, but for a share of its excess."""
+    """True if the rows next to a group exceed those one farther by no more than a fraction of its excess."""
     first, last = int(group[0]), int(group[-1])
     near, far = (image[first - step] + image[last + step] for step in (1, 2))
     return float(np.median(near - far)) < 2.0 * _BLEED * min(level[int(row)] for row in group)

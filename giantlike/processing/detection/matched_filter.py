@@ -25,7 +25,7 @@ NOISE_BOX_PX = 48
 _BOX_HALF_WIDTHS = 6.0  # half side of the background box in star widths: loses 3 % of the signal to noise
 _KERNEL_HALF_WIDTHS = 3.0  # half side of the Gaussian in star widths: 99.5 % of its sum
 _MIN_NOISE_SAMPLES = 100  # per box: the quartiles give its sigma to 12 %
-_MAX_EXCLUDED = 0.8  # share of the samples of a box near sources, above which all samples are used
+_MAX_EXCLUDED = 0.8  # fraction of the samples of a box near sources, above which all samples are used
 
 Image32 = NDArray[np.float32]
 
@@ -103,7 +103,7 @@ def matched_filter(
         response=response,
         noise_dn=grid.spread(np.maximum(sigma / response_noise, noise_floor_dn), out=around),
         response_noise=response_noise,
-        # A star as wide as the kernel, anywhere in its pixel: 1 / (4 pi width^2), less the box.
+        # A star as wide as the kernel, anywhere in its pixel: 1 / (4 pi width^2), minus the box.
         flux_per_response=1.0
         / ((1.0 / (4.0 * math.pi * width**2) if half_streak_px is None else float(np.sum(kernel**2))) - pedestal),
         width_px=width,
@@ -194,9 +194,9 @@ class NoiseGrid:
         sources_px: NDArray[np.integer],
         reach_px: int,
     ) -> Image32:
-        """Interquartile range of each box over that of a unit normal, smoothed by a 3 x 3 median.
+        """Interquartile range of each box, normalized by that of a unit normal, smoothed by a 3 x 3 median.
 
-        Bad pixels and those within ``reach_px`` of a source are excluded, unless too few remain.
+        Bad pixels and pixels within ``reach_px`` of a source are excluded, unless too few remain.
         """
         values = self.boxes(response[:: self.step, :: self.step])
         count = np.full(values.shape[:-1], values.shape[-1], dtype=np.int64)
@@ -242,7 +242,7 @@ class NoiseGrid:
 
 
 def _quartile_sigma(ordered: Image32, count: NDArray[np.int64] | np.int64) -> Image32:
-    """Interquartile range over that of a unit normal of the first ``count`` of sorted values (..., k)."""
+    """Interquartile range, normalized by that of a unit normal, of the first ``count`` of sorted values (..., k)."""
     low, high = (np.broadcast_to(count * k // 4, ordered.shape[:-1])[..., None] for k in (1, 3))
     spread = np.take_along_axis(ordered, high, axis=-1) - np.take_along_axis(ordered, low, axis=-1)
     return np.asarray(spread[..., 0] / np.float32(IQR_PER_SIGMA), dtype=np.float32)

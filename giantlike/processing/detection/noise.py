@@ -2,8 +2,8 @@
 
 Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, section "Identifying Potential
 Stars in an Optical Image", name three ways: statistics of (A) a sample of all pixels, (B) a region of the detector that
-light does not reach, (C) a local region. C is what :mod:`giantlike.processing.detection.matched_filter` measures;
-here are the others, and the noise that the model of the detector predicts.
+light does not reach, (C) a local region. :mod:`giantlike.processing.detection.matched_filter` measures C; this module
+has A, B, and the noise predicted by the model of the detector.
 """
 
 from __future__ import annotations

@@ -19,20 +19,20 @@ class DetectionOptions:
         three million exceeds it.
     max_sources : int
         Keep at most this many, the most significant ones. Default 2000: bounds the time of crowded or noisy images;
-        100 bright stars give the attitude that 2000 do to 0.0013 px.
+        the attitude from 100 bright stars is within 0.0013 px of that from 2000.
     information : float
-        Share of the information on place (the sum of 1 / sigma^2 per axis) that the measured sources must hold, in
-        (0, 1]: the most significant are measured until the rest, as far as noise tells before a fit, holds no more than
-        what is left. Sources flagged as no stars do not count. Default 1 measures all.
+        Fraction of the information on position (the sum of 1 / sigma^2 per axis) that the measured sources must have,
+        in (0, 1]: the most significant are measured until the rest, as predicted from noise before a fit, has no more
+        than the remainder. Sources flagged as not stars do not count. Default 1 measures all.
     min_area_px : int, px
         Fewer connected pixels above the limit are not a source. Default 1 keeps all: undersampled stars have one.
     max_saturated_fraction : float
-        An image with a larger share of saturated pixels is refused. Default one half: the median of such an image is
-        no background.
+        An image with a larger fraction of saturated pixels is refused. Default one half: the median of such an image is
+        not the background.
     noise : NoiseSource
         Source of the noise of a pixel. Default: the image around the pixel, which needs no calibrated detector.
     covered : (x, y, columns, rows), px, optional
-        Pixels that no light reaches, for ``NoiseSource.COVERED``.
+        Pixels shielded from light, for ``NoiseSource.COVERED``.
     streak : bool, optional
         True if the stars are trails of one direction and length, False if they are points; found from the image by
         default. With True an image without a common streak is a failure.

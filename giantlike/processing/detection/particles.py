@@ -7,13 +7,13 @@ in a pixel, is not. Two models of the pixels in the core of a source are compare
 - a few pixels: the k brightest ones hold any amount of light, all others none.
 
 Each has its weighted sum of squared residuals, and each free pixel costs ``4``, the gain of picking the highest of
-about eight noise values. The model of the star has an error of 8 % of its own light in every
-pixel (no optics are Gaussian), so that bright stars are not refused for their wings. A source is no star where the star
-leaves more than noise explains and 7 % of the power of the light (real optics leave some percent, a single pixel
-more than that from sigma = 0.5 px on), the few pixels leave less than the star, and either
+about eight noise values. The model of the star has an error of 8 % of its own light in every pixel (no optics are
+Gaussian), so that bright stars are not rejected for their wings. A source is not a star where the residuals of the star
+exceed noise and 7 % of the power of the light (real optics leave a few percent, a single pixel more than 7 % from sigma
+= 0.5 px on), the residuals of the few pixels are smaller, and either
 
-- they lie on a line: the smaller second moment of their light is at most ``0.08 + 0.3 sigma^2`` px^2, between that of
-  tracks (99th percentile: 0.14 px^2) and of stars (first percentile: 0.18, 0.24, 0.46 px^2 at sigma 0.45, 0.6, 0.8);
+- they lie on a line: the smaller second moment of their light is at most ``0.08 + 0.3 sigma^2`` px^2, between tracks
+(99th percentile: 0.14 px^2) and stars (first percentile: 0.18, 0.24, 0.46 px^2 at sigma 0.45, 0.6, 0.8);
 - or the star leaves more than a quarter of the power: crossing tracks leave about a half.
 """
 
@@ -34,10 +34,10 @@ CORE_WIDTHS = 2.0
 """Radius of the core of a source in recorded star widths, to which half a pixel is added: 86 % of the light."""
 _MODEL_ERROR = 0.08  # relative error of the star model in a pixel: no optics are Gaussian
 _PIXEL_COST = 4.0  # of a free pixel, in chi-square: the expected square of the highest of eight noise values
-_MOST_PIXELS = 12  # in which the light of a particle may be
+_MOST_PIXELS = 12  # of a particle
 _REFUSED_SIGMAS = 4.0  # excess of chi-square over its degrees of freedom, in its standard deviations
 _STAR_UNKNOWNS = 4  # x, y, flux, background
-_LEAST_POWER, _UNLIKE_POWER = 0.07, 0.25  # share of the power unexplained by a star, for lines and for other shapes
+_LEAST_POWER, _UNLIKE_POWER = 0.07, 0.25  # fraction of the power unexplained by a star, for lines and for other shapes
 _LINE_PX2, _LINE_GROWTH, _LINE_MOST_PX2 = 0.08, 0.3, 0.4  # limit of the second moment across a line, see above; px^2
 
 

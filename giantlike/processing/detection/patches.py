@@ -18,7 +18,7 @@ MIN_PSF_SIGMA_PX = 0.25
 """Narrowest point spread function fitted, px: of a narrower one more than 91 % of the light falls on one pixel, and a
 fit of its width has no gradient."""
 PIXEL_VARIANCE_PX2 = 1.0 / 12.0
-"""Second moment of a square pixel of unit side, px^2: what integration over pixels adds to that of a source."""
+"""Second moment of a square pixel of unit side, px^2, which integration over pixels adds to a source."""
 CHI2_SIGMAS = 4.0
 """Excess of a reduced chi-square over 1, in units of ``sqrt(2 / dof)``, from which on it scales a covariance:
 noise alone exceeds them once in 30,000 sources."""
@@ -201,7 +201,7 @@ def _squares(
 
 
 def pixel_shares(first: NDArray[np.integer], size: int, center: Float, width: Float) -> tuple[Float, Float, Float]:
-    """Share (n, size) of a unit Gaussian in each pixel along one axis, and its derivatives.
+    """Fraction (n, size) of a unit Gaussian in each pixel along one axis, and its derivatives.
 
     ``first`` (n,) px; ``size`` in px; ``center``, ``width`` (n,) px; returns ``share`` (n, size); ``by_center``
     (n, size) 1/px; ``by_log_width`` (n, size), by the natural logarithm of the width.
@@ -226,7 +226,7 @@ def normal_equations(jacobian: Float, residual: Float, weight: Float) -> tuple[F
 
 
 def chi2_inflation(chi2: Float, freedom: NDArray[np.integer]) -> Float:
-    """Factor (n,) on a covariance: the reduced chi-square where it exceeds what noise explains, else 1.
+    """Variance inflation factor (n,) of a covariance: the reduced chi-square where it exceeds its noise limit, else 1.
 
     ``chi2``, ``freedom`` (n,).
     """

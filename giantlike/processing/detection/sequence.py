@@ -1,6 +1,6 @@
 """Comparison of the images of a sequence: fixed pattern, hot pixels and cosmic rays.
 
-Stars move over the detector from image to image; its own pattern, hot pixels included, stays; a particle hits once.
+Stars move over the detector from image to image; its fixed pattern and hot pixels stay; a particle hits once.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from giantlike.processing.detection.detections import DetectionFlag, Detections
 from giantlike.processing.detection.frame import saturation_of
 from giantlike.processing.detection.options import DetectionOptions
 
-_MOST_IMAGES = 25  # in a pattern: its noise is a quarter of that of an image
+_MOST_IMAGES = 25  # in a pattern: its noise is a quarter of the noise of an image
 _STRIP_PX = 1 << 22  # pixels of all images in memory for a median: 16 MB
 _SEARCHED = 3  # images searched for sources that stay at their pixels
 _BRIGHTEST = 30  # sources of an image compared
 _STAY_PX = 1.0  # distance within which a source has stayed
-_STAY_SHARE = 0.5  # share of sources above which the images have one pointing
+_STAY_SHARE = 0.5  # fraction of sources above which the images have one pointing
 _HOT_SIGMAS = 8.0  # of the pattern, and DN at least: of a million normal pixels none exceeds it
 
 _VOTERS = 80  # brightest stars of an image that vote for its shift: 6,400 pairs
 _VOTE_BIN_PX = 3.0  # distance within which displacements agree: roll and distortion spread them
-_LEAST_VOTES, _LEAST_VOTE_SHARE = 5, 0.3  # number and share of the stars that must agree on a shift; no study yet
-_SAME_STAR_PX = 2.0  # distance of a star from its shifted place within which it is the same: a roll moves it too
+_LEAST_VOTES, _LEAST_VOTE_SHARE = 5, 0.3  # number and fraction of the stars that must agree on a shift; not yet studied
+_SAME_STAR_PX = 2.0  # maximum distance of a star from its shifted position: a roll moves it too
 _SAME_PIXEL_PX = 0.75  # distance within which two detections are in the same pixel
 _COMPARED = 8  # images closest in time that an image is compared with
 _SEEN_AGAIN_SNR = 8.0  # signal to noise ratio of sources that are detected again: the limit of 5 and three sigma
-_HOT_SHARE = 0.5  # share of the shifted images in which a hot pixel is found
-_CHANCES = 2  # images that must show the place of a source for it to be a cosmic ray
+_HOT_SHARE = 0.5  # fraction of the shifted images in which a hot pixel is found
+_CHANCES = 2  # images that must show the position of a source for it to be a cosmic ray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -136,16 +136,16 @@ def _staying_share(arrays: Sequence[NDArray[Any]], detector: Detector) -> float:
 
 
 def compare_sequence(detections: Sequence[Detections]) -> list[Detections]:
-    """Flag hot pixels and cosmic rays by what the other images of the sequence show.
+    """Flag hot pixels and cosmic rays by comparison with the other images of the sequence.
 
-    The shift of the stars between two images is the one shared by most pairs of bright detections; if there is none
+    The shift of the stars between two images is the one common to most pairs of bright detections; if there is none
     (another field, too few stars), sources that look like stars are not compared.
 
     - ``HOT_PIXEL``: found at the same pixel in at least half of the images that the stars have moved in, or sharper
       than a star and found there in any other image.
     - ``COSMIC_RAY``: sharper than a star and never found there again; or bright enough to be found again, and not
-      found, neither with the stars nor at its pixel, in all of at least two images that show the place. So is a
-      body that moves among the stars by more than 2 px from image to image.
+      found, neither with the stars nor at its pixel, in all of at least two images that show the position. A body that
+      moves among the stars by more than 2 px per image is flagged too.
     """
     if len(detections) < 2:
         return list(detections)
@@ -187,7 +187,7 @@ def _compared(k: int, detections: Sequence[Detections]) -> Detections:
 
 
 def _star_shift_px(here: Detections, there: Detections) -> Float | None:
-    """Shift (2,), px, from the stars of one image to those of another; None if no shift stands out."""
+    """Shift (2,), px, of the stars from one image to another; None if no shift is significant."""
     a, b = (d.points_px[d.clean][:_VOTERS] for d in (here, there))
     if min(len(a), len(b)) < _LEAST_VOTES:
         return None

@@ -1,4 +1,4 @@
-r"""Streaks: fits of the light of points that moved during the exposure, lines as wide as the point spread function.
+r"""Streaks: fits of point sources that moved during the exposure, as lines convolved with the point spread function.
 
 The model of a pixel (i, j) is
 :math:`b + s_x i + s_y j + \frac{F}{2} \int_{-1}^{1} P_x(x + t h_x)\,P_y(y + t h_y)\,dt` with the pixel shares :math:`P`
@@ -8,8 +8,8 @@ middle (x, y) is where the source was at mid-exposure. The integral is a Gauss-L
 
 Unknown per source: x, y, h_x, h_y, F, b and the slopes s of the background. The width is that of the point spread
 function and given. Levenberg-Marquardt with weights :math:`1 / (\mathrm{noise}^2 + \mathrm{light} / \mathrm{gain})`
-from the model, renewed at every step; the covariance is the inverse Fisher information, times the reduced chi-square
-where that is more than noise explains.
+from the model, updated at every step; the covariance is the inverse Fisher information, times the reduced chi-square
+where this exceeds its noise limit.
 
 The same line with a width far below a pixel is the track of a charged particle in the detector
 (:mod:`giantlike.processing.detection.particles`).
@@ -36,8 +36,8 @@ _SPARE_NODES = 4  # nodes of a line of no length
 _DAMPING_START, _DAMPING_LEAST, _DAMPING_MOST = 1e-2, 1e-6, 1e8  # relative to the diagonal of the normal matrix
 
 _LONGEST = 2.0
-"""Half length of a line over the half side of its patch: a patch is 1.4 from the middle to a corner, and of what is
-longer no end can be measured. Without it fits of bodies run away to thousands of px, whose nodes take minutes."""
+"""Maximum half length of a line, in half sides of its patch: a corner is at 1.4, and ends of longer lines cannot be
+measured. It bounds fits of bodies, which otherwise diverge to thousands of px."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,7 +123,7 @@ def _gauss_legendre(count: int) -> tuple[Float, Float]:
 
 
 def line_shares(patches: Patches, centers_px: Float, halves_px: Float, sigma_px: float) -> tuple[Float, Float]:
-    """Share of a unit line in each pixel, and its derivatives.
+    """Fraction of a unit line in each pixel, and its derivatives.
 
     ``centers_px``, ``halves_px`` (n, 2); returns ``shares`` (n, w, w); ``derivatives`` (n, 4, w, w) 1/px, by center x,
     y and half x, y.

@@ -24,7 +24,7 @@ class WindowedCentroid(Value):
     covariance_px2 : (2, 2) float64, px^2
         From the noise of the pixels alone.
     snr : float
-        Windowed flux over its standard deviation.
+        Windowed flux / standard deviation.
     """
 
     point_px: Float
@@ -38,7 +38,7 @@ def windowed_centroid(
     """Centroid under a Gaussian window that follows the source.
 
     ``values`` (rows, columns); ``variance`` (rows, columns), noise variance, in the squared unit of ``values``; returns
-    None when the iteration leaves the array, finds no positive flux or does not settle.
+    None when the iteration leaves the array, finds no positive flux or does not converge.
 
     Notes
     -----

@@ -79,11 +79,11 @@ def fit_ellipse(
     -----
     With ``xi = (x^2, 2xy, y^2, 2x, 2y, 1)``, points on the conic have ``theta . xi = 0``. Plain least squares makes
     arcs too small, because noise enters the squares. Here ``M theta = lambda N theta`` is solved, with M the mean of
-    ``w xi xi^T`` and N chosen such that the bias vanishes to second order in the noise: the mean over the points of
-    ``w s^2 (V + 2 S[xi e^T])`` less ``1/n`` times that of ``w^2 s^2 ((xi . P xi) V + 2 S[V P xi xi^T])``, where V is
+    ``w xi xi^T`` and N chosen such that the bias vanishes to second order in the noise: the mean over the points of ``w
+    s^2 (V + 2 S[xi e^T])`` minus ``1/n`` times the mean of ``w^2 s^2 ((xi . P xi) V + 2 S[V P xi xi^T])``, where V is
     the covariance of xi for unit noise, e its mean, S the symmetric part and P the pseudo-inverse of M of rank five.
     Unit weights w are K. Kanatani's HyperLS; weights ``1 / (s^2 theta . V theta)`` of the last solution reach the
-    Cramer-Rao bound. Checked by Monte Carlo in the tests, not taken over from a publication.
+    Cramer-Rao bound. Derived here and checked by Monte Carlo in the tests.
 
     Examples
     --------

@@ -113,9 +113,9 @@ def solve_pnp(
 
     Notes
     -----
-    Samples hold three points, or two where the attitude is known, for which the position is the linear solution of
-    ``u x (r + R x) = 0``, u the ray to a point x. The cost of a pose is the sum of squared distances, each limited to
-    that of a point that does not agree.
+    Samples hold three points, or two where the attitude is known, for which the position is the linear solution of ``u
+    x (r + R x) = 0``, u the ray to a point x. The cost of a pose is the sum of squared distances, each truncated at the
+    outlier limit.
 
     Errors beyond the covariances are estimated from the residuals: an isotropic variance, equal for all points, for
     which the sum of squares equals its degrees of freedom. The covariance is multiplied by ``m / (m - 2)`` for m
@@ -150,7 +150,7 @@ class _Problem(Value):
         return self.model.project(self.points @ np.swapaxes(rotations, -1, -2) + positions[:, None])
 
     def residuals(self, rotation: Rotation, position: Float) -> Float:
-        """Observed less projected pixels (n, 2) of a pose."""
+        """Observed minus projected pixels (n, 2) of a pose."""
         return np.asarray(self.pixels - self.projected(rotation.as_matrix()[None], position[None])[0])
 
     @property

@@ -18,7 +18,7 @@ from giantlike.core.arrays import Float, as_finite, as_unit, require
 from giantlike.core.outcomes import Failure, Reason
 
 MAX_SIGMA_RAD = 0.5
-"""Largest standard deviation of an attitude about any axis, rad: larger errors are no small rotations."""
+"""Largest standard deviation of an attitude about any axis, rad: larger errors are not small rotations."""
 
 _NEWTON_STEPS = 30  # bound; Newton's method stops at the rounding of float64
 
@@ -105,8 +105,8 @@ def _esoq2(profile: Float) -> Rotation:
 
     With t the trace of B, S = B + B^T and z its antisymmetric part, ``K q = l q`` for ``q = (e sin, cos)`` of half the
     angle reads ``(l - t) cos = z.e sin`` and ``M e = 0``, ``M = (l - t) ((l + t) I - S) - z z^T``: the axis e is the
-    cross product of two rows of M. That fails for no rotation, so the inertial axes are first turned by half a turn
-    about that of their axes which leaves the largest angle: the one of the smallest trace.
+    cross product of two rows of M. This fails for the identity, so the inertial axes are first rotated by 180 deg about
+    the coordinate axis that gives the largest angle, the smallest trace.
     """
     flips = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
     flip = flips[np.argmin(flips @ np.diag(profile))]

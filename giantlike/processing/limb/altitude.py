@@ -1,4 +1,4 @@
-"""How an error of the altitude of a limb, by haze or an atmosphere, moves its points."""
+"""Effect of an error of the altitude of a limb, by haze or an atmosphere, on its points."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from giantlike.core.arrays import Float
 _FROM_SUN_TO_TERMINATOR = 2.0
 """Change of the altitude between a limb below the Sun and one at the terminator, standard deviations of the altitude.
 
-It is higher where light comes through more of the haze. Of a sphere in haze of a vertical optical depth of 0.05
-(``giantlike.independent.hazy_sphere``, 8 views at 15 to 125 degrees of phase), told with half a scale height of
-standard deviation, horizons with one altitude for the whole limb were off along the direction of the Sun by 0.5 to 1
-scale height, and across it by 0.03.
+The limb is higher where light passes through more haze. For a sphere in haze of vertical optical depth 0.05
+(``giantlike.independent.hazy_sphere``, 8 views at phases of 15 to 125 deg), with a declared sigma of half a scale
+height, horizons of one altitude for the whole limb were in error by 0.5 to 1 scale height along the direction of the
+Sun, and by 0.03 across it.
 """
 
 
 def lifted(lift_px: Float, sights: Float, position_camera_km: Float, sun_direction_camera: Float) -> Float:
-    """Motions of the points of a limb with its altitude: all alike, and by the height of the Sun over each.
+    """Motions of the points of a limb with its altitude: uniform, and by the elevation of the Sun at each.
 
-    Of an image, points are pixels, and their motions are the changes of its light.
+    For an image, points are pixels, and motions are changes of the signal.
 
     ``lift_px`` (n,) px or DN, outward motion with one standard deviation of the altitude, or with 1 km; ``sights``
     (n, 3), camera axes, unit vectors toward the points; ``sun_direction_camera``: unit vector from body to Sun; returns

@@ -1,4 +1,4 @@
-"""Contrast across an outline at many places and sizes, compiled: sums of :mod:`giantlike.processing.limb.search`."""
+"""Numba kernels of the contrast across an outline, for :mod:`giantlike.processing.limb.search`."""
 
 from __future__ import annotations
 

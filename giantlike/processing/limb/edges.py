@@ -1,4 +1,4 @@
-"""Edges between light and dark: whole pixels found along the direction of sunlight, and what a measured edge is.
+"""Edges between light and dark: whole pixels found along the direction of sunlight, and the class of measured edges.
 
 The pixels come from :func:`scan_edges`; ``edges_partial_area`` and ``zernike`` then measure the edge in windows about
 them to a fraction of a pixel.
@@ -29,7 +29,7 @@ _SETTLED_PX, _FAR_PX = 0.65, 1.1
 More than half a pixel, so that windows do not move to and fro.
 """
 _MOVES = 3
-"""Most moves of a window: seeds lie within two pixels of their edge."""
+"""Maximum moves of a window: seeds lie within two pixels of their edge."""
 _MOST_ROWS = 1 << 31
 """Of an image: column and row of a pixel are one number of 64 bits."""
 
@@ -47,11 +47,11 @@ class EdgePoints(Value):
     normals_px : (n, 2) float64, unitless
         Unit normals, from light to dark.
     sigma_px : (n,) float64, px
-        Standard deviation along the normal: noise of the pixels, and what the method itself leaves.
+        Standard deviation along the normal: noise of the pixels, and the error of the method.
     sigma_normal_rad : (n,) float64, rad
-        Standard deviation of the direction of the normal by noise.
+        Standard deviation of the direction of the normal from noise.
     contrast_dn : (n,) float64, DN
-        Brightness across the edge, light less dark.
+        Brightness step across the edge, light minus dark.
     """
 
     pixels_px: Pixels
@@ -75,7 +75,7 @@ class EdgePoints(Value):
 def scan_edges(
     pixels_dn: Float, usable: Mask, sunlight: ArrayLike, *, threshold_dn: float, blur_sigma_px: float = 0.0
 ) -> Pixels:
-    """Find the pixels in which sunlight first meets a body, by parallel scan lines from the lit side.
+    """Find the pixels in which sunlight first meets a body, by parallel scan lines from the illuminated side.
 
     ``pixels_dn`` (rows, columns); ``sunlight`` (2,), direction (x, y) in which sunlight travels in the image; returns
     (n, 2) px, pixels (x, y), each once.

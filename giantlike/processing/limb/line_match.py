@@ -1,6 +1,6 @@
-"""Profiles of lines matched with expected ones, line after line, compiled: :func:`.scan.match_profiles` in three parts.
+"""Numba kernels that match profiles of lines with expected ones: :func:`.scan.match_profiles` in three parts.
 
-Between the parts the brightness of all lines becomes noise, and their slopes what is known of slopes.
+Between the parts, the noise follows from the brightness of all lines, and the prior of slopes from their slopes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ One or four change ``limb_matching`` by up to 0.13 sigma (``benchmarks/sensitivi
 """
 _DARK = 1e-100  # root of the information on a slope below which the expected profile is dark
 _FLAT = 1e-9  # spread of the values of a window over their size, below which it is flat
-_HELD = 1e12  # information over that of a line: holds a slope at zero
+_HELD = 1e12  # information relative to a line's: fixes a slope at zero
 _COLUMNS = 4  # of a match: profile, offset, outward shift, slope
 
 
@@ -40,9 +40,9 @@ def started(
     least: int,
     core: int,
 ) -> tuple[Indices, Float, Float, Float, Float, Mask, Mask]:
-    """Find where the expected profile of each line correlates best, or start from a given place.
+    """Find the shift of best correlation with the expected profile of each line, or start from a given one.
 
-    ``values`` (n, m) DN; ``usable``, ``expected`` (n, m); ``about_px`` (n,), NaN for where the correlation is best;
+    ``values`` (n, m) DN; ``usable``, ``expected`` (n, m); ``about_px`` (n,), NaN for the best correlation;
     returns ``lag`` (n,); ``shift_px`` (n,); ``best``, ``rival`` (n,), -1 where there is none; ``light_dn`` (n, w);
     ``used`` (n, w); ``complete`` (n,).
     """
@@ -119,11 +119,11 @@ def refined(
     half: int,
     most: int,
 ) -> tuple[Float, Float, Float, Float]:
-    """Shift each line to its best place by linear steps, and fit it there with its slope left free.
+    """Shift each line to its best position by linear steps, and fit it there with a free slope.
 
     ``values``, ``expected`` (n, m); ``lag`` (n,); ``shift_px`` (n,), as of :func:`started`; ``fixed`` (n,); ``weights``
-    (n, w) 1/DN^2; returns ``shift_px`` (n,); ``free`` (n, 4), gain, offset, gain times what is left of the shift, gain
-    times slope; ``slope_variance`` (n,), infinite where the expected profile is dark; ``without_slope`` (n, 2).
+    (n, w) 1/DN^2; returns ``shift_px`` (n,); ``free`` (n, 4), gain, offset, gain times the remaining shift, gain times
+    slope; ``slope_variance`` (n,), infinite where the expected profile is dark; ``without_slope`` (n, 2).
     """
     n, middle, width = len(values), values.shape[1] // 2, 2 * half + 1
     shifts, free, variance, without = shift_px.copy(), np.empty((n, _COLUMNS)), np.full(n, np.inf), np.empty((n, 2))
@@ -168,12 +168,12 @@ def matched(
     half: int,
     most: int,
 ) -> tuple[Float, Float, Float, Float, Float, Float]:
-    """Fit each line with what is known of slopes, and find what it says of parameters that all lines share.
+    """Fit each line with the prior of slopes, and find its information on parameters common to all lines.
 
     ``values``, ``expected`` (n, m); ``others`` (n, m, c); ``lag`` (n,); ``shift_px`` (n,), as of :func:`refined`;
-    ``weights``, ``variance_dn2`` (n, w); ``stiffness`` (n,) 1/DN^2; ``correlation`` (w, w); returns ``solution``
-    (n, 4), as ``free`` of :func:`refined`; ``noise`` (n,); ``left_rms`` (n,) DN; ``taken`` (n, 4, c), what a unit of
-    each shared parameter does to the solution; ``information`` (n, c, c); ``pull`` (n, c).
+    ``weights``, ``variance_dn2`` (n, w); ``stiffness`` (n,) 1/DN^2; ``correlation`` (w, w); returns ``solution`` (n,
+    4), as ``free`` of :func:`refined`; ``noise`` (n,); ``left_rms`` (n,) DN; ``taken`` (n, 4, c), derivative of the
+    solution by each shared parameter; ``information`` (n, c, c); ``pull`` (n, c).
     """
     n, middle, width, count = len(values), values.shape[1] // 2, 2 * half + 1, others.shape[2]
     solutions, noises, rms = np.empty((n, _COLUMNS)), np.empty(n), np.empty(n)
@@ -241,7 +241,7 @@ def matched(
 
 @compiled
 def quotient(shifted: float, gain: float) -> float:
-    """Shift of a solution: gain times shift over gain; 0 where there is no gain."""
+    """Shift of a solution: (gain times shift) / gain; 0 where there is no gain."""
     shift = shifted / gain
     return shift if np.isfinite(shift) else 0.0
 
@@ -266,7 +266,7 @@ def _correlation(data: Float, target: Float, usable: Mask, least: int) -> float:
 
 @compiled
 def _cubic(steps: float) -> tuple[int, tuple[float, float, float, float]]:
-    """Whole steps and shares of four samples that move a line towards larger indices, by the cubic through them."""
+    """Whole steps and weights of four samples that shift a line towards larger indices, by cubic interpolation."""
     near = math.floor(-steps)
     t = -steps - near
     return near, (
@@ -279,7 +279,7 @@ def _cubic(steps: float) -> tuple[int, tuple[float, float, float, float]]:
 
 @compiled
 def _between(line: Float, at: int, shares: tuple[float, float, float, float]) -> float:
-    """Value of a line (m,) by shares of four samples about a place; beyond the ends it is that of the ends."""
+    """Value of a line (m,) by weights of four samples about a position; constant beyond the ends."""
     last = len(line) - 1
     result = 0.0
     for k in range(4):

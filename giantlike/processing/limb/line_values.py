@@ -13,7 +13,7 @@ from giantlike.core.compiled import compiled
 
 @compiled
 def sampled(images: Float, points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
-    """Weighted means of 4 x 4 pixels, the weights a cubic B-spline about each place.
+    """Weighted means of 4 x 4 pixels, the weights a cubic B-spline about each position.
 
     ``images`` (k, rows, columns); ``points_px``, ``normals_px`` (n, 2); ``offsets_px`` (m,); returns (k, n, m).
     """
@@ -38,7 +38,7 @@ def sampled(images: Float, points_px: Float, normals_px: Float, offsets_px: Floa
 
 @compiled
 def _taps(at: float, size: int, pixels: NDArray[np.int64], shares: Float) -> None:
-    """Fill in the four pixels about a place along an axis of so many, and their shares of a cubic B-spline."""
+    """Fill in the four pixels about a position along an axis of given size, and their cubic B-spline weights."""
     first = math.floor(at) if math.isfinite(at) else 0
     t = at - first
     s = 1.0 - t

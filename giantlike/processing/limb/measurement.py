@@ -1,4 +1,4 @@
-"""A lit limb measured in an image: its points with their errors, and the checks that all methods share."""
+"""An illuminated limb measured in an image: its points with their errors, and the checks common to all methods."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from giantlike.processing.correlated_fit import solution_gain
 from giantlike.processing.limb.view import LimbView
 
 MIN_BRIGHTNESS = 0.1
-"""Brightness of limb that is used over that of the brightest; darker limb adds hardly any information."""
+"""Minimum brightness of used limb relative to the brightest; darker limb adds hardly any information."""
 GAIN_RANGE = (0.2, 5.0)
-"""Brightness of good points over that expected, in medians of all; points outside lie on something else.
+"""Limits of brightness / expected brightness of good points, in medians of all; points outside lie on something else.
 
 The wider of the ranges that lines (0.3-3) and cells had; on images of Saturn they differ by 0.2-0.6 sigma.
 """
 UNSEEN = "masked, saturated or outside the frame"
-"""Reason of points of which the image tells nothing."""
+"""Reason of points without usable pixels."""
 SATURATED_SHARE = 0.2
 """Share of saturated pixels near a limb above which saturation is named as the reason for its failure; no study yet."""
 
@@ -70,11 +70,11 @@ class TerrainShift(Value):
     Parameters
     ----------
     shift_px : (n,) float64, px
-        Outward, of the limb with relief from the smooth one.
+        Outward shift of the limb with relief from the smooth one.
     log_odds : float
-        Logarithm of the odds that the limb is smooth, against that the map is right.
+        Logarithm of the Bayes factor of a smooth limb against the map.
     misfit : float
-        Residuals, averaged over parts of the limb, over what noise and the errors of the map come to.
+        RMS of residuals averaged over parts of the limb, normalized by noise and the errors of the map.
     name, sha256 : str
         Of the map.
     mean_km : float, km
@@ -104,36 +104,37 @@ class LimbMeasurement(Value):
     shift_px : (n,) float64, px
         Distance from the predicted limb outward to the one in the image.
     sigma_px : (n,) float64, px
-        Standard deviation of that by pixel noise.
+        Standard deviation of ``shift_px`` from pixel noise.
     keep : (n,) bool
-        Points that agree with one position.
+        Points consistent with one position.
     common_px : mapping of Cause to (n, c) float64, px
-        Shift of the points by one standard deviation of each of c independent errors that they all share: blur, law.
+        Shift of the points by one standard deviation of each of c independent errors common to all: blur, law.
     smooth_errors : tuple of SmoothError
-        Errors that are in neither of these.
+        Errors in neither of these.
     position_camera_km : (3,) float64, km, camera axes
         Position of the body for the prediction.
     relief : SmoothError or None
-        Departure of the outline from that of the body measured against.
+        Deviation of the outline from the outline of the assumed body.
     spacing_px, perimeter_px : float, px
         Length of limb for each point; length of the whole outline.
     cut_by_frame : bool
         Part of the outline lies outside the frame.
     rejected : mapping of str to int
-        Points of the lit limb that are not among the n, by reason.
+        Points of the illuminated limb that are not among the n, by reason.
     n_elsewhere : int
-        Edges measured that are no points of the limb, and points of it of which the image tells nothing: nothing is
-        wrong with a limb that bad columns hide.
+        Measured edges that are not points of the limb, and points of it without usable pixels, such as bad columns,
+        which are not outliers.
     area : (rows, columns) bool
         Pixels within reach of the limb.
     terrain : TerrainShift or None
         Relief by a height map; ``shift_px`` is without it.
     unmeasured_px : (k, 2) float64, px
-        Predicted places of the points that ``rejected`` counts.
+        Predicted positions of the points that ``rejected`` counts.
     rotation_design : (n, 3) float64, px/rad, optional
         Outward motion of the points with a small rotation of the body about the camera axes; None where not known.
     wider_px2 : float, px^2, optional
-        Variance of the blur of the limb beyond that of the camera; None where it was not measured or that is not known.
+        Variance of the blur of the limb in excess of the camera's; None where it was not measured or the camera's blur
+        is unknown.
     """
 
     predicted_px: Float
@@ -172,7 +173,7 @@ class LimbMeasurement(Value):
 
     @property
     def rejected_px(self) -> Float:
-        """Points (k, 2) of the lit limb that are not used, px: as measured, else where they were predicted."""
+        """Points (k, 2) of the illuminated limb that are not used, px: as measured, else as predicted."""
         return np.concatenate([self.seen_px[~self.keep], self.unmeasured_px])
 
     @property
@@ -187,12 +188,12 @@ class LimbMeasurement(Value):
 
     @property
     def n_offered(self) -> int:
-        """Number of points on lit limb in the frame."""
+        """Number of points on illuminated limb in the frame."""
         return self.keep.size + sum(self.rejected.values())
 
     @property
     def outline_share(self) -> float:
-        """Length of limb used over that of the whole outline, at most 1."""
+        """Length of limb used / length of the whole outline, at most 1."""
         return min(self.n_used * self.spacing_px / self.perimeter_px, 1.0)
 
     def select(self, which: NDArray[np.integer]) -> LimbMeasurement:
@@ -214,7 +215,7 @@ class LimbMeasurement(Value):
         )
 
     def smooth_covariances(self, gain: Float) -> dict[Cause, Float]:
-        """Covariances of a solution by what the points share: the common and the smooth errors.
+        """Covariances of a solution from errors correlated between points: the common and the smooth errors.
 
         ``gain`` (k, m); returns dict of Cause to (k, k).
         """
@@ -232,7 +233,7 @@ class LimbMeasurement(Value):
 
     @property
     def common_sigma_px(self) -> float:
-        """Standard deviation, root mean square over the limb, of the shift that the points have in common, px."""
+        """Standard deviation, root mean square over the limb, of the common shift of the points, px."""
         return math.sqrt(sum(float(np.mean(np.sum(px[self.keep] ** 2, axis=1))) for px in self.common_px.values()))
 
     def motion_sigma_px(self, step_km: Float) -> float:
@@ -307,7 +308,7 @@ def too_few(view: LimbView, area: Mask, good: Mask, rejected: Mapping[str, int],
 
 
 def no_lit_limb(view: LimbView, outline_px: Float, inside: Mask, position_camera_km: Float) -> Failure:
-    """Return the failure of a predicted outline of which no lit part lies in the frame.
+    """Return the failure of a predicted outline without an illuminated part in the frame.
 
     ``outline_px`` (k, 2), all around (points that the camera does not image are NaN or left out); ``inside`` (k,).
     """

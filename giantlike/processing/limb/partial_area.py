@@ -1,4 +1,4 @@
-"""Edges to a fraction of a pixel by the partial area effect: how much of each column of pixels is light."""
+"""Edges to a fraction of a pixel by the partial area effect: the illuminated fraction of each column of pixels."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def partial_area_edges(
 
     Notes
     -----
-    The method of Trujillo-Pino, derived anew with blur. The window is turned so that the edge crosses it rather along
-    its rows, light below: ``v = a + b u + c u^2``. Each column is so high that its ends see light and dark alone, even
-    through the point spread function. Its sum, less dark and over the contrast, is then the height of light in it,
-    which blur along the column does not change, and blur along the rows, like the mean over the column's width,
-    changes by c times its variance: the heights of the columns at -1, 0 and 1 are ``a + c q``, ``+- b + c`` more at the
-    sides, with ``q = sigma^2 + 1/12``. Everything but the division by the contrast is linear in the pixels, so that
-    their noise goes through by one derivative. Exact for steps; a brightness that changes within the window moves the
-    edge, by half its relative slope times the square of the half height.
+    The method of Trujillo-Pino, rederived with blur. The window is rotated so that the edge runs closer to its rows,
+    light below: ``v = a + b u + c u^2``. Each column is so high that its ends see light and dark alone, even through
+    the point spread function. Its sum, minus dark and divided by the contrast, is then the height of light in it. Blur
+    along the column does not change it; blur along the rows, like the mean over the column's width, changes it by c
+    times its variance: the heights of the columns at -1, 0 and 1 are ``a + c q``, ``+- b + c`` more at the sides, with
+    ``q = sigma^2 + 1/12``. All but the division by the contrast is linear in the pixels, so that their noise propagates
+    by one derivative. Exact for steps; a brightness that changes within the window moves the edge, by half its relative
+    slope times the square of the half height.
     """
     require(math.isfinite(blur_sigma_px) and blur_sigma_px >= 0, f"blur_sigma_px must be >= 0, got {blur_sigma_px}")
     half = math.ceil(_CLEAR_PX + _CLEAR_SIGMAS * blur_sigma_px)

@@ -1,6 +1,6 @@
-"""Limb scanning: where along lines across a predicted outline the edge in the image lies.
+"""Limb scanning: position of the edge in the image along lines across a predicted outline.
 
-Lines run along outward normals. What lies between image and prediction is found in two steps: a search for the
+Lines run along outward normals. The shift between image and prediction is found in two steps: a search for the
 whole outline at once (:mod:`giantlike.processing.limb.search`), then for each line a least-squares match of its
 profile with the profile expected there.
 """
@@ -30,19 +30,20 @@ PIXEL_VARIANCE_PX2 = 1.0 / 12.0
 _SPLINE_NOISE = 0.479365  # sum of squares of a cubic B-spline over the pixels, mean over sub-pixel phases
 _SPLINE_NOISE_VARIANCE_PX2 = 2.0 / 3.0  # of its autocorrelation, along each axis
 _RIVAL_PX, _RIVAL_CORRELATION = 2.0, 0.98
-"""Distance from the best shift, px, and correlation over the best from which another shift makes a line ambiguous.
+"""Minimum distance from the best shift, px, and correlation relative to the best, of a shift that makes a line
+ambiguous.
 
 Two pixels are the width of a usual profile; see ``benchmarks/sensitivity.py`` for the correlation.
 """
 _MODEL_ERROR = 0.02
-"""Error of the expected profile over its height: without it the dark side, where the noise is least, would rule, and
-with it whatever little light is there besides. No study yet."""
-_MEDIAN_SIGMA = 1.2533  # standard error of a median over that of a mean, of a normal distribution: sqrt(pi / 2)
-_LINES_ALIKE = 3.0  # neighboring lines that share pixels and so their errors: a profile of 4 x 4 pixels each 1.5 px
-_LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and how much wider than found slopes may scatter
+"""Relative error of the expected profile. It limits the weight of the dark side, where noise is lowest and stray light
+matters. Not yet studied."""
+_MEDIAN_SIGMA = 1.2533  # standard error of a median / that of a mean, for a normal distribution: sqrt(pi / 2)
+_LINES_ALIKE = 3.0  # neighboring lines with common pixels and so common errors: a profile of 4 x 4 pixels each 1.5 px
+_LEAST_SLOPE, _SLOPE_ROOM = 1e-3, 2.0  # of the brightness, 1/px; and the factor on the measured scatter of slopes
 _LEAST_USABLE, _CORE_PX = 0.5, 2.0
-"""Share of a window that is usable at least, and how far to both sides of the limb all of it is: two standard
-deviations of a usual edge, which hold most of what a line says about its place."""
+"""Minimum usable fraction of a window, and half width, px, about the limb that must be fully usable: two standard
+deviations of a usual edge, which hold most of the information on its position."""
 _WIDTHS_PX = np.geomspace(0.6, 4.0, 16)
 
 
@@ -76,7 +77,7 @@ class Scans(Value):
 
     @property
     def step_px(self) -> float:
-        """Distance between neighboring places, px."""
+        """Distance between neighboring positions, px."""
         return float(self.offsets_px[1] - self.offsets_px[0])
 
 
@@ -88,31 +89,31 @@ class ProfileMatch(Value):
     ----------
     complete : (n,) bool
         Values about the limb and at least half of the others are usable, and the match is of these; the other arrays
-        mean nothing where not.
+        are undefined elsewhere.
     shift_px : (n,) float64, px
         Positive outward.
     sigma_px : (n,) float64, px
-        Standard deviation of the shift by pixel noise.
+        Standard deviation of the shift from pixel noise.
     without_slope_px : (n,) float64, px
-        How much farther out the limb would lie if the slope were not freed: small where the expected brightness holds.
+        Outward change of the limb with the slope fixed: small where the expected brightness is correct.
     gain_dn : (n,) float64, DN
-        Brightness of the image over that of the expected profile.
+        Brightness of the image / that of the expected profile.
     correlation : (n,) float64
         Normalized correlation at the best shift.
     unexplained : (n,) float64
-        Root mean square of what the match leaves, over the height of the profile in the image.
+        RMS of the residuals of the match / height of the profile in the image.
     shared_px : (n, c) float64, px
-        Shift taken for a unit of each of the c parameters that all lines share.
+        Shift for a unit of each of the c parameters common to all lines.
     shared_gain : (n, c) float64
-        Gain taken for a unit of each, over the gain.
+        Relative change of gain for a unit of each.
     information : (n, c, c) float64
-        What each line says about these, its shift, gain, offset and slope left free.
+        Information of each line on these, its shift, gain, offset and slope left free.
     pull : (n, c) float64
         That information times the estimate.
     at_border : (n,) bool
-        The best shift is the largest that was allowed.
+        The best shift is at the limit of the search.
     rivalled : (n,) bool
-        Another place on the line fits as well.
+        Another position on the line fits equally well.
     """
 
     complete: Mask
@@ -132,8 +133,8 @@ class ProfileMatch(Value):
     def brightness_error_px(self, good: Mask) -> float:
         """Shift of the whole limb by a wrong reflectance law, px.
 
-        Freeing the slope of the brightness moves a limb whose brightness is not as expected by about as much. Of that
-        motion, median over the lines, what chance explains is taken off.
+        Freeing the slope of the brightness moves a limb of unexpected brightness by about as much. The part of this
+        motion (median over the lines) that noise explains is subtracted.
 
         ``good`` (n,).
         """
@@ -143,7 +144,7 @@ class ProfileMatch(Value):
 
 
 def line_offsets(reach_px: float, step_px: float) -> Float:
-    """Even places along a line, symmetric about zero and zero among them.
+    """Equidistant positions along a line, symmetric about zero and including it.
 
     Returns (m,) px.
 
@@ -162,8 +163,8 @@ def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Flo
 
     Notes
     -----
-    Values are weighted means of 4 x 4 pixels, the weights a cubic B-spline about the place: smooth in the place,
-    never beyond the pixels' range, and the same for an image and a template, so that what it blurs cancels.
+    Values are weighted means of 4 x 4 pixels with cubic B-spline weights: smooth in position, never beyond the pixels'
+    range, and the same for an image and a template, so that the added blur cancels.
     """
     require(pixels_dn.shape == usable.shape, f"pixels {pixels_dn.shape} and usable {usable.shape} differ in shape")
     places = _places(points_px, normals_px, offsets_px)
@@ -216,10 +217,10 @@ def match_profiles(
 
     Notes
     -----
-    The best multiple of the step is that of the highest normalized correlation; a least-squares fit of
-    ``gain (1 + slope u) expected(u - shift) + offset`` then gives the rest, in three linear steps. How far slopes are
-    from nothing is learnt from all lines together. Shift and noise are those of the weighted fit, the noise with the
-    correlation that sampling by a B-spline puts into it.
+    The best multiple of the step has the highest normalized correlation; a least-squares fit of ``gain (1 + slope u)
+    expected(u - shift) + offset`` then gives the rest, in three linear steps. The scatter of slopes about zero is
+    estimated from all lines together. Shift and noise are from the weighted fit; the noise includes the correlation
+    from B-spline sampling.
     """
     step = scans.step_px
     half, most = round(window_px / step), round(search_px / step)
@@ -280,7 +281,7 @@ def match_profiles(
 def edge_width_px(scans: Scans, *, variance_dn2: Callable[[Float], Float], window_px: float, search_px: float) -> float:
     """Standard deviation, px, of the Gaussian that blurs the edges on the lines, median over the lines.
 
-    All that blurs is in it: point spread, pixel (:data:`PIXEL_VARIANCE_PX2`) and sampling
+    It includes the point spread function, the pixel (:data:`PIXEL_VARIANCE_PX2`) and sampling
     (:data:`SAMPLING_VARIANCE_PX2`).
 
     ``window_px``, ``search_px`` as of :func:`match_profiles`.
@@ -297,7 +298,7 @@ def edge_width_px(scans: Scans, *, variance_dn2: Callable[[Float], Float], windo
 
 
 def _at(mask: Mask, places_px: Float) -> Mask:
-    """Values of a mask at the nearest pixels; those of the edge for places outside, False where no place is in view."""
+    """Values of a mask at the nearest pixels; edge values for positions outside, False where no position is in view."""
     rows, columns = mask.shape
     seen: Mask = np.all(np.isfinite(places_px), axis=-1)
     nearest = np.rint(np.where(seen[..., None], places_px, 0.0))
@@ -306,18 +307,17 @@ def _at(mask: Mask, places_px: Float) -> Mask:
 
 
 def _noise_correlation(offsets_px: Float) -> Float:
-    """Covariance (w, w) of values at places along a line, over the noise variance of a pixel."""
+    """Covariance (w, w) of values at positions along a line, divided by the noise variance of a pixel."""
     apart = offsets_px[:, None] - offsets_px
     result: Float = _SPLINE_NOISE**2 * np.exp(-0.5 * apart**2 / _SPLINE_NOISE_VARIANCE_PX2)
     return result
 
 
 def _stiffness(free: Float, slope_variance: Float) -> Float:
-    """Information (n,) on the slopes, 1/DN^2, that all lines together give: they are as small as most are.
+    """Prior information (n,) on the slopes, 1/DN^2, from all lines together: their typical size.
 
-    ``free`` (n, 4) are solutions with free slopes, of ``slope_variance`` (n,). What these scatter by more than noise is
-    how far slopes are from nothing: where the expected brightness holds that is little, and a slope that is free only
-    adds noise to the shift.
+    ``free`` (n, 4) are solutions with free slopes, of ``slope_variance`` (n,). Their scatter beyond noise gives the
+    size of slopes: where the expected brightness is correct it is small, and a free slope only adds noise to the shift.
     """
     told = (free[:, 0] > 0.0) & np.isfinite(slope_variance)
     if not told.any():
@@ -331,6 +331,6 @@ def _stiffness(free: Float, slope_variance: Float) -> Float:
 
 
 def _quotient(shifted: Float, gain: Float) -> Float:
-    """Shifts (n,), px, of gains times shifts; 0 where there is no gain."""
+    """Shifts (n,), px, from gains times shifts; 0 where there is no gain."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.nan_to_num(shifted / gain, posinf=0.0, neginf=0.0)

@@ -15,39 +15,39 @@ from giantlike.processing.limb.measurement import SATURATED_SHARE
 from giantlike.processing.limb.view import LimbView, PredictedLimb
 
 _COARSE_BLUR_PX = 1.0
-"""Least blur of the searched image, px: that of a half of the step, so that no limb falls between two steps."""
+"""Minimum blur of the searched image, px: half of the step, so that no limb falls between two steps."""
 _COARSE_STEP, _MAX_COARSE_STEP_PX = 0.05, 4.0
-"""First step over the radius, and the most that it may be, px."""
+"""First step / radius, and its maximum, px."""
 _FINE_STEP_PX, _LEAST_STEP_PX, _FINER = 2.0, 0.5, 4
-"""Least first step and last step, px; and how many of the next step go into one."""
+"""Minimum first step and last step, px; and the ratio of a step to the next."""
 _SKY_BLOCK = 5  # pixels along a block whose mean the level of the sky is found from: its noise is a fifth of theirs
-_WHOLE = 1.0 - 1e-5  # share of good pixels from which all of a block are good, but for rounding
-_COARSE_OFFSET_PX = 1.5  # least distance of the compared pixels from the outline: beyond the blur of a sharp limb
+_WHOLE = 1.0 - 1e-5  # fraction of good pixels from which all of a block are good, but for rounding
+_COARSE_OFFSET_PX = 1.5  # minimum distance of the compared pixels from the outline: beyond the blur of a sharp limb
 _COARSE_POINTS = 80  # that the first step needs
 _COARSE_NOISE_SIGMAS = 4.0  # brightness, in noise of the dark, that is added below contrasts: noise alone has none
 _MARGIN_PX = 8  # about the outline, for the blur
 _WIDER, _WIDEST_RANGE, _AT_BORDER = 2.75, 0.3, 0.95
-"""How much farther than declared is searched where nothing is found or only at the border of the search; at most, over
-the range; and where that border begins. What is found farther out is suspect.
+"""Factor on the declared search where nothing is found or only at its edge; its limit, relative to the range; and the
+start of that edge. Results of the wider search are suspect.
 
-With 40 px and 3 % declared, starts 80 px and 5 % off lead within 15 px of the truth, and to suspect, in 18 of 21 cases
-on Vesta, 12 on Europa (a tenth of its limb) and 21 on Jupiter. An outline that fits best at the border of that wider
-search too is on its way to something else: a terminator where the surface fills the frame.
+With 40 px and 3 % declared, starts in error by 80 px and 5 % lead within 15 px of the truth, as suspect, in 18 of 21
+cases on Vesta, 12 on Europa (a tenth of its limb) and 21 on Jupiter. A best fit at the edge of the wider search too is
+not the limb: for example a terminator where the surface fills the frame.
 """
 _NO_RANGE = 1e-6  # search of size below which there is none
-_LIGHT_SIGMAS = 5.0  # of the noise in the dark, beyond which a pixel is light
+_LIGHT_SIGMAS = 5.0  # of the noise of the sky, above which a pixel is bright
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoarseLimb(Value):
-    """Shift and size at which an outline as a whole fits an image best.
+    """Shift and size of the best fit of a whole outline to an image.
 
     Parameters
     ----------
     shift_px : (2,) float64, px
         From prediction to image.
     scale : float
-        Size in the image over that predicted.
+        Size in the image / predicted size.
     contrast : float
         Mean of (inside - outside) / (inside + outside) across the outline: 1 for a bright body before a black sky.
     """
@@ -115,7 +115,7 @@ def find_limb(
     search_range: float,
     min_contrast: float,
 ) -> tuple[Float, CoarseLimb] | Failure:
-    """Find a whole outline and the position of its body, or tell that there is none.
+    """Find a whole outline and the position of its body, or return a failure.
 
     ``search_px``, ``search_range`` as of :func:`search_limb`.
     """
@@ -143,7 +143,7 @@ def find_limb(
 
 
 def _at_border(found: CoarseLimb, search_px: float, search_range: float) -> bool:
-    """True if an outline fits best at the border of what was searched, in place or in size."""
+    """True if an outline fits best at the edge of the search, in position or in size."""
     moved = max(
         float(np.max(np.abs(found.shift_px))) / search_px, abs(found.scale - 1.0) / max(search_range, _NO_RANGE)
     )
@@ -177,7 +177,7 @@ def _around_outline(view: LimbView, outline_px: Float, search_px: float) -> tupl
 
 
 def _sky_dn(crop: Float, good: Mask) -> float:
-    """Level of the sky, DN: that of the darkest percent of blocks of pixels, whose noise hides it less than theirs."""
+    """Level of the sky, DN: the darkest percent of blocks of pixels, which have less noise than single pixels."""
     if min(crop.shape) >= _SKY_BLOCK:
         size = (crop.shape[1] // _SKY_BLOCK, crop.shape[0] // _SKY_BLOCK)
         means = cv2.resize(crop.astype(np.float32), size, interpolation=cv2.INTER_AREA)

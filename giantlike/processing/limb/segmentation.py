@@ -17,12 +17,12 @@ from giantlike.core.values import Value
 
 _CLIP_SIGMAS, _CLIP_ROUNDS = 3.0, 8  # usual clipping of bright pixels; rounds end earlier when nothing is clipped
 _NOT_THE_BODY = 1e6  # cost of an assignment that must not be
-_RIVAL_COST = 1.0  # an assignment that costs so little more is as good
+_RIVAL_COST = 1.0  # additional cost up to which an assignment is ambiguous
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Background:
-    """Level and noise of what is dark."""
+    """Level and noise of the sky background."""
 
     level_dn: float
     sigma_dn: float
@@ -73,16 +73,16 @@ class Blobs(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedBlob:
-    """Expected place, size and brightness of a body.
+    """Expected position, size and brightness of a body.
 
     Parameters
     ----------
     center_px : (2,) sequence of float, px
         Of its light.
     area_px : float
-        Lit part of its disk.
+        Illuminated part of its disk.
     flux_dn : float, DN, optional
-        Its whole light, where the camera is calibrated; NaN says nothing.
+        Its total flux, where the camera is calibrated; NaN if unknown.
     log_flux_sigma : float
         Standard deviation of the logarithm of ``flux_dn``.
     """
@@ -104,8 +104,8 @@ def otsu_threshold(values: Float, *, bins: int = 1024) -> float:
 
     Notes
     -----
-    Otsu's method: the largest ``w0 w1 (m1 - m0)^2`` over all cuts between bins, w the shares and m the means of the two
-    classes. Liounis et al. [1]_ take it to find the pixels of a target.
+    Otsu's method: the largest ``w0 w1 (m1 - m0)^2`` over all cuts between bins, w the fractions and m the means of the
+    two classes. Liounis et al. [1]_ use it to find the pixels of a target.
 
     References
     ----------
@@ -131,7 +131,7 @@ def otsu_threshold(values: Float, *, bins: int = 1024) -> float:
 
 
 def background_of(values: Float) -> Background:
-    """Level and noise of the dark among pixels (n,) of which less than half are bright.
+    """Level and noise of the sky background of pixels (n,) of which less than half are bright.
 
     Median and median absolute deviation, bright pixels clipped away.
 
@@ -181,7 +181,7 @@ def connected_blobs(pixels_dn: Float, light: Mask, *, level_dn: float = 0.0, min
 def identify_blobs(
     blobs: Blobs, expected: Sequence[ExpectedBlob], *, search_px: float, log_area_sigma: float = 0.3
 ) -> NDArray[np.int64] | Failure:
-    """Assign blobs to bodies by place, size and, where it is known, brightness.
+    """Assign blobs to bodies by position, size and, where known, brightness.
 
     Notes
     -----
@@ -215,7 +215,7 @@ def identify_blobs(
 
 
 def _assignments(blobs: Blobs, places: Float, looks: Float, search_px: float) -> dict[tuple[int, ...], float]:
-    """Assignments of blobs to bodies and what each costs, about the shift of every first pair."""
+    """Assignments of blobs to bodies and their costs, about the shift of every first pair."""
     found: dict[tuple[int, ...], float] = {}
     for body in range(len(places)):
         for blob in range(len(blobs)):
@@ -244,7 +244,7 @@ def _looks(blobs: Blobs, expected: Sequence[ExpectedBlob], log_area_sigma: float
 def _assigned(
     centroids_px: Float, places_px: Float, looks: Float, search_px: float, count: int
 ) -> tuple[tuple[int, ...] | None, float]:
-    """The cheapest assignment of blobs to bodies at given places, and its cost."""
+    """The cheapest assignment of blobs to bodies at given positions, and its cost."""
     from scipy.optimize import linear_sum_assignment
 
     distance = np.linalg.norm(centroids_px[None] - places_px[:, None], axis=-1)

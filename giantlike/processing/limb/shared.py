@@ -1,7 +1,8 @@
-"""Parameters that all lines across a limb share: how the reflectance law and the blur differ from those assumed.
+"""Parameters common to all lines across a limb: deviations of the reflectance law and the blur from the assumed ones.
 
 A wrong law or blur moves the whole limb in or out and leaves no residuals between lines, but it shows in the profile of
-every line. What lines say about it is added up, every shift left free, and taken off the shifts.
+every line. The information of all lines is summed, with every shift left free, and the estimate is subtracted from the
+shifts.
 """
 
 from __future__ import annotations
@@ -16,34 +17,35 @@ from giantlike.core.values import Value
 from giantlike.processing.limb.scan import ProfileMatch
 
 _LINES_TOGETHER = 10
-"""Neighboring lines whose errors are taken to have something in common: 15 px of limb with the usual spacing.
+"""Number of neighboring lines with correlated errors: 15 px of limb with the usual spacing.
 
-Profiles of lines share pixels over 4 px, and albedo is alike over some of that.
+Profiles of lines have common pixels over 4 px, and albedo is correlated over several times that.
 """
 
 
 _GAIN_STEPS = 4
-"""Rounds of shared parameters and gains: each takes off most of what is left of twofold gains."""
+"""Iterations of shared parameters and gains: each removes most of the remaining error, even of gains in error by a
+factor of 2."""
 _SPREAD_STEPS = 3
-"""Rounds of the estimate and of how far lines scatter about it."""
+"""Iterations of the estimate and of the scatter of lines about it."""
 _GAIN_LIMITS = (0.2, 5.0)
-"""Least and largest gain over that fitted before, as for good points of a limb."""
+"""Minimum and maximum ratio of the gain to the previous one, as for good points of a limb."""
 
 
 _SMOOTHED_LINES = 15
 """Neighboring lines over which shifts are averaged: leaves a quarter of their noise, follows the course of a limb."""
 _OWN_SIGMAS, _OWN_PX = 3.0, 0.1
-"""Sigmas of its noise, and px besides, by which a line may lie off its neighbors and still be taken for one of them."""
+"""Maximum distance of a line from its neighbors: sigmas of its noise, plus px."""
 
 _CONTRADICTED = 3.0
-"""Standard deviations above what is known before from which on that is believed less, Huber's limit: there the normal
-distribution ends. With optics of 1.2 px told 0.7 to 5 %, on 8 views, squared errors per degree of freedom are 1.0, 1.2
-and 1.6 with 2, 3 and 5, and 2.0 with all belief, which leaves a third of the blur to law, wings and size."""
+"""Distance from the prior, in standard deviations, beyond which the prior has less weight (Huber's limit). With a PSF
+of 1.2 px assumed as 0.7 px to 5 %, on 8 views, squared errors per degree of freedom are 1.0, 1.2 and 1.6 with 2, 3 and
+5, and 2.0 with the full prior, which attributes a third of the blur to law, wings and size."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SharedEstimate(Value):
-    """Estimate of the parameters that all lines share.
+    """Estimate of the parameters common to all lines.
 
     Parameters
     ----------
@@ -58,21 +60,21 @@ class SharedEstimate(Value):
 def estimate_shared(
     match: ProfileMatch, good: Mask, *, prior: Float, expected: Float, open_above: Mask
 ) -> SharedEstimate:
-    """Estimate the parameters that all lines share.
+    """Estimate the parameters common to all lines.
 
     ``good`` (n,); ``prior``, ``expected``, ``open_above`` (c,).
 
     Notes
     -----
-    What the shared parameters change is multiplied by the gain of a line, and this changes with them: a line that was
-    fitted with too little gain overstates them as much. Some rounds of both settle that.
+    The effect of the shared parameters is multiplied by the gain of a line, which depends on them: a line that was
+    fitted with too low a gain overstates them as much. Both are iterated.
 
-    The covariance comes from how the lines differ in what they say (Newey and West's estimate, which counts that
-    neighbors say the same for the same reason), not from the noise that the weights suppose. Where they differ by more
-    than that noise (albedo, relief, a point spread function of another form), what is known before counts for more.
+    The covariance follows from the scatter of the lines' estimates (Newey and West, which allows for correlated
+    neighbors), not from the noise assumed in the weights. Where the scatter exceeds that noise (albedo, relief, a point
+    spread function of another form), the prior has more weight.
 
-    What is known before of a parameter that is open above is the less believed the farther lines say it is off: its
-    information falls with the distance from 3 standard deviations on, as that of Huber's outliers.
+    The prior of a parameter without an upper bound is down-weighted where the lines disagree with it: its information
+    decreases with the distance beyond 3 standard deviations, as for Huber's outliers.
     """
     information, pull, gain_change = match.information[good], match.pull[good], match.shared_gain[good]
     spread, believed = 1.0, np.ones(len(prior))
@@ -91,7 +93,7 @@ def estimate_shared(
 def _solved(
     information: Float, pull: Float, gain_change: Float, prior: Float, expected: Float
 ) -> tuple[Float, Float, Float]:
-    """Shared parameters (c,), inverse (c, c) of all information on them, and gains (n,) over those fitted before."""
+    """Shared parameters (c,), inverse (c, c) of their information, and gains (n,) relative to the previous ones."""
     gain = np.ones(len(pull))
     for _ in range(_GAIN_STEPS):
         total = np.einsum("n,nij->ij", gain**2, information) + np.diag(prior)
@@ -115,10 +117,10 @@ def _scatter(scores: Float) -> Float:
 
 
 def smooth_places(match: ProfileMatch, good: Mask) -> Float:
-    """Places of lines by those of their neighbors, about which the next match is made.
+    """Positions of lines predicted by their neighbors, about which the next match is made.
 
-    ``good`` (n,); returns (n,) px, NaN for lines that are not good, or lie farther from their neighbors than noise
-    explains: relief.
+    ``good`` (n,); returns (n,) px, NaN for lines that are not good, or farther from their neighbors than noise explains
+    (relief).
     """
     count = min(_SMOOTHED_LINES, int(good.sum()))
     shift, sigma = match.shift_px[good], match.sigma_px[good]

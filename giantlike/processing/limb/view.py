@@ -15,12 +15,12 @@ from giantlike.core.values import Value
 from giantlike.ray_tracing import FocalPlane
 
 _PATCH_PX = 3
-"""Side of the smallest square of saturated pixels that is taken for a part of a body."""
+"""Side, px, of the smallest square of saturated pixels that is treated as part of a body."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LimbView(Value):
-    """Pixels of a body, how they were recorded, and how it is lit: all that measurements of a limb need to know.
+    """Pixels of a body, their detector and the illumination: the inputs of measurements of a limb.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class LimbView(Value):
 
     @property
     def with_clipped(self) -> Mask:
-        """Pixels (rows, columns) that are usable or clipped: a clipped one is bright, whatever it holds."""
+        """Pixels (rows, columns) that are usable or clipped: a clipped one is bright, whatever its value."""
         clipped = self.clipped
         return np.asarray(self.usable | clipped) if clipped.any() else self.usable
 
@@ -80,7 +80,7 @@ class LimbView(Value):
     def contains(self, points_px: Float, *, margin_px: float = 0.0) -> Mask:
         """Find the points that lie on the detector.
 
-        ``points_px`` (..., 2); ``margin_px``: least distance from the edge (negative for points as far outside);
+        ``points_px`` (..., 2); ``margin_px``: minimum distance from the edge (negative for points as far outside);
         returns (...).
         """
         return in_frame(points_px, self.usable.shape, margin_px=margin_px)
@@ -88,7 +88,7 @@ class LimbView(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PredictedLimb(Value):
-    """Points of a predicted limb that are lit and in the frame.
+    """Points of a predicted limb that are illuminated and in the frame.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class PredictedLimb(Value):
 def in_frame(points_px: Float, shape: tuple[int, ...], *, margin_px: float = 0.0) -> Mask:
     """Find the points that lie on the pixels of an image; NaN does not.
 
-    ``points_px`` (..., 2); ``shape``: rows and columns; ``margin_px``: least distance from the edge of the image
+    ``points_px`` (..., 2); ``shape``: rows and columns; ``margin_px``: minimum distance from the edge of the image
     (negative for points as far outside); returns (...).
     """
     low, high = margin_px - 0.5, np.array(shape[1::-1]) - 0.5 - margin_px

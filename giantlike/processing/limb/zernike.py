@@ -17,8 +17,8 @@ from giantlike.processing.limb.edges import EdgePoints, Pixels, WindowEdges, mea
 SIZES = (5, 7)
 """Sides of the windows that have kernels, px."""
 _SUBPIXELS = 101  # along a pixel, for the integrals of the kernels
-_NODES, _REACH_SIGMAS = 41, 5.0  # of the sum over the blur: a Gaussian is integrated to 1e-6
-_TABLE = np.linspace(-0.65, 0.65, 261)  # distance of the edge over the radius of the window
+_NODES, _REACH_SIGMAS = 41, 5.0  # nodes and range, sigmas, of the sum over the blur: a Gaussian is integrated to 1e-6
+_TABLE = np.linspace(-0.65, 0.65, 261)  # distance of the edge / radius of the window
 _PIXEL_AND_HOLD_PX2 = 2.0 / 12.0  # variance of the pixel, and of holding its value over its area
 _TRIALS = 32  # directions of edges in a right angle for the error of sampling
 
@@ -41,12 +41,11 @@ def zernike_edges(
     Notes
     -----
     With ``A11`` and ``A20`` the integrals of the image times ``x + iy`` and ``2 rho^2 - 1`` over the circle in the
-    window (radius ``size / 2`` px: 2.5 and 3.5), a step of height k at distance l has
-    ``|A11| = 2/3 k (1 - l^2)^(3/2)`` and ``A20 = l |A11|``; the argument of ``A11`` points to the light. The kernels
-    are these polynomials integrated over each pixel. What blurs (the point spread function, the pixel, and holding its
-    value over its area: 1/12 px^2 each) is a mean of both over l, and curvature takes a segment away; their ratio is
-    tabulated with both and inverted. What sampling leaves, which depends on where an edge crosses the pixels, is found
-    by trial on straight edges and added to ``sigma_px``.
+    window (radius ``size / 2`` px: 2.5 and 3.5), a step of height k at distance l has ``|A11| = 2/3 k (1 - l^2)^(3/2)``
+    and ``A20 = l |A11|``; the argument of ``A11`` points to the light. The kernels are these polynomials integrated
+    over each pixel. Blur (the point spread function, the pixel, and holding its value over its area: 1/12 px^2 each)
+    averages both over l, and curvature removes a segment; their ratio is tabulated with both and inverted. The sampling
+    error, which depends on where an edge crosses the pixels, is measured on straight edges and added to ``sigma_px``.
     """
     require(size in SIZES, f"size must be 5 or 7, got {size}")
     table = _table(size, round(float(blur_sigma_px), 6))
@@ -89,7 +88,7 @@ def zernike_kernels(size: int) -> tuple[NDArray[np.complex128], Float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Table(Value):
-    """Kernels, and what the ratio of the moments says: everything that depends on size and blur alone."""
+    """Kernels, and the inverted ratio of the moments: all that depends on size and blur alone."""
 
     first: NDArray[np.complex128]
     second: Float
@@ -123,7 +122,7 @@ def _table(size: int, blur_sigma_px: float) -> _Table:
     chord = np.sqrt(chord2)
     step_11 = (2.0 / 3.0) * chord**3
     step_20 = place * step_11
-    # a segment of height c (y^2 + width^2) / 2 less of light, along the chord -chord < y < chord
+    # light minus a segment of height c (y^2 + width^2) / 2, along the chord -chord < y < chord
     bent_11 = -0.5 * place * ((2.0 / 3.0) * chord**3 + 2.0 * width**2 * chord)
     inner = 2.0 * place**2 - 1.0
     bent_20 = -0.5 * (
@@ -144,7 +143,7 @@ def _table(size: int, blur_sigma_px: float) -> _Table:
 
 
 def _sampling_px(table: _Table, blur_sigma_px: float) -> float:
-    """Root mean square error, px, on straight edges without noise, over directions and places in the pixel."""
+    """Root mean square error, px, on straight edges without noise, over directions and positions in the pixel."""
     size = len(table.second)
     angles = (np.arange(_TRIALS) + 0.5) * (0.5 * np.pi / _TRIALS)
     places = np.linspace(-0.5, 0.5, 11)[:-1]
@@ -174,7 +173,7 @@ def _measured(windows: Float, table: _Table, curvature: float, variance_dn2: Cal
         distance, slope = table.distance(ratio, curvature)
         to_light = a11 / size
         height = size / np.interp(distance, _TABLE, table.height)
-        # d|A11| = Re(conj(to_light) K11) dI, and the part across it turns the normal
+        # d|A11| = Re(conj(to_light) K11) dI, and the part across it rotates the normal
         turned = np.conj(to_light)[:, None, None] * table.first
         gain = (slope / size)[:, None, None] * (table.second - ratio[:, None, None] * turned.real)
         turn = turned.imag / size[:, None, None]

@@ -32,7 +32,7 @@ class EmpiricalPsf(Value):
     Parameters
     ----------
     shares : (m, m) float64
-        Share of the light in a pixel whose center has the offset of the node from the star, rows along y.
+        Fraction of the flux in a pixel whose center has the offset of the node from the star, rows along y.
     sigma : (m, m) float64
         Standard error of each; very large without samples.
     step_px : float, px
@@ -52,7 +52,7 @@ class EmpiricalPsf(Value):
         return (len(self.shares) - 1) / 2 * self.step_px
 
     def shares_at(self, offsets_px: ArrayLike) -> Float:
-        """Interpolate the shares of pixels at offsets from a star (cubic splines).
+        """Interpolate the flux fractions of pixels at offsets from a star (cubic splines).
 
         ``offsets_px`` (..., 2); returns (...,), 0 beyond the grid.
         """

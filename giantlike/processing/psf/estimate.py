@@ -28,7 +28,7 @@ from giantlike.processing.psf.profile import N_SHAPE, SHAPE_NAMES, PsfKind, shap
 
 _N_LOCAL = 6  # unknowns of each star: x, y, flux, level and slopes of the background
 _MOST_STARS = 200  # brightest stars fitted: bounds the time
-_LEAST_SNR = 15.0  # of a star: its width is then known to some 10 %
+_LEAST_SNR = 15.0  # of a star: its width is then known to about 10 %
 _STEPS = 25  # bound for fits that do not converge
 _SETTLED = 1e-3  # last step in standard deviations
 _GAINED = 1e-6  # last relative decrease of chi-square
@@ -67,7 +67,7 @@ class PsfEstimate(Value):
         Size of the image.
     reduced_chi2 : float
     residual_power : float
-        Squared residuals over the squared light, median of the stars, noise subtracted: 0 for a perfect shape.
+        Squared residuals / squared signal, median of the stars, noise subtracted: 0 for a perfect shape.
     n_used, n_rejected : int
         Numbers of stars.
     """
