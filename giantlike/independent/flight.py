@@ -1,8 +1,8 @@
 """Flights and sightings of many spacecraft at once, by fixed steps of the classic Runge-Kutta method.
 
 The truth of a Monte Carlo of navigation filters. A spacecraft has 21 numbers: position and velocity from the Earth,
-km and km/s; rotation vector from the told to the true camera axes, rad; unmodeled acceleration, km/s^2; bias, km/s^2,
-and scale factor of the accelerometer; bias of the tangents of two angles and of the disk diameter. The last fifteen
+km and km/s; rotation vector from the assumed to the true camera axes, rad; unmodeled acceleration, km/s^2; bias,
+km/s^2, and scale factor of the accelerometer; bias of the tangents of two angles and of the disk diameter. The last fifteen
 are Ornstein-Uhlenbeck processes, drawn anew at every step with their exact transition.
 """
 
@@ -87,7 +87,7 @@ def fly_spacecraft(
 def sighted(craft: Array, told: Array, body_km: Array, radius_km: float, errors: Array) -> Array:
     """Tangents of the two angles to a body and its range (runs, 3), as a camera with biases and noise has them.
 
-    ``told`` (3, 3) takes inertial to camera axes as the spacecraft is told, ``errors`` (runs, 3) are those of the two
+    ``told`` (3, 3) takes inertial to the assumed camera axes, ``errors`` (runs, 3) are those of the two
     tangents and of the diameter of the disk at unit distance in this image.
     """
     toward = (body_km - craft[:, :3]) @ told.T

@@ -186,7 +186,7 @@ class ObservableRow:
     )
     partial_shape_scale: Sequence[float] | None = column(
         "By the size of the body, relative: a range from a size in the image is short by what the true body is larger "
-        "than the told one; null where it was not computed (no range, and no sigma declared).",
+        "than the declared one; null where it was not computed (no range, and no sigma declared).",
         "px, px, km",
         size=3,
     )

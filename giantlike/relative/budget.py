@@ -48,6 +48,8 @@ DECLARED = (Cause.POLE, Cause.SPIN, Cause.ORIENTATION)
 _LEAST_STEP_PX = 0.5
 """Minimum motion of the surface, px, for a derivative by a rotation: errors of renders and convergence, some hundredths
 of a pixel, are then a few percent of it."""
+_MOST_STEP_RAD = 0.01
+"""Largest such rotation where the declared error is smaller: up to it illumination is linear in the rotation."""
 _WORST_CONDITION = 100.0
 """Maximum condition number of an arc of an outline to separate center and radius: 30 deg of a circle have about 60, and
 a
@@ -77,7 +79,7 @@ def with_budget(
     place_per_km = place_jacobian(model, position_km)
     parts = dict(fix.parts) or {Cause.NOISE: _own_covariance(fix, place_per_km)}
     radius_px = apparent_radius_px(camera, fix.center_px, geometry.target.shape.mean_radius_km, geometry.range_km)
-    least_rad = _LEAST_STEP_PX / radius_px
+    least_rad = _least_step_rad(radius_px)
     by_body = _body_partials(fix, geometry, motion, least_rad, missing=set(Cause) - set(parts))
     if isinstance(by_body, Failure):
         return by_body
@@ -341,11 +343,11 @@ def _orientation_part(
     size = 3 if isinstance(fix, PositionFix) else 2
     part = np.zeros((size, size))
     variances, axes = np.linalg.eigh(covariance_rad2)
-    least_rad = _TURNED * math.sqrt(max(float(np.linalg.eigvalsh(fix.covariance_px2)[0]), 0.0)) / radius_px
+    least_rad = _TURNED * math.sqrt(max(float(np.linalg.eigvalsh(fix.covariance_px2)[0]), 0.0)) / max(radius_px, 1e-300)
     for sigma_rad, axis in zip(np.sqrt(np.clip(variances, 0.0, None)), axes.T, strict=True):
         if sigma_rad < least_rad:
             continue
-        step_rad = max(sigma_rad, _LEAST_STEP_PX / radius_px)
+        step_rad = max(sigma_rad, _least_step_rad(radius_px))
         turns = [Rotation.from_rotvec(sign * step_rad * axis) for sign in (1.0, -1.0)]
         plus, minus = (
             replace(
@@ -371,6 +373,11 @@ def _response(
         return ahead
     back = motion(moved[1])
     return back if isinstance(back, Failure) else -back
+
+
+def _least_step_rad(radius_px: float) -> float:
+    """Smallest rotation by which derivatives are taken."""
+    return min(_LEAST_STEP_PX / max(radius_px, 1e-300), _MOST_STEP_RAD)
 
 
 def _own_covariance(fix: CenterFix, place_per_km: Float) -> Float:

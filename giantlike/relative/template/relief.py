@@ -15,7 +15,7 @@ _LEAST_SHARE = 0.01
 """Information of a sector over the median of all, at least: sigmas ten times as large, of horns without light. With
 three times as much the same to 0.02."""
 _LEAST_SECTORS = 8
-"""Sectors, at least: five degrees of freedom beside the place, from which a spectrum is hardly told."""
+"""Sectors, at least: five degrees of freedom beside the place, from which a spectrum is hardly determined."""
 
 
 def relief_covariance(fit: LinearFit, center_px: Float, sun: Float, *, radius_px: float) -> Float:
