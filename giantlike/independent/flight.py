@@ -2,8 +2,8 @@
 
 The truth of a Monte Carlo of navigation filters. A spacecraft has 21 numbers: position and velocity from the Earth,
 km and km/s; rotation vector from the assumed to the true camera axes, rad; unmodeled acceleration, km/s^2; bias,
-km/s^2, and scale factor of the accelerometer; bias of the tangents of two angles and of the disk diameter. The last fifteen
-are Ornstein-Uhlenbeck processes, drawn anew at every step with their exact transition.
+km/s^2, and scale factor of the accelerometer; bias of the tangents of two angles and of the disk diameter. The last
+fifteen are Ornstein-Uhlenbeck processes, drawn anew at every step with their exact transition.
 """
 
 from __future__ import annotations
