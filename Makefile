@@ -19,6 +19,7 @@ check: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy giantlike tests
 	$(BIN)/lint-imports
+	$(BIN)/pytest -q tests/documentation/test_words.py
 
 docs: $(VENV)/installed-dev
 	$(BIN)/sphinx-build -q -a -W --keep-going -c docs . docs/_build/html
