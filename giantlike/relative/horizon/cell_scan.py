@@ -316,7 +316,8 @@ class CellScan(Value):
         if isinstance(cells, NoCells):
             return too_few(view, area, cells.good, cells.rejected, needed=options.min_cells)
         shared, sigmas = self._shared(first)
-        fits = cells.fits if first else cells.fits.with_ovality(ovality(arc.normals_px[cells.middles]))
+        oval = shared.vector({"ovality": 1.0}).any()
+        fits = cells.fits if not oval else cells.fits.with_ovality(ovality(arc.normals_px[cells.middles]))
         mean = shared.vector({"blur": self.nominal_psf_px2 - psf_px2})
         return CellMeasurement(
             predicted_px=arc.points_px[cells.middles],
@@ -392,9 +393,13 @@ class CellScan(Value):
         )
 
     def _shared(self, first: bool) -> tuple[Layout, Float]:
-        """Blur, the power of the law, other laws and the wings, with their a priori standard deviations."""
+        """Blur, the power of the law, other laws, wings and ovality, with their a priori standard deviations.
+
+        Ovality of declared optics only: of unknown ones the blur itself is a rough estimate.
+        """
         sigma_px2 = _UNKNOWN_PSF_SIGMA_PX2
-        if self.view.psf_sigma_px is not None:
+        known = self.view.psf_sigma_px is not None
+        if known:
             sigma_px2 = 2.0 * self.options.psf_error * max(self.nominal_psf_px2, _LEAST_VARIANCE_PX2)
         layout = Layout(
             (
@@ -402,7 +407,7 @@ class CellScan(Value):
                 ("law", Cause.REFLECTANCE, 1),
                 ("laws", Cause.REFLECTANCE, 0 if first else len(self.other_laws)),
                 ("wings", Cause.REFLECTANCE, 0 if first else len(_WING_RATIOS)),
-                ("ovality", Cause.PSF, 0 if first else 2),
+                ("ovality", Cause.PSF, 2 if known and not first else 0),
             )
         )
         law_sigma = _LAW_SIGMA if self.options.edges is EdgeModel.TEMPLATE else _STEP_LAW_SIGMA
