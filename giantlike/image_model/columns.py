@@ -245,7 +245,10 @@ class Columns(Value):
         return none if self.eliminated is None else self.eliminated.scatter
 
     def log_evidence(self, parts: float) -> float:
-        """Return the logarithm of the likelihood of the data, unknowns and field integrated out."""
+        """Return the logarithm of the likelihood of the data, unknowns and field integrated out.
+
+        ``parts``: number of independent values among the data, as errors of a model are alike over whole regions.
+        """
         share, known, sums = parts / max(int(np.count_nonzero(self.weights)), 1), self.prior, self.sums
         of_prior = known.information * known.mean
         tempered = FieldSums(

@@ -58,7 +58,7 @@ class AutoOptions:
     min_limb_px : float, px
         Minimum length of lit limb within the frame that is used.
     false_alarm : float
-        Probability that two correct estimates are classified as a disagreement.
+        Rate of false alarms of each test of a fix.
     unresolved : UnresolvedOptions
     moment : MomentOptions
     cross_correlation : CrossCorrelationOptions

@@ -52,8 +52,7 @@ _MOST_STEP_RAD = 0.01
 """Largest such rotation where the declared error is smaller: up to it illumination is linear in the rotation."""
 _WORST_CONDITION = 100.0
 """Maximum condition number of an arc of an outline to separate center and radius: 30 deg of a circle have about 60, and
-a
-shorter arc amplifies any distortion of the camera without limit."""
+a shorter arc amplifies any distortion of the camera without limit."""
 
 
 def with_budget(
@@ -367,7 +366,7 @@ def _orientation_part(
 def _response(
     moved: tuple[TargetGeometry, TargetGeometry], motion: Callable[[TargetGeometry], Float | Failure]
 ) -> Float | Failure:
-    """Motion of the position for a step of the body by one; where that fails, the negative motion for minus one."""
+    """Motion of the position with the body moved one step ahead; where that fails, minus that with one step back."""
     ahead = motion(moved[0])
     if not isinstance(ahead, Failure):
         return ahead

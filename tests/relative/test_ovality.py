@@ -52,7 +52,6 @@ def found(estimator: str, oval: float) -> PositionFix:
 
 @pytest.mark.parametrize("estimator", ["limb_matching", "ellipsoid_cra", "sigmoid_limb"])
 def test_an_oval_point_spread_function_moves_no_limb(estimator: str) -> None:
-    """Without it in their model the limbs are 0.1 to 0.3 px off."""
     fix = found(estimator, 1.4)
     error = fix.position_camera_km - TRUTH_KM
     assert not fix.flags.suspect
