@@ -20,7 +20,7 @@ SOURCES = ("giantlike", "ray_tracing", "shapes", "catalogs")
 GLOSSARY = "docs/glossary.md"
 DIALECT = {
     r"\bnobody (told|tells|declared|declares)\b": 0,
-    r"\btold\b(?! ?:)": 5,
+    r"\btold\b(?! ?:)": 4,
     r"\basks for\b": 0,
     r"\bwould rather\b": 0,
     r"\bin proportion to light\b": 0,
