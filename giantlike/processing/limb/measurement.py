@@ -271,7 +271,7 @@ def judge_points(
     """Decide which points of a limb were measured well.
 
     ``complete``, ``strong``, ``alike``, ``gain_dn`` (n,); ``also`` mapping of str to (n,); returns ``good`` (n,) and
-    ``rejected``.
+    ``rejected``, the number of the others by reason, the first that applies.
     """
     gain_ok = gain_dn > 0.0
     typical = complete & alike & gain_ok

@@ -212,7 +212,8 @@ def match_profiles(
 ) -> ProfileMatch:
     """Match the profile of every line with the one expected there, in shift, gain, offset and slope.
 
-    ``scans``: must reach ``window_px + search_px`` to both sides; ``expected`` (n, m); ``shared`` (n, m, c);
+    ``window_px``: distance to both sides of the limb over which profiles are compared; ``search_px``: largest shift;
+    ``scans``: must reach the sum of both to both sides; ``expected`` (n, m); ``shared`` (n, m, c);
     ``about_px`` (n,), NaN, and the default, is the best shift of the line.
 
     Notes

@@ -60,7 +60,10 @@ class CoarseLimb(Value):
 def search_limb(
     view: LimbView, limb: PredictedLimb, center_px: Float, *, search_px: float, search_range: float
 ) -> CoarseLimb:
-    """Find shift and size of a whole outline by the contrast across it."""
+    """Find shift and size of a whole outline by the contrast across it.
+
+    ``search_px``: largest shift in both coordinates; ``search_range``: largest relative change of size.
+    """
     points_px = limb.points_px
     radius_px = float(np.max(np.linalg.norm(points_px - center_px, axis=1)))
     step = float(np.clip(_COARSE_STEP * radius_px, _FINE_STEP_PX, _MAX_COARSE_STEP_PX))

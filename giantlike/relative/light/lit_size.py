@@ -50,7 +50,10 @@ class LitSize:
 
 
 def first_scale(light: BodyLight, laws: LawMixture, *, range_sigma: float, trace: float) -> float:
-    """Ratio of measured to predicted size, under the assumed law, by the faintest level; 1 if inconsistent."""
+    """Ratio of measured to predicted size, under the assumed law, by the faintest level; 1 if inconsistent.
+
+    ``range_sigma``: relative, of the prediction; ``trace``: faintest level as a fraction of the brightest pixel.
+    """
     level = _faintest_dn(light, trace)
     seen, own = _areas(light.signal_dn[light.region], level), _areas(light.expected_dn(laws.own.brightness), level)
     scale = math.sqrt(float(seen[0] / own[0]))

@@ -185,7 +185,7 @@ class BodyLight(Value):
     def expected_dn(self, brightness: Float, *, brighter: float = 1.0) -> Float:
         """Signal of a template, scaled to all of the light and clipped where the image is.
 
-        ``brightness`` (h, w); returns (h, w).
+        ``brightness`` (h, w); ``brighter``: factor on it before it is clipped; returns (h, w).
         """
         total = self.total_dn
         gain = total / float(brightness.sum())
