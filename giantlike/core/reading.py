@@ -2,8 +2,8 @@
 
 A reader raises ``ValueError`` with a full sentence for unexpected content (:func:`check`), and passes on exceptions of
 the libraries it uses; the decorator :func:`reads` adds the path, and for libraries the remedy. Errors in the code of
-this package are not converted: a ``TypeError``, ``AttributeError``, ``NameError`` or ``AssertionError`` raised in one
-of its own frames is not caught, the same exception raised inside a parser library is.
+this package are not converted: a ``TypeError``, ``AttributeError``, ``NameError`` or ``AssertionError`` raised in
+giantlike itself is not caught; inside a parser library it is.
 """
 
 from __future__ import annotations

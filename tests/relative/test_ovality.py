@@ -52,6 +52,7 @@ def found(estimator: str, oval: float) -> PositionFix:
 
 @pytest.mark.parametrize("estimator", ["limb_matching", "ellipsoid_cra", "sigmoid_limb"])
 def test_an_oval_point_spread_function_moves_no_limb(estimator: str) -> None:
+    """Without ovality in the model they are 0.19 px (``limb_matching``) and 1.2 px (horizons) off."""
     fix = found(estimator, 1.4)
     error = fix.position_camera_km - TRUTH_KM
     assert not fix.flags.suspect
