@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -155,6 +155,21 @@ class Smear(_Stated):
 
         ``images`` (..., h, w); returns (..., h, w).
         """
+        return self._spread(images, lambda along: np.sinc(self.length_px * along))
+
+    def doubled(self, images: Float, share: float) -> Float:
+        """Return images blurred by two exposures, the second with a share of the light, of the same second moments.
+
+        ``images`` (..., h, w); returns (..., h, w).
+        """
+        apart = math.sqrt(2.0 * self.size_px2 / (share * (1.0 - share)))
+        first, second = (2j * math.pi * apart * place for place in (share, share - 1.0))
+        return self._spread(
+            images, lambda along: (1.0 - share) * np.exp(first * along) + share * np.exp(second * along)
+        )
+
+    def _spread(self, images: Float, transfer: Callable[[Float], Any]) -> Float:
+        """Images (..., h, w) filtered by a function of the frequency along the motion, cycles per pixel."""
         from scipy.fft import irfft2, next_fast_len, rfft2
 
         room = _ROOM_PX + math.ceil(self.length_px)
@@ -164,7 +179,7 @@ class Smear(_Stated):
         padded = np.pad(images, [*[(0, 0)] * (images.ndim - 2), *ends], mode="edge")
         x, y = self.direction
         along = np.fft.rfftfreq(size[1]) * x + np.fft.fftfreq(size[0])[:, None] * y
-        spread = irfft2(rfft2(padded) * np.sinc(self.length_px * along), s=size)
+        spread = irfft2(rfft2(padded) * transfer(along), s=size)
         return np.asarray(spread[..., room : room + height, room : room + width], dtype=np.float64)
 
 

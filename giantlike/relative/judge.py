@@ -40,10 +40,14 @@ class Alternative(StrEnum):
     """The illumination direction is not the Sun's."""
     SECOND_LIGHT = "second_light"
     """A second image of the body lies next to the first: another exposure, a ghost, a second body."""
+    SECOND_EXPOSURE = "second_exposure"
+    """Two exposures, a few pixels apart, instead of a motion."""
     DARK_BODY = "dark_body"
     """The image is darker where the body should be: it is not there."""
     OTHER_OUTLINE = "other_outline"
     """The outline is the outline of another body."""
+    OTHER_SIZE = "other_size"
+    """A body of another apparent size fits the image, this one only with large markings."""
     SHIFTED_ROWS = "shifted_rows"
     """All rows from one on are shifted."""
     SHIFTED_COLUMNS = "shifted_columns"
@@ -55,8 +59,10 @@ class Alternative(StrEnum):
 _FLAGS = {
     Alternative.OTHER_SUN: Quality.WRONG_LIGHT,
     Alternative.SECOND_LIGHT: Quality.UNEXPLAINED_LIGHT,
+    Alternative.SECOND_EXPOSURE: Quality.UNEXPLAINED_LIGHT,
     Alternative.DARK_BODY: Quality.UNEXPLAINED_LIGHT,
     Alternative.OTHER_OUTLINE: Quality.WRONG_FIGURE,
+    Alternative.OTHER_SIZE: Quality.WRONG_FIGURE,
     Alternative.SHIFTED_ROWS: Quality.WRONG_FIGURE,
     Alternative.SHIFTED_COLUMNS: Quality.WRONG_FIGURE,
     Alternative.SMOOTH_LIMB: Quality.WRONG_FIGURE,

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import shift as translated
 from scipy.stats import chi2
 
 from giantlike.core.findings import Smear
+from giantlike.core.outcomes import Quality
 from giantlike.relative.template.cross_correlation import CrossCorrelation
 from tests.relative.test_light_truth import shot
 from tests.tolerances import RARE
@@ -58,6 +61,25 @@ def test_a_point_becomes_a_line_with_the_variance_that_is_stated() -> None:
     assert float(line.sum()) == pytest.approx(1.0, abs=1e-7)
     np.testing.assert_allclose(found, smear.blur_px2, rtol=0, atol=1e-5)
     np.testing.assert_allclose(smear.blur_px2, [36.0 / 12.0, -18.0 / 12.0, 9.0 / 12.0], rtol=0, atol=ROUNDED_PX2)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.3])
+def test_two_points_have_the_variance_of_the_line(share: float) -> None:
+    smear = Smear(straight_px2=(6.0**2 - 3.0**2) / 24.0, oblique_px2=-6.0 * 3.0 / 12.0)
+    y, x = np.mgrid[-30:31, -30:31]
+    spot = np.exp(-0.5 * (x**2 + y**2) / 2.0**2)
+    pair, spot = smear.doubled(spot, share) / spot.sum(), spot / spot.sum()
+    found = [float(((pair - spot) * product).sum()) for product in (x, y, x * x, x * y, y * y)]
+    np.testing.assert_allclose(found, [0.0, 0.0, *smear.blur_px2], rtol=0, atol=1e-5)
+
+
+def test_two_exposures_a_few_pixels_apart_are_no_motion() -> None:
+    one = shot(1, diameter_px=DIAMETER_PX)
+    pixels = one.image.pixels.astype(np.float64)
+    twice = 0.5 * (pixels + translated(pixels, (4.4, 3.3), order=3, mode="nearest"))
+    fix = replace(one, image=replace(one.image, pixels=np.round(twice).astype(np.int32))).fix(CrossCorrelation())
+    assert fix.corrections.smear
+    assert Quality.UNEXPLAINED_LIGHT in fix.flags, fix.findings.checks
 
 
 def test_a_smear_is_half_as_long_on_blocks_of_two_pixels() -> None:

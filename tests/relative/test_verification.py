@@ -128,6 +128,18 @@ def test_a_second_exposure_is_light_that_the_body_does_not_explain(phase_deg: fl
     assert Quality.UNEXPLAINED_LIGHT in flags(inputs_of(twice, phase_deg))
 
 
+@pytest.mark.parametrize("factor", [0.6, 1.4])
+def test_a_body_of_another_size_has_another_figure(factor: float) -> None:
+    other = tuple((factor * RADII_KM).tolist())
+    assert Quality.WRONG_FIGURE in flags(inputs_of(light(40.0, radii_km=other), 40.0))
+
+
+def test_a_dark_half_is_no_other_size() -> None:
+    columns = np.mgrid[:SIZE, :SIZE][1]
+    dark = np.where(columns > MIDDLE + 5.0, 0.4, 1.0) * light(20.0)
+    assert Quality.WRONG_FIGURE not in flags(inputs_of(dark, 20.0))
+
+
 def squared_error(fix: PositionFix) -> float:
     error_km = fix.position_camera_km - POSITION_KM
     return float(error_km @ np.linalg.solve(fix.covariance_camera_km2, error_km))

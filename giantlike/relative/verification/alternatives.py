@@ -11,7 +11,7 @@ amplitude of an alternative is integrated over its prior, and its position over 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,10 +97,14 @@ def other_outline(scores: CellScores, growth: Float, center: Float) -> float:
 
     ``growth`` (n, n); ``center`` in cells, column and row of its center.
     """
-    rows, columns = np.indices(growth.shape)
+    return scores.joint_log_odds(growth * waves_along(growth.shape, center, _WAVES), _OUTLINE_SIGMA)
+
+
+def waves_along(shape: tuple[int, ...], center: Float, orders: Iterable[int]) -> Float:
+    """Cosines and sines (2 k, n, n) of multiples of the angle about a center, column and row."""
+    rows, columns = np.indices(shape)
     angle = np.arctan2(rows - center[1], columns - center[0])
-    waves = np.stack([wave(order * angle) for order in _WAVES for wave in (np.cos, np.sin)])
-    return scores.joint_log_odds(growth * waves, _OUTLINE_SIGMA)
+    return np.stack([wave(order * angle) for order in orders for wave in (np.cos, np.sin)])
 
 
 def second_light(scores: CellScores, light: Float, radius: float, blur: float) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol, TypeVar, runtime_checkable
 
 import cv2
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
 from giantlike.core.causes import IN_IMAGE, Cause, summed
+from giantlike.core.findings import Smear
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, Template, Trace
@@ -20,11 +22,11 @@ from giantlike.relative.budget import DECLARED, camera_response, with_error, wit
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.judge import FALSE_ALARM, Alternative, Judgement, explaining_inflation, inflation
 from giantlike.relative.verification.cells import CELLS_PER_RADIUS, Cells, cells_around
-from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
+from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells, motion_log_evidence
 from giantlike.relative.verification.haze import HAZE_CELLS_PER_RADIUS, hint_of_haze, in_haze, may_be_hazy, veils
 from giantlike.relative.verification.light_side import light_side
 from giantlike.relative.verification.proportion import in_proportion, looks_bent
-from giantlike.relative.verification.rival import rival_log_odds
+from giantlike.relative.verification.rival import other_size_log_odds, rival_log_odds
 from giantlike.rings import Rings
 from giantlike.shapes import Ellipsoid
 
@@ -43,6 +45,10 @@ _SMEAR = np.array([[1.0, 0.0, -1.0], [0.0, 2.0, 0.0]])
 """Anisotropic part of a blur (xx, xy, yy)."""
 _NOTHING_THERE = 0.0
 """Log odds of no body where the image fits a dark one better than any bright one."""
+_SECOND_SHARES = (0.25, 0.5, 0.75)
+"""Fractions of the light in the second of two exposures."""
+_SHARP_CELLS = 4.0
+"""Length of a motion, cells, from which it is distinguished from two exposures: these are at least two cells apart."""
 _OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause not in (Cause.SHAPE_SCALE, *DECLARED))
 """Causes of errors that a fix does not share with the coarse fit of the same shape."""
 
@@ -72,6 +78,10 @@ def verified(
     fit = None if coarse is None else coarse.fit
     off = _off_prediction(fix, fit, inputs)
     alternatives, other_place = ({}, -math.inf) if coarse is None else _odds(coarse, inputs, search_px)
+    if coarse is not None and fix.corrections.smear is not None:
+        alternatives[Alternative.SECOND_EXPOSURE] = _second_exposure_log_odds(
+            fix, fix.corrections.smear, coarse, inputs
+        )
     judgement = Judgement(
         alternatives=alternatives,
         other_place=other_place,
@@ -178,8 +188,25 @@ def _odds(coarse: _Coarse, inputs: EstimatorInputs, search_px: float) -> tuple[d
     elif cells.has_face:
         return alternatives, _NOTHING_THERE if _dark(coarse.fit) else -math.inf
     albedo = geometry.target.uncertainty.albedo
+    if cells.has_face:
+        alternatives[Alternative.OTHER_SIZE] = other_size_log_odds(cells, own, albedo)
     rival = rival_log_odds(cells, own, inputs.predicted_px, search_px, albedo)
     return alternatives, max(rival, _NOTHING_THERE) if _dark(coarse.fit) else rival
+
+
+def _second_exposure_log_odds(fix: CenterFix, smear: Smear, coarse: _Coarse, inputs: EstimatorInputs) -> float:
+    """Logarithm of the odds, in fine cells, of two exposures instead of the motion that a fix estimated."""
+    fine = _at(coarse.trace.body, inputs, None, fix)
+    if fine is None or fine.fit is None or smear.length_px < _SHARP_CELLS * fine.cells.size:
+        return -math.inf
+    in_cells = smear.on_blocks(fine.cells.size)
+
+    def evidence(motion: Callable[[Float], Float]) -> float:
+        return motion_log_evidence(fine.cells, fine.trace, fine.own, motion)
+
+    moved = evidence(in_cells.smeared)
+    twice = [evidence(partial(in_cells.doubled, share=share)) for share in _SECOND_SHARES]
+    return float(np.logaddexp.reduce(twice)) - math.log(len(twice)) - moved if moved > -math.inf else -math.inf
 
 
 def _dark(fit: CoarseFit | None) -> bool:
@@ -269,7 +296,7 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float | None, fix: Cente
             albedo=inputs.geometry.target.uncertainty.albedo,
             turn_rad=inputs.turn_rad,
             response=fix.corrections.response,
-            smear=fix.corrections.smear,
+            motion=None if fix.corrections.smear is None else fix.corrections.smear.on_blocks(cells.size).smeared,
             asked=veils(cells, trace) if may_be_hazy(fix, inputs) else None,
         )
     return _Coarse(cells=cells, trace=trace, own=own, fit=fit)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -12,14 +12,20 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.causes import Cause
-from giantlike.core.findings import Response, Smear
+from giantlike.core.findings import Response
 from giantlike.core.values import Value
 from giantlike.image_model.columns import Block, Columns, Layout, Prior, Solution
 from giantlike.image_model.field import MarkingModes
 from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Template, Trace
 from giantlike.relative.judge import Alternative
 from giantlike.relative.response import DISPLAY_BEND_SIGMA
-from giantlike.relative.verification.alternatives import CellScores, other_outline, second_light, shifted_lines
+from giantlike.relative.verification.alternatives import (
+    CellScores,
+    other_outline,
+    second_light,
+    shifted_lines,
+    waves_along,
+)
 from giantlike.relative.verification.cell_loops import design_of
 from giantlike.relative.verification.cells import BLOCK, Cells
 
@@ -67,6 +73,8 @@ _KERNEL_SIGMAS = 4.0
 """Reach of a Gaussian, standard deviations: less than 1e-4 of it lies beyond."""
 _LIT = 0.05
 """Fraction of the brightest cell below which cells are not counted as lit."""
+_RELIEF_WAVES = 16
+"""Wave number along the outline from which relief is neglected where the profile of the limb is tested."""
 _LONG_WAVES = 1.3
 """Ratio of the effect of relief to that of errors of the same scatter that are correlated over parts of the disk. The
 variances of eight correct limbs with unmodeled relief of 1 % grew threefold with 1.0 and by a half with 1.7, but with
@@ -258,14 +266,15 @@ def fit_cells(
     albedo: float,
     turn_rad: float = 0.0,
     response: Response | None = None,
-    smear: Smear | None = None,
+    motion: Callable[[Float], Float] | None = None,
     asked: Float | None = None,
 ) -> CoarseFit | None:
     """Fit gain, law, a plane and small changes of the position to the cells around a body.
 
-    ``asked`` (a, n, n) are images tested for in the residuals. None where too few cells hold the body.
+    ``motion`` blurs images in cells; ``asked`` (a, n, n) are images tested for in the residuals. None where too few
+    cells hold the body.
     """
-    fresh, design = cells.cropped(cells.fresh), _design(cells, trace, own, smear)
+    fresh, design = cells.cropped(cells.fresh), _design(cells, trace, own, motion)
     if np.count_nonzero(fresh & _lit(design.own)) <= design.layout.count:
         return None
     sigma, edge = _model_sigma(design, turn_rad, cells)
@@ -291,6 +300,26 @@ def fit_cells(
         bend_log_odds=bend_log_odds,
         omitted=Omitted() if asked is None else _omitted(plain, plain.gain * asked),
     )
+
+
+def motion_log_evidence(cells: Cells, trace: Trace, own: Template, motion: Callable[[Float], Float]) -> float:
+    """Logarithm of the likelihood of cells in which a body is blurred by a motion, up to a constant.
+
+    Relief shifts the limb, which does not change the profile across it: waves along the outline are fitted, and cells
+    at edges have no errors of the model beyond those of the disk interior.
+    """
+    design = _design(cells, trace, own, motion).plain
+    _, edge = _model_sigma(design, 0.0, cells)
+    fitted = _fitted(cells, design, _face_sigma(design), edge, cells.place(own.coverage, own))
+    if fitted is None:
+        return -math.inf
+    growth = fitted.gain * fitted.solution.columns["place"][2]
+    waves = growth * waves_along(growth.shape, design.center, range(2, _RELIEF_WAVES))
+    relief = Block(
+        effect="relief", cause=Cause.RELIEF, matrix=waves, prior=Prior.of_sigmas([_EDGE_RADIUS] * len(waves))
+    )
+    parts = fitted.scores.temper * float(np.count_nonzero(fitted.fresh))
+    return fitted.solution.columns.extended([relief]).log_evidence(parts)
 
 
 def _lit(light: Float) -> Mask:
@@ -407,15 +436,14 @@ def _influence(solution: Solution, effect: str, images: Float) -> tuple[Float, F
     return score.gain_alone, np.maximum(np.diag(score.information), 1e-300)
 
 
-def _design(cells: Cells, trace: Trace, own: Template, smear: Smear | None) -> _Design:
+def _design(cells: Cells, trace: Trace, own: Template, motion: Callable[[Float], Float] | None) -> _Design:
     """Design with the light of the body under its law and others, a plane, and derivatives by position and size."""
-    in_cells = None if smear is None else smear.on_blocks(cells.size)
     light = cells.place(own.brightness, own)
-    light = light if in_cells is None else in_cells.smeared(light)
+    light = light if motion is None else motion(light)
     others = np.empty((len(_OTHER_LAWS), *light.shape))
     for number, law in enumerate(_OTHER_LAWS):
         other = cells.light(trace.with_reflectance(law))
-        others[number] = other if in_cells is None else in_cells.smeared(other)
+        others[number] = other if motion is None else motion(other)
     x, y = own.center_px[0] - cells.inner.x, own.center_px[1] - cells.inner.y
     scattered = _blurred(light, _WING_RADIUS * cells.radius)
     laws, background, stray, place, strain, blur, slope = design_of(light, others, scattered, x, y, cells.radius)
@@ -486,9 +514,13 @@ def _scale(normalized: Float, lit: Mask, edge: Mask, *, least: float, noise: Flo
 def _model_sigma(design: _Design, turn_rad: float, cells: Cells) -> tuple[Float, Mask]:
     """Standard deviation (n, n) of the errors of the model relative to the gain, and where edges dominate it."""
     edges = (math.hypot(_EDGE_RADIUS, turn_rad) * cells.radius + _EDGE_PX / cells.size) * design.slope
-    wings, floor = _WINGS * design.scattered, _FLOOR * float(design.own.max())
-    face = wings**2 + floor**2
-    return np.asarray(np.sqrt(face + edges**2)), np.asarray(edges**2 > face)
+    face = _face_sigma(design)
+    return np.hypot(face, edges), np.asarray(edges > face)
+
+
+def _face_sigma(design: _Design) -> Float:
+    """Standard deviation (n, n) of the errors of the model relative to the gain, without those of edges."""
+    return np.hypot(_WINGS * design.scattered, _FLOOR * float(design.own.max()))
 
 
 def _nothing_alike() -> CoarseFit:

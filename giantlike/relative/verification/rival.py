@@ -1,14 +1,16 @@
-"""Competing solution: another position in the search region where the body fits the image about equally well."""
+"""Competing solutions: another position in the search region, and another apparent size, that fit the image as well."""
 
 from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 
 from giantlike.core.arrays import Float
 from giantlike.ray_tracing import Template
 from giantlike.relative.verification.cells import BLOCK, Cells
+from giantlike.relative.verification.light_side import independent_parts
 from giantlike.relative.verification.shifts import ShiftedMatches
 
 _APART, _APART_BLUR = 1.0, 4.0
@@ -26,6 +28,8 @@ _HALVES = ((0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
 _SAME = 0.99
 """Squared autocorrelation of a body at half a cell above which positions between cells are skipped. A copy of a point
 source between four pixels has 0.8, which made it 10^4 times less likely than the fix."""
+_SIZES = (0.5, 0.63, 0.8, 1.25, 1.6)
+"""Apparent sizes of another body, relative to the fix: thirds of an octave, up to the size of the region of cells."""
 
 
 def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: float, albedo: float) -> float:
@@ -53,6 +57,28 @@ def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: 
     parts = min(seen / (BLOCK * cells.radius) ** 2, seen + _CORE * cells.blur**2)
     left, left_there = (max(1.0 - float(share[where].max()), albedo**2) for where in (here, away))
     return 0.5 * parts * math.log(left / left_there)
+
+
+def other_size_log_odds(cells: Cells, own: Template, albedo: float) -> float:
+    """Logarithm of the odds that the image shows a body of another apparent size, not this one with large markings.
+
+    Returns minus infinity where too little of the body lies in the frame.
+    """
+    parts = independent_parts(cells, own)
+    if parts == 0.0:
+        return -math.inf
+    light = cells.place(own.brightness, own)
+    x, y = own.center_px[0] - cells.inner.x, own.center_px[1] - cells.inner.y
+    lights = [light, *(_resized(light, x, y, size) for size in _SIZES)]
+    left = ShiftedMatches.of(cells, math.ceil(cells.radius)).unexplained(np.stack(lights)).min(axis=(1, 2))
+    left = np.maximum(left, albedo**2)
+    return 0.5 * parts * math.log(left[0] / left[1:].min())
+
+
+def _resized(light: Float, x: float, y: float, size: float) -> Float:
+    """Light (m, m) of a body resized about its center (x, y)."""
+    matrix = np.array([[size, 0.0, (1.0 - size) * x], [0.0, size, (1.0 - size) * y]])
+    return np.asarray(cv2.warpAffine(light, matrix, light.shape[::-1], flags=cv2.INTER_LINEAR), dtype=np.float64)
 
 
 def _between(light: Float) -> Float:
