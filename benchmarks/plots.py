@@ -78,8 +78,8 @@ def error_and_sigma(axes: Axes) -> str:
     axes.legend(fontsize=8)
     return (
         "Every case of the [stress benchmark](../../benchmarks/stress.md), a point for each estimator: bodies whose "
-        "shape, light, camera or image differs from what is declared. The line is where errors have the median that their "
-        "sigma predicts; above it the sigma is too small."
+        "shape, light, camera or image differs from what is declared. The line is where errors have the median that "
+        "their sigma predicts; above it the sigma is too small."
     )
 
 

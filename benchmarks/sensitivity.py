@@ -457,7 +457,8 @@ def markdown(images: int, baseline: dict[str, Any], rows: Sequence[Row]) -> str:
         lines.append(f"| {name} | {numbers} | {', '.join(f'{n} {v}' for v, n in base['verdicts'].items())} |")
     tried = [row for row in rows if row["estimator"]]
     changing = sum("->" in row["half"] + row["double"] for row in tried)
-    lines.append(COLUMNS.format(shift=CLEAR_SHIFT, ratio=CLEAR_RATIO, rows=len(tried), changing=changing, large=SHOWN_SHIFT))
+    limits = {"shift": CLEAR_SHIFT, "ratio": CLEAR_RATIO, "large": SHOWN_SHIFT}
+    lines.append(COLUMNS.format(rows=len(tried), changing=changing, **limits))
     for row in filter(is_shown, tried):
         words = [f"`{row['constant']}`", *(row[name] for name in HEADINGS[1:-1])]
         lines.append(f"| {' | '.join(words)} |")

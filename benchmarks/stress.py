@@ -1,10 +1,10 @@
-"""Estimators under wrong models, against a truth that shares no code with them: prints JSON, writes ``stress.md``
-and the whole table, ``results/stress.csv``.
+"""Estimators under wrong models, against a truth that shares no code with them: prints JSON, writes ``stress.md``.
 
-Every case is seen in several views (other place, pose, Sun, body) with several draws of noise each. Of the fixes that
-are ``ok`` (no suspect flag): errors, stated sigmas, and NEES per degree of freedom, the squared error over its
-covariance, which is 1 where the covariance is honest (3 degrees of freedom of a position, 2 of a center). Its interval
-is the 95 % range of the mean when views are drawn again with replacement: draws of one view share the error of a model.
+All rows of the table are in ``results/stress.csv``, the page has a summary. Every case is seen in several views (other
+place, pose, Sun, body) with several draws of noise each. Of the fixes that are ``ok`` (no suspect flag): errors, stated
+sigmas, and NEES per degree of freedom, the squared error over its covariance, which is 1 where the covariance is
+consistent (3 degrees of freedom of a position, 2 of a center). Its interval is the 95 % range of the mean when views
+are drawn again with replacement: draws of one view share the error of a model.
 
 Usage: python benchmarks/stress.py [--cases plane,exact] [--estimators moment] [--views 25] [--first 0] [--draws 8]
 [--output F] [--results R.json [--missing]]
