@@ -31,8 +31,8 @@ WHY = "26 limb points on a crescent 30 px across: the template, which has all th
 """As on the page."""
 SIZE = {"width": 1180, "height": 720}
 WAIT_MS = 180_000
-ZOOM = -1400  # of the wheel
-COLORS = 128
+ZOOM = -2200  # of the wheel
+COLORS = 256
 
 
 def _wait_for(address: str) -> None:
@@ -124,7 +124,10 @@ def main() -> None:
             page.click("#terminator")
             page.wait_for_function("() => document.getElementById('message').textContent === ''", timeout=WAIT_MS)
             page.click("text=ROCK: along the limb")
+            page.wait_for_selector("#chart svg", timeout=WAIT_MS)
             page.click("#tab-compare")
+            page.wait_for_selector("#rows tbody tr", timeout=WAIT_MS)
+            page.locator("#layers input[data-layer=fitted]").check()
             page.wait_for_timeout(1000)
             take(page, "session_doubt")
             page.click("#tab-fixes")
@@ -134,7 +137,8 @@ def main() -> None:
                 "() => document.getElementById('message').textContent.includes('rejected')", timeout=WAIT_MS
             )
             solve(page)
-            show_body(page)
+            page.locator("#layers input[data-layer=fitted]").check()
+            page.wait_for_timeout(3000)
             take(page, "session_decision")
         browser.close()
 
