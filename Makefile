@@ -17,6 +17,7 @@ test-all: test docs
 check: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/ruff format --check --line-length 79 $$(git ls-files README.md 'docs/*.md' 'giantlike/campaign/pages/*.md')
 	$(BIN)/mypy giantlike tests
 	$(BIN)/lint-imports
 	$(BIN)/pytest -q tests/documentation/test_words.py

@@ -1,13 +1,14 @@
-"""Plots of accuracy and speed from the tables of the benchmark pages, as SVG.
+"""Plots of accuracy and speed from the tables of the benchmarks, as SVG.
 
     python benchmarks/plots.py FOLDER
 
-Nothing is measured here: the numbers are those of benchmarks/README.md and benchmarks/stress.md, so that the plots are
-as old as these. ``make docs`` makes the page of them anew.
+Nothing is measured here: the numbers are those of the tables in benchmarks/results, so that the plots are as old as
+these. ``make docs`` makes the page of them anew.
 """
 
 from __future__ import annotations
 
+import csv
 import re
 import sys
 from collections.abc import Callable
@@ -29,15 +30,15 @@ MEDIAN = 0.6745
 Row = dict[str, str]
 
 
-def tables(page: str, *columns: str) -> list[Row]:
-    """Rows of all tables of a page that have these columns, in order.
+def rows_of(name: str, *columns: str) -> list[Row]:
+    """Rows of a table of benchmarks/results, in order.
 
     Parameters
     ----------
-    page : str
-        Name of the page in benchmarks/.
+    name : str
+        Name of the file, without its ending.
     *columns : str
-        Headings, as they stand there.
+        Headings that it must have.
 
     Returns
     -------
@@ -47,22 +48,15 @@ def tables(page: str, *columns: str) -> list[Row]:
     Raises
     ------
     LookupError
-        No table has them: a page was changed, and its plot is to be changed too.
+        A column is missing: the table was changed, and its plot is to be changed too.
     """
-    rows: list[Row] = []
-    head: list[str] = []
-    for line in (HERE / page).read_text(encoding="utf-8").splitlines():
-        if not line.startswith("|"):
-            head = []
-            continue
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if not head:
-            head = cells
-        elif set(columns) <= set(head) and not cells[0].startswith("---"):
-            rows.append(dict(zip(head, cells, strict=False)))
-    if not rows:
-        raise LookupError(f"benchmarks/{page} has no table with the columns {', '.join(columns)}")
-    return rows
+    path = HERE / "results" / f"{name}.csv"
+    with path.open(newline="", encoding="utf-8") as file:
+        table = csv.DictReader(file)
+        missing = set(columns) - set(table.fieldnames or ())
+        if missing:
+            raise LookupError(f"benchmarks/results/{name}.csv has no columns {', '.join(sorted(missing))}")
+        return list(table)
 
 
 def number(cell: str) -> float:
@@ -73,7 +67,7 @@ def number(cell: str) -> float:
 
 def error_and_sigma(axes: Axes) -> str:
     """Center errors beside stated sigmas, every case of the stress benchmark."""
-    rows = tables("stress.md", "case", "estimator", "center error, px", "stated, px")
+    rows = rows_of("stress", "case", "estimator", "center error, px", "stated, px")
     for estimator, color in zip(dict.fromkeys(row["estimator"] for row in rows), COLORS, strict=False):
         own = [row for row in rows if row["estimator"] == estimator]
         stated = [number(row["stated, px"]) for row in own]
@@ -84,14 +78,14 @@ def error_and_sigma(axes: Axes) -> str:
     axes.legend(fontsize=8)
     return (
         "Every case of the [stress benchmark](../../benchmarks/stress.md), a point for each estimator: bodies whose "
-        "shape, light, camera or image is not what the estimator was told. The line is where errors have the median "
-        "that their sigma tells; above it the sigma is too small."
+        "shape, light, camera or image differs from what is declared. The line is where errors have the median that "
+        "their sigma predicts; above it the sigma is too small."
     )
 
 
 def consistency(axes: Axes) -> str:
     """Squared errors over covariances, by estimator."""
-    rows = tables("stress.md", "case", "estimator", "NEES/dof of ok")
+    rows = rows_of("stress", "case", "estimator", "NEES/dof of ok")
     names = list(dict.fromkeys(row["estimator"] for row in rows))
     for place, name in enumerate(names):
         values = [number(row["NEES/dof of ok"]) for row in rows if row["estimator"] == name]
@@ -99,12 +93,12 @@ def consistency(axes: Axes) -> str:
     axes.axvline(1.0, color="black", linewidth=0.8)
     axes.set(xscale="log", xlabel="squared error over covariance, per degree of freedom", yticks=range(len(names)))
     axes.set_yticklabels(names)
-    return "The same cases: squared errors of `ok` fixes over their covariances. 1 is right, less is cautious."
+    return "The same cases: squared errors of `ok` fixes over their covariances. 1 is right, less is conservative."
 
 
 def star_times(axes: Axes) -> str:
     """Time of detection by the number of stars, beside other tools."""
-    rows = tables("README.md", "stars in the frame", "detect / all", "sep", "photutils DAOFIND")
+    rows = rows_of("star_times", "stars in the frame", "detect / all", "sep", "photutils DAOFIND")
     stars = [number(row["stars in the frame"]) for row in rows]
     tools = {"detect / all": "giantlike", "sep": "sep", "OpenCV": "OpenCV", "photutils DAOFIND": "photutils DAOFIND"}
     for (column, label), color in zip(tools.items(), COLORS, strict=False):
@@ -119,7 +113,7 @@ def star_times(axes: Axes) -> str:
 
 def campaign_times(axes: Axes) -> str:
     """Time of a campaign by the number of its images."""
-    rows = tables("README.md", "images, one process", "CPU, s", "memory, MB")
+    rows = rows_of("campaign_one_process", "images, one process", "CPU, s", "memory, MB")
     images = [number(row["images, one process"]) for row in rows]
     axes.plot(images, [number(row["CPU, s"]) for row in rows], ".-", color=COLORS[0])
     axes.set(xscale="log", yscale="log", xlabel="images of a campaign", ylabel="CPU, s, one process")
@@ -141,7 +135,7 @@ def write_plots(folder: Path) -> None:
         Made if missing.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    parts = ["# Plots of the benchmarks\n\nMade of the tables of the benchmark pages, as old as these.\n"]
+    parts = ["# Plots of the benchmarks\n\nMade of the tables of `benchmarks/results`, as old as these.\n"]
     for plot in PLOTS:
         figure, axes = plt.subplots(figsize=SIZE_IN, layout="constrained")
         with matplotlib.rc_context({"svg.hashsalt": plot.__name__}):

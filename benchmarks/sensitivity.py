@@ -1,9 +1,9 @@
-"""Sensitivity of errors, stated sigmas and verdicts to half and double of each constant, on fixed made-up images.
+"""Sensitivity of errors, sigmas and outcomes to half and double of each constant, on fixed simulated images.
 
 The constants are those of the modules of ``relative``, ``processing`` and ``stars`` and the numeric options of the
 estimators. Which of them an estimator uses is seen by profiling it; each is then halved and doubled, alone. Prints
-JSON; ``--page`` writes ``sensitivity.md`` from the JSON of one run or several. Left out are constants that a cache on
-disk depends on, mathematics and physics.
+JSON; ``--page`` prints ``sensitivity.md`` from the JSON of one run or several, and writes ``results/sensitivity.csv``.
+Left out are constants that a cache on disk depends on, mathematics and physics.
 
 Usage: python benchmarks/sensitivity.py [--only stars,processing] [--minutes 15] [--images 3] > sensitivity.json
        python benchmarks/sensitivity.py --page sensitivity.json ... > benchmarks/sensitivity.md
@@ -46,6 +46,7 @@ from giantlike.shapes import Ellipsoid, Shape, irregular_body
 from giantlike.simulation import ApproachOptions, Visit, plan_approach, write_approach
 from giantlike.simulation.write import TRUTH_FILE
 
+HERE = Path(__file__).resolve().parent
 PACKAGES = ("giantlike.relative", "giantlike.processing", "giantlike.stars")
 CACHED_ON_DISK = ("index_store", "pattern_database", "star_index", "quads", "tetra")
 """Modules that build indexes of patterns, which are kept in files: see ``identification.py`` for those."""
@@ -71,20 +72,31 @@ ROCK, EGG = irregular_body(1, facets=20_000), Ellipsoid(radii_km=np.array([0.3, 
 INTRODUCTION = """# Sensitivity of the results to the constants
 
 Made by `python benchmarks/sensitivity.py`. Each constant is halved and doubled, alone, and the estimators that use it
-are run on {images} made-up images each: bodies of 100 px (200 px for `surface_features`, 2 px for `unresolved`) at 30,
+measure {images} simulated images each: bodies of 100 px (200 px for `surface_features`, 2 px for `unresolved`) at 30,
 60 and 90 degrees of phase, 10 px and 1.5 % of range off their predictions, and star images of the demonstration's
 camera. Errors are those of center and range, the latter in px of the radius, or of the attitude, as shifts of the
 image.
 
-| estimator | rms error, px | stated sigma, px | verdicts |
+| estimator | rms error, px | sigma, px | outcomes |
 | --- | --- | --- | --- |"""
 COLUMNS = """
-Columns of half and double: largest shift of a result in its sigmas, ratio of the rms errors, ratio of the stated
-sigmas, and verdicts that change. With so few images ratios of errors are chance below 1 sigma of shift, and
-verdicts tell of a cliff, not of a rate.
+[results/sensitivity.csv](results/sensitivity.csv) has a row for each constant and estimator. Columns of half and
+double: largest shift of a result in its sigmas, ratio of the rms errors, ratio of the sigmas, and outcomes that change.
+`effect` is `none` where no outcome changes, no result by more than {shift} sigma and no sigma by more than {ratio:.0%},
+and `not reached` where these images do not use a constant, or it is read when a module is imported. With so few images
+ratios of errors are chance below 1 sigma of shift, and outcomes indicate a cliff, not a rate.
+
+Of {rows:,} rows {changing} change an outcome. These are below, with those that shift a result by {large:g} sigma and
+more; names are those of the code that was measured. Constants that such figures decided are in
+[thresholds](thresholds.md).
 
 | constant | value | estimator | half | double |
 | --- | --- | --- | --- | --- |"""
+HEADINGS = ("constant", "value", "estimator", "half", "double", "effect")
+TABLE = Path("results") / "sensitivity.csv"
+SHOWN_SHIFT = 2.0
+"""Shift of a result, in sigmas, from which a row is shown on the page."""
+Row = dict[str, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -418,27 +430,38 @@ def cell(report: dict[str, Any]) -> str:
     return "; ".join(words)
 
 
-def markdown(report: dict[str, Any]) -> str:
-    """The report as a page."""
-    lines = [INTRODUCTION.format(images=report["images"])]
-    for name, base in report["baseline"].items():
+def table_of(report: dict[str, Any]) -> list[Row]:
+    """Rows of the table."""
+    rows = []
+    for row in report["constants"]:
+        clear = matters(row["half"]) or matters(row["double"])
+        words = (cell(row["half"]), cell(row["double"]), "clear") if clear else ("", "", "none")
+        rows.append((row["constant"], f"{row['value']:.6g}", row["case"], *words))
+    rows += [(name, "", "", "", "", "not reached") for name in report["not_reached"]]
+    rows += [(name, "", "", "", "", "not tried, for lack of time") for name in report["out_of_time"]]
+    return [dict(zip(HEADINGS, row, strict=True)) for row in rows]
+
+
+def is_shown(row: Row) -> bool:
+    """True for rows of the page: an outcome changes, or a result by ``SHOWN_SHIFT``."""
+    cells = [row[name] for name in ("half", "double")]
+    shifts = [float(each.split(",")[0]) for each in cells if "," in each]
+    return any("->" in each for each in cells) or max(shifts, default=0.0) >= SHOWN_SHIFT
+
+
+def markdown(images: int, baseline: dict[str, Any], rows: Sequence[Row]) -> str:
+    """The page: errors with the constants as they are, and the rows that matter most."""
+    lines = [INTRODUCTION.format(images=images)]
+    for name, base in baseline.items():
         numbers = f"{base['error_px']:.4f} | {base['sigma_px']:.4f}" if "error_px" in base else " | "
         lines.append(f"| {name} | {numbers} | {', '.join(f'{n} {v}' for v, n in base['verdicts'].items())} |")
-    lines.append(COLUMNS)
-    quiet: dict[str, list[str]] = {}
-    for row in report["constants"]:
-        if matters(row["half"]) or matters(row["double"]):
-            words = [f"`{row['constant']}`", f"{row['value']:.6g}", row["case"], cell(row["half"]), cell(row["double"])]
-            lines.append(f"| {' | '.join(words)} |")
-        else:
-            quiet.setdefault(row["constant"], []).append(row["case"])
-    limits = f"no result by more than {CLEAR_SHIFT} sigma and no sigma by more than {CLEAR_RATIO:.0%}"
-    lines += ["", f"These change no verdict, {limits}:", ""]
-    lines += [f"- `{name}`: {', '.join(where)}" for name, where in quiet.items()]
-    lines += ["", "Not reached by these images, or read when a module is imported:", ""]
-    lines += [f"- `{name}`" for name in report["not_reached"]]
-    if report["out_of_time"]:
-        lines += ["", "Not tried, for lack of time:", "", *(f"- `{name}`" for name in report["out_of_time"])]
+    tried = [row for row in rows if row["estimator"]]
+    changing = sum("->" in row["half"] + row["double"] for row in tried)
+    limits = {"shift": CLEAR_SHIFT, "ratio": CLEAR_RATIO, "large": SHOWN_SHIFT}
+    lines.append(COLUMNS.format(rows=len(tried), changing=changing, **limits))
+    for row in filter(is_shown, tried):
+        words = [f"`{row['constant']}`", *(row[name] for name in HEADINGS[1:-1])]
+        lines.append(f"| {' | '.join(words)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -499,7 +522,13 @@ def main() -> None:
     parser.add_argument("--page", nargs="+", type=Path, help="JSON files of runs")
     arguments = parser.parse_args()
     if arguments.page:
-        print(markdown(merged([json.loads(path.read_text(encoding="utf-8")) for path in arguments.page])), end="")
+        report = merged([json.loads(path.read_text(encoding="utf-8")) for path in arguments.page])
+        rows = table_of(report)
+        with (HERE / TABLE).open("w", newline="", encoding="utf-8") as file:
+            table = csv.DictWriter(file, HEADINGS, lineterminator="\n")
+            table.writeheader()
+            table.writerows(rows)
+        print(markdown(report["images"], report["baseline"], rows), end="")
         return
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory() as folder:

@@ -1,17 +1,20 @@
 """Estimators under wrong models, against a truth that shares no code with them: prints JSON, writes ``stress.md``.
 
-Every case is seen in several views (other place, pose, Sun, body) with several draws of noise each. Of the fixes that
-are ``ok`` (no suspect flag): errors, stated sigmas, and NEES per degree of freedom, the squared error over its
-covariance, which is 1 where the covariance is honest (3 degrees of freedom of a position, 2 of a center). Its interval
-is the 95 % range of the mean when views are drawn again with replacement: draws of one view share the error of a model.
+All rows of the table are in ``results/stress.csv``, the page has a summary. Every case is seen in several views (other
+place, pose, Sun, body) with several draws of noise each. Of the fixes that are ``ok`` (no suspect flag): errors, stated
+sigmas, and NEES per degree of freedom, the squared error over its covariance, which is 1 where the covariance is
+consistent (3 degrees of freedom of a position, 2 of a center). Its interval is the 95 % range of the mean when views
+are drawn again with replacement: draws of one view share the error of a model.
 
 Usage: python benchmarks/stress.py [--cases plane,exact] [--estimators moment] [--views 25] [--first 0] [--draws 8]
 [--output F] [--results R.json [--missing]]
+       python benchmarks/stress.py --summary benchmarks/stress.md    # the page's table anew from results/stress.csv
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
 import sys
 import time
@@ -36,6 +39,11 @@ BEYOND_SIGMAS, BEYOND_PX, BEYOND_RANGE = 5.0, 0.5, 0.005
 """A silent wrong answer: ok, beyond so many sigma in center or range, and beyond so much."""
 RESAMPLED = 2000
 _SECTION = "\n## "
+TABLE = Path("results") / "stress.csv"
+"""All rows, relative to the page."""
+WANTED = (0.5, 2.0)
+"""NEES per degree of freedom of a consistent covariance."""
+Row = dict[str, str]
 COLUMNS = (
     "case",
     "estimator",
@@ -53,14 +61,16 @@ COLUMNS = (
 
 
 INTRODUCTION = """# Estimators under wrong models
-Written by `python benchmarks/stress.py`; truth: `giantlike.independent`, which shares no code with what is measured
-(see [README](README.md)). Bodies of 120 px unless the case says another size, phase angles of 15, 60, 90 and 125
-degrees in turn, 3,000 DN, read noise 5 DN, the prediction up to 4 px and 1 % of range off. Columns: share of fixes that
-are `ok`; medians over these of the error of the center per axis and of its stated sigma, of the error of range and its
-sigma; NEES per degree of freedom (1 is honest, wanted 0.5 to 2) with the 95 % range of its mean over views; silent
-wrong answers (`ok`, beyond 5 sigma and beyond 0.5 px or 0.5 % of range); what the others came to. Errors of pole and
-attitude are declared; with an attitude error, with stars and with a calibrated camera the error is that of observed
-less computed, beside the sum of all parts.
+Every estimator measures bodies and star fields whose models are wrong in one way; an independent renderer
+(`giantlike.independent`), which shares no code with the estimators, gives the truth. Bodies of 120 px unless the case
+says another size, phase angles of 15, 60, 90 and 125 degrees in turn, 3,000 DN, read noise 5 DN, predictions up to 4 px
+and 1 % of range off. Errors of pole and attitude are declared, all others are not unless the case says so.
+
+[results/stress.csv](results/stress.csv) has every case: share of fixes that are `ok`; medians over these of the error
+of the center per axis and of its sigma, of the error of range and its sigma; NEES per degree of freedom (1 is
+consistent, wanted 0.5 to 2) with the 95 % range of its mean over views; silent errors (`ok`, beyond 5 sigma and beyond
+0.5 px or 0.5 % of range); other outcomes. `python benchmarks/stress.py` makes it and the summary below: cases by their
+NEES where at least 80 % of the fixes are `ok`, cases with fewer, and silent errors.
 
 """
 
@@ -250,11 +260,11 @@ def _short(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def row_of(case: str, estimator: str, cell: dict[str, object]) -> str:
+def row_of(case: str, estimator: str, cell: dict[str, object]) -> Row:
     """A line of the table."""
     band = cell.get("nees_95")
     others = ", ".join(f"{name} {count}" for name, count in list(dict(cell["else"]).items())[:3])  # type: ignore[call-overload]
-    values = [
+    values = (
         case,
         estimator,
         cell["draws"],
@@ -267,15 +277,43 @@ def row_of(case: str, estimator: str, cell: dict[str, object]) -> str:
         f"{band[0]}-{band[1]}" if isinstance(band, list) else "",
         cell.get("silent_wrong", ""),
         others,
-    ]
-    return "| " + " | ".join(str(value) for value in values) + " |"
+    )
+    return dict(zip(COLUMNS, map(str, values), strict=True))
 
 
-def table_of(report: dict[str, dict[str, dict[str, object]]]) -> str:
-    """The whole table in Markdown."""
-    lines = ["| " + " | ".join(COLUMNS) + " |", "|" + " --- |" * len(COLUMNS)]
-    lines += [row_of(case, name, cell) for case, cells in report.items() for name, cell in cells.items()]
+def table_of(report: dict[str, dict[str, dict[str, object]]]) -> list[Row]:
+    """All lines of the table."""
+    return [row_of(case, name, cell) for case, cells in report.items() for name, cell in cells.items()]
+
+
+def write_table(rows: Sequence[Row], path: Path) -> None:
+    """Write all lines as CSV."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
+
+
+def summary_table(rows: Sequence[Row]) -> str:
+    """A line for each estimator, in Markdown."""
+    head = ("estimator", "cases", "NEES/dof 0.5 to 2", "below", "above", "under 80 % `ok`", "median NEES/dof")
+    lines = [f"| {' | '.join((*head, 'silent of answers'))} |", "|" + " --- |" * (len(head) + 1)]
+    for name in dict.fromkeys(row["estimator"] for row in rows):
+        own = [row for row in rows if row["estimator"] == name]
+        often = [row for row in own if float(row["ok"].rstrip(" %")) >= 80.0 and row["NEES/dof of ok"]]
+        nees = np.array([float(row["NEES/dof of ok"]) for row in often])
+        below, above = int(np.sum(nees < WANTED[0])), int(np.sum(nees > WANTED[1]))
+        counts = (len(own), len(often) - below - above, below, above, len(own) - len(often))
+        silent, answers = sum(int(row["silent wrong"] or 0) for row in own), sum(int(row["draws"]) for row in own)
+        words = (f"`{name}`", *map(str, counts), f"{np.median(nees):.2g}", f"{silent} of {answers:,}")
+        lines.append(f"| {' | '.join(words)} |")
     return "\n".join(lines) + "\n"
+
+
+def write_page(rows: Sequence[Row], page: Path) -> None:
+    """Write the page; what stands below its table is kept."""
+    page.write_text(INTRODUCTION + summary_table(rows) + _sections(page), encoding="utf-8")
 
 
 def _sections(page: Path) -> str:
@@ -300,8 +338,13 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--results", type=Path, help="JSON of earlier runs that this one is added to")
     parser.add_argument("--missing", action="store_true", help="only what --results lacks, as after an interrupted run")
-    parser.add_argument("--output", type=Path, help="Markdown file for the table of all of them")
+    parser.add_argument("--output", type=Path, help="page to write, with results/stress.csv beside it")
+    parser.add_argument("--summary", type=Path, help="page whose table is written anew from the CSV file beside it")
     wanted = parser.parse_args()
+    if wanted.summary:
+        with (wanted.summary.parent / TABLE).open(newline="", encoding="utf-8") as file:
+            write_page(list(csv.DictReader(file)), wanted.summary)
+        return
     parts = [part for part in wanted.cases.split(",") if part]
     known = (*CASES, *STAR_CASES, CORNER_CASE)
     chosen = [case for case in known if not parts or any(part in case.name for part in parts)]
@@ -323,7 +366,9 @@ def main() -> None:
             if wanted.results:
                 wanted.results.write_text(json.dumps(report, indent=1), encoding="utf-8")
             if wanted.output:
-                wanted.output.write_text(INTRODUCTION + table_of(report) + _sections(wanted.output), encoding="utf-8")
+                rows = table_of(report)
+                write_table(rows, wanted.output.parent / TABLE)
+                write_page(rows, wanted.output)
     if not wanted.results:
         print(json.dumps(report, indent=1))
 

@@ -26,7 +26,7 @@ copyright = author
 version = release = VERSION
 
 root_doc = "docs/index"
-include_patterns = ["*.md", "docs/**", "benchmarks/*.md"]
+include_patterns = ["*.md", "docs/**", "benchmarks/*.md", "benchmarks/results/*.md"]
 exclude_patterns = [
     ".*",
     "docs/_build",

@@ -459,29 +459,82 @@ def auto() -> Drawing:
 
 def judged() -> Drawing:
     """From an estimate to flags and a sigma."""
-    d = Drawing(720, 250, "How a fix is judged: two tests raise flags, imprecision makes the sigma larger")
-    for x, y, width, first, second, color in (
-        (24, 96, 130, "estimator", "place and sigma", BLUE),
-        (206, 96, 150, "coarse render", "at the place found", INK),
-        (414, 24, 130, "another model?", "Sun, 2nd light, rows", RED),
-        (414, 96, 130, "another place?", "search, prediction", RED),
-        (414, 168, 130, "moved, strained,", "smeared: tension", GREEN),
-    ):
-        d.rect((x, y), (width, 56), stroke=color, width=2)
-        d.text((x + width / 2, y + 24), first, color, anchor="middle")
-        d.text((x + width / 2, y + 44), second, color, anchor="middle", size=12)
-    d.line((154, 116), (204, 116), arrow=True)
-    d.line((206, 136), (156, 136), GREEN, arrow=True)
-    d.text((180, 172), "response, haze: again", GREEN, size=12, anchor="middle")
-    for y in (52, 124, 196):
-        d.line((356, 124), (412, y), arrow=True)
-    d.text((562, 42), "wrong_light", RED, size=12)
-    d.text((562, 58), "unexplained_light", RED, size=12)
-    d.text((562, 74), "wrong_figure", RED, size=12)
-    d.text((562, 121), "ambiguous", RED, size=12)
-    d.text((562, 137), "far_from_prediction", RED, size=12)
-    d.text((562, 193), "larger sigma,", GREEN, size=12)
-    d.text((562, 209), "no flag", GREEN, size=12)
+    d = Drawing(720, 340, "How a fix is judged: tests raise flags, imprecision makes the sigma larger")
+
+    def box(corner: Sequence[float], width: float, first: str, second: str, color: str) -> None:
+        d.rect(corner, (width, 52), stroke=color, width=2)
+        d.text((corner[0] + width / 2, corner[1] + 22), first, color, anchor="middle")
+        d.text((corner[0] + width / 2, corner[1] + 41), second, color, anchor="middle", size=12)
+
+    box((20, 136), 118, "estimator", "position, sigma", BLUE)
+    box((186, 136), 140, "coarse render", "at that position", INK)
+    tests = (
+        (50, "facts of the fit", "search, points used", BLUE),
+        (110, "another model?", "Bayes factor > 1000", RED),
+        (170, "another position?", "within 1 : 1000", RED),
+        (230, "off the prediction?", "p < 0.001", RED),
+        (290, "moved, sheared, blurred?", "tension > 1", GREEN),
+    )
+    for y, first, second, color in tests:
+        box((362, y - 26), 178, first, second, color)
+    d.line((138, 154), (184, 154), arrow=True)
+    d.line((186, 172), (140, 172), GREEN, arrow=True)
+    d.text((256, 210), "nonlinear response, haze:", GREEN, size=12, anchor="middle")
+    d.text((256, 226), "the fix is repeated with it", GREEN, size=12, anchor="middle")
+    d.line((79, 136), (79, 50), BLUE)
+    d.line((79, 50), (360, 50), BLUE, arrow=True)
+    for y in (110, 170, 230, 290):
+        d.line((326, 162), (360, y), arrow=True)
+    flags = (
+        (38, "many_rejected, low_score,", RED), (54, "far_from_prediction", RED),
+        (96, "wrong_light", RED), (112, "unexplained_light", RED), (128, "wrong_figure", RED),
+        (174, "ambiguous", RED), (234, "far_from_prediction", RED),
+        (286, "larger sigma,", GREEN), (302, "no flag", GREEN),
+    )  # fmt: skip
+    for y, words, color in flags:
+        d.text((548, y), words, color, size=12)
+    return d
+
+
+def architecture() -> Drawing:
+    """From pixels to observables, with the packages that do it."""
+    d = Drawing(820, 380, "From image to observables: values in boxes, the package of each step on its arrow")
+
+    def box(corner: Sequence[float], size: Sequence[float], title: str, words: Sequence[str], color: str) -> None:
+        d.rect(corner, size, stroke=color, width=2)
+        middle = corner[0] + size[0] / 2
+        d.text((middle, corner[1] + 20), title, color, anchor="middle", bold=True)
+        for row, line in enumerate(words):
+            d.text((middle, corner[1] + 38 + 16 * row), line, DARK, anchor="middle", size=12)
+
+    box((20, 150), (160, 72), "Image", ("pixels, mask, epoch,", "attitude, detector"), INK)
+    box((20, 40), (160, 72), "Camera", ("lens, point spread", "function, detector"), INK)
+    box((20, 260), (160, 88), "Scene", ("targets: shape, position,", "orientation, Sun,", "uncertainty"), INK)
+    box((270, 96), (150, 72), "Attitude", ("rotation, covariance,", "flags"), BLUE)
+    box((270, 236), (150, 88), "Fix", ("center or position,", "covariance by cause,", "flags, findings"), RED)
+    box((530, 150), (146, 72), "Observables", ("directions, parts,", "partials, shared keys"), GREEN)
+    d.line((180, 170), (268, 132), arrow=True)
+    d.text((190, 146), "stars", BLUE, size=12)
+    d.line((180, 190), (268, 270), arrow=True)
+    d.line((180, 80), (268, 118), arrow=True)
+    d.line((180, 304), (268, 290), arrow=True)
+    d.text((194, 322), "relative", RED, size=12)
+    d.line((345, 168), (345, 234), arrow=True)
+    d.text((352, 206), "with_attitude", BLUE, size=12)
+    d.line((420, 132), (528, 176), arrow=True)
+    d.line((420, 280), (528, 200), arrow=True)
+    d.text((446, 188), "observables", GREEN, size=12)
+    d.line((676, 186), (706, 186), arrow=True)
+    d.text((712, 160), "filter, orbit", DARK, size=12)
+    d.text((712, 178), "determination,", DARK, size=12)
+    d.text((712, 196), "CK, TDM, AEM,", DARK, size=12)
+    d.text((712, 214), "tables, report", DARK, size=12)
+    d.text((270, 40), "catalogs: where stars are; calibration: a camera from stars", DARK, size=12)
+    d.text((270, 58), "processing: detection, limbs, geometry of arrays", DARK, size=12)
+    d.text((270, 344), "shapes, ray_tracing: what the body looks like; image_model: linear fits", DARK, size=12)
+    d.text((270, 362), "relative/judge, relative/verification: tests behind every fix", DARK, size=12)
+    d.text((530, 250), "campaign: all of this for", DARK, size=12)
+    d.text((530, 266), "many images, from a file", DARK, size=12)
     return d
 
 
@@ -489,7 +542,7 @@ DRAWINGS: dict[str, Callable[[], Drawing]] = {
     each.__name__: each
     for each in (
         frames, mirrored, light_time, covariance, stars, unresolved, moment, cross_correlation, limb_matching,
-        ellipse_fit, ellipsoid_cra, sigmoid_limb, surface_features, auto, judged,
+        ellipse_fit, ellipsoid_cra, sigmoid_limb, surface_features, auto, judged, architecture,
     )
 }  # fmt: skip
 """Drawings by the name of their file."""

@@ -14,6 +14,9 @@ from tests.documentation.pages import ROOT, RUN, blocks_of, pages, run_page
 
 DEMO = "demo-output"
 LANGUAGES = {"python", "console", "text", "toml", "json", "csv", "bash", "{toctree}", "{math}", "{image}", "{figure}"}
+WIDEST = 79
+"""Characters of a line of code on a page: wider blocks scroll sideways."""
+DIRECTIVES = ("{toctree}", "{math}", "{image}", "{figure}")
 WITH_EXAMPLES = [page for page in pages() if any(block.language in RUN for block in blocks_of(page))]
 FAST = [page for page in WITH_EXAMPLES if any(each.language in RUN and not each.slow for each in blocks_of(page))]
 SLOW = [page for page in WITH_EXAMPLES if any(block.slow for block in blocks_of(page))]
@@ -62,3 +65,11 @@ def test_every_block_says_its_language_and_every_python_block_compiles(page: Pat
             compile(block.text, f"{page.name}:{block.line}", "exec", dont_inherit=True)
         if block.language == "console":
             assert block.text.startswith("$ "), f"{page.name}:{block.line}: no command"
+
+
+@pytest.mark.parametrize("page", [each for each in pages() if each.name != "CONTRIBUTING.md"], ids=name)
+def test_no_block_scrolls_sideways(page: Path) -> None:
+    shown = [block for block in blocks_of(page) if block.language not in DIRECTIVES]
+    lines = [(block.line + row, line) for block in shown for row, line in enumerate(block.text.split("\n"))]
+    wide = [f"{page.name}:{number}: {line}" for number, line in lines if len(line) > WIDEST]
+    assert not wide, f"lines of more than {WIDEST} characters:\n" + "\n".join(wide)
