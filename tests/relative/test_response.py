@@ -17,7 +17,7 @@ from giantlike.relative.horizon.sigmoid_limb import SigmoidLimb
 from giantlike.relative.light.moment import Moment
 from giantlike.relative.limb.limb_matching import LimbMatching
 from giantlike.relative.template.cross_correlation import CrossCorrelation
-from tests.relative.test_light_truth import Shot, shot
+from tests.relative.light.test_light_truth import Shot, shot
 from tests.tolerances import RARE
 
 SEEDS = (1, 2, 3)

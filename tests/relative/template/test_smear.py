@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from giantlike.core.findings import Smear
 from giantlike.relative.template.cross_correlation import CrossCorrelation
-from tests.relative.test_light_truth import shot
+from tests.relative.light.test_light_truth import shot
 from tests.tolerances import RARE
 
 SEEDS = (1, 2, 3)

@@ -23,7 +23,7 @@ from giantlike.relative.place import place_covariance
 from giantlike.relative.template.cross_correlation import CrossCorrelation
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
-from tests.relative.test_light_truth import FOCAL_PX, KNOWN, RADII_KM, SIZE, light, shot
+from tests.relative.light.test_light_truth import FOCAL_PX, KNOWN, RADII_KM, SIZE, light, shot
 from tests.tolerances import RARE
 
 SEEDS = (1, 2, 3)

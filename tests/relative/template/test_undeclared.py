@@ -18,7 +18,7 @@ from giantlike.relative import CrossCorrelation
 from giantlike.relative.template.covariance import LinearFit
 from giantlike.relative.template.undeclared import undeclared_effects
 from giantlike.scene import Scene, TargetUncertainty
-from tests.relative.test_light_truth import Shot, shot
+from tests.relative.light.test_light_truth import Shot, shot
 
 DIAMETER_PX, PHASE_DEG = 90.0, 50.0
 NOISE_DN = 2.0
