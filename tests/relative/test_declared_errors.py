@@ -16,10 +16,11 @@ from giantlike import ApparentGeometry, Camera, Detector, GaussianPsf, Image, Sc
 from giantlike.camera_models import PinholeModel
 from giantlike.core.causes import Cause
 from giantlike.core.outcomes import CenterFix
-from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, bumps, render_body
+from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, render_body
 from giantlike.relative import ESTIMATORS
 from giantlike.scene import TargetUncertainty
 from giantlike.shapes import Ellipsoid
+from tests.sphere_fields import bumps
 
 RADII_KM = (10.0, 9.2, 8.6)
 FOCAL_PX, SIZE, RANGE_KM = 3000.0, 200, 600.0

@@ -31,6 +31,7 @@ from giantlike.relative.template.cross_correlation import CrossCorrelation
 from giantlike.relative.template.rendering import TemplateRenderer
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
+from tests.sphere_fields import bumps
 from tests.tolerances import RARE
 
 FOCAL_PX, SIZE = 5000.0, 180
@@ -44,7 +45,6 @@ SAME_SIGMA = 0.2  # of a sigma: iterations that stop at a tenth of it, and go ot
 OTHER_SIGMA = (
     0.5  # the same where the noise of a sky of 200 electrons is taken for read noise: shot noise twice too large
 )
-MARKED = independent.bumps(3, rms=0.1)
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def light(
     pose = Pose(position_km, Rotation.random(random_state=rng), sun)
     middle = (SIZE - 1) / 2
     view = PinholeView(focal_px=focal_px, center_px=(middle, middle), columns=SIZE, rows=SIZE)
-    body = EllipsoidBody(RADII_KM, albedo=MARKED if marked else None)
+    body = EllipsoidBody(RADII_KM, albedo=bumps(3, rms=0.1) if marked else None)
     sampling = Sampling(cells=3, edge_rays=3) if diameter_px > 20.0 else Sampling(cells=3, edge_rays=80)
     return independent.render_body(
         body, view, pose, law=law, psf=Psf(0.8, wings, 3.5, motion_px), peak_dn=1.0, sampling=sampling

@@ -24,6 +24,7 @@ from giantlike.relative.template.cross_correlation import CrossCorrelation
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
 from tests.relative.light.test_light_truth import FOCAL_PX, KNOWN, RADII_KM, SIZE, light, shot
+from tests.sphere_fields import bumps
 from tests.tolerances import RARE
 
 SEEDS = (1, 2, 3)
@@ -114,11 +115,11 @@ def test_strong_markings_are_explained_and_a_limb_that_is_elsewhere_is_in_the_co
         shown = independent.record(signal_dn, np.random.default_rng(1)).pixels.astype(np.int32)
         return replace(one, image=replace(one.image, pixels=shown)).fix(CrossCorrelation())
 
-    marked = fix_of(EllipsoidBody(RADII_KM, independent.bumps(3, rms=0.25, widths_deg=(4.0, 25.0))))
+    marked = fix_of(EllipsoidBody(RADII_KM, bumps(3, rms=0.25, widths_deg=(4.0, 25.0))))
     assert np.sqrt(np.mean(marked.residuals**2)) < UNEXPLAINED
     assert not marked.flags.suspect, marked.findings.checks
     assert one.nees(marked).sum() < chi2.ppf(1.0 - RARE, 2)
-    rugged = fix_of(ReliefBody(RADII_KM, independent.bumps(3, rms=0.016, widths_deg=(3.0, 15.0), count=150)))
+    rugged = fix_of(ReliefBody(RADII_KM, bumps(3, rms=0.016, widths_deg=(3.0, 15.0), count=150)))
     assert rugged.flags.suspect or one.nees(rugged).sum() < chi2.ppf(1.0 - RARE, 2)
 
 

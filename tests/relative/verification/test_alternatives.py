@@ -19,13 +19,14 @@ from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import Quality
 from giantlike.gauntlet.lights import moved
 from giantlike.image_model.columns import Block, Columns, Prior, Solution
-from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, ReliefBody, bumps, record, render_body
+from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, ReliefBody, record, render_body
 from giantlike.ray_tracing import Body
 from giantlike.relative.judge import Alternative, Judgement
 from giantlike.relative.verification.alternatives import CellScores, shifted_lines
 from giantlike.relative.verification.cells import cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
 from giantlike.shapes import Ellipsoid
+from tests.sphere_fields import bumps
 
 RADII_KM = np.array([10.0, 8.8, 8.2])
 SIZE, FOCAL_PX, MIDDLE = 160, 4000.0, 79.5
