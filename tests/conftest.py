@@ -17,6 +17,14 @@ BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 DATA = Path(os.environ.get("GIANTLIKE_TEST_DATA", BESIDE))
 
 
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run Monte Carlo tests with ``few`` draws always, and with all of them among the slow tests."""
+    marker = metafunc.definition.get_closest_marker("monte_carlo")
+    if marker is not None:
+        few, full = marker.kwargs["few"], marker.kwargs["full"]
+        metafunc.parametrize("draws", [few, pytest.param(full, marks=pytest.mark.slow)])
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder of real images, kernels and shapes; skips where it is missing (it is not part of the project)."""
