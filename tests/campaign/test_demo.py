@@ -291,12 +291,14 @@ def test_files_behind_a_link_in_the_folder_of_a_demonstration_are_kept(
 # the demonstration itself ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_demonstration_reaches_its_goals(demo_report: DemoReport) -> None:
     missed = [f"{goal.text}: {goal.value:.3g}" for goal in demo_report.goals if not goal.met]
     assert missed == []
     assert demo_report.met
 
 
+@pytest.mark.slow
 def test_every_estimator_and_every_way_to_an_attitude_is_exercised(demo_report: DemoReport) -> None:
     attitudes = demo_report.attitude_scores()
     assert (attitudes["stars"].n_fixes, attitudes["interpolated"].n_fixes) == (26, 13)
@@ -307,6 +309,7 @@ def test_every_estimator_and_every_way_to_an_attitude_is_exercised(demo_report: 
     assert fixes[("MOON", "ellipsoid_cra")] == 2
 
 
+@pytest.mark.slow
 def test_the_lost_visit_is_solved_without_an_a_priori_attitude(demo_report: DemoReport) -> None:
     with (demo_report.output / "geometry.csv").open() as stream:
         lost = {row["file"] for row in csv.DictReader(stream) if not row["qx"]}
@@ -314,6 +317,7 @@ def test_the_lost_visit_is_solved_without_an_a_priori_attitude(demo_report: Demo
     assert {error.status for error in demo_report.comparison.attitudes if error.file in lost} == {"ok"}
 
 
+@pytest.mark.slow
 def test_geometric_observables_are_where_the_bodies_were_within_their_covariance(demo_report: DemoReport) -> None:
     """Of the preferred fixes, against the true orbits at the epoch: no light time, no aberration, no camera."""
     rows, _ = read_observables(demo_report.output / "run" / "observables.parquet")
@@ -342,6 +346,7 @@ def test_geometric_observables_are_where_the_bodies_were_within_their_covariance
     assert low < squared < high
 
 
+@pytest.mark.slow
 def test_the_example_solves_the_flyby_of_the_moon_from_the_file_alone(demo_report: DemoReport) -> None:
     """A straight path between two visits, in the axes of the moon: its position and velocity at the first."""
     example = orbit_example()
@@ -361,6 +366,7 @@ def test_the_example_solves_the_flyby_of_the_moon_from_the_file_alone(demo_repor
     assert float(error @ np.linalg.solve(solution.covariance[:6, :6], error)) < float(chi2.ppf(0.999, 6))
 
 
+@pytest.mark.slow
 def test_the_text_shows_each_error_beside_its_sigma_and_the_json_says_the_same(demo_report: DemoReport) -> None:
     text, table = demo_report.text(), json.loads(demo_report.to_json())
     assert len(re.findall(r"[+-]\d\.\d{3} \+- \d\.\d{3}", text)) >= 2 * 24
