@@ -100,10 +100,11 @@ def test_methods_agree_far_within_the_covariance() -> None:
             assert difference @ np.linalg.solve(reference.covariance_rad2, difference) < sigmas**2
 
 
-def test_full_covariances_make_the_weighted_attitude_better_than_one_sigma_a_star() -> None:
+@pytest.mark.monte_carlo(few=40, full=100)
+def test_full_covariances_make_the_weighted_attitude_better_than_one_sigma_a_star(draws: int) -> None:
     rng = np.random.default_rng(22)
-    errors = {method: np.empty(100) for method in (AttitudeMethod.WEIGHTED, AttitudeMethod.Q_METHOD)}
-    for k in range(100):
+    errors = {method: np.empty(draws) for method in (AttitudeMethod.WEIGHTED, AttitudeMethod.Q_METHOD)}
+    for k in range(draws):
         truth, directions, points, covariance = _stars(rng, 15, elongated=True)
         for method, list_ in errors.items():
             solution = _solved(fit_attitude(directions, points, covariance, CAMERA, method=method, outlier_sigma=6.0))

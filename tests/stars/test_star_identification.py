@@ -58,7 +58,6 @@ OBSERVER = ObserverState(position_km=np.array([1.1e8, 9e7, 4e7]), velocity_km_s=
 CAMERA = Camera.from_fov(4.0, 1024, 1024)
 SIGMA_PX = 0.1
 FULL_ATTITUDE_PX = 0.5  # five sigmas of a 20-star attitude at the corner of the image
-TRIALS = 300
 UNKNOWNS = Quality.OBSERVER_UNKNOWN | Quality.EPOCH_UNKNOWN
 
 CENTER_DEG = 0.02  # what must be shown on the tetra3 frames, against a solver without distortion
@@ -221,9 +220,10 @@ def test_identified_stars_are_the_true_ones_or_their_companions(catalog: MemoryC
     assert wrong < 0.02 * right
 
 
-def test_an_a_priori_attitude_somewhere_else_is_refused_not_believed(catalog: MemoryCatalog) -> None:
+@pytest.mark.monte_carlo(few=6, full=25)
+def test_an_a_priori_attitude_somewhere_else_is_refused_not_believed(catalog: MemoryCatalog, draws: int) -> None:
     rng = np.random.default_rng(3)
-    for _ in range(25):
+    for _ in range(draws):
         scene = _scene(rng, catalog)
         image = scene.image.with_attitude(_off(rng, scene.attitude, 30.0))
         outcome = StarNavigation(CAMERA, catalog).solve_detections(image, scene.detections)
@@ -268,21 +268,22 @@ def test_a_small_crowded_image_is_identified_from_a_good_or_a_poor_attitude(erro
 # --- honest errors -----------------------------------------------------------------------------------------------
 
 
-def test_attitude_errors_agree_with_their_covariance_about_every_axis(catalog: MemoryCatalog) -> None:
+@pytest.mark.monte_carlo(few=40, full=300)
+def test_attitude_errors_agree_with_their_covariance_about_every_axis(catalog: MemoryCatalog, draws: int) -> None:
     """From detections to fix, through identification, aberration, catalog errors and all."""
     rng = np.random.default_rng(7)
     navigation = StarNavigation(CAMERA, catalog)
-    squares, by_axis = np.empty(TRIALS), np.empty((TRIALS, 3))
-    for k in range(TRIALS):
+    squares, by_axis = np.empty(draws), np.empty((draws, 3))
+    for k in range(draws):
         scene = _scene(rng, catalog)
         image = scene.image.with_attitude(_off(rng, scene.attitude, 0.05))
         fix = _solved(navigation.solve_detections(image, scene.detections))
         error = rotation_between(fix.camera_from_inertial, scene.attitude)
         squares[k] = error @ np.linalg.solve(fix.covariance_rad2, error)
         by_axis[k] = error**2 / np.diag(fix.covariance_rad2)
-    low, high = _band(0.95, 3 * TRIALS, TRIALS)
+    low, high = _band(0.95, 3 * draws, draws)
     assert low < squares.mean() < high
-    low, high = _band(0.99, TRIALS, TRIALS)
+    low, high = _band(0.99, draws, draws)
     for axis in range(3):  # the last is roll
         assert low < by_axis[:, axis].mean() < high
 
@@ -300,11 +301,12 @@ def _fit_trial(
 
 
 @pytest.mark.parametrize(("n", "floor_px", "outliers"), [(4, 0.0, 0), (25, 0.0, 0), (25, 0.3, 0), (25, 0.0, 4)])
+@pytest.mark.monte_carlo(few=60, full=300)
 def test_the_fit_stays_honest_with_few_stars_unmodeled_errors_and_outliers(
-    n: int, floor_px: float, outliers: int
+    n: int, floor_px: float, outliers: int, draws: int
 ) -> None:
     rng = np.random.default_rng(8 + n)
-    trials = 3 * TRIALS if n == 4 else TRIALS
+    trials = 3 * draws if n == 4 else draws
     squares = np.empty(trials)
     for k in range(trials):
         attitude, directions, points, covariance = _fit_trial(rng, n=n, floor_px=floor_px, outliers=outliers)
@@ -330,11 +332,12 @@ def test_an_error_floor_is_found_and_named() -> None:
     assert abs(np.mean(floors) - 0.3) < 0.01  # 50 trials of 40 stars: 0.003 px
 
 
-def test_focal_length_and_distortion_are_recovered_with_honest_attitude() -> None:
+@pytest.mark.monte_carlo(few=40, full=150)
+def test_focal_length_and_distortion_are_recovered_with_honest_attitude(draws: int) -> None:
     rng = np.random.default_rng(10)
     truth = BrownModel(fx_px=7300.0, fy_px=7300.0, cx_px=511.5, cy_px=511.5, k1=-0.8)
     start = BrownModel(fx_px=7250.0, fy_px=7250.0, cx_px=511.5, cy_px=511.5)
-    squares = np.empty(150)
+    squares = np.empty(draws)
     for k in range(squares.size):
         attitude = Rotation.random(rng=rng)
         places = rng.uniform(0, 1023, (60, 2))

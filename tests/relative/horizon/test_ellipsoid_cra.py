@@ -363,6 +363,7 @@ def test_the_estimator_is_registered_under_its_name() -> None:
     assert isinstance(estimator, Estimator)
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_silhouettes_of_real_shapes_depart_from_their_ellipsoids_as_the_covariance_says(data_dir: Path) -> None:
     """Half outlines of Phobos, Ryugu, Bennu and Steins in random attitudes, without images or noise."""
