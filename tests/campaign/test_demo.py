@@ -40,12 +40,15 @@ from giantlike.simulation.compare import (
 )
 from giantlike.simulation.write import TRUTH_COLUMNS, TruthRow
 from tests.orbit_arc import orbit_example
-from tests.tolerances import FIVE_DIGITS, FLOAT32_SUM, FLOAT64_SUM, SETTLED
+from tests.tolerances import FIVE_DIGITS, FLOAT32_SUM, FLOAT64_SUM, RARE, SETTLED
 
 ATTITUDE_COLUMNS = ("file", "status", "reason", "source", "qx", "qy", "qz", "qw", "sigma_x_arcsec", "sigma_y_arcsec",
                     "sigma_z_arcsec")  # fmt: skip
 OBSERVATION_COLUMNS = ("file", "target", "estimator", "status", "reason", "x_px", "y_px", "sigma_x_px", "sigma_y_px",
                        "rho_xy", "range_km", "sigma_range_km")  # fmt: skip
+
+VISITS = (Visit(day=0.0, diameter_px=1.5, phase_deg=40.0), Visit(day=1.0, diameter_px=40.0, phase_deg=70.0))
+SMALL = ApproachOptions(seed=3, approach=VISITS, moon=(), facets=5000)
 
 
 def write_table(path: Path, columns: tuple[str, ...], rows: list[dict[str, object]]) -> None:
@@ -377,8 +380,6 @@ def test_the_text_shows_each_error_beside_its_sigma_and_the_json_says_the_same(d
 
 @pytest.mark.slow
 def test_a_second_demonstration_in_the_same_folder_gives_the_same_results(tmp_path: Path) -> None:
-    visits = (Visit(day=0.0, diameter_px=1.5, phase_deg=40.0), Visit(day=1.0, diameter_px=40.0, phase_deg=70.0))
-    options = ApproachOptions(seed=3, approach=visits, moon=(), facets=5000)
     stages: list[str] = []
 
     def progress(stage: str, done: int, total: int) -> None:
@@ -386,8 +387,16 @@ def test_a_second_demonstration_in_the_same_folder_gives_the_same_results(tmp_pa
 
     tables = []
     for workers in (1, 2):
-        run_demo(tmp_path, workers=workers, progress=progress, options=options)
+        run_demo(tmp_path, workers=workers, progress=progress, options=SMALL)
         with (tmp_path / "run" / "observations.csv").open() as stream:
             tables.append([{k: v for k, v in row.items() if k != "time_s"} for row in csv.DictReader(stream)])
     assert tables[0] == tables[1]
     assert list(dict.fromkeys(stages))[:3] == ["taking images", "solving stars", "finding bodies"]
+
+
+def test_a_demonstration_of_two_visits_has_errors_within_their_covariance(tmp_path: Path) -> None:
+    report = run_demo(tmp_path, workers=1, options=SMALL)
+    assert {error.status for error in report.comparison.attitudes} == {"ok"}
+    found = [error for error in report.comparison.observations if error.nees is not None]
+    assert {error.estimator for error in found} >= {"limb_matching", "cross_correlation"}
+    assert max(error.nees for error in found if error.nees is not None) < float(chi2.ppf(1.0 - RARE, 3))
