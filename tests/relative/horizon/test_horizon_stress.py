@@ -220,6 +220,7 @@ def test_a_disk_that_is_clipped_along_its_limb_is_found(name: str) -> None:
     assert np.mean(squares) < float(chi2.ppf(1.0 - RARE, 3 * len(squares))) / len(squares), squares
 
 
+@pytest.mark.slow
 def test_a_limb_that_is_clipped_little_is_as_sure_as_it_errs() -> None:
     """Clipped at two thirds of the peak, the half of the light that is the limb is seen; before, 0.2."""
     squares = []
