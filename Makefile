@@ -1,11 +1,18 @@
 # Two commands matter: `make demo` and `make test`; `make test-all` runs the slow tests and builds the documentation as well. Each sets up what it needs in .venv.
+# While you work, `make quick DIR=relative/limb` checks the changed files and runs the fast tests of one folder of tests/.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-all check docs notebooks wheel clean
+.PHONY: demo quick test test-all check docs notebooks wheel clean
 demo: $(VENV)/installed
 	$(BIN)/giantlike demo --output demo-output
+
+quick: $(VENV)/installed-dev
+	@test -n "$(DIR)" || { echo "which folder of tests/? make quick DIR=relative/limb"; exit 2; }
+	git diff --name-only --diff-filter=d HEAD -- '*.py' | xargs $(BIN)/ruff check --force-exclude
+	git diff --name-only --diff-filter=d HEAD -- '*.py' | xargs $(BIN)/ruff format --check --force-exclude
+	$(BIN)/pytest -q -m "not slow" -n 2 --dist worksteal tests/$(DIR)
 
 test: check
 	$(BIN)/pytest -m "not slow" -n 2 --dist worksteal

@@ -6,16 +6,23 @@ import json
 import os
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
-from giantlike.camera import Camera
-from giantlike.campaign.demo import DemoReport, run_demo
-from giantlike.simulation.compare import compare_run
-from giantlike.simulation.write import TRUTH_FILE
+if TYPE_CHECKING:
+    from giantlike.campaign.demo import DemoReport
 
 BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 DATA = Path(os.environ.get("GIANTLIKE_TEST_DATA", BESIDE))
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run Monte Carlo tests with ``few`` draws always, and with all of them among the slow tests."""
+    marker = metafunc.definition.get_closest_marker("monte_carlo")
+    if marker is not None:
+        few, full = marker.kwargs["few"], marker.kwargs["full"]
+        metafunc.parametrize("draws", [few, pytest.param(full, marks=pytest.mark.slow)])
 
 
 @pytest.fixture(scope="session")
@@ -29,6 +36,8 @@ def data_dir() -> Path:
 @pytest.fixture(scope="session")
 def demo_report(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> DemoReport:
     """The demonstration, made once for all workers; what is in its folder is not to be changed."""
+    from giantlike.campaign.demo import run_demo  # here, as importing it takes seconds that few folders need
+
     root = tmp_path_factory.mktemp("demo") if worker_id == "master" else tmp_path_factory.getbasetemp().parent
     folder, seconds = root / "demo-output", root / "demo-seconds.json"
     try:
@@ -49,6 +58,11 @@ def demo_report(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Dem
 
 
 def _report_of(folder: Path, seconds: Path) -> DemoReport:
+    from giantlike.camera import Camera
+    from giantlike.campaign.demo import DemoReport
+    from giantlike.simulation.compare import compare_run
+    from giantlike.simulation.write import TRUTH_FILE
+
     times = json.loads(seconds.read_text())
     assert times, "the demonstration failed in another worker"
     comparison = compare_run(folder / "run", folder / TRUTH_FILE, Camera.load(folder / "camera.toml"))

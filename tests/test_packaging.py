@@ -98,6 +98,7 @@ def contents(wheel: Path) -> dict[str, bytes]:
         return {name: archive.read(name) for name in archive.namelist()}
 
 
+@pytest.mark.slow
 def test_wheel_and_source_distribution_hold_every_module_and_the_second_makes_the_first(
     clone: Path, tmp_path: Path
 ) -> None:
@@ -115,6 +116,7 @@ def test_wheel_and_source_distribution_hold_every_module_and_the_second_makes_th
     assert f"\nVersion: {giantlike.__version__}\n" in metadata
 
 
+@pytest.mark.slow
 def test_an_editable_install_of_a_clone_without_links_imports_the_outer_folders(clone: Path, tmp_path: Path) -> None:
     run_python("-m", "venv", "--without-pip", "venv", cwd=tmp_path)
     python = tmp_path / "venv" / ("Scripts/python.exe" if os.name == "nt" else "bin/python")

@@ -12,6 +12,7 @@ from scipy.special import gammainc
 from giantlike.core.arrays import Float, Mask, as_finite, require
 from giantlike.core.frames import FrameRotation
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.processes import one_thread
 from giantlike.core.statistics import squared_residuals
 from giantlike.core.values import Value
 
@@ -97,6 +98,7 @@ class AlignmentResult(Value):
         return self
 
 
+@one_thread()
 def align(
     rotations: Rotation,
     covariances_rad2: ArrayLike,

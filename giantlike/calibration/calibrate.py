@@ -21,6 +21,7 @@ from giantlike.calibration.result import CalibrationResult, ImageCalibration, Re
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.processes import one_thread
 from giantlike.core.statistics import MEDIAN_CHI2
 from giantlike.core.values import Value
 from giantlike.core.version import VERSION
@@ -35,6 +36,7 @@ _ROUGH_STEPS = 40  # of the fits that search for outliers; these may end before 
 _LEAST_SHARE = 0.5  # of the observations of an image that must agree: if most disagree, its identification is wrong
 
 
+@one_thread()
 def calibrate(
     observations: Sequence[ImageObservations],
     model: CameraModel,

@@ -21,6 +21,7 @@ from giantlike.camera_models import BrownModel, CameraModel, model_from_mapping,
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import AttitudeFix, Failure, Reason
+from giantlike.core.processes import one_thread
 from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.stars.field import Sky, StarField
@@ -131,6 +132,7 @@ class StarCalibration(Value):
         return self
 
 
+@one_thread()
 def identify_first(
     image: Image, camera: Camera, navigation: StarNavigation, *, scale_error: float, temperature_c: float = 0.0
 ) -> StarImage | Failure:
@@ -236,6 +238,7 @@ def start_model(model: CameraModel, estimate: Sequence[str], type_name: str | No
     return model.with_parameters(list(values.values()))
 
 
+@one_thread()
 def calibrate_stars(
     images: Sequence[StarImage],
     camera: Camera,

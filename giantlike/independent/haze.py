@@ -20,8 +20,8 @@ STEPS = 96
 CELLS = 3
 """Cells along the side of a pixel."""
 
-RAYS_AT_ONCE = 40_000
-"""Rays in one call."""
+RAYS_AT_ONCE = 4_000
+"""Rays in one call: keeps the arrays of a batch, a number for each of the steps along a ray, within a cache."""
 
 HEIGHTS, COSINES, TO_SUN = 81, 241, 200
 """Heights and cosines of incidence at which sunlight is tabulated, and steps along each ray to the Sun."""

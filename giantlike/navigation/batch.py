@@ -14,6 +14,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float, require, symmetric
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.processes import one_thread
 from giantlike.core.values import Value
 from giantlike.navigation.cislunar_filter import (
     STATES,
@@ -52,6 +53,7 @@ class BatchSolution(Value):
     iterations: int
 
 
+@one_thread()
 def estimate_batch(
     start: FilterState,
     observations: Sequence[BodyObservation],

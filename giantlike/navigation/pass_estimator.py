@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, Mask, symmetric
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.processes import one_thread
 from giantlike.core.values import Value
 from giantlike.navigation.pass_fix import PassFix, TimetagJitter, WeakCombination, term_test, weak_combinations
 from giantlike.navigation.pass_images import DISPLACEMENT, ROTATION, NavigationPass
@@ -113,15 +114,16 @@ def estimate_pass(given: NavigationPass, options: PassOptions | None = None) -> 
     (25, True)
     """
     options = options or PassOptions()
-    layout = Layout.of(given, options)
-    state = _settled(given, layout, options, options.timetag_jitter_s, np.zeros(len(layout.names)))
-    jitter = (options.timetag_jitter_s, 0.0, 1.0)
-    if options.estimate_jitter and not isinstance(state, Failure):
-        jitter = _likely_jitter(given, layout, options, state)
-        state = _settled(given, layout, options, jitter[0], state.departure)
-    if isinstance(state, Failure):
-        return state
-    return _result(given, layout, options, state, jitter)
+    with one_thread():
+        layout = Layout.of(given, options)
+        state = _settled(given, layout, options, options.timetag_jitter_s, np.zeros(len(layout.names)))
+        jitter = (options.timetag_jitter_s, 0.0, 1.0)
+        if options.estimate_jitter and not isinstance(state, Failure):
+            jitter = _likely_jitter(given, layout, options, state)
+            state = _settled(given, layout, options, jitter[0], state.departure)
+        if isinstance(state, Failure):
+            return state
+        return _result(given, layout, options, state, jitter)
 
 
 def _settled(

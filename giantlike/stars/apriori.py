@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.processes import one_thread
 from giantlike.core.values import Value
 from giantlike.processing.geometry.wahba import davenport_quaternions
 from giantlike.stars.field import half_diagonal_px
@@ -54,6 +55,7 @@ class Identification(Value):
     false_match_probability: float
 
 
+@one_thread()
 def identify_apriori(
     directions_inertial: Float,
     points_px: Float,

@@ -16,6 +16,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.frames import rotate, turned_about
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.processes import one_thread
 from giantlike.core.statistics import error_floor, error_terms, squared_residuals, whitened
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
@@ -112,6 +113,7 @@ class Scale(IntEnum):
     """The factor and the radial distortion k1."""
 
 
+@one_thread()
 def fit_attitude(
     directions_inertial: Float,
     points_px: Float,

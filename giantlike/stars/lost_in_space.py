@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.processes import one_thread
 from giantlike.core.values import Value
 from giantlike.processing.geometry.wahba import davenport_quaternions
 from giantlike.stars.field import Sky, StarField, half_diagonal_rad, line_of_sight
@@ -55,6 +56,7 @@ _GAINED = 3  # matches that a fit may add to the matches of a hypothesis
 _FIRST_RADIUS = 0.008  # first match radius / image width: distortion left by a pinhole of the correct focal length
 
 
+@one_thread()
 def identify_lost_in_space(
     points_px: Float, covariance_px2: Float, camera: Camera, sky: Sky, *, options: StarOptions
 ) -> RefinedAttitude | Failure:

@@ -13,6 +13,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel, CameraModel, PinholeModel, ifov_rad
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.processes import one_thread
 from giantlike.core.values import Value
 from giantlike.stars.attitude import AttitudeSolution, Scale, fit_attitude
 from giantlike.stars.field import StarField
@@ -62,6 +63,7 @@ class RefinedAttitude(Value):
     false_match_probability: float
 
 
+@one_thread()
 def refine_attitude(
     field: StarField,
     points_px: Float,

@@ -19,6 +19,7 @@ from giantlike.core.causes import Cause, summed
 from giantlike.core.errors import InputError
 from giantlike.core.frames import skew
 from giantlike.core.outcomes import AttitudeErrors, Failure, Quality, Reason
+from giantlike.core.processes import one_thread
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG
 from giantlike.core.values import Value
 from giantlike.image import AttitudeSource, Image
@@ -168,6 +169,7 @@ def transfer_attitude(
     return result if refusal is None else refusal
 
 
+@one_thread()
 def carry_attitude(
     image: Image,
     solved: Sequence[Image],

@@ -76,6 +76,7 @@ from giantlike.shapes import sphere
 from giantlike.simulation import Shot, Sources, simulate_image
 from tests.campaign_files import CAMERA, Truth, campaign_table, write_campaign
 from tests.numerical import numerical_jacobian
+from tests.sizes import slow
 from tests.tolerances import FLOAT64, FLOAT64_ROOT, FLOAT64_SUM
 
 CHI2_3_LIMIT = 21.1  # chi-square of 3 degrees of freedom exceeds it once in 10,000 times
@@ -419,7 +420,7 @@ def test_an_attitude_at_a_celestial_pole_has_a_direction_but_no_roll(tmp_path: P
 # --- interruption ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("images_before_the_kill", [0, 2, 7])
+@pytest.mark.parametrize("images_before_the_kill", [slow(0), 2, slow(7)])
 def test_a_run_continued_after_a_kill_gives_the_tables_of_an_uninterrupted_one(
     finished: Run, copied: Path, images_before_the_kill: int
 ) -> None:
@@ -535,6 +536,7 @@ def test_no_more_threads_work_than_workers_were_asked_for(finished: Run) -> None
     assert ALLOWED.get() == 1
 
 
+@pytest.mark.slow
 def test_the_estimators_of_a_single_image_run_at_once_and_give_what_they_give_one_after_the_other(
     copied: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -574,6 +576,7 @@ def test_a_process_that_dies_takes_one_image_with_it(finished: Run) -> None:
     assert answers == {image.index: None if image.index == 2 else f"test {image.key}" for image in campaign.images}
 
 
+@pytest.mark.slow
 def test_processes_that_cannot_start_end_the_run_with_advice_instead_of_failing_every_image(copied: Path) -> None:
     script = copied.parent / "script.py"
     script.write_text(
@@ -926,6 +929,7 @@ def real_body(name: str, data_dir: Path, folder: Path, images: str, estimators: 
     return run_campaign(Campaign.load(path), workers=1)
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 @pytest.mark.parametrize(
     ("image", "estimators"),

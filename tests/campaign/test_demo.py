@@ -40,12 +40,15 @@ from giantlike.simulation.compare import (
 )
 from giantlike.simulation.write import TRUTH_COLUMNS, TruthRow
 from tests.orbit_arc import orbit_example
-from tests.tolerances import FIVE_DIGITS, FLOAT32_SUM, FLOAT64_SUM, SETTLED
+from tests.tolerances import FIVE_DIGITS, FLOAT32_SUM, FLOAT64_SUM, RARE, SETTLED
 
 ATTITUDE_COLUMNS = ("file", "status", "reason", "source", "qx", "qy", "qz", "qw", "sigma_x_arcsec", "sigma_y_arcsec",
                     "sigma_z_arcsec")  # fmt: skip
 OBSERVATION_COLUMNS = ("file", "target", "estimator", "status", "reason", "x_px", "y_px", "sigma_x_px", "sigma_y_px",
                        "rho_xy", "range_km", "sigma_range_km")  # fmt: skip
+
+VISITS = (Visit(day=0.0, diameter_px=1.5, phase_deg=40.0), Visit(day=1.0, diameter_px=40.0, phase_deg=70.0))
+SMALL = ApproachOptions(seed=3, approach=VISITS, moon=(), facets=5000)
 
 
 def write_table(path: Path, columns: tuple[str, ...], rows: list[dict[str, object]]) -> None:
@@ -291,12 +294,14 @@ def test_files_behind_a_link_in_the_folder_of_a_demonstration_are_kept(
 # the demonstration itself ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_demonstration_reaches_its_goals(demo_report: DemoReport) -> None:
     missed = [f"{goal.text}: {goal.value:.3g}" for goal in demo_report.goals if not goal.met]
     assert missed == []
     assert demo_report.met
 
 
+@pytest.mark.slow
 def test_every_estimator_and_every_way_to_an_attitude_is_exercised(demo_report: DemoReport) -> None:
     attitudes = demo_report.attitude_scores()
     assert (attitudes["stars"].n_fixes, attitudes["interpolated"].n_fixes) == (26, 13)
@@ -307,6 +312,7 @@ def test_every_estimator_and_every_way_to_an_attitude_is_exercised(demo_report: 
     assert fixes[("MOON", "ellipsoid_cra")] == 2
 
 
+@pytest.mark.slow
 def test_the_lost_visit_is_solved_without_an_a_priori_attitude(demo_report: DemoReport) -> None:
     with (demo_report.output / "geometry.csv").open() as stream:
         lost = {row["file"] for row in csv.DictReader(stream) if not row["qx"]}
@@ -314,6 +320,7 @@ def test_the_lost_visit_is_solved_without_an_a_priori_attitude(demo_report: Demo
     assert {error.status for error in demo_report.comparison.attitudes if error.file in lost} == {"ok"}
 
 
+@pytest.mark.slow
 def test_geometric_observables_are_where_the_bodies_were_within_their_covariance(demo_report: DemoReport) -> None:
     """Of the preferred fixes, against the true orbits at the epoch: no light time, no aberration, no camera."""
     rows, _ = read_observables(demo_report.output / "run" / "observables.parquet")
@@ -342,6 +349,7 @@ def test_geometric_observables_are_where_the_bodies_were_within_their_covariance
     assert low < squared < high
 
 
+@pytest.mark.slow
 def test_the_example_solves_the_flyby_of_the_moon_from_the_file_alone(demo_report: DemoReport) -> None:
     """A straight path between two visits, in the axes of the moon: its position and velocity at the first."""
     example = orbit_example()
@@ -361,6 +369,7 @@ def test_the_example_solves_the_flyby_of_the_moon_from_the_file_alone(demo_repor
     assert float(error @ np.linalg.solve(solution.covariance[:6, :6], error)) < float(chi2.ppf(0.999, 6))
 
 
+@pytest.mark.slow
 def test_the_text_shows_each_error_beside_its_sigma_and_the_json_says_the_same(demo_report: DemoReport) -> None:
     text, table = demo_report.text(), json.loads(demo_report.to_json())
     assert len(re.findall(r"[+-]\d\.\d{3} \+- \d\.\d{3}", text)) >= 2 * 24
@@ -371,8 +380,6 @@ def test_the_text_shows_each_error_beside_its_sigma_and_the_json_says_the_same(d
 
 @pytest.mark.slow
 def test_a_second_demonstration_in_the_same_folder_gives_the_same_results(tmp_path: Path) -> None:
-    visits = (Visit(day=0.0, diameter_px=1.5, phase_deg=40.0), Visit(day=1.0, diameter_px=40.0, phase_deg=70.0))
-    options = ApproachOptions(seed=3, approach=visits, moon=(), facets=5000)
     stages: list[str] = []
 
     def progress(stage: str, done: int, total: int) -> None:
@@ -380,8 +387,16 @@ def test_a_second_demonstration_in_the_same_folder_gives_the_same_results(tmp_pa
 
     tables = []
     for workers in (1, 2):
-        run_demo(tmp_path, workers=workers, progress=progress, options=options)
+        run_demo(tmp_path, workers=workers, progress=progress, options=SMALL)
         with (tmp_path / "run" / "observations.csv").open() as stream:
             tables.append([{k: v for k, v in row.items() if k != "time_s"} for row in csv.DictReader(stream)])
     assert tables[0] == tables[1]
     assert list(dict.fromkeys(stages))[:3] == ["taking images", "solving stars", "finding bodies"]
+
+
+def test_a_demonstration_of_two_visits_has_errors_within_their_covariance(tmp_path: Path) -> None:
+    report = run_demo(tmp_path, workers=1, options=SMALL)
+    assert {error.status for error in report.comparison.attitudes} == {"ok"}
+    found = [error for error in report.comparison.observations if error.nees is not None]
+    assert {error.estimator for error in found} >= {"limb_matching", "cross_correlation"}
+    assert max(error.nees for error in found if error.nees is not None) < float(chi2.ppf(1.0 - RARE, 3))

@@ -241,6 +241,7 @@ def tables(run: Path) -> list[str]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks at processes through /proc")
 def test_a_run_killed_without_warning_leaves_no_process_behind_and_can_be_continued(tmp_path: Path) -> None:
     path, _ = write_campaign(tmp_path / "killed", visits=4)

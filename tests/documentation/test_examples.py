@@ -11,6 +11,7 @@ import pytest
 
 from giantlike.campaign.demo import DemoReport
 from tests.documentation.pages import ROOT, RUN, blocks_of, pages, run_page
+from tests.sizes import slow
 
 DEMO = "demo-output"
 LANGUAGES = {"python", "console", "text", "toml", "json", "csv", "bash", "{toctree}", "{math}", "{image}", "{figure}"}
@@ -26,6 +27,10 @@ def name(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
+def needs_demo(page: Path) -> bool:
+    return DEMO in page.read_text(encoding="utf-8")
+
+
 @pytest.fixture
 def folder(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder to be in, with the examples of the project, and the demonstration where a page names it."""
@@ -33,7 +38,7 @@ def folder(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setenv("MPLBACKEND", "agg")
     shutil.copytree(ROOT / "examples", tmp_path / "examples", ignore=shutil.ignore_patterns("__pycache__"))
     page: Path = request.getfixturevalue("page")
-    if DEMO in page.read_text(encoding="utf-8"):
+    if needs_demo(page):
         report: DemoReport = request.getfixturevalue("demo_report")
         images = report.output / "images"
         shutil.copytree(report.output, tmp_path / DEMO, ignore=lambda path, names: names if path == str(images) else ())
@@ -41,7 +46,7 @@ def folder(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
     return tmp_path
 
 
-@pytest.mark.parametrize("page", FAST, ids=name)
+@pytest.mark.parametrize("page", [slow(page) if needs_demo(page) else page for page in FAST], ids=name)
 @pytest.mark.usefixtures("folder")
 def test_the_examples_of_a_page_run(page: Path) -> None:
     run_page(page, slow=False)

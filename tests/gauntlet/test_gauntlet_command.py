@@ -9,6 +9,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 from typer.testing import CliRunner, Result
 
 from giantlike.campaign.store.lock import locked
@@ -47,10 +48,14 @@ def test_the_report_counts_every_verdict_once_and_the_folder_holds_page_table_an
     assert "http" not in page  # nothing is fetched
 
 
-def test_results_do_not_depend_on_the_number_of_workers_nor_on_a_pause(tmp_path: Path) -> None:
-    alone = gauntlet("--images", 4, *CHEAP, "--workers", 1, "--output", tmp_path / "one", "--json")
-    pair = gauntlet("--images", 4, *CHEAP, "--workers", 2, "--json")
+@pytest.mark.slow
+def test_results_do_not_depend_on_the_number_of_workers() -> None:
+    alone, pair = (gauntlet("--images", 4, *CHEAP, "--workers", workers, "--json") for workers in (1, 2))
     assert without_times(json.loads(alone.stdout)) == without_times(json.loads(pair.stdout))
+
+
+def test_results_do_not_depend_on_a_pause(tmp_path: Path) -> None:
+    alone = gauntlet("--images", 4, *CHEAP, "--workers", 1, "--output", tmp_path / "one", "--json")
     parts = tmp_path / "one" / "images.jsonl"
     parts.write_text("".join(parts.read_text(encoding="utf-8").splitlines(keepends=True)[:2]), encoding="utf-8")
     resumed = gauntlet("--images", 4, *CHEAP, "--workers", 1, "--output", tmp_path / "one", "--resume", "--json")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from numpy.testing import assert_allclose
 
 from giantlike import DataError, InputError
@@ -182,3 +183,12 @@ def test_an_archive_of_zeros_larger_than_the_memory_is_refused_before_it_is_read
     np.savez_compressed(tmp_path / "a.npz", heights_km=np.zeros((6000, 12000)), reference_radii_km=1737.4)
     with pytest.raises(DataError, match="576 MB"):
         HeightMap.open(tmp_path / "a.npz")
+
+
+def test_a_geotiff_whose_pixel_scale_is_no_list_is_refused_with_that_value(tmp_path: Path) -> None:
+    """It raised a TypeError."""
+    path = write_geotiff(tmp_path / "a.tif")
+    with tifffile.TiffFile(path, mode="r+b") as file:
+        file.pages[0].tags[33550].overwrite(5.0)
+    with pytest.raises(DataError, match=r"ModelPixelScale is 5\.0, where 2 numbers are needed"):
+        HeightMap.open(path)

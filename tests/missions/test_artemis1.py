@@ -36,6 +36,7 @@ def _told(tmp_path_factory: pytest.TempPathFactory) -> tuple[Replay, Path]:
     return replay, settings.output
 
 
+@pytest.mark.slow
 def test_the_replay_has_every_figure_and_mostly_independent_comparisons(told: tuple[Replay, Path]) -> None:
     replay, output = told
     figures = [figure.reference for section in replay.sections for figure in section.figures]
@@ -46,6 +47,7 @@ def test_the_replay_has_every_figure_and_mostly_independent_comparisons(told: tu
     assert any("TUNED" in each for each in replay.assumptions)
 
 
+@pytest.mark.slow
 def test_the_limb_of_the_earth_and_the_bias_of_the_filter_come_out_as_flown(told: tuple[Replay, Path]) -> None:
     replay, _ = told
     found = {each.what: each for each in replay.comparisons}
@@ -58,6 +60,7 @@ def test_the_limb_of_the_earth_and_the_bias_of_the_filter_come_out_as_flown(told
         assert altitude.ours + bias.ours == pytest.approx(35.0, abs=1.0)  # two ways to the same
 
 
+@pytest.mark.slow
 def test_a_height_map_predicts_the_bias_that_a_limb_makes(told: tuple[Replay, Path]) -> None:
     replay, _ = told
     (found,) = [each for each in replay.comparisons if "what a height map" in each.what]

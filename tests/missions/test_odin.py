@@ -27,6 +27,7 @@ def summary(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
     return read
 
 
+@pytest.mark.slow
 def test_every_figure_that_the_replay_names_is_compared(summary: dict[str, object]) -> None:
     comparisons = summary["comparisons"]
     assert isinstance(comparisons, list)
@@ -36,6 +37,7 @@ def test_every_figure_that_the_replay_names_is_compared(summary: dict[str, objec
     assert independent >= len(comparisons) / 2
 
 
+@pytest.mark.slow
 def test_the_modes_end_in_a_pose_and_refraction_is_taken_out(summary: dict[str, object]) -> None:
     comparisons = summary["comparisons"]
     assert isinstance(comparisons, list)

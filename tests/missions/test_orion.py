@@ -39,6 +39,7 @@ def _plan() -> Plan:
     return without_close_pass(make_plan(7200.0, 3600.0))
 
 
+@pytest.mark.slow
 def test_every_place_of_the_paper_is_compared_most_of_them_independently(replay: Replay) -> None:
     places = {each.reference for each in replay.comparisons}
     assert not [name for name in NAMED if not any(name in place for place in places)]
@@ -51,6 +52,7 @@ def test_every_place_of_the_paper_is_compared_most_of_them_independently(replay:
     )
 
 
+@pytest.mark.slow
 def test_errors_of_the_paper_are_told_as_disagreements(replay: Replay) -> None:
     wrong = {each.what: each for each in replay.comparisons if not each.agrees}
     assert "focal length in the terrain terms, px" in wrong  # 7291.7 against 7312.5
@@ -58,6 +60,7 @@ def test_errors_of_the_paper_are_told_as_disagreements(replay: Replay) -> None:
     assert all(each.kind is not ComparisonKind.INPUT for each in wrong.values())
 
 
+@pytest.mark.slow
 def test_the_report_is_written(replay: Replay, settings: ReplaySettings) -> None:
     save_replay(replay, settings)
     written = json.loads((Path(settings.output) / "replay.json").read_text(encoding="utf-8"))

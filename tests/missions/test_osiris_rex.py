@@ -119,6 +119,7 @@ def test_a_correlation_that_no_range_error_moves_is_not_called_biased() -> None:
     assert [comparison.agrees for comparison in range_error_comparisons(study)] == [False, False]
 
 
+@pytest.mark.slow
 def test_a_small_replay_compares_figures_tables_and_numbers(tmp_path: Path) -> None:
     settings = ReplaySettings(output=tmp_path, small=True)
     replay = run_replay("osiris_rex", settings)

@@ -120,12 +120,12 @@ class Flown(Value):
     innovations: tuple[Innovations, ...]
 
 
-def flown(runs: int, seed: int, model: FilterModel = MODEL, spacing_s: float = 600.0) -> Flown:
+def flown(runs: int, seed: int, model: FilterModel = MODEL, spacing_s: float = 600.0, gap_h: float = 24.0) -> Flown:
     """Fly spacecraft through a day, each with its filter."""
     rng = np.random.default_rng(seed)
     truth, state = started(runs, rng)
     found = []
-    for plan in planned(day_of_images(spacing_s)):
+    for plan in planned(day_of_images(spacing_s, gap_h)):
         truth = fly_spacecraft(truth, state.et, plan.et, SKY, Processes(SIGMAS, TIMES_S), rng)
         state = time_update(state, plan.et, model)
         state, innovations = measurement_update(state, measured(plan, truth, rng), model)

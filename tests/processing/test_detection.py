@@ -10,7 +10,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import sep
 from astropy.io import fits
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -215,6 +214,7 @@ def test_sep_finds_the_same_stars_less_accurately() -> None:
     image = exposed(star_image(points, flux, 0.8, shape), 8)
     found = detected(image)
     pixels = image.astype(np.float32)
+    sep = pytest.importorskip("sep")
     background = sep.Background(pixels)
     theirs = sep.extract(pixels - background.back(), 5.0, err=background.globalrms)
     their_points = np.stack([theirs["x"], theirs["y"]], axis=1)

@@ -7,17 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import InputError
 from giantlike.core.frames import rotate, rotation_between
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.geometry.wahba import davenport_quaternions, solve_wahba
+from tests.bands import mean_square_band
 
 EXACT_RAD = 1e-13  # float64 rounding over a handful of unit vectors
 NARROW_ROLL_RAD = 1e-8  # rounding, 2e-16, over the square of a 5e-4 rad field is 1e-9; ten of it are 2 mas of roll
-TRIALS = 400
 
 
 def _field(rng: np.random.Generator, n: int, half_width: float) -> Float:
@@ -27,12 +26,6 @@ def _field(rng: np.random.Generator, n: int, half_width: float) -> Float:
 
 def _noisy(rng: np.random.Generator, vectors: Float, sigma_rad: Float) -> Float:
     return unit(vectors + sigma_rad[:, None] * rng.normal(size=vectors.shape))
-
-
-def _band(probability: float, freedom: int) -> tuple[float, float]:
-    """Central interval of a chi-square of ``freedom`` degrees over the number of trials."""
-    tail = (1.0 - probability) / 2.0
-    return float(chi2.ppf(tail, freedom)) / TRIALS, float(chi2.ppf(1.0 - tail, freedom)) / TRIALS
 
 
 @settings(max_examples=50, deadline=None)
@@ -80,10 +73,11 @@ def test_a_narrow_field_keeps_its_roll() -> None:
 
 
 @pytest.mark.parametrize("half_width", [0.03, 0.5])
-def test_errors_agree_with_the_covariance_about_every_axis(half_width: float) -> None:
+@pytest.mark.monte_carlo(few=60, full=400)
+def test_errors_agree_with_the_covariance_about_every_axis(half_width: float, draws: int) -> None:
     rng = np.random.default_rng(4)
-    errors, normalized = np.empty((TRIALS, 3)), np.empty((TRIALS, 3))
-    for k in range(TRIALS):
+    errors, normalized = np.empty((draws, 3)), np.empty((draws, 3))
+    for k in range(draws):
         truth = Rotation.random(rng=rng)
         camera = _field(rng, 10, half_width)
         sigma = rng.uniform(2e-5, 2e-4, 10)
@@ -92,9 +86,9 @@ def test_errors_agree_with_the_covariance_about_every_axis(half_width: float) ->
         error = rotation_between(solved[0], truth)
         errors[k] = np.linalg.solve(np.linalg.cholesky(solved[1]), error)
         normalized[k] = error / np.sqrt(np.diag(solved[1]))
-    low, high = _band(0.95, 3 * TRIALS)
-    assert low < np.mean(np.sum(errors**2, axis=1)) < high
-    low, high = _band(0.99, TRIALS)  # three axes, each of them
+    low, high = mean_square_band(3 * draws, 0.025)
+    assert low < np.mean(errors**2) < high
+    low, high = mean_square_band(draws, 0.005)  # three axes, each of them
     for axis in range(3):
         assert low < np.mean(normalized[:, axis] ** 2) < high
 

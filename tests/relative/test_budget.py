@@ -103,13 +103,14 @@ def calibrated(design: Float, estimated: tuple[str, ...]) -> ModelUncertainty:
     )
 
 
-def test_the_direction_of_a_body_in_a_corner_has_the_error_of_the_calibrated_camera() -> None:
+@pytest.mark.monte_carlo(few=4, full=10)
+def test_the_direction_of_a_body_in_a_corner_has_the_error_of_the_calibrated_camera(draws: int) -> None:
     rng = np.random.default_rng(5)
     known = calibrated(star_design(rng), ("fx_px", "fy_px", "k1", "k2", "p1", "p2"))
     position = in_the_corner()
     light = render_body(EllipsoidBody([30.0] * 3), VIEW, Pose(position, Rotation.identity(), SUN), law="lambert")
     here = scene(position, np.full(3, 30.0), Rotation.identity(), TargetUncertainty())
-    draws, image_alone, with_camera = 10, 0.0, 0.0
+    image_alone, with_camera = 0.0, 0.0
     for _ in range(draws):
         drawn = drawn_camera(known, rng)[0]
         image = Image(pixels=noisy(light, rng), camera_from_inertial=Rotation.identity())
@@ -124,7 +125,8 @@ def test_the_direction_of_a_body_in_a_corner_has_the_error_of_the_calibrated_cam
     assert image_alone > high  # without the part of the camera the test fails
 
 
-def test_errors_of_the_camera_that_the_attitude_from_its_stars_follows_cancel_in_inertial_axes() -> None:
+@pytest.mark.monte_carlo(few=3, full=8)
+def test_errors_of_the_camera_that_the_attitude_from_its_stars_follows_cancel_in_inertial_axes(draws: int) -> None:
     rng = np.random.default_rng(8)
     design = star_design(rng)
     known = calibrated(design, ("fx_px", "fy_px", "cx_px", "cy_px", "k1"))
@@ -132,7 +134,7 @@ def test_errors_of_the_camera_that_the_attitude_from_its_stars_follows_cancel_in
     light = render_body(EllipsoidBody([30.0] * 3), VIEW, Pose(position, Rotation.identity(), SUN), law="lambert")
     follows = -np.linalg.lstsq(design[:, :3], design[:, 3:], rcond=None)[0]
     here = scene(position, np.full(3, 30.0), Rotation.identity(), TargetUncertainty())
-    draws, squared = 8, 0.0
+    squared = 0.0
     for _ in range(draws):
         drawn, error = drawn_camera(known, rng)
         names = drawn.model.parameter_names

@@ -17,7 +17,8 @@ from giantlike.relative.horizon.sigmoid_limb import SigmoidLimb
 from giantlike.relative.light.moment import Moment
 from giantlike.relative.limb.limb_matching import LimbMatching
 from giantlike.relative.template.cross_correlation import CrossCorrelation
-from tests.relative.test_light_truth import Shot, shot
+from tests.relative.light.test_light_truth import Shot, shot
+from tests.sizes import slow
 from tests.tolerances import RARE
 
 SEEDS = (1, 2, 3)
@@ -34,7 +35,7 @@ def tabled(one: Shot, exponent: float) -> Shot:
     return replace(one, image=replace(one.image, pixels=values), camera=replace(one.camera, detector=detector))
 
 
-@pytest.mark.parametrize("exponent", [0.5, 1.0 / 2.2, 0.6])
+@pytest.mark.parametrize("exponent", [0.5, slow(1.0 / 2.2), slow(0.6)])
 def test_bodies_on_bytes_by_a_table_are_placed_as_well_as_in_light(exponent: float) -> None:
     total = 0.0
     for seed in SEEDS:
@@ -47,7 +48,7 @@ def test_bodies_on_bytes_by_a_table_are_placed_as_well_as_in_light(exponent: flo
     assert total < chi2.ppf(1.0 - RARE, 2 * len(SEEDS))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", [1, slow(2), slow(3)])
 def test_auto_gives_other_estimators_an_image_in_proportion_to_light(seed: int) -> None:
     """Limbs on the values as they are contradict the template by many sigma."""
     one = tabled(shot(seed, phase_deg=60.0, diameter_px=DIAMETER_PX), 0.5)
@@ -59,7 +60,7 @@ def test_auto_gives_other_estimators_an_image_in_proportion_to_light(seed: int) 
     assert float(error @ np.linalg.solve(fix.covariance_px2, error)) < chi2.ppf(1.0 - RARE, 2)
 
 
-@pytest.mark.parametrize("estimator", [Moment(), LimbMatching(), EllipsoidCRA(), SigmoidLimb()])
+@pytest.mark.parametrize("estimator", [Moment(), LimbMatching(), slow(EllipsoidCRA()), slow(SigmoidLimb())])
 def test_estimators_without_a_response_of_their_own_make_their_fix_again_in_light(estimator: Estimator) -> None:
     total, size = 0.0, 0
     for seed in SEEDS:

@@ -10,6 +10,7 @@ from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.independent import PinholeView
 from giantlike.stars.attitude import AttitudeSolution, fit_attitude
+from tests.sizes import slow
 
 SIZE, FOCAL_PX = 1024, 2000.0
 DRAWS = 40
@@ -44,7 +45,16 @@ def _squared(solution: AttitudeSolution, error: Float) -> float:
 
 @pytest.mark.parametrize(
     ("n", "length_px"),
-    [(12, 300.0), (20, 300.0), (50, 300.0), (80, 300.0), (50, 600.0), (80, 600.0), (200, 600.0), (200, 100.0)],
+    [
+        (12, 300.0),
+        slow(20, 300.0),
+        slow(50, 300.0),
+        slow(80, 300.0),
+        (50, 600.0),
+        slow(80, 600.0),
+        slow(200, 600.0),
+        (200, 100.0),
+    ],
 )
 def test_errors_that_neighbors_share_are_in_the_covariance(n: int, length_px: float) -> None:
     rng, squares = np.random.default_rng(n), []
@@ -71,6 +81,7 @@ def test_errors_without_a_pattern_keep_their_covariance(floor_px: float) -> None
     assert np.quantile(shared, 0.75) < 0.01  # px, times the root of their probability
 
 
+@pytest.mark.slow
 def test_few_stars_with_errors_as_long_as_the_field_are_seldom_far_beyond_their_covariance() -> None:
     rng, squares = np.random.default_rng(13), []
     for n in (10, 12):

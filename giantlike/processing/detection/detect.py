@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from giantlike.core.arrays import Float, Mask, require_number
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.processes import one_thread
 from giantlike.processing.detection.candidates import Candidates, find_candidates
 from giantlike.processing.detection.centroid import StarFits, fit_stars, neighbor_pairs, windowed_shape
 from giantlike.processing.detection.common_streak import (
@@ -126,7 +127,8 @@ def detect_sources(
     parts = detect_in_parts(
         pixels, (options.information,), detector=detector, psf_sigma_px=psf_sigma_px, mask=mask, options=options
     )
-    return next(parts)
+    with one_thread():
+        return next(parts)
 
 
 def detect_in_parts(

@@ -23,6 +23,7 @@ from giantlike.relative.light.averaged import averaged
 from giantlike.relative.light.moment import Moment
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
+from tests.sizes import slow
 
 SIZE, FOCAL_PX, DIAMETER_PX = 760, 5000.0, 600.0
 BLOCK_PX = 3  # of a body of that size
@@ -73,7 +74,7 @@ def inputs_of(image: Image, camera: Camera, scene: Scene) -> EstimatorInputs:
     return found
 
 
-@pytest.mark.parametrize("phase_deg", [20.0, 60.0, 90.0, 120.0])
+@pytest.mark.parametrize("phase_deg", [slow(20.0), 60.0, slow(90.0), slow(120.0)])
 def test_the_center_of_a_wide_body_is_right_in_pixels_of_the_image(phase_deg: float) -> None:
     image, camera, scene, center_px = shot(phase_deg)
     fix = Moment().estimate(image, camera, scene)

@@ -19,7 +19,7 @@ from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.gauntlet.bodies import rock
 from giantlike.image import Image
-from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, SphereField, bumps, record, render_body
+from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, SphereField, record, render_body
 from giantlike.relative import Moment
 from giantlike.relative.budget import with_error
 from giantlike.relative.inputs import EstimatorInputs, gather
@@ -27,6 +27,7 @@ from giantlike.relative.place import place_covariance
 from giantlike.relative.verification import verified
 from giantlike.scene import Scene, Target, TargetUncertainty
 from giantlike.shapes import Ellipsoid, TriangleMesh
+from tests.sphere_fields import bumps
 
 RADII_KM = np.array([10.0, 8.8, 8.2])
 SIZE, FOCAL_PX, MIDDLE = 160, 4000.0, 79.5

@@ -23,7 +23,9 @@ from giantlike.relative.place import place_covariance
 from giantlike.relative.template.cross_correlation import CrossCorrelation
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
-from tests.relative.test_light_truth import FOCAL_PX, KNOWN, RADII_KM, SIZE, light, shot
+from tests.relative.light.test_light_truth import FOCAL_PX, KNOWN, RADII_KM, SIZE, light, shot
+from tests.sizes import slow
+from tests.sphere_fields import bumps
 from tests.tolerances import RARE
 
 SEEDS = (1, 2, 3)
@@ -56,7 +58,7 @@ def assert_honest(results: list[tuple[Float, Float]]) -> None:
     assert total < chi2.ppf(1.0 - RARE, 3 * len(results)), [error for error, _ in results]
 
 
-@pytest.mark.parametrize("phase_deg", [15.0, 90.0])
+@pytest.mark.parametrize("phase_deg", [15.0, slow(90.0)])
 def test_a_sloping_background_pulls_neither_center_nor_range(phase_deg: float) -> None:
     results = [errors(seed, "mcewen", phase_deg, PLANE_DN) for seed in SEEDS]
     assert max(float(np.abs(error[:2]).max()) for error, _ in results) < PLANE_PX
@@ -89,7 +91,7 @@ def test_how_brightness_changes_with_the_phase_angle_over_the_disk_is_found() ->
     assert_honest(results)
 
 
-@pytest.mark.parametrize(("law", "phase_deg"), [("hapke", 110.0), ("minnaert", 60.0)])
+@pytest.mark.parametrize(("law", "phase_deg"), [("hapke", 110.0), slow("minnaert", 60.0)])
 def test_the_covariance_counts_a_law_beyond_the_mixture(law: str, phase_deg: float) -> None:
     assert_honest([errors(seed, law, phase_deg) for seed in SEEDS])
 
@@ -114,11 +116,11 @@ def test_strong_markings_are_explained_and_a_limb_that_is_elsewhere_is_in_the_co
         shown = independent.record(signal_dn, np.random.default_rng(1)).pixels.astype(np.int32)
         return replace(one, image=replace(one.image, pixels=shown)).fix(CrossCorrelation())
 
-    marked = fix_of(EllipsoidBody(RADII_KM, independent.bumps(3, rms=0.25, widths_deg=(4.0, 25.0))))
+    marked = fix_of(EllipsoidBody(RADII_KM, bumps(3, rms=0.25, widths_deg=(4.0, 25.0))))
     assert np.sqrt(np.mean(marked.residuals**2)) < UNEXPLAINED
     assert not marked.flags.suspect, marked.findings.checks
     assert one.nees(marked).sum() < chi2.ppf(1.0 - RARE, 2)
-    rugged = fix_of(ReliefBody(RADII_KM, independent.bumps(3, rms=0.016, widths_deg=(3.0, 15.0), count=150)))
+    rugged = fix_of(ReliefBody(RADII_KM, bumps(3, rms=0.016, widths_deg=(3.0, 15.0), count=150)))
     assert rugged.flags.suspect or one.nees(rugged).sum() < chi2.ppf(1.0 - RARE, 2)
 
 

@@ -35,6 +35,7 @@ from giantlike.relative.template.linear import Problem, unweighted
 from giantlike.relative.template.state import TemplateImages, TemplateState
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape, TriangleMesh, irregular_body, load_shape, sphere
+from tests.sizes import slow
 from tests.tolerances import FLOAT64_SUM, RARE
 
 # --- the fit, on images that are known exactly ------------------------------------------------------------------
@@ -136,8 +137,9 @@ def test_the_fit_finds_the_width_of_the_point_spread_function() -> None:
     assert_allclose(errors(fit), 0.0, rtol=0, atol=EXACT_PX)
 
 
-def test_errors_under_pure_noise_are_consistent_with_the_covariance() -> None:
-    random, draws = np.random.default_rng(11), 300
+@pytest.mark.monte_carlo(few=40, full=300)
+def test_errors_under_pure_noise_are_consistent_with_the_covariance(draws: int) -> None:
+    random = np.random.default_rng(11)
     signal = 1500.0 * blobs()(TRUE, True).light + 20.0
     fits = [fitted(noisy(signal, random), start(random)) for _ in range(draws)]
     low, high = (float(chi2.ppf(q, 3 * draws)) / draws for q in (RARE, 1.0 - RARE))
@@ -145,8 +147,9 @@ def test_errors_under_pure_noise_are_consistent_with_the_covariance() -> None:
     assert low / MISSED_FOR_NOISE < mean_nees(fits, lambda fit: fit.covariance) < high
 
 
-def test_correlated_model_errors_are_in_the_covariance() -> None:
-    random, draws = np.random.default_rng(12), 200
+@pytest.mark.monte_carlo(few=40, full=200)
+def test_correlated_model_errors_are_in_the_covariance(draws: int) -> None:
+    random = np.random.default_rng(12)
     fits = []
     for _ in range(draws):
         texture = gaussian_filter(random.normal(size=SHAPE), 2.0)
@@ -353,7 +356,7 @@ def failure(image: Image, scene: Scene, camera: Camera = CAMERA) -> Failure:
 
 @pytest.mark.parametrize(
     ("diameter_px", "phase_deg"),
-    [(20.0, 30.0), (20.0, 110.0), (50.0, 60.0), (50.0, 120.0), (130.0, 20.0), (130.0, 90.0)],
+    [(20.0, 30.0), slow(20.0, 110.0), slow(50.0, 60.0), (50.0, 120.0), (130.0, 20.0), slow(130.0, 90.0)],
 )
 def test_center_and_range_of_resolved_bodies(diameter_px: float, phase_deg: float) -> None:
     case = Case(diameter_px=diameter_px, phase_deg=phase_deg)
@@ -383,8 +386,9 @@ def test_an_error_of_the_range_does_not_pull_the_center(range_factor: float) -> 
     assert abs(math.log(fix.range_km / case.range_km)) < LOG_RANGE
 
 
-def test_errors_on_rendered_bodies_are_consistent_with_the_covariance() -> None:
-    draws, nees = 30, []
+@pytest.mark.monte_carlo(few=6, full=30)
+def test_errors_on_rendered_bodies_are_consistent_with_the_covariance(draws: int) -> None:
+    nees = []
     for seed in range(draws):
         random = np.random.default_rng(seed)
         case = Case(

@@ -18,7 +18,8 @@ from giantlike.relative import CrossCorrelation
 from giantlike.relative.template.covariance import LinearFit
 from giantlike.relative.template.undeclared import undeclared_effects
 from giantlike.scene import Scene, TargetUncertainty
-from tests.relative.test_light_truth import Shot, shot
+from tests.relative.light.test_light_truth import Shot, shot
+from tests.sizes import slow
 
 DIAMETER_PX, PHASE_DEG = 90.0, 50.0
 NOISE_DN = 2.0
@@ -35,7 +36,7 @@ def told(one: Shot, turn_deg: float, uncertainty: TargetUncertainty | None = Non
     return replace(one, scene=Scene(targets=(target,)))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, slow(2), slow(3)])
 def test_a_pole_told_4_degrees_off_is_a_larger_error_declared_or_not(seed: int) -> None:
     one = shot(seed, phase_deg=PHASE_DEG, diameter_px=DIAMETER_PX)
     right = one.fix(CrossCorrelation())
@@ -52,7 +53,7 @@ def sigmas_off(fix: CenterFix, one: Shot) -> float:
     return math.sqrt(error @ np.linalg.solve(fix.covariance_px2, error))
 
 
-@pytest.mark.parametrize(("law", "marked"), [("mcewen", True), ("lambert", False), ("hapke", True)])
+@pytest.mark.parametrize(("law", "marked"), [("mcewen", True), slow("lambert", False), slow("hapke", True)])
 def test_markings_and_other_laws_are_no_other_figure_and_no_smear(law: str, marked: bool) -> None:
     for seed in (4, 5):
         fix = shot(seed, law=law, phase_deg=PHASE_DEG, diameter_px=DIAMETER_PX, marked=marked).fix(CrossCorrelation())

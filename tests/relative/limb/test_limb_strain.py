@@ -15,11 +15,12 @@ from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import PositionFix
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
-from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, ReliefBody, bumps, record, render_body
+from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, ReliefBody, record, render_body
 from giantlike.ray_tracing import Lambert
 from giantlike.relative import EllipsoidCRA, Estimator, LimbMatching, SigmoidLimb
 from giantlike.scene import Scene, Target, TargetUncertainty
 from giantlike.shapes import Ellipsoid
+from tests.sphere_fields import bumps
 
 RADII_KM = np.array([1.0, 0.94, 0.9])
 FOCAL_PX, SIZE, MIDDLE, PSF_PX = 3000.0, 220, 109.5, 0.7

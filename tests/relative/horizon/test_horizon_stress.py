@@ -35,6 +35,7 @@ from giantlike.relative.horizon.options import HorizonScan
 from giantlike.relative.limb.fix import EdgeModel
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
+from tests.sizes import slow
 from tests.tolerances import RARE
 
 FOCAL_PX, PEAK_DN, BIAS_DN = 2500.0, 3000.0, 100.0
@@ -162,7 +163,7 @@ def test_cells_where_the_terminator_meets_the_limb_do_not_bend_the_law() -> None
         assert abs(fix.range_km / np.linalg.norm(case.position_km) - 1.0) < BRIGHT_RANGE
 
 
-@pytest.mark.parametrize("told_px", [0.7 * PSF_PX, 1.3 * PSF_PX])
+@pytest.mark.parametrize("told_px", [slow(0.7 * PSF_PX), 1.3 * PSF_PX])
 def test_a_point_spread_function_of_another_width_is_noticed_on_the_limb(told_px: float) -> None:
     squares = []
     estimators: tuple[Estimator, ...] = (EllipsoidCRA(), SigmoidLimb(), EllipsoidCRA())
@@ -219,6 +220,7 @@ def test_a_disk_that_is_clipped_along_its_limb_is_found(name: str) -> None:
     assert np.mean(squares) < float(chi2.ppf(1.0 - RARE, 3 * len(squares))) / len(squares), squares
 
 
+@pytest.mark.slow
 def test_a_limb_that_is_clipped_little_is_as_sure_as_it_errs() -> None:
     """Clipped at two thirds of the peak, the half of the light that is the limb is seen; before, 0.2."""
     squares = []

@@ -17,7 +17,7 @@ from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import CenterFix, PositionFix, Quality
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
-from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, SphereField, bumps, record, render_body
+from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, SphereField, record, render_body
 from giantlike.independent.record import Recorder
 from giantlike.ray_tracing import Body
 from giantlike.relative import CrossCorrelation, EllipsoidCRA, LimbMatching
@@ -26,6 +26,7 @@ from giantlike.relative.verification.cells import cells_around
 from giantlike.relative.verification.light_side import light_side
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
+from tests.sphere_fields import bumps
 
 LIGHT_LOG_ODDS = math.log(len(Alternative) / FALSE_ALARM)
 """Log odds from which on another Sun alone makes a fix suspect."""

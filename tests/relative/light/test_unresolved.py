@@ -130,9 +130,10 @@ def test_the_windowed_centroid_of_a_gaussian_is_its_center() -> None:
     assert_allclose(found.point_px, point, rtol=0, atol=1e-3)  # sums stand for integrals
 
 
-def test_the_windowed_centroid_scatters_as_it_says_and_nearly_as_little_as_noise_allows() -> None:
+@pytest.mark.monte_carlo(few=200, full=2000)
+def test_the_windowed_centroid_scatters_as_it_says_and_nearly_as_little_as_noise_allows(draws: int) -> None:
     rng = np.random.default_rng(5)
-    sigma, noise, flux, draws = 1.2, 1.0, 60.0, 2000
+    sigma, noise, flux = 1.2, 1.0, 60.0
     nees: list[float] = []
     errors: list[Float] = []
     for _ in range(draws):
@@ -166,9 +167,10 @@ def test_the_center_of_a_small_body_is_found_at_any_phase(diameter_px: float, ph
     assert_allclose(fix.center_px, case.pixel, rtol=0, atol=NOISELESS_PX + range_error_px)
 
 
-def test_errors_are_consistent_with_the_covariance_of_the_noise() -> None:
+@pytest.mark.monte_carlo(few=20, full=80)
+def test_errors_are_consistent_with_the_covariance_of_the_noise(draws: int) -> None:
     case = Case(shape=sphere(0.5), diameter_px=1.0, phase_deg=30.0)
-    light, rng, draws = case.light(), np.random.default_rng(8), 80
+    light, rng = case.light(), np.random.default_rng(8)
     nees: list[float] = []
     for _ in range(draws):
         fix = solved(case, exposed(light, 250.0, rng))
@@ -178,8 +180,9 @@ def test_errors_are_consistent_with_the_covariance_of_the_noise() -> None:
     assert low < np.mean(nees) < high
 
 
-def test_errors_on_irregular_bodies_with_a_wrong_range_are_consistent_with_the_covariance() -> None:
-    draws, nees, errors = 40, [], []
+@pytest.mark.monte_carlo(few=10, full=40)
+def test_errors_on_irregular_bodies_with_a_wrong_range_are_consistent_with_the_covariance(draws: int) -> None:
+    nees, errors = [], []
     for seed in range(draws):
         rng = np.random.default_rng(seed)
         pixel = (120.0 + float(rng.uniform()), 90.0 + float(rng.uniform()))
@@ -193,13 +196,14 @@ def test_errors_on_irregular_bodies_with_a_wrong_range_are_consistent_with_the_c
     assert np.sqrt(np.mean(np.square(errors), axis=0)).max() < SEVERAL_PIXELS_PX
 
 
-def test_errors_of_a_crescent_are_consistent_with_the_covariance() -> None:
+@pytest.mark.monte_carlo(few=10, full=30)
+def test_errors_of_a_crescent_are_consistent_with_the_covariance(draws: int) -> None:
     """At 120 degrees shift, range, blur and law do nearly the same to an image of 4 px.
 
     What they share is known to first order only, which leaves tails: means of 2.3 (90 draws) and, over other poses, of
     4.4 (30 draws) were seen where 2 are expected. Twice the band holds these.
     """
-    draws, nees = 30, []
+    nees = []
     for seed in range(draws):
         rng = np.random.default_rng(seed)
         pixel = (120.0 + float(rng.uniform()), 90.0 + float(rng.uniform()))

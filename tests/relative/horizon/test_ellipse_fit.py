@@ -38,8 +38,9 @@ def seen(seed: int) -> tuple[BodyImage, PositionFix]:
     return case, found(case)
 
 
-def test_positions_under_any_law_are_as_good_as_they_say() -> None:
-    cases = [seen(seed) for seed in range(15)]
+@pytest.mark.monte_carlo(few=6, full=15)
+def test_positions_under_any_law_are_as_good_as_they_say(draws: int) -> None:
+    cases = [seen(seed) for seed in range(draws)]
     nees = [case.nees(fix) for case, fix in cases]
     low, high = mean_nees_band(len(cases))
     assert 0.3 * low < np.mean(nees) < high  # what changing brightness leaves is a bound of three laws, not a spread
@@ -50,9 +51,10 @@ def test_positions_under_any_law_are_as_good_as_they_say() -> None:
         assert not fix.flags.suspect
 
 
-def test_the_errors_themselves_are_parts_of_a_pixel() -> None:
-    errors: Float = np.array([case.error_px(fix) for case, fix in map(seen, range(15))])
-    ranges = [case.range_error(fix) for case, fix in map(seen, range(15))]
+@pytest.mark.monte_carlo(few=6, full=15)
+def test_the_errors_themselves_are_parts_of_a_pixel(draws: int) -> None:
+    errors: Float = np.array([case.error_px(fix) for case, fix in map(seen, range(draws))])
+    ranges = [case.range_error(fix) for case, fix in map(seen, range(draws))]
     assert np.median(np.linalg.norm(errors, axis=1)) < 0.5
     assert np.median(np.abs(ranges)) < 0.004
 
@@ -112,15 +114,16 @@ def test_it_is_among_the_estimators() -> None:
     assert isinstance(estimator, EllipseFit)
 
 
-def test_relief_is_in_the_covariance_of_a_mesh() -> None:
+@pytest.mark.monte_carlo(few=4, full=10)
+def test_relief_is_in_the_covariance_of_a_mesh(draws: int) -> None:
     squares = []
-    for seed in range(10):
+    for seed in range(draws):
         shape = irregular_body(seed % 4 + 1, facets=8000, relief=0.03)
         case = body_image(shape, 40 + seed, phase_deg=30.0 + 10.0 * (seed % 6)).believed(off_px=(4.0, -3.0))
         fix = EllipseFit().estimate(case.image, case.camera, case.scene)
         if isinstance(fix, PositionFix):
             squares.append(case.nees(fix))
-    assert len(squares) >= 5
+    assert len(squares) >= 0.5 * draws
     # Relief is no Gaussian process: its long waves are the body's own shape, so each square may be twice chi-square's.
     assert np.mean(squares) < 2.0 * mean_nees_band(len(squares))[1]
 

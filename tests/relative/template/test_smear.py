@@ -13,7 +13,8 @@ from scipy.stats import chi2
 from giantlike.core.findings import Smear
 from giantlike.core.outcomes import Quality
 from giantlike.relative.template.cross_correlation import CrossCorrelation
-from tests.relative.test_light_truth import shot
+from tests.relative.light.test_light_truth import shot
+from tests.sizes import slow
 from tests.tolerances import RARE
 
 SEEDS = (1, 2, 3)
@@ -25,7 +26,7 @@ LENGTH_PX, ANGLE_RAD = 0.3, 0.1
 ROUNDED_PX2 = 1e-12
 
 
-@pytest.mark.parametrize("length_px", [2.5, 5.0, 12.0])
+@pytest.mark.parametrize("length_px", [slow(2.5), 5.0, slow(12.0)])
 def test_bodies_in_motion_are_placed_as_well_as_others_and_tell_how_they_moved(length_px: float) -> None:
     total = 0.0
     for seed in SEEDS:
@@ -45,7 +46,7 @@ def test_bodies_in_motion_are_placed_as_well_as_others_and_tell_how_they_moved(l
     assert total < chi2.ppf(1.0 - RARE, 2 * len(SEEDS))
 
 
-@pytest.mark.parametrize("law", ["mcewen", "hapke", "lambert"])
+@pytest.mark.parametrize("law", ["mcewen", slow("hapke"), slow("lambert")])
 def test_bodies_at_rest_have_no_smear(law: str) -> None:
     for marked in (False, True):
         fix = shot(4, law=law, diameter_px=DIAMETER_PX, marked=marked).fix(CrossCorrelation())

@@ -29,13 +29,13 @@ from giantlike.relative.horizon.geometry import (
 from giantlike.relative.horizon.options import HorizonScan
 from giantlike.relative.limb.fix import EdgeModel
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, mesh_from_ellipsoid
+from tests.bands import mean_square_band
 from tests.limb_images import BodyImage, assert_sound, body_image, horizon_covariance, mean_nees_band
 from tests.numerical import numerical_jacobian
+from tests.sizes import slow
 from tests.tolerances import FLOAT64, FLOAT64_ROOT, FLOAT64_SUM, SETTLED
 
 RELATIVE = 1e-9  # of the range, noise-free: float64 rounding, magnified by range over radius
-TRIALS = 1500
-COVARIANCE = 0.053  # stated against Monte Carlo: five sigma of what 1,500 trials of three axes leave, 1.05 % of sigma
 FOOT_PX = 2e-3  # for points 3 px off the horizon: rays are taken as linear about them
 SIGMA_PX, SIGMA_RANGE = 0.1, 1e-3  # three times what is usual at a radius of 80 px and up to 100 degrees of phase
 CRESCENT_PX, CRESCENT_RANGE = 0.2, 2.5e-3  # the same at 120 degrees
@@ -118,21 +118,25 @@ def test_the_covariance_is_that_of_the_paper_for_a_pinhole_camera() -> None:
 
 @pytest.mark.parametrize("method", list(CraMethod))
 @pytest.mark.parametrize("model", [ORION, DISTORTED], ids=["pinhole", "distorted"])
-def test_the_covariance_agrees_with_monte_carlo(method: CraMethod, model: CameraModel) -> None:
+@pytest.mark.monte_carlo(few=60, full=1500)
+def test_the_covariance_agrees_with_monte_carlo(method: CraMethod, model: CameraModel, draws: int) -> None:
     points = horizon_px(model, TRIAXIAL, POSITION_KM, np.linspace(0.0, 2.8, 40))
     sigma = np.linspace(0.05, 0.25, 40)
     _, _, normals = horizon_residuals(points, model, TRIAXIAL, POSITION_KM)
     rng = np.random.default_rng(11)
     found = []
-    for _ in range(TRIALS):
+    for _ in range(draws):
         points_found = noisy(points, normals, sigma, rng)
         position = christian_robinson(points_found, model, TRIAXIAL, method=method, sigma_px=sigma)
         assert not isinstance(position, Failure)
         found.append(position - POSITION_KM)
     stated = horizon_covariance(points, model, TRIAXIAL, POSITION_KM, sigma_px=sigma, method=method)
     errors = np.array(found) @ np.linalg.inv(np.linalg.cholesky(stated)).T  # white where the covariance holds
-    assert abs(np.sqrt(np.mean(errors**2)) - 1.0) < COVARIANCE
-    assert_allclose(np.sqrt(np.mean(errors**2, axis=0)), 1.0, rtol=0, atol=np.sqrt(3.0) * COVARIANCE)
+    low, high = mean_square_band(3 * draws)
+    assert low < np.mean(errors**2) < high
+    low, high = mean_square_band(draws)
+    for along_axis in np.mean(errors**2, axis=0):
+        assert low < along_axis < high
 
 
 def test_maximum_likelihood_has_the_smallest_covariance() -> None:
@@ -226,7 +230,10 @@ def cases() -> tuple[BodyImage, ...]:
     )
 
 
-@pytest.mark.parametrize("method", list(CraMethod))
+@pytest.mark.parametrize(
+    "method",
+    [CraMethod.MAXIMUM_LIKELIHOOD, slow(CraMethod.TOTAL_LEAST_SQUARES), slow(CraMethod.LEAST_SQUARES)],
+)
 def test_an_ellipsoid_is_found_at_all_phase_angles(method: CraMethod) -> None:
     fixes = [fixed(case, EllipsoidCRAOptions(method=method)) for case in cases()]
     for case, fix in zip(cases(), fixes, strict=True):
@@ -282,11 +289,12 @@ def test_a_mesh_of_an_ellipsoid_gives_nearly_the_fix_of_the_ellipsoid_and_is_fla
     assert_allclose(center_px, smooth.center_px, rtol=0, atol=SIGMA_PX)
 
 
-def test_relief_is_in_the_covariance() -> None:
+@pytest.mark.monte_carlo(few=3, full=8)
+def test_relief_is_in_the_covariance(draws: int) -> None:
     """Errors of the ellipsoids of made-up bodies against what their relief makes of the covariance."""
     nees, errors = [], []
     wide = EllipsoidCRAOptions(search_range=0.1)
-    for seed in range(8):
+    for seed in range(draws):
         shape = irregular_body(seed, facets=10_000, relief=0.025, roughness=0.002)
         case = body_image(shape, 70 + seed, phase_deg=25.0 + 10.0 * seed).believed(off_px=(4.0, 3.0))
         result = EllipsoidCRA(wide).estimate(case.image, case.camera, case.scene)
@@ -355,6 +363,7 @@ def test_the_estimator_is_registered_under_its_name() -> None:
     assert isinstance(estimator, Estimator)
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_silhouettes_of_real_shapes_depart_from_their_ellipsoids_as_the_covariance_says(data_dir: Path) -> None:
     """Half outlines of Phobos, Ryugu, Bennu and Steins in random attitudes, without images or noise."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.stats import chi2
 
@@ -46,7 +47,7 @@ def rendered(state: TemplateState, fine: bool) -> TemplateImages:
     return TemplateImages(light=light, others=[light**power for power in (0.5, 0.7, 1.5, 2.0)])
 
 
-def fits(sigma: float, draws: int = DRAWS) -> list[TemplateFit]:
+def fits(sigma: float, draws: int) -> list[TemplateFit]:
     """Fits to bodies with their own relief of a standard deviation, over the radius, each."""
     random, found = np.random.default_rng(5), []
     degrees = np.arange(2, HIGHEST + 1)
@@ -77,9 +78,10 @@ def mean_nees(found: list[TemplateFit], *, relief: bool) -> float:
     return float(np.mean([squared_error(*pair) for pair in zip(found, covariances, strict=True)]))
 
 
-def test_what_a_crescent_took_up_of_relief_is_in_its_covariance() -> None:
-    found = fits(0.01)
-    high = float(chi2.ppf(1.0 - RARE, 3 * DRAWS)) / (3 * DRAWS)
+@pytest.mark.monte_carlo(few=12, full=DRAWS)
+def test_what_a_crescent_took_up_of_relief_is_in_its_covariance(draws: int) -> None:
+    found = fits(0.01, draws)
+    high = float(chi2.ppf(1.0 - RARE, 3 * draws)) / (3 * draws)
     assert mean_nees(found, relief=False) > high  # residuals alone are too optimistic
     assert CAUTIOUS < mean_nees(found, relief=True) < high
 

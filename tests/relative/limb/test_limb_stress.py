@@ -26,6 +26,7 @@ from giantlike.relative.limb.limb_matching import LimbMatching, LimbMatchingOpti
 from giantlike.relative.limb.profiles import LimbScanOptions
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh
+from tests.sizes import slow
 
 RADII_KM = np.array([1.0, 0.96, 0.93])
 FOCAL_PX, SIZE, RADIUS_PX, PSF_PX = 3000.0, 200, 75.0, 0.8
@@ -100,7 +101,7 @@ def range_error(found: list[PositionFix], position: Float) -> float:
     return float(np.mean([fix.range_km for fix in found]) / np.linalg.norm(position) - 1.0)
 
 
-@pytest.mark.parametrize("phase_deg", [15.0, 125.0])
+@pytest.mark.parametrize("phase_deg", [slow(15.0), 125.0])
 @pytest.mark.parametrize(
     ("law", "fitted"), [("lambert", McEwen()), ("minnaert", McEwen()), ("lommel_seeliger", Lambert())]
 )
@@ -143,7 +144,7 @@ def test_wings_of_the_point_spread_function_are_found_out() -> None:
     assert mean_nees(fixes(truth, McEwen()), truth[1]) < LIMIT
 
 
-@pytest.mark.parametrize("level_dn", [1500.0, 800.0])
+@pytest.mark.parametrize("level_dn", [slow(1500.0), 800.0])
 def test_the_limb_of_a_saturated_disk_is_found(level_dn: float) -> None:
     """Lines through saturated pixels were left out, and of this limb hardly any others remained."""
     truth = light("mcewen", 40.0)
@@ -168,7 +169,7 @@ def test_a_body_larger_than_the_frame_is_found_without_warnings() -> None:
     assert mean_nees(found, truth[1]) < LIMIT
 
 
-@pytest.mark.parametrize("phase_deg", [15.0, 60.0])
+@pytest.mark.parametrize("phase_deg", [15.0, slow(60.0)])
 def test_facets_as_coarse_as_pixels_make_the_range_less_certain(phase_deg: float) -> None:
     """A polyhedron with sides of 5 px lies 0.04 px inside the body of its vertices, which no residual shows."""
     number = np.arange(3300)
