@@ -163,7 +163,7 @@ def text_table(content: bytes) -> Table:
 
 def _delimiter(comments: str, header: str) -> str:
     """Separator that an ECSV header states, else the first of the usual ones in the line of names."""
-    stated = re.search(r"^#\s*(?:-\s*)?\{?\s*delimiter:\s*['\"]?([,; |\t])", comments, re.MULTILINE)
+    stated = re.search(r"^#\s*+(?:-\s*+)?\{?\s*+delimiter:\s*['\"]?([,; |\t])", comments, re.MULTILINE)
     if stated:
         return stated[1]
     if comments.startswith("# %ECSV"):

@@ -24,7 +24,7 @@ from giantlike.io.decoded import DecodedImage
 LUMINANCE_BGR = (0.114, 0.587, 0.299)
 """Weights of blue, green and red in the luminance of a color image (ITU-R BT.601, the luma that JPEG stores)."""
 
-_JPEG_MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
+_JPEG_MARKER_IN_SCAN = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]", re.DOTALL)
 # Tags of the TIFF 6.0 specification (Adobe, 1992): Orientation, PhotometricInterpretation; offsets and byte counts of
 # strips, of tiles; struct codes of the unsigned integer types by their number (16 and 18 are BigTIFF's).
 _ORIENTATION, _PHOTOMETRIC = 274, 262
