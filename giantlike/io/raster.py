@@ -164,9 +164,9 @@ def _whole_tiff_tags(data: bytes) -> dict[int, _TiffTag]:
         raise ValueError("the first page of the TIFF file has no table of strips or tiles")
     end = max(offset + count for offset, count in zip(offsets[0], counts[0], strict=True))
     check(end <= len(data), f"the TIFF file is truncated: its pixels reach to byte {end}, got {len(data)}")
-    size = [tags[tag].values[0] if tag in tags and tags[tag].values else 0 for tag in (_COLUMNS, _ROWS)]
+    columns, rows = (tags[tag].values[0] if tag in tags and tags[tag].values else 0 for tag in (_COLUMNS, _ROWS))
     channels, bits = (max(tags[tag].values, default=1) if tag in tags else 1 for tag in (_CHANNELS, _BITS))
-    _check_size(data, *size, channels, bits)
+    _check_size(data, columns, rows, channels, bits)
     return tags
 
 
