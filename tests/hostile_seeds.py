@@ -378,7 +378,7 @@ KINDS: dict[str, Kind] = {
     "star index": Kind("i.npz", _index, _read_index),
     "sumfile": Kind("a.SUM", _sumfile, read_sumfile),
     "attitude table": Kind(
-        "attitudes.csv", _with("file,qx,qy,qz,qw\na.fits,0,0,0,1\nb.fits,0,0,0.6,0.8\n"), read_attitude_table
+        "attitudes.csv", _with("name,qx,qy,qz,qw\na.fits,0,0,0,1\nb.fits,0,0,0.6,0.8\n"), read_attitude_table
     ),
     "tdm of others": Kind("o.tdm", _with(TDM), external._tdm),
     "observables of others": Kind("o.csv", _with(SEEN), external._rows),
