@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo quick test test-all check docs notebooks wheel clean
+.PHONY: demo quick test test-all lowest check docs notebooks wheel clean
 demo: $(VENV)/installed
 	$(BIN)/giantlike demo --output demo-output
 
@@ -20,6 +20,13 @@ test: check
 
 test-all: test docs
 	$(BIN)/pytest -m slow -n 2 --dist worksteal
+
+# The demonstration with the lowest versions of all dependencies that pyproject.toml allows.
+lowest:
+	$(PYTHON) -m venv $(VENV)-lowest
+	$(VENV)-lowest/bin/pip install -q --disable-pip-version-check 'uv>=0.5'
+	$(VENV)-lowest/bin/uv pip install -q --python $(VENV)-lowest/bin/python --resolution lowest-direct .
+	$(VENV)-lowest/bin/giantlike demo --output $(VENV)-lowest/demo-output
 
 check: $(VENV)/installed-dev
 	$(BIN)/ruff check .
@@ -51,5 +58,5 @@ $(VENV)/installed-dev: pyproject.toml | $(VENV)/bin/python
 	touch $@ $(VENV)/installed
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis demo-output docs/_build docs/api docs/gallery docs/plots
+	rm -rf $(VENV) $(VENV)-lowest build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis demo-output docs/_build docs/api docs/gallery docs/plots
 	find . -name '*.nb[ic]' -path '*/__pycache__/*' -delete

@@ -91,9 +91,9 @@ def sky_index(stars: StarTable) -> tuple[Index, SkyIndex]:
     by_brightness = np.argsort(stars.magnitude, kind="stable")
     rank = np.empty(len(stars), dtype=np.int32)
     rank[by_brightness] = np.arange(len(stars), dtype=np.int32)
-    cell = np.where(is_fast, _CELLS, _cells_of(stars.ra_deg, stars.dec_deg))
+    cell = np.where(is_fast, CELLS, _cells_of(stars.ra_deg, stars.dec_deg))
     order = np.lexsort((rank, cell))
-    starts = np.searchsorted(cell[order], np.arange(_CELLS + 1)).astype(np.int64)
+    starts = np.searchsorted(cell[order], np.arange(CELLS + 1)).astype(np.int64)
     slow = margin[~is_fast]
     index = SkyIndex(
         directions=direction_from_radec(stars.ra_deg[order], stars.dec_deg[order]).T.astype(np.float32, order="C"),
@@ -128,7 +128,7 @@ def _cells_in_zones() -> NDArray[np.int64]:
 
 _IN_ZONE = _cells_in_zones()
 _FIRST = np.concatenate([[0], np.cumsum(_IN_ZONE)])
-_CELLS = int(_FIRST[-1])
+CELLS = int(_FIRST[-1])
 
 
 def _cells_of(ra_deg: Float, dec_deg: Float) -> NDArray[np.int64]:

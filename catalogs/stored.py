@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.catalogs.catalog import Column, MemoryCatalog
-from giantlike.catalogs.cells import ZONES, SkyIndex
+from giantlike.catalogs.cells import CELLS, ZONES, SkyIndex
 from giantlike.catalogs.table import COLUMN_TYPES
 from giantlike.core.atomic import replacing
 from giantlike.core.errors import DataError
@@ -143,6 +143,10 @@ def open_catalog(path: str | Path) -> MemoryCatalog:
     columns: dict[str, Column] = {name: arrays[name] for name in COLUMN_TYPES if name in arrays}
     for name, value in header["constants"].items():
         columns[name] = np.nan if value is None else value
+    texts = [header["name"], header["band"], header["version"]]
+    numbers = [header["slow_margin_rad"], *(value for value in header["constants"].values() if value is not None)]
+    if not all(isinstance(text, str) for text in texts) or not all(isinstance(n, int | float) for n in numbers):
+        raise DataError(path, f"has a damaged header (a name or a number of another type); {_REMEDY}")
     index = SkyIndex(
         directions=arrays["directions"],
         rank=arrays["rank"],
@@ -200,8 +204,9 @@ def _opened(path: Path) -> tuple[CatalogHeader, NDArray[np.uint8]]:
         raise DataError(path, f"is cut off within its header, after {size} bytes; {_REMEDY}")
     try:
         header = json.loads(raw[_START : _START + length].tobytes())
+        check(isinstance(header, dict), "no table of keys")
         missing = [key for key in CatalogHeader.__annotations__ if key not in header]
-    except (ValueError, TypeError) as error:
+    except (ValueError, RecursionError) as error:
         raise DataError(path, f"has a damaged header ({error}); {_REMEDY}") from error
     if missing:
         raise DataError(path, f"has a damaged header (no {missing[0]}); {_REMEDY}")
@@ -234,7 +239,7 @@ def _arrays(path: Path, header: CatalogHeader, raw: NDArray[np.uint8]) -> dict[s
         starts = arrays["starts"]
         if (
             wrong
-            or starts.ndim != 1
+            or starts.shape != (CELLS + 1,)
             or arrays["fast_margin_rad"].ndim != 1
             or starts[0] != 0
             or starts[-1] + arrays["fast_margin_rad"].size != count

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import json
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ import tomli_w
 import trimesh
 
 import giantlike as gl
+from giantlike.bench.dossier_check import check_dossier
+from giantlike.campaign.compare import external
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.render.plan import RenderPlan
 from giantlike.campaign.store.edits import Edit, Edited, add_edits
@@ -24,15 +27,24 @@ from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.catalogs import load_catalog
 from giantlike.catalogs.readers import build_catalog
 from giantlike.catalogs.stored import save_catalog
+from giantlike.cli.frames_input import frames_table
 from giantlike.core.causes import Cause
+from giantlike.core.reading import file_sha256
+from giantlike.gauntlet.files import load_results, save_results
+from giantlike.gauntlet.run import Gauntlet, ImageResult
+from giantlike.gauntlet.trial import TrialRow
 from giantlike.io import load_kernels, read_ephemeris_table, read_geometry
-from giantlike.io.attitude_series import read_attitude_csv
+from giantlike.io.attitude_series import read_attitude_csv, read_attitude_table
 from giantlike.io.camera_import import read_foreign_camera
 from giantlike.io.camera_opencv import write_opencv_camera
 from giantlike.io.image_files import read_image_file
+from giantlike.io.observables_file import read_observables, write_observables
+from giantlike.io.spc_sumfile import read_sumfile, write_sumfile
+from giantlike.observables.exchange import sumfile_of
 from giantlike.shapes import Ellipsoid, load_shape, mesh_from_ellipsoid, save_shape
 from giantlike.shapes.files.dsk import DskIdentity
 from giantlike.shapes.landmarks import LandmarkCatalog, landmark_of, load_landmarks, save_landmarks
+from giantlike.stars import star_index
 from giantlike.stars.rates import read_rates
 from giantlike.terrain import HeightMap
 from tests.camera_models.test_camera_models import NAVCAM
@@ -45,6 +57,7 @@ from tests.io import test_image_files as image_files
 from tests.io import test_planetary_files as planetary_files
 from tests.io import test_spice as kernel_files
 from tests.io.height_map_files import heights_km, write_geotiff, write_pds3
+from tests.observables import test_exchange as exchange
 from tests.shapes.test_local_maps import _map
 
 EPOCHS = ("2020-01-01T00:00:00", "2020-01-01T00:01:00", "2020-01-01T00:02:00")
@@ -158,6 +171,88 @@ def _run(path: Path) -> None:
 def _read_run(path: Path) -> None:
     load_result(path.parent)
     camera_of_run(path.parent)
+
+
+def _gauntlet(path: Path) -> None:
+    row = TrialRow(
+        image=0, kind="nominal", estimator="stars", verdict="right", status="ok", solvable=1, sigmas=1.5, error_px=0.1,
+        sigma_px=0.1, cpu_s=0.5, reason="a|b",
+    )  # fmt: skip
+    results = [ImageResult(index=k, kind="nominal", rows=(row, row), cpu_s=1.0, thumbnail=b"\xff\xd8x") for k in (0, 1)]
+    save_results(path.parent, _GAUNTLET, results, append=True)
+
+
+_GAUNTLET = Gauntlet(images=2, seed=1)
+
+
+def _dossier(path: Path) -> None:
+    (path.parent / "in.fits").write_bytes(b"x")
+    files = {"in.fits": file_sha256(path.parent / "in.fits"), "gone": "0" * 64}
+    content = {
+        "inputs": [{"role": "image", "path": name, "sha256": digest} for name, digest in files.items()],
+        "files": files, "campaign_file": "campaign.toml", "edits": [], "doubts": [],
+        "versions": {"giantlike": "0.1", "python": "3", "platform": "x", "packages": {"numpy": "2.0"}},
+    }  # fmt: skip
+    path.write_text(json.dumps(content, indent=1))
+
+
+def _observables(path: Path) -> None:
+    body = exchange.row_of_body(exchange.CONTEXT, exchange.SIGHTING, exchange.position_fix(), is_preferred=True)
+    write_observables(path, [body, body], {"camera": "c"})
+
+
+def _index(path: Path) -> None:
+    rng = np.random.default_rng(5)
+    stars = rng.normal(size=(40, 3))
+    stars /= np.linalg.norm(stars, axis=1, keepdims=True)
+    made = star_index.build_index(star_index.Pattern.TRIAD, np.arange(40) + 1, stars, 0.4)
+    np.savez(path, ids=made.ids, directions=made.directions, patterns=made.patterns, cells=made.cells)
+
+
+def _read_index(path: Path) -> None:
+    index = star_index._read(path, star_index.Pattern.TRIAD, 0.4)
+    if index is not None:
+        _, found = index.find(np.full((3, 3), 0.5), 0.3)
+        assert np.isfinite(index.directions[index.patterns[found].astype(np.intp)]).all()
+
+
+def _sumfile(path: Path) -> None:
+    body = exchange.row_of_body(exchange.CONTEXT, exchange.SIGHTING, exchange.position_fix(), is_preferred=True)
+    mark = exchange.row_of_landmark(exchange.CONTEXT, exchange.SIGHTING, exchange.position_fix(), exchange.LANDMARK)
+    write_sumfile(path, sumfile_of(exchange.CAMERA, body, [mark]))
+
+
+TDM = """CCSDS_TDM_VERS = 2.0
+CREATION_DATE = 2024-01-01T00:00:00
+ORIGINATOR = X
+META_START
+TIME_SYSTEM = UTC
+PARTICIPANT_1 = SC
+PARTICIPANT_2 = ROCK
+ANGLE_TYPE = RADEC
+REFERENCE_FRAME = ICRF
+META_STOP
+DATA_START
+ANGLE_1 = 2024-01-01T00:00:00 120.5
+ANGLE_2 = 2024-01-01T00:00:00 -20.25
+DATA_STOP
+"""
+SEEN = (
+    "file,target,x_px,y_px,sigma_x_px,sigma_y_px,range_km\na.fits,ROCK,1,2,0.1,0.1,300\nb.fits,ROCK,3,4,0.1,0.1,301\n"
+)
+
+
+def _frames(path: Path) -> None:
+    gl.io.write_fits(path.with_name("b.fits"), PIXELS)
+    path.write_text('[calibration_frames]\nbias = ["b.fits"]\n')
+
+
+def _meta_kernel(path: Path) -> None:
+    kernel_files.write_pck(path.with_name("k.tpc"))
+    path.write_text(
+        "KPL/MK\n\\begindata\nPATH_VALUES = ( '.' )\nPATH_SYMBOLS = ( 'K' )\nKERNELS_TO_LOAD = ( '$K/k.tpc' )\n"
+        "\\begintext\n"
+    )
 
 
 PIXELS = (np.arange(24 * 20).reshape(20, 24) * 37 % 251).astype(np.uint8)
@@ -277,6 +372,18 @@ KINDS: dict[str, Kind] = {
     "run results": Kind("results.sqlite", _run, _read_run),
     "run edits": Kind("edits.jsonl", _run, _read_run),
     "run provenance": Kind("provenance.json", _run, _read_run),
+    "gauntlet images": Kind("images.jsonl", _gauntlet, lambda path: load_results(path.parent, _GAUNTLET)),
+    "dossier": Kind("dossier.json", _dossier, lambda path: check_dossier(path.parent)),
+    "observables": Kind("o.parquet", _observables, read_observables),
+    "star index": Kind("i.npz", _index, _read_index),
+    "sumfile": Kind("a.SUM", _sumfile, read_sumfile),
+    "attitude table": Kind(
+        "attitudes.csv", _with("name,qx,qy,qz,qw\na.fits,0,0,0,1\nb.fits,0,0,0.6,0.8\n"), read_attitude_table
+    ),
+    "tdm of others": Kind("o.tdm", _with(TDM), external._tdm),
+    "observables of others": Kind("o.csv", _with(SEEN), external._rows),
+    "frames": Kind("frames.toml", _frames, frames_table),
+    "kernel meta": Kind("k.tm", _meta_kernel, _read_kernel),
     "kernel pck": Kind("k.tpc", lambda path: kernel_files.write_pck(path), _read_kernel),
     "kernel lsk": Kind("k.tls", _with(LEAPSECONDS), _read_kernel),
     "kernel fk": Kind("k.tf", _with(FRAME), _read_kernel),

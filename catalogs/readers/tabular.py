@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import math
+import mmap
 import re
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -10,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
+from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +20,14 @@ from numpy.typing import NDArray
 from giantlike.catalogs.readers.rows import parsed
 from giantlike.core.arrays import Mask
 from giantlike.core.errors import DataError
-from giantlike.core.reading import check, unzipped
+from giantlike.core.fits_structure import require_whole_fits
+from giantlike.core.reading import check, check_declared_bytes, unzipped
 from giantlike.core.values import Value
 
 MISSING = ("", "null", "nan", "none", "na", "n/a", "--", "\\n")
 """Words that stand for a missing value, in lower case."""
+_DEEPEST_XML = 100  # elements within elements of a VOTable, which has 6
+_LONGEST_CELL = 100_000  # values of one cell of a VOTable: catalogs have numbers and names
 
 
 class Table(Protocol):
@@ -163,7 +169,7 @@ def text_table(content: bytes) -> Table:
 
 def _delimiter(comments: str, header: str) -> str:
     """Separator that an ECSV header states, else the first of the usual ones in the line of names."""
-    stated = re.search(r"^#\s*(?:-\s*)?\{?\s*delimiter:\s*['\"]?([,; |\t])", comments, re.MULTILINE)
+    stated = re.search(r"^#\s*+(?:-\s*+)?\{?\s*+delimiter:\s*['\"]?([,; |\t])", comments, re.MULTILINE)
     if stated:
         return stated[1]
     if comments.startswith("# %ECSV"):
@@ -204,7 +210,11 @@ class _ArrayTable(Value):
 def _fits_table(path: Path) -> Table:
     from astropy.io import fits
 
-    with fits.open(path) as file:
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as stored:
+        packed = stored[:2] == b"\x1f\x8b"
+        content = unzipped(stored[:]) if packed else b""
+        require_whole_fits(content if packed else stored)
+    with fits.open(io.BytesIO(content) if packed else path) as file:
         found = next((hdu for hdu in file if isinstance(hdu, fits.BinTableHDU | fits.TableHDU)), None)
         if found is None:
             raise ValueError("it holds no FITS table extension")
@@ -221,10 +231,38 @@ def _masked(values: NDArray[Any], null: int | None) -> NDArray[Any]:
 def _votable(path: Path) -> Table:
     from astropy.io import votable
 
+    content = unzipped(path.read_bytes())
+    _check_votable(content)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # astropy warns of every deviation from the standard
-        table = votable.parse_single_table(path)
+        table = votable.parse_single_table(io.BytesIO(content))
     return _array_table((field.name, table.array[field.ID]) for field in table.fields)
+
+
+def _check_votable(content: bytes) -> None:
+    """Refuse a VOTable whose data are elsewhere, or that declares more than it holds, before astropy reads it."""
+    depth = 0
+
+    def begun(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth
+        depth += 1
+        check(depth <= _DEEPEST_XML, f"its elements are nested more than {_DEEPEST_XML} deep")
+        name, given = tag.rpartition(":")[2].upper(), {key.lower(): value for key, value in attributes.items()}
+        if name == "STREAM" and "href" in given:
+            raise ValueError(f"its data are at {given['href'][:100]!r}: save the table with its data in the file")
+        if name == "TABLE" and (rows := given.get("nrows", "0").strip()).isdecimal():
+            check_declared_bytes(8 * int(rows[:20]), len(content))
+        if name == "FIELD":
+            sizes = [int(size[:20]) for size in re.findall(r"[0-9]++", given.get("arraysize", "1")[:200])]
+            check(math.prod(sizes) <= _LONGEST_CELL, f"a column has cells of {'x'.join(map(str, sizes))} values")
+
+    def ended(_tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = begun, ended
+    parser.Parse(content, True)
 
 
 def _parquet_table(path: Path) -> Table:
@@ -232,8 +270,12 @@ def _parquet_table(path: Path) -> Table:
     import pyarrow.parquet
 
     file = pyarrow.parquet.ParquetFile(path)
+    check_declared_bytes(8 * file.metadata.num_rows, path.stat().st_size)
 
     def read(name: str) -> Any:
+        kind = file.schema_arrow.field(name).type
+        numeric = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)
+        check(numeric, f"column {name!r} must hold numbers, got {kind}")
         column = file.read(columns=[name]).column(name).combine_chunks()
         values = column.fill_null(0) if column.null_count and pa.types.is_integer(column.type) else column
         array = values.to_numpy(zero_copy_only=False)

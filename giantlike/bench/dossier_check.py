@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ConfigDict
+
 from giantlike.bench.dossier import DOSSIER_FILE
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.provenance import file_sha256, package_versions
@@ -20,6 +22,29 @@ from giantlike.core.version import VERSION
 _TABLES = ("attitudes.csv", "observations.csv")
 _TIME_COLUMN = "time_s"
 """Column of the tables that differs from run to run."""
+
+
+class _Input(BaseModel):
+    model_config = ConfigDict(strict=True)
+    role: str
+    path: str
+    sha256: str
+
+
+class _Versions(BaseModel):
+    model_config = ConfigDict(strict=True)
+    giantlike: str
+    packages: dict[str, str]
+
+
+class _Dossier(BaseModel):
+    """The part of ``dossier.json`` that is read back."""
+
+    model_config = ConfigDict(strict=True)
+    inputs: list[_Input]
+    files: dict[str, str]
+    versions: _Versions
+    campaign_file: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,9 +80,10 @@ def check_dossier(dossier: Path) -> DossierCheck:
     changed, missing = [], []
     for name, path, digest in known:
         file = dossier / path
-        if not file.is_file():
+        found = _digest_of(file)
+        if found is None:
             missing.append(name)
-        elif file_sha256(file) != digest:
+        elif found != digest:
             changed.append(name)
     before = {"giantlike": content["versions"]["giantlike"], **content["versions"]["packages"]}
     now = {"giantlike": VERSION, **package_versions()}
@@ -68,6 +94,14 @@ def check_dossier(dossier: Path) -> DossierCheck:
         missing=tuple(missing),
         versions=tuple(versions),
     )
+
+
+def _digest_of(file: Path) -> str | None:
+    """SHA-256 of a file; None if it is not there or cannot be read."""
+    try:
+        return file_sha256(file) if file.is_file() else None
+    except OSError:
+        return None
 
 
 def reproduce(dossier: Path, output: Path, *, workers: int | None = None) -> list[str]:
@@ -93,11 +127,10 @@ def read_dossier(dossier: Path) -> dict[str, Any]:
     """Content of ``dossier.json``."""
     path = dossier / DOSSIER_FILE
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        whole = isinstance(content["inputs"], list) and isinstance(content["files"], dict)
-        if not whole or "packages" not in content["versions"]:
-            raise TypeError("parts are missing")
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        text = path.read_text(encoding="utf-8")
+        _Dossier.model_validate_json(text)
+        content = json.loads(text)
+    except (OSError, ValueError, RecursionError) as error:
         raise DataError(path, "is missing or damaged: this is no dossier; giantlike dossier RUN writes one") from error
     return dict(content)
 
@@ -106,7 +139,7 @@ def _rows(path: Path) -> dict[str, dict[str, str]]:
     """Rows of a table by image, target and estimator, without the time that they took."""
     try:
         with path.open(newline="", encoding="utf-8") as stream:
-            rows = list(csv.DictReader(stream))
+            rows = list(csv.DictReader(stream, restkey="", restval=""))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise DataError(path, f"cannot be read: {error}") from error
     keys = ("file", "target", "estimator")

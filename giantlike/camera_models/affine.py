@@ -19,6 +19,10 @@ TEMPERATURE_NAMES = ("a1_per_c", "a2_per_c2", "a3_per_c3")
 _BLOCK = 8192  # points per block: its temporaries (64 kB each) stay in the processor's cache
 
 
+_LARGEST = 1e30
+"""Largest parameter of a model: far beyond any lens, and its powers in derivatives are finite."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AffineModel(ABC):
     """A lens that maps directions to a focal plane at unit distance, and affine pixels behind it.
@@ -69,6 +73,7 @@ class AffineModel(ABC):
         for name in self.parameter_names:
             value = getattr(self, name)
             require(math.isfinite(value), f"camera model: {name} must be finite, got {value}")
+            require(abs(value) <= _LARGEST, f"camera model: {name} must be at most {_LARGEST:g}, got {value}")
         for name in ("fx_px", "fy_px"):
             require(
                 getattr(self, name) > 0,

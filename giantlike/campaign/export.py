@@ -17,7 +17,7 @@ from giantlike.campaign.store.observables import run_observables, write_run_obse
 from giantlike.campaign.store.records import Attitude, AttitudeRecord
 from giantlike.campaign.store.results import RunResult, attitude_series, camera_of_run, load_result
 from giantlike.core.arrays import require
-from giantlike.core.atomic import make_folder
+from giantlike.core.atomic import make_folder, name_of_file
 from giantlike.core.errors import InputError
 from giantlike.core.frames import quaternion_xyzw, require_same_frame
 from giantlike.core.outcomes import Failure
@@ -289,7 +289,7 @@ def _wcs(job: _Job) -> tuple[Path, ...]:
     files = []
     for record in job.records:
         assert record.attitude is not None
-        path = job.output / f"{'_'.join(Path(record.file).parts)}.wcs.fits"
+        path = job.output / (name_of_file("_".join(Path(record.file).parts)) + ".wcs.fits")
         write_wcs(
             path,
             PosedModel(
@@ -363,7 +363,8 @@ def _sumfiles(output: Path, rows: Iterable[ObservableRow], camera: Camera) -> Ex
         if body is None or body.apparent_position_icrf_km is None or body.epoch_et_s is None:
             left_out += 1
             continue
-        path = output / f"{'_'.join(Path(file).with_suffix('').parts)}_{target}.SUM"
+        path = output / (name_of_file(f"{'_'.join(Path(file).with_suffix('').parts)}_{target}") + ".SUM")
+        require(path not in files, f"{path.name}: two images or targets would have this file: export them one by one")
         write_sumfile(path, sumfile_of(camera, body, [row for row in members if row.kind == "landmark"]))
         files.append(path)
     require(bool(files), f"{output}: no position to write ({left_out} targets in images without one that is preferred)")

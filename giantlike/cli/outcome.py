@@ -24,8 +24,9 @@ class ExitCode(IntEnum):
     DONE = 0
     """All is done."""
     SOME_IMAGES_FAILED = 1
-    """Finished with exceptions, which the output names: images without an attitude or not readable, a calibration that
-    is refused, a dossier that is no longer valid. Failed fixes, and results that you reject, do not count."""
+    """Finished with exceptions, which the output names: images without an attitude or not readable, computations that
+    broke down (`internal_error`), a calibration that is refused, a dossier that is no longer valid. Failed fixes, and
+    results that you reject, do not count."""
     GOALS_MISSED = 1
     """The demonstration, the gauntlet or a replay ran, and missed a goal."""
     BAD_INPUT = 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -24,6 +25,14 @@ def array_of(archive: NpzFile, name: str) -> NDArray[Any]:
     if not isinstance(array, np.ndarray):
         raise ValueError(f"the archive has a part {name!r} that is no array")
     return array
+
+
+def single_value(arrays: Mapping[str, NDArray[Any]], name: str, kinds: str) -> Any:
+    """Return the only value of an array of an archive, of one of the kinds of numpy: ``U`` a text, ``iu`` whole."""
+    array = arrays[name]
+    if not isinstance(array, np.ndarray) or array.size != 1 or array.dtype.kind not in kinds:
+        raise ValueError(f"the archive needs a single value {name!r} of kind {kinds!r}")
+    return array.item()
 
 
 def unpacked_sizes(archive: NpzFile) -> dict[str, int]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from giantlike.core.errors import DataError
+
+_LONGEST_NAME = 200  # characters: file systems take 255 bytes
 
 
 @contextmanager
@@ -26,7 +29,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
     except OSError as error:
         raise DataError(target, f"cannot be written: {error.strerror or error}") from error
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # a file system that is read-only refuses this even where there is no file
+            part.unlink(missing_ok=True)
 
 
 def write_bytes_atomic(path: str | Path, data: bytes) -> None:
@@ -63,12 +67,29 @@ def write_text_atomic(path: str | Path, text: str) -> None:
 
 
 def append_text(path: Path, text: str) -> None:
-    """Append to a file in UTF-8; it is made where there is none."""
+    """Append to a file in UTF-8; it is made where there is none. A symbolic link is refused, not followed."""
     try:
-        with path.open("a", encoding="utf-8") as stream:
+        with open(path, "a", encoding="utf-8", opener=_open_no_link) as stream:
             stream.write(text)
     except OSError as error:
-        raise DataError(path, f"cannot be written: {error.strerror or error}") from error
+        problem = "it is a symbolic link, which is not followed" if path.is_symlink() else error.strerror or error
+        raise DataError(path, f"cannot be written: {problem}") from error
+
+
+def _open_no_link(path: str, flags: int) -> int:
+    """Open a file that is not a symbolic link."""
+    return os.open(path, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+
+
+def name_of_file(text: str) -> str:
+    """Return a name that denotes a file in a folder, made of any text: without separators and leading dots.
+
+    Examples
+    --------
+    >>> name_of_file("../67P/C-G")
+    '_67P_C-G'
+    """
+    return re.sub(r"[/\\:\x00-\x1f]+", "_", text).lstrip(".")[:_LONGEST_NAME] or "_"
 
 
 def make_folder(path: Path) -> None:

@@ -51,5 +51,20 @@ class DataError(OpNavError):
         return type(self), (self.path, self.problem)
 
 
+BREAKDOWNS = (ValueError, ArithmeticError, IndexError, MemoryError)
+"""Built-in exceptions by which a computation breaks down on its numbers; ``LinAlgError`` is a ``ValueError``."""
+
+
+def breakdown_text(error: BaseException) -> str:
+    """Class, place in this package and text of an exception, in one line."""
+    trace, place = error.__traceback__, ""
+    while trace is not None:
+        code = trace.tb_frame.f_code
+        if str(trace.tb_frame.f_globals.get("__name__")).startswith("giantlike."):
+            place = f" at {Path(code.co_filename).name}:{trace.tb_lineno}"
+        trace = trace.tb_next
+    return f"{type(error).__name__}{place}: {' '.join(str(error).split())[:200]}"
+
+
 class EstimationError(OpNavError):
     """A :class:`~giantlike.core.outcomes.Failure` was unwrapped as if it were a fix."""

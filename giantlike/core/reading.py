@@ -12,6 +12,7 @@ import functools
 import gzip
 import hashlib
 import io
+import re
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -34,12 +35,26 @@ _LONGEST_TEXT = 200  # characters of a library's message that are passed on: som
 _SMALL_BYTES = 200_000_000  # unpacked, read in any case: an image of 7000 x 7000 in single precision
 _MOST_COMPRESSION = 20  # maximum ratio of unpacked to packed size: tables of stars pack to a third to a sixth
 _CHUNK_BYTES = 1_000_000  # unpacked at a time
+_MOST_KEY_PARTS = 64  # of a dotted key of TOML, whose tables take memory by the square of their number
+_KEY_PART = r"(?:[A-Za-z0-9_-]++|\"[^\"\n]*+\"|'[^'\n]*+')"
+_DEEP_KEY = re.compile(rf"(?<![A-Za-z0-9_-]){_KEY_PART}(?:[ \t]*+\.[ \t]*+{_KEY_PART}){{{_MOST_KEY_PARTS}}}")
 
 
 def check(condition: bool, sentence: str) -> None:
     """Raise ``ValueError`` with ``sentence`` on the error in the content of a file, unless ``condition``."""
     if not condition:
         raise ValueError(sentence)
+
+
+def check_declared_bytes(declared: int, file_bytes: int) -> None:
+    """Raise ``ValueError`` where a header declares far more content than a file of its size can hold.
+
+    ``declared``, bytes of memory that the content takes.
+    """
+    if declared > max(_SMALL_BYTES, _MOST_COMPRESSION * file_bytes):
+        raise ValueError(
+            f"it declares {declared / 1e6:.0f} MB of content, more than a file of {file_bytes / 1e6:.1f} MB can hold"
+        )
 
 
 class _Decorator(Protocol):
@@ -87,12 +102,18 @@ def resolving(path: Path, what: str) -> Iterator[None]:
 def toml_table(path: Path, what: str) -> dict[str, Any]:
     """Read a TOML file."""
     try:
-        with path.open("rb") as stream:
-            table = tomllib.load(stream)
+        text = path.read_bytes().decode("utf-8")
+        deep = _DEEP_KEY.search(text)
+        if deep is not None:
+            line = text.count("\n", 0, deep.start()) + 1
+            raise DataError(path, f"line {line}: a key has more than {_MOST_KEY_PARTS} parts between its dots")
+        table = tomllib.loads(text)
         _require_64_bits(table)
         return table
     except OSError as error:
         raise DataError(path, f"cannot read the {what}: {error.strerror}") from error
+    except DataError:
+        raise
     except RecursionError as error:
         raise DataError(path, "is not valid TOML: its brackets are nested too deeply") from error
     except ValueError as error:

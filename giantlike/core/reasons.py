@@ -60,6 +60,11 @@ class Reason(StrEnum):
 
     Calibrate the camera, or give its field of view with a larger error.
     """
+    TIME_LIMIT = "time_limit"
+    """The search for patterns of stars took its time limit without a result.
+
+    Check focal length and detections (spurious ones make it slow), raise `time_limit_s`, or give an a priori attitude.
+    """
     MIRRORED_IMAGE = "mirrored_image"
     """The image shows the sky mirrored.
 

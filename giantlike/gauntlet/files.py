@@ -9,15 +9,31 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ConfigDict
+
 from giantlike.core.atomic import append_text, write_text_atomic
+from giantlike.core.errors import DataError
+from giantlike.core.reading import check, reads
 from giantlike.core.version import VERSION
 from giantlike.gauntlet.page import page_of
 from giantlike.gauntlet.run import Gauntlet, ImageResult, summary_of
 from giantlike.gauntlet.trial import TrialRow
-from giantlike.io.tables import write_rows
+from giantlike.io.tables import columns_of, write_rows
 
 SUMMARY, TABLE, PAGE, _PARTS = "gauntlet.json", "verdicts", "report.html", "images.jsonl"
 """Names of the files."""
+
+
+class _Line(BaseModel):
+    """A line of ``images.jsonl``."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+    stamp: dict[str, Any]
+    index: int
+    kind: str
+    cpu_s: float
+    thumbnail: str
+    rows: list[TrialRow]
 
 
 def has_results(folder: Path) -> bool:
@@ -57,6 +73,7 @@ def _line(wanted: Gauntlet, result: ImageResult) -> str:
     return json.dumps(values, allow_nan=False) + "\n"
 
 
+@reads("results of a gauntlet")
 def load_results(folder: Path, wanted: Gauntlet) -> list[ImageResult]:
     """Read the images that a killed run had finished; those of another seed, choice or version are left out."""
     path = folder / _PARTS
@@ -64,17 +81,25 @@ def load_results(folder: Path, wanted: Gauntlet) -> list[ImageResult]:
         return []
     numbers = set(wanted.numbers())
     results: dict[int, ImageResult] = {}
-    for line in path.read_text(encoding="utf-8").splitlines():
+    *lines, last = path.read_bytes().split(b"\n")
+    if last:
+        lines.append(last)
+    for number, line in enumerate(lines, start=1):
         try:
-            values = json.loads(line)
-        except ValueError:
-            continue  # the last line of a run that was killed while it wrote
-        if values["stamp"] == _stamp(wanted) and values["index"] in numbers:
-            results[values["index"]] = ImageResult(
-                index=values["index"],
-                kind=values["kind"],
-                rows=tuple(TrialRow(**row) for row in values["rows"]),
-                cpu_s=values["cpu_s"],
-                thumbnail=base64.b64decode(values["thumbnail"]),
+            kept = _Line.model_validate_json(line)
+            thumbnail = base64.b64decode(kept.thumbnail, validate=True)
+            check(all(_is_whole(row) for row in kept.rows), "a row lacks a value")
+        except ValueError as error:
+            if line is last:
+                continue  # of a run that was killed while it wrote
+            raise DataError(path, f"line {number} is damaged: delete it, and its image is made again") from error
+        if kept.stamp == _stamp(wanted) and kept.index in numbers:
+            results[kept.index] = ImageResult(
+                index=kept.index, kind=kept.kind, rows=tuple(kept.rows), cpu_s=kept.cpu_s, thumbnail=thumbnail
             )
     return list(results.values())
+
+
+def _is_whole(row: TrialRow) -> bool:
+    """True if a row has every value that a table needs."""
+    return all(getattr(row, column.name) is not None for column in columns_of(TrialRow) if column.required)

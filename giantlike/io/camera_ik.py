@@ -10,7 +10,7 @@ mission: the caller gives it, or it is the one for which the center is the middl
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from giantlike.core.reading import check, reads
 from giantlike.io.mission_frame import Boresight, ImportedCamera, from_mission_frame
 
 _BLOCK = re.compile(r"\\begindata(.*?)(?=\\begintext|\Z)", re.DOTALL)
-_ASSIGNMENT = re.compile(r"(\S+?)\s*\+?=\s*(\([^)]*\)|'[^']*'|\S+)")
+_VALUE = re.compile(r"\s*(\([^()]*+\)|'[^']*+'|\S+)")  # no parenthesis within one: a list that is not closed ends there
 _ITEM = re.compile(r"'([^']*)'|([^\s,()']+)")
 _CENTERS = ("CCD_CENTER", "FOV_CENTER_PIXEL", "BORESIGHT_PIXEL", "PIXEL_CENTER")
 _LENS_WORDS = ("DISTORTION", "OD_K", "DISTOR", "DISTCOEFF")
@@ -69,12 +69,23 @@ def _keywords(text: str, prefix: str) -> dict[str, list[str]]:
     """Values of all keywords of one instrument, by the part of the name after the prefix."""
     found: dict[str, list[str]] = {}
     for block in _BLOCK.findall(text):
-        for key, value in _ASSIGNMENT.findall(block):
+        for key, value in _assignments(block):
             if key.startswith(prefix):
                 items = [quoted or bare for quoted, bare in _ITEM.findall(value)]
                 found.setdefault(key.removeprefix(prefix), []).extend(items)
     check(bool(found), f"it holds no keyword that begins with {prefix}")
     return found
+
+
+def _assignments(block: str) -> Iterator[tuple[str, str]]:
+    """Yield keys and values of ``KEY = VALUE`` and ``KEY += VALUE``; every character is looked at once."""
+    position = 0
+    while (equals := block.find("=", position)) >= 0:
+        before = block[position:equals].rstrip().removesuffix("+").split()
+        value = _VALUE.match(block, equals + 1)
+        position = equals + 1 if value is None else value.end()
+        if before and value is not None:
+            yield before[-1], value[1]
 
 
 def _numbers(keywords: Mapping[str, list[str]], key: str) -> list[float]:

@@ -18,6 +18,7 @@ from giantlike.core.arrays import as_finite, as_image, require
 from giantlike.core.atomic import write_bytes_atomic
 from giantlike.core.child import in_child
 from giantlike.core.errors import InputError
+from giantlike.core.fits_structure import require_whole_fits
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.reading import check, reads
 from giantlike.core.time import utc_text
@@ -35,8 +36,6 @@ from giantlike.io.fits_keywords import (
 if TYPE_CHECKING:
     from astropy.time import Time
 
-_BLOCK, _CARD = 2880, 80  # bytes: FITS Standard 4.0, sections 3.1 and 4.1
-_MOST_AXES = 999  # FITS standard 4.0, section 4.4.1.1
 _STRUCTURAL = re.compile(
     r"SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|PCOUNT|GCOUNT|GROUPS|BSCALE|BZERO|BLANK|EXTNAME|EXTVER|EXTLEVEL|INHERIT"
     r"|CHECKSUM|DATASUM|TFIELDS|THEAP|T(TYPE|FORM|UNIT|DIM|SCAL|ZERO|NULL)\d+|Z(IMAGE|CMPTYPE|BITPIX|NAXIS\d*|TILE\d+)"
@@ -63,7 +62,7 @@ def decode_fits(path: Path, data: bytes, hdu: int | str | None) -> DecodedImage:
     and undefined values are left out. Epoch, exposure, attitude and observer: see
     :mod:`giantlike.io.fits_keywords`.
     """
-    _require_whole(data)
+    require_whole_fits(data)
     cards, pixels = _open(data, hdu)
     exposure_s = fits_exposure_s(cards)
     epoch = fits_epoch(cards, exposure_s)
@@ -180,44 +179,6 @@ def write_fits(
     buffer = io.BytesIO()
     fits.HDUList([unit, *others]).writeto(buffer)
     write_bytes_atomic(path, buffer.getvalue())
-
-
-def _require_whole(data: bytes) -> None:
-    """Walk over the HDUs and refuse a file that ends inside one of them."""
-    offset, index = 0, 0
-    while offset < len(data) and (index == 0 or data[offset : offset + 8] == b"XTENSION"):
-        sizes: dict[str, int] = {}
-        ended = False
-        while not ended:
-            check(offset + _BLOCK <= len(data), f"the FITS file is truncated: it ends in the header of HDU {index}")
-            block = data[offset : offset + _BLOCK].decode("latin-1")
-            offset += _BLOCK
-            for card in (block[k : k + _CARD] for k in range(0, _BLOCK, _CARD)):
-                ended = ended or card.rstrip() == "END"
-                key = card[:8].rstrip()
-                if not ended and re.fullmatch(r"BITPIX|NAXIS\d*|PCOUNT|GCOUNT", key):
-                    sizes[key] = _card_integer(card)
-        if not 0 <= (n_axes := sizes.get("NAXIS", 0)) <= _MOST_AXES:
-            raise ValueError(f"HDU {index} of the FITS file cannot have {n_axes} axes")
-        axes = [sizes.get(f"NAXIS{k}", 0) for k in range(1, n_axes + 1)]
-        if axes and axes[0] == 0:
-            axes = axes[1:]  # random groups
-        elements = int(np.prod(axes, dtype=object)) if axes else 0
-        size = abs(sizes.get("BITPIX", 8)) // 8 * sizes.get("GCOUNT", 1) * (sizes.get("PCOUNT", 0) + elements)
-        check(min([size, *axes]) >= 0, f"HDU {index} of the FITS file has a negative size")
-        offset += -(-size // _BLOCK) * _BLOCK
-        if offset > len(data):
-            raise ValueError(
-                f"the FITS file is truncated: HDU {index} reaches to byte {offset}, the file has {len(data)}"
-            )
-        index += 1
-
-
-def _card_integer(card: str) -> int:
-    try:
-        return int(card[10:].split("/")[0])
-    except ValueError:
-        raise ValueError(f"the FITS card {card.strip()!r} needs a whole number") from None
 
 
 def _open(data: bytes, hdu: int | str | None) -> tuple[dict[str, Card], NDArray[Any]]:

@@ -252,8 +252,11 @@ def _label_beside(path: Path) -> Path | None:
     return None
 
 
+@reads("an image")
 def _find_beside(path: Path, name: str) -> Path | None:
     """Find a file by name in the folder of another file; an exact match wins, otherwise case is ignored."""
+    if name in {"", ".", ".."} or "/" in name or "\\" in name or "\0" in name:
+        raise ValueError(f"the image that its label points to must be a file beside it, got {name[:100]!r}")
     exact = path.parent / name
     if exact.is_file():
         return exact

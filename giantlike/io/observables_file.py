@@ -21,12 +21,14 @@ from giantlike.core.arrays import require
 from giantlike.core.atomic import replacing
 from giantlike.core.causes import Cause
 from giantlike.core.errors import DataError
+from giantlike.core.reading import check_declared_bytes, reads
 from giantlike.core.values import Value
 from giantlike.io.tables import arrow_schema, column, columns_of
 
 FORMAT, FORMAT_VERSION = "giantlike observables", "1"
 """Metadata of the file: its kind, and the version of its columns."""
 ROWS_OF_A_GROUP = 4096
+_ROW_BYTES = 1000  # of memory of a row: a hundred columns, most of them numbers
 """Rows of a group of the Parquet file: some megabytes, at any number of images."""
 _ICRF = "ICRF"
 _CAMERA = "camera"
@@ -283,23 +285,24 @@ def write_observables(path: Path, rows: Iterable[ObservableRow | ObservableBlock
         return writers[path.suffix](part, iter(rows), metadata)
 
 
+@reads("observables in Parquet")
 def read_observables(path: Path) -> tuple[list[ObservableRow], dict[str, str]]:
     """Read observables back from a Parquet file.
 
     Returns ``rows`` and ``metadata``.
     """
-    import pyarrow as pa
     from pyarrow import parquet
 
-    try:
-        table = parquet.read_table(path)
-    except (OSError, pa.ArrowException) as error:
-        raise DataError(path, f"cannot be read as Parquet: {' '.join(str(error).split())[:200]}") from error
-    metadata = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
-    found = (metadata.get("format"), metadata.get("format_version"))
-    names = [each.name for each in columns_of(ObservableRow)]
-    if found != (FORMAT, FORMAT_VERSION) or table.column_names != names:
-        raise DataError(path, f"is no file of {FORMAT} version {FORMAT_VERSION}: write it again with giantlike export")
+    with parquet.ParquetFile(path) as file:
+        schema, size = file.schema_arrow, path.stat().st_size
+        metadata = {key.decode(): value.decode() for key, value in (schema.metadata or {}).items()}
+        found = (metadata.get("format"), metadata.get("format_version"))
+        if found != (FORMAT, FORMAT_VERSION) or not schema.equals(_schema()):
+            raise DataError(
+                path, f"is no file of {FORMAT} version {FORMAT_VERSION}: write it again with giantlike export"
+            )
+        check_declared_bytes(_ROW_BYTES * file.metadata.num_rows, size)
+        table = file.read()
     return [ObservableRow(**row) for row in table.to_pylist()], metadata
 
 

@@ -13,28 +13,22 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from giantlike.core.reading import reads
+from giantlike.core.reading import check, reads
 from giantlike.io.decoded import DecodedImage, HeaderValue
+from giantlike.io.label_statements import statements
 from giantlike.io.label_times import label_epoch, label_exposure_s
 from giantlike.io.raw_image import RawLayout, label_count, read_raw
 
 LABEL_START = re.compile(rb"\s*(PDS_VERSION_ID|CCSD3ZF|NJPL1I|ODL_VERSION_ID)\b")
 """First word of a PDS3 label, or of its SFDU wrapper."""
 
-_END = re.compile(r"^\s*(END|End)\s*$", re.MULTILINE)
-_STATEMENT = re.compile(
-    r"/\*.*?\*/"
-    r"|^\s*(?P<closing>END_(?:OBJECT|GROUP)|End_(?:Object|Group))\s*$"
-    r"|(?P<key>\^?[A-Za-z][A-Za-z0-9_:]*)\s*=\s*"
-    r"(?P<value>\"[^\"]*\"|'[^']*'|\([^()]*(?:\([^()]*\)[^()]*)*\)|\{[^{}]*\}|[^\s<]+)"
-    r"(?:\s*<(?P<unit>[^>]*)>)?",
-    re.DOTALL | re.MULTILINE,
-)
+_END = re.compile(r"^[^\S\n]*(?:END|End)[^\S\n]*$", re.MULTILINE)
 _POINTER = re.compile(
-    r"\(?\s*(?:[\"'](?P<file>[^\"']+)[\"'])?\s*,?\s*(?P<start>\d+)?\s*(?P<bytes><\s*BYTES\s*>)?\s*\)?"
+    r"\(?\s*+(?:[\"'](?P<file>[^\"']+)[\"'])?\s*+,?\s*+(?P<start>\d+)?\s*+(?P<bytes><\s*+BYTES\s*+>)?\s*+\)?"
 )
 _INTEGER = re.compile(r"[+-]?\d+")
 _REAL = re.compile(r"[+-]?(\d+\.\d*|\.\d+|\d+)([eE][+-]?\d+)?")
+_DEEPEST, _LONGEST_NAME = 20, 100  # objects within objects, where missions have 4, and characters of the name of one
 _BIG, _LITTLE = ("MSB_", "SUN_", "MAC_"), ("LSB_", "PC_", "VAX_")
 
 
@@ -82,23 +76,25 @@ def parse_pds3(path: Path, data: bytes) -> Pds3Label:
         raise ValueError("it has no END statement")
     label = Pds3Label({}, {}, {})
     nesting: list[str] = []
-    for match in _STATEMENT.finditer(text, 0, end.start()):
-        key, value = match["key"], match["value"]
-        opened_or_closed = (match["closing"] or key or "").upper()
+    for key, value, unit in statements(text[: end.start()]):
+        opened_or_closed = key.upper()
         if opened_or_closed in {"END_OBJECT", "END_GROUP"}:
             del nesting[-1:]
             continue
-        if key is None:
-            continue
         if opened_or_closed in {"OBJECT", "GROUP"}:
             nesting.append(value)
+            small = len(nesting) <= _DEEPEST and len(value) <= _LONGEST_NAME
+            check(
+                small,
+                f"its objects are nested more than {_DEEPEST} deep, or have names over {_LONGEST_NAME} characters",
+            )
             continue
         name = ".".join([*nesting, key])
-        label.raw.setdefault(name, value if match["unit"] is None else f"{value} <{match['unit']}>")
+        label.raw.setdefault(name, value if unit is None else f"{value} <{unit}>")
         if not key.startswith("^"):
             label.values.setdefault(name, _plain(value))
-            if match["unit"] is not None:
-                label.units.setdefault(name, match["unit"])
+            if unit is not None:
+                label.units.setdefault(name, unit)
     return label
 
 

@@ -27,7 +27,7 @@ from giantlike.io.label_times import label_epoch
 PRODUCT_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*<\?xml[^>]*>[\s\S]{0,20000}?<Product_Observational\b")
 """Beginning of the label of an observation; model references and comments may stand before the root."""
 
-_FILE_NAME = re.compile(rb"<file_name>\s*([^<]*?)\s*</file_name>")
+_FILE_NAME = re.compile(rb"<file_name>([^<]*+)</file_name>")
 LABEL_NAMES = {"start_date_time": "START_TIME", "stop_date_time": "STOP_TIME"}
 """Elements of a label with times, and their names in PDS3 labels."""
 _SECONDS = {"s": 1.0, "ms": 1e-3, "microseconds": 1e-6, "min": 60.0}
@@ -38,7 +38,7 @@ _SECONDS = {"s": 1.0, "ms": 1e-3, "microseconds": 1e-6, "min": 60.0}
 def data_file_of(path: Path, label: bytes) -> str:
     """Name of the file that holds the data of a label."""
     match = _FILE_NAME.search(label)
-    name = "" if match is None else match[1].decode()
+    name = "" if match is None else match[1].decode().strip()
     if not name or name in {".", ".."} or "/" in name or "\\" in name:
         raise ValueError(f"its file_name must be that of a file beside it, got {name!r}")
     return name

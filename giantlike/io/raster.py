@@ -18,17 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.pixel_noise import EightBitValues
-from giantlike.core.reading import check, reads
+from giantlike.core.reading import check, check_declared_bytes, reads
 from giantlike.io.decoded import DecodedImage
 
 LUMINANCE_BGR = (0.114, 0.587, 0.299)
 """Weights of blue, green and red in the luminance of a color image (ITU-R BT.601, the luma that JPEG stores)."""
 
-_JPEG_MARKER_IN_SCAN = re.compile(rb"\xff+[^\x00\xff\xd0-\xd7]", re.DOTALL)
+_JPEG_MARKER_IN_SCAN = re.compile(rb"\xff[^\x00\xff\xd0-\xd7]", re.DOTALL)
 # Tags of the TIFF 6.0 specification (Adobe, 1992): Orientation, PhotometricInterpretation; offsets and byte counts of
 # strips, of tiles; struct codes of the unsigned integer types by their number (16 and 18 are BigTIFF's).
 _ORIENTATION, _PHOTOMETRIC = 274, 262
+_COLUMNS, _ROWS, _BITS, _CHANNELS = 256, 257, 258, 277  # the last two are 1 where they are left out
 _OFFSETS, _COUNTS = (273, 324), (279, 325)  # of strips, of tiles
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 4, 4: 2, 6: 4}  # by color type; a palette may have an alpha channel
+_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # markers of headers with the size of the image
 _TIFF_UNSIGNED = {1: "B", 3: "H", 4: "I", 13: "I", 16: "Q", 18: "Q"}
 
 
@@ -89,8 +92,17 @@ def _gray(pixels: NDArray[Any]) -> NDArray[Any]:
     return (pixels[:, :, :3].astype(np.float32) @ np.array(LUMINANCE_BGR, dtype=np.float32)).astype(np.float32)
 
 
+def _check_size(data: bytes, columns: int, rows: int, channels: int, bits: int) -> None:
+    """Refuse an image that takes far more memory than a file of its size can hold, before it is decoded."""
+    luminance_bytes = 4 * (channels + 1) if channels >= 3 else 0  # of the conversion to gray, single precision
+    check_declared_bytes(columns * rows * (channels * (-(-bits // 8)) + luminance_bytes), len(data))
+
+
 def _require_whole_png(data: bytes) -> None:
     position = 8
+    if len(data) >= 26 and data[12:16] == b"IHDR":
+        columns, rows, bits, color = struct.unpack_from(">IIBB", data, 16)
+        _check_size(data, columns, rows, _PNG_CHANNELS.get(color, 4), bits)
     while position + 12 <= len(data):
         length = int.from_bytes(data[position : position + 4], "big")
         end = position + 12 + length
@@ -115,6 +127,9 @@ def _require_whole_jpeg(data: bytes) -> None:
             continue
         if marker == 0xD9:
             return
+        if marker in _JPEG_FRAMES and position + 10 <= len(data):
+            bits, rows, columns, channels = struct.unpack_from(">BHHB", data, position + 4)
+            _check_size(data, columns, rows, channels, bits)
         position += 2 + int.from_bytes(data[position + 2 : position + 4], "big")
         if marker == 0xDA:
             found = _JPEG_MARKER_IN_SCAN.search(data, position)
@@ -149,6 +164,9 @@ def _whole_tiff_tags(data: bytes) -> dict[int, _TiffTag]:
         raise ValueError("the first page of the TIFF file has no table of strips or tiles")
     end = max(offset + count for offset, count in zip(offsets[0], counts[0], strict=True))
     check(end <= len(data), f"the TIFF file is truncated: its pixels reach to byte {end}, got {len(data)}")
+    columns, rows = (tags[tag].values[0] if tag in tags and tags[tag].values else 0 for tag in (_COLUMNS, _ROWS))
+    channels, bits = (max(tags[tag].values, default=1) if tag in tags else 1 for tag in (_CHANNELS, _BITS))
+    _check_size(data, columns, rows, channels, bits)
     return tags
 
 

@@ -35,11 +35,12 @@ Answer = TypeVar("Answer")
 
 _TRANSFER = (b"DAFETF", b"DASETF")
 _FILE_RECORD = 1024  # bytes, of DAF files: NAIF's DAF Required Reading
+_LONGEST_PATH = 1000  # characters of a kernel's path: SPICE takes 255; path symbols within symbols grow beyond any
 _DEEPEST = 8  # meta-kernels that list meta-kernels: more are treated as a cycle
 _DATA_SECTION = re.compile(
     r"^[ \t]*\\begindata[ \t]*\r?$(.*?)(?:^[ \t]*\\begintext[ \t]*\r?$|\Z)", re.MULTILINE | re.DOTALL
 )
-_ASSIGNMENT = re.compile(r"([A-Za-z]\w*)\s*\+?=\s*(\((?:'(?:[^']|'')*+'|[^)'])*+\)|'(?:[^']|'')*+'|\S+)")
+_ASSIGNMENT = re.compile(r"\b([A-Za-z]\w*+)\s*+\+?=\s*(\((?:'(?:[^']|'')*+'|[^()'])*+\)|'(?:[^']|'')*+'|\S+)")
 _QUOTED = re.compile(r"'((?:[^']|'')*+)'")
 _UNKNOWN_NAME = ("IDCODENOTFOUND", "NOTRANSLATION", "UNKNOWNFRAME", "bods2c")
 
@@ -328,6 +329,8 @@ def _meta_kernel_paths(path: Path, text: str) -> list[str]:
         raise DataError(path, f"the meta-kernel also sets {others[0]}: move that to a kernel of its own")
     for symbol, value in zip(symbols, values, strict=True):
         names = [name.replace(f"${symbol}", value) for name in names]
+        if any(len(name) > _LONGEST_PATH for name in names):
+            raise DataError(path, f"the meta-kernel lists a path of more than {_LONGEST_PATH} characters")
     return names
 
 

@@ -24,8 +24,10 @@ from giantlike.io.label_times import label_epoch, label_exposure_s
 from giantlike.io.raw_image import RawLayout, label_count, read_raw
 
 _LABEL_SIZE = re.compile(rb"LBLSIZE\s*=\s*(\d+)")
-_ITEM = re.compile(r"\s*([A-Za-z][A-Za-z0-9_]*)\s*=\s*('(?:[^']|'')*'|\((?:'(?:[^']|'')*'|[^)'])*\)|[^\s']+)")
-_LIST_ENTRY = re.compile(r"'((?:[^']|'')*)'|([^,\s]+)")
+_KEY = re.compile(r"\s*([A-Za-z][A-Za-z0-9_]*)\s*=\s*")
+_BARE = re.compile(r"[^\s']+")  # a value without quotes
+_LIST_ENTRY = re.compile(r"'((?:[^']|'')*+)'|([^,\s']+)")
+_IN_LIST = re.compile(r"[')]")  # what ends a list, or begins a string in which a parenthesis does not
 _INTEGER = re.compile(r"[+-]?\d+")
 _INTEGER_SAMPLES = {"BYTE": "u1", "HALF": "i2", "WORD": "i2", "FULL": "i4", "LONG": "i4"}
 _REAL_BYTES = {"REAL": 4, "DOUB": 8}
@@ -75,16 +77,16 @@ def decode_vicar(path: Path, data: bytes) -> DecodedImage:
 
 
 def _parse_label(label: bytes) -> list[LabelItem]:
-    """Items of a VICAR label, in order."""
+    """Items of a VICAR label, in order; every character is looked at once."""
     text = label.decode("latin-1").rstrip()
     items: list[LabelItem] = []
     group, position, tasks = _SYSTEM, 0, Counter[str]()
     while position < len(text):
-        match = _ITEM.match(text, position)
-        if match is None:
+        match = _KEY.match(text, position)
+        end = -1 if match is None else _value_end(text, match.end())
+        if match is None or end < 0:
             raise ValueError(f"the VICAR label is damaged near {text[position : position + 40].strip()!r}")
-        position = match.end()
-        key, value = match[1], _value(match[2])
+        key, value, position = match[1], _value(text[match.end() : end]), end
         if key == "PROPERTY":
             group = str(value)
         elif key == "TASK":
@@ -93,6 +95,31 @@ def _parse_label(label: bytes) -> list[LabelItem]:
         elif key != "LBLSIZE" or group == _SYSTEM:
             items.append(LabelItem(group, key, value))
     return items
+
+
+def _value_end(text: str, start: int) -> int:
+    """End of the value that begins at a place of a label; -1 where it has none."""
+    if text.startswith("'", start):
+        return _string_end(text, start)
+    if not text.startswith("(", start):
+        bare = _BARE.match(text, start)
+        return -1 if bare is None else bare.end()
+    position = start
+    while found := _IN_LIST.search(text, position):
+        if found[0] == ")":
+            return found.end()
+        position = _string_end(text, found.start())
+        if position < 0:
+            break
+    return -1
+
+
+def _string_end(text: str, start: int) -> int:
+    """End of a string in quotes, in which two quotes stand for one; -1 where it is not closed."""
+    quote = text.find("'", start + 1)
+    while quote >= 0 and text.startswith("'", quote + 1):
+        quote = text.find("'", quote + 2)
+    return quote + 1 if quote >= 0 else -1
 
 
 def _header(items: list[LabelItem]) -> dict[str, HeaderValue]:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
+import cv2
 import numpy as np
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
+from giantlike.core.errors import BREAKDOWNS, breakdown_text
 from giantlike.core.findings import Response
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Reason
 from giantlike.core.processes import one_thread
@@ -23,6 +26,8 @@ from giantlike.relative.response import BEND_STEP
 from giantlike.relative.verification import verified
 from giantlike.rings import Rings
 from giantlike.scene import Scene, TargetGeometry
+
+_LOG = logging.getLogger("giantlike.relative")
 
 Options = TypeVar("Options")
 Fix = TypeVar("Fix", bound=CenterFix, covariant=True)
@@ -128,7 +133,7 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
             The fix of the estimator, with the parts of its covariance by cause and the flags of the checks that are
             made of every fix (:mod:`giantlike.relative.verification`). Failures are those of its class, and those of
             an image without attitude, epoch, signal or good pixels, of a target without geometry, behind the camera
-            or around it.
+            or around it. A computation that breaks down is a failure with the reason ``internal_error``.
 
         Raises
         ------
@@ -140,6 +145,14 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         inputs = gather(image, camera, scene, target, estimator=self.name, options=self.options)
         if isinstance(inputs, Failure):
             return inputs
+        try:
+            return self._checked(inputs)
+        except (*BREAKDOWNS, cv2.error) as error:
+            _LOG.debug("%s: %s broke down", inputs.image.name, self.name, exc_info=True)
+            return inputs.fail(Reason.INTERNAL_ERROR, f"the computation broke down: {breakdown_text(error)}")
+
+    def _checked(self, inputs: EstimatorInputs) -> Fix | Failure:
+        """Find the body, with the error budget of its position and the checks of a fix."""
         result = self._budgeted(inputs)
         if isinstance(result, Failure):
             return inputs.fail(result.reason, result.detail)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -58,7 +59,13 @@ _FIRST_RADIUS = 0.008  # first match radius / image width: distortion left by a 
 
 @one_thread()
 def identify_lost_in_space(
-    points_px: Float, covariance_px2: Float, camera: Camera, sky: Sky, *, options: StarOptions
+    points_px: Float,
+    covariance_px2: Float,
+    camera: Camera,
+    sky: Sky,
+    *,
+    options: StarOptions,
+    until_s: float | None = None,
 ) -> RefinedAttitude | Failure:
     """Find the attitude of an image anywhere on the sky.
 
@@ -71,18 +78,21 @@ def identify_lost_in_space(
         With ``options.estimate_scale`` only its field of view is used, known to ``options.scale_error``.
     sky : Sky
     options : StarOptions
+    until_s : float, s, optional
+        Time of :func:`time.thread_time` at which the search ends. Default: ``options.time_limit_s`` from now.
 
     Returns
     -------
     RefinedAttitude or Failure
-        Reasons: too_few_detections, no_catalog_stars (the catalog has too few for such fields), fov_mismatch (stars
+        Reasons: time_limit, too_few_detections, no_catalog_stars (too few for such fields), fov_mismatch (stars
         fit another focal length), mirrored_image, no_pattern_match.
 
     References
     ----------
     .. [1] The ODIN paper (004 of the specification), Star Identification.
     """
-    return _solved_or_explained(_Problem(points_px, covariance_px2, camera, sky, options))
+    until_s = time.thread_time() + options.time_limit_s if until_s is None else until_s
+    return _solved_or_explained(_Problem(points_px, covariance_px2, camera, sky, options, until_s))
 
 
 def identify_in_cone(
@@ -93,14 +103,17 @@ def identify_in_cone(
     camera_from_inertial: Rotation,
     *,
     options: StarOptions,
+    until_s: float | None = None,
 ) -> RefinedAttitude | Failure:
     """Find the attitude of an image within ``options.attitude_error_deg`` of an a priori one, about any axis.
 
     The same search as on the whole sky, in an index of the stars that such an image can show.
 
-    ``points_px`` (m, 2), detections, brightest first; ``covariance_px2`` (m, 2, 2).
+    ``points_px`` (m, 2), detections, brightest first; ``covariance_px2`` (m, 2, 2); ``until_s`` as there.
     """
-    return _solved_or_explained(_Problem(points_px, covariance_px2, camera, sky, options, camera_from_inertial))
+    until_s = time.thread_time() + options.time_limit_s if until_s is None else until_s
+    problem = _Problem(points_px, covariance_px2, camera, sky, options, until_s, camera_from_inertial)
+    return _solved_or_explained(problem)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +125,7 @@ class _Problem(Value):
     camera: Camera
     sky: Sky
     options: StarOptions
+    until_s: float = math.inf
     apriori: Rotation | None = None
 
     def solve(self, *, brief: bool = False) -> RefinedAttitude | Failure:
@@ -122,6 +136,15 @@ class _Problem(Value):
             if isinstance(outcome, RefinedAttitude):
                 return outcome
             refuted += 1
+            if self.is_late():
+                break
+        if self.is_late():
+            return Failure(
+                Reason.TIME_LIMIT,
+                f"no pattern of the {len(self.points_px)} detections was found within the time limit of "
+                f"{self.options.time_limit_s:g} s ({refuted} candidates were verified and refused): check focal length "
+                "and the detections, or raise time_limit_s",
+            )
         where = "on the sky" if self.apriori is None else f"within {self.options.attitude_error_deg:g} degrees"
         free = f" to {100 * self.options.scale_error:.3g} %" if self.options.estimate_scale else ""
         return Failure(
@@ -129,6 +152,10 @@ class _Problem(Value):
             f"no pattern of the {len(self.points_px)} detections was found {where} for a field of view of "
             f"{self.camera.fov_deg:.4g} degrees{free} ({refuted} candidates were verified and refused)",
         )
+
+    def is_late(self) -> bool:
+        """True once the time limit of the image is over."""
+        return time.thread_time() >= self.until_s
 
     def verify(self, hypothesis: Hypothesis) -> RefinedAttitude | Failure:
         """Match all stars of the image with the attitude of a hypothesis, and refine it."""
@@ -185,7 +212,7 @@ class _Problem(Value):
             if key not in seen:
                 seen.add(key)
                 yield hypothesis
-        if self.options.estimate_scale and self.apriori is None and not brief:
+        if self.options.estimate_scale and self.apriori is None and not brief and not self.is_late():
             yield from tetra_hypotheses(self.points_px, self.camera, self.sky, options=self.options)
 
     def _from_patterns(self, brief: bool) -> Iterator[Hypothesis]:
@@ -196,7 +223,7 @@ class _Problem(Value):
         gathered: Candidates | None = None
         radius = -1.0
         for number, search in enumerate(searches(vectors[len(vectors) // 2], self.half_fov_rad(), pattern)):
-            if brief and number >= _BRIEF[pattern]:
+            if (brief and number >= _BRIEF[pattern]) or self.is_late():
                 return
             index = self.index(pattern, search.radius_rad)
             if len(index) == 0:
@@ -204,6 +231,8 @@ class _Problem(Value):
             if search.radius_rad != radius:
                 gathered, radius = None, search.radius_rad
             for group in search.groups:
+                if self.is_late():
+                    return
                 found = find_candidates(index, vectors, group, scope)
                 found = found if self.apriori is None else found.select(self._near(found.matrices))
                 gathered = found if gathered is None else gathered.joined(found)
@@ -302,7 +331,7 @@ def _solved_or_explained(problem: _Problem) -> RefinedAttitude | Failure:
             f"{problem.options.min_matches} are needed: use a deeper catalog",
         )
     outcome = problem.solve()
-    if isinstance(outcome, RefinedAttitude):
+    if isinstance(outcome, RefinedAttitude) or problem.is_late():
         return outcome
     cause = _diagnosis(problem)
     return outcome if cause is None else cause

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -18,6 +19,7 @@ from giantlike.camera_models import model_to_mapping
 from giantlike.catalogs import StarCatalog, proper_names
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause, summed
+from giantlike.core.errors import BREAKDOWNS, breakdown_text
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import AttitudeFix, Failure, Quality, Reason
 from giantlike.core.processes import one_thread
@@ -143,14 +145,15 @@ class StarNavigation:
             The image and the camera differ in size.
         """
         first = 1.0 if self.options.all_stars else _MEASURED_FIRST
+        until_s = time.thread_time() + self.options.time_limit_s
         shares = sorted({min(first, self.detection.information), self.detection.information})
         for detections in self._detections(image, self.detection, shares):
             if isinstance(detections, Failure):
                 return detections, detections
-            outcome, left = self._solve(image, detections), detections.left_out
+            outcome, left = self._solve(image, detections, until_s), detections.left_out
             if left is None or (isinstance(outcome, _Solved) and _enough(detections, outcome, left)):
                 break
-            if _is_mirrored(outcome):
+            if _is_final(outcome):
                 break
         return detections, outcome.fix if isinstance(outcome, _Solved) else outcome
 
@@ -208,22 +211,32 @@ class StarNavigation:
         -------
         AttitudeFix or Failure
         """
-        outcome = self._solve(image, detections)
+        outcome = self._solve(image, detections, time.thread_time() + self.options.time_limit_s)
         return outcome.fix if isinstance(outcome, _Solved) else outcome
 
-    def _solve(self, image: Image, detections: Detections) -> _Solved | Failure:
-        """Attitude from detections, with the solution it was made of."""
+    def _solve(self, image: Image, detections: Detections, until_s: float) -> _Solved | Failure:
+        """Attitude from detections, with the solution it was made of; a computation that breaks down is a failure."""
+        try:
+            return self._solve_detections(image, detections, until_s)
+        except BREAKDOWNS as error:
+            _LOG.debug("%s: the attitude broke down", image.name, exc_info=True)
+            return Failure(Reason.INTERNAL_ERROR, f"the computation broke down: {breakdown_text(error)}")
+
+    def _solve_detections(self, image: Image, detections: Detections, until_s: float) -> _Solved | Failure:
+        """Attitude from clean detections, or from all that are not extended."""
         measured = np.isfinite(detections.covariance_px2).all(axis=(1, 2))
         clean = measured & detections.clean
-        outcome = self._solve_usable(image, detections, np.flatnonzero(clean))
+        outcome = self._solve_usable(image, detections, np.flatnonzero(clean), until_s)
         rest = measured & ((detections.flags & np.uint16(DetectionFlag.EXTENDED)) == 0)
         solved = isinstance(outcome, _Solved)
-        if solved or _is_mirrored(outcome) or int(rest.sum()) == int(clean.sum()):
+        if solved or _is_final(outcome) or int(rest.sum()) == int(clean.sum()):
             return outcome
-        again = self._solve_usable(image, detections, np.flatnonzero(rest))
+        again = self._solve_usable(image, detections, np.flatnonzero(rest), until_s)
         return again if isinstance(again, _Solved) else outcome
 
-    def _solve_usable(self, image: Image, detections: Detections, usable: NDArray[np.intp]) -> _Solved | Failure:
+    def _solve_usable(
+        self, image: Image, detections: Detections, usable: NDArray[np.intp], until_s: float
+    ) -> _Solved | Failure:
         """Attitude from the detections of indices ``usable`` (k,)."""
         usable = usable[bright_enough(detections.snr[usable], self.options.min_snr)]
         needed = self.options.min_matches
@@ -239,11 +252,13 @@ class StarNavigation:
         )
         method = "a_priori"
         if image.camera_from_inertial is not None:
-            outcome = self._from_apriori(image.camera_from_inertial, points, covariance, sky)
+            outcome = self._from_apriori(image.camera_from_inertial, points, covariance, sky, until_s)
         if isinstance(outcome, Failure) and self.options.lost_in_space:
             _LOG.debug("%s: searching the whole sky, because %s", image.name, outcome.detail)
             first, method = outcome, "lost_in_space"
-            outcome = identify_lost_in_space(points, covariance, self.camera, sky, options=self.options)
+            outcome = identify_lost_in_space(
+                points, covariance, self.camera, sky, options=self.options, until_s=until_s
+            )
             if isinstance(outcome, Failure) and first.reason is not Reason.NO_ATTITUDE:
                 outcome = Failure(outcome.reason, f"{outcome.detail}; with the a priori attitude: {first.detail}")
         if isinstance(outcome, Failure):
@@ -254,7 +269,7 @@ class StarNavigation:
         return _Solved(fix, outcome.solution)
 
     def _from_apriori(
-        self, camera_from_inertial: Rotation, points_px: Float, covariance_px2: Float, sky: Sky
+        self, camera_from_inertial: Rotation, points_px: Float, covariance_px2: Float, sky: Sky, until_s: float
     ) -> RefinedAttitude | Failure:
         options, camera = self.options, self.camera
         depth, margin = depth_for(len(points_px)), options.max_pixel_distance
@@ -289,7 +304,9 @@ class StarNavigation:
             )
         if isinstance(near, RefinedAttitude):
             return near
-        far = identify_in_cone(points_px, covariance_px2, camera, sky, camera_from_inertial, options=options)
+        far = identify_in_cone(
+            points_px, covariance_px2, camera, sky, camera_from_inertial, options=options, until_s=until_s
+        )
         return far if isinstance(far, RefinedAttitude) else Failure(far.reason, f"{far.detail}; {near.detail}")
 
     def _fix(
@@ -377,9 +394,9 @@ class StarNavigation:
         }
 
 
-def _is_mirrored(outcome: _Solved | Failure) -> bool:
-    """True where stars were matched after a reflection: with more detections the search would end no other way."""
-    return isinstance(outcome, Failure) and outcome.reason is Reason.MIRRORED_IMAGE
+def _is_final(outcome: _Solved | Failure) -> bool:
+    """True for a failure after which other detections are not tried: stars of a mirrored image, or no time left."""
+    return isinstance(outcome, Failure) and outcome.reason in (Reason.MIRRORED_IMAGE, Reason.TIME_LIMIT)
 
 
 def _enough(detections: Detections, solved: _Solved, left: UnmeasuredSources) -> bool:

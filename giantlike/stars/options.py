@@ -71,6 +71,10 @@ class StarOptions:
         Standard deviation of the time from J2016.0 of an image without an epoch: the proper motion of its stars enters
         the covariance. Default 15: images of this century lie within one of them, images of Voyager within three.
 
+    time_limit_s : float, s
+        Computing time after which the search for patterns in an image ends with the reason ``time_limit``. Default 60:
+        images that are solved take a few seconds, and indices of patterns that are made first up to 10.
+
     Raises
     ------
     InputError
@@ -95,6 +99,7 @@ class StarOptions:
     light_deflection: bool = False
     unknown_speed_km_s: float = 30.0
     unknown_epoch_years: float = 15.0
+    time_limit_s: float = 60.0
 
     def __post_init__(self) -> None:
         if self.max_magnitude is not None:
@@ -103,6 +108,7 @@ class StarOptions:
         require_number(self.max_pixel_distance, "max_pixel_distance", above=0.0)
         require_number(self.attitude_error_deg, "attitude_error_deg", above=0.0, most=180.0)  # which is any attitude
         require_number(self.inlier_px, "inlier_px", above=0.0)
+        require_number(self.time_limit_s, "time_limit_s", above=0.0)
         require_number(self.unknown_speed_km_s, "unknown_speed_km_s", least=0.0)
         require_number(self.unknown_epoch_years, "unknown_epoch_years", least=0.0)
         for name, least in (

@@ -10,11 +10,13 @@ import hashlib
 import itertools
 import math
 import zipfile
+import zlib
 from collections import OrderedDict
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -304,6 +306,24 @@ def _read(path: Path, pattern: Pattern, radius_rad: float) -> StarIndex | None:
     """Index from a file; None if the file is missing or damaged, so that it is rebuilt."""
     try:
         with np.load(path, allow_pickle=False) as columns:
-            return StarIndex(pattern=pattern, radius_rad=radius_rad, **{name: columns[name] for name in columns.files})
-    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile):
+            index = StarIndex(pattern=pattern, radius_rad=radius_rad, **{name: columns[name] for name in columns.files})
+        return index if _is_whole(index) else None
+    except (OSError, ValueError, TypeError, LookupError, EOFError, MemoryError, NotImplementedError):
         return None
+    except (AttributeError, RuntimeError, zipfile.BadZipFile, zlib.error):
+        return None
+
+
+def _is_whole(index: StarIndex) -> bool:
+    """True if the arrays of an index are of the types and lengths that they are written with."""
+    stars, count = index.ids.size, index.cells.size
+    forms: list[tuple[NDArray[Any], type[np.generic], tuple[int, ...]]] = [
+        (index.ids, np.int64, (stars,)),
+        (index.directions, np.float64, (stars, 3)),
+        (index.patterns, np.uint32, (count, index.pattern.stars)),
+        (index.cells, np.uint32, (count,)),
+    ]
+    if any(array.dtype != kind or array.shape != shape for array, kind, shape in forms):
+        return False
+    ordered = bool((np.diff(index.cells.astype(np.int64)) >= 0).all()) and bool(np.isfinite(index.directions).all())
+    return ordered and int(index.patterns.max(initial=0)) < max(stars, 1)

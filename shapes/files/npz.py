@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.archives import array_of, open_archive_of_arrays, unpacked_sizes
+from giantlike.core.archives import array_of, open_archive_of_arrays, single_value, unpacked_sizes
 from giantlike.shapes.albedo import FacetAlbedo, VertexAlbedo
 from giantlike.shapes.mesh import TriangleMesh
 from giantlike.shapes.surface import Surface
@@ -23,20 +23,20 @@ _ALBEDO = {"albedo_by_vertex": VertexAlbedo, "albedo_by_facet": FacetAlbedo}
 def archive_arrays(path: Path, form: str, version: int) -> Mapping[str, NDArray[Any]]:
     """Read all arrays of a numpy archive that has a format and a version."""
     with path.open("rb") as file, open_archive_of_arrays(file) as archive:
-        if "format" not in archive or str(archive["format"]) != form:
-            raise ValueError(f"the archive holds no {form.removeprefix('giantlike ')}")
-        if (found := int(archive["version"])) != version:
-            raise ValueError(f"needed version {version} of the format, got {found}: update giantlike")
         needed = sum(unpacked_sizes(archive).values())
         if needed > max(_SMALL_BYTES, _MOST_COMPRESSION * path.stat().st_size):
             raise ValueError(f"its arrays would take {needed / 1e6:.0f} MB, too much for a file of its size")
+        if "format" not in archive or single_value(archive, "format", "U") != form:
+            raise ValueError(f"the archive holds no {form.removeprefix('giantlike ')}")
+        if (found := single_value(archive, "version", "iu")) != version:
+            raise ValueError(f"needed version {version} of the format, got {found}: update giantlike")
         return {name: array_of(archive, name) for name in archive.files}
 
 
 def read_npz(path: Path) -> Surface:
     """Read an archive of :func:`write_npz`: vertices in km to the last bit, faces, and albedo if there is one."""
     arrays = archive_arrays(path, _FORMAT, _VERSION)
-    if (units := str(arrays["units"])) != "km":
+    if (units := single_value(arrays, "units", "U")) != "km":
         raise ValueError(f"needed vertices in km, got {units!r}")
     vertices, faces = arrays["vertices"], arrays["faces"]
     if vertices.dtype != np.float64 or faces.dtype.kind not in "ui":

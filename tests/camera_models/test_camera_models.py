@@ -564,3 +564,25 @@ def test_no_points_at_all_are_no_mistake(model: CameraModel) -> None:
     assert model.project_jacobian(np.zeros((0, 3))).shape == (0, 2, 3)
     assert model.unproject_jacobian(np.zeros((0, 2))).shape == (0, 3, 2)
     assert model.parameter_jacobian(np.zeros((0, 3))).shape == (0, 2, len(model.parameter_names))
+
+
+@EACH
+def test_a_parameter_of_any_size_is_refused_or_gives_a_model_that_works(model: CameraModel) -> None:
+    """Overflow within a model would be a warning, which is an error here, or an exception of linear algebra."""
+    refused = 0
+    for number in range(len(model.parameter_names)):
+        for value in (1e308, -1e308, 1e200, 1e30, -1e30, 1e-308):
+            parameters = np.array(model.parameters)
+            parameters[number] = value
+            try:
+                changed = model.with_parameters(parameters)
+            except InputError:
+                refused += 1
+                continue
+            seen = changed.unproject(np.array([[3.0, 4.0], [600.0, 400.0]]))
+            assert seen.shape == (2, 3)
+            for derivative in (changed.project_jacobian, changed.parameter_jacobian):
+                derivative(np.array([[0.0, 0.0, 1.0], [0.01, 0.02, 1.0]]))
+            changed.unproject_jacobian(np.array([[3.0, 4.0]]))
+            changed.project(np.array([[0.0, 0.0, 1.0], [0.01, 0.02, 1.0]]))
+    assert refused >= 3 * len(model.parameter_names)

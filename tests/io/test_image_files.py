@@ -904,3 +904,15 @@ def test_saturn_is_where_voyager_saw_it_raw_and_corrected(data_dir: Path) -> Non
 
     # the corrected frame is the raw one stretched: a row or prefix mistaken would shear or shift the disk
     assert_allclose(brightness_center(raw), brightness_center(corrected), rtol=0, atol=SAME_PLACE_PX)
+
+
+@pytest.mark.parametrize("name", ["../secret.img", "/{folder}/secret.img", "sub/secret.img", "..", "a" * 5000])
+def test_a_label_cannot_point_outside_its_folder(name: str, tmp_path: Path) -> None:
+    (tmp_path / "sub").mkdir()
+    for folder in (tmp_path, tmp_path / "sub"):
+        (folder / "secret.img").write_bytes(pds3_rows(">i2"))
+    label = tmp_path / "sub" / "a.lbl"
+    pointed = name.format(folder=tmp_path.as_posix().lstrip("/"))
+    label.write_bytes(pds3_label(f'^IMAGE = "{pointed}"'))
+    with pytest.raises(DataError, match=r"beside it|cannot be read as an image"):
+        read_image_file(label)

@@ -19,6 +19,7 @@ from giantlike.campaign.store.results import RunResult, camera_of_run, load_resu
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import direction_from_radec, rotate, rotation_between, rotation_from_xyzw
+from giantlike.core.reading import reads
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.core.units import ARCSEC_PER_RAD, RAD_PER_DEG
 from giantlike.io.attitude_series import read_attitude_table
@@ -34,6 +35,13 @@ _OBSERVABLES = (
     *("ra_deg", "dec_deg", "sigma_arcsec", "range_km", "sigma_range_km"),
 )
 """Columns of a table of observables; ``x_px, y_px`` or ``ra_deg, dec_deg`` (apparent, ICRF), the rest where known."""
+
+
+_SPACES = r"[^\S\n]*+"
+_META_START = re.compile(rf"^{_SPACES}META_START{_SPACES}$", re.MULTILINE)
+_TDM_ITEM = re.compile(rf"^{_SPACES}([A-Z_0-9]++){_SPACES}={_SPACES}(.*+)$", re.MULTILINE)
+_TDM_ANGLE = re.compile(rf"^{_SPACES}(ANGLE_[12]){_SPACES}={_SPACES}(\S++){_SPACES}(\S++)", re.MULTILINE)
+"""Lines of a TDM: each is looked at once."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -228,12 +236,10 @@ def _row(row: CsvRow) -> _Seen:
     )
 
 
+@reads("a CCSDS TDM")
 def _tdm(path: Path) -> list[_Seen]:
     """Pairs of right ascension and declination of a CCSDS TDM in its keyword form."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(path, f"cannot be read: {error}") from error
+    text = path.read_text(encoding="utf-8")
     if "CCSDS_TDM_VERS" not in text:
         raise DataError(path, "is no CCSDS TDM in keyword form: it has no CCSDS_TDM_VERS")
     if ABERRATION_REMOVED in text:
@@ -242,14 +248,14 @@ def _tdm(path: Path) -> list[_Seen]:
             "it with giantlike export --format tdm --angles apparent"
         )
     seen = list[_Seen]()
-    for segment in re.split(r"^\s*META_START\s*$", text, flags=re.MULTILINE)[1:]:
-        meta = dict(re.findall(r"^\s*([A-Z_0-9]+)\s*=\s*(.*?)\s*$", segment.partition("DATA_START")[0], re.MULTILINE))
+    for segment in _META_START.split(text)[1:]:
+        meta = {key: value.strip() for key, value in _TDM_ITEM.findall(segment.partition("DATA_START")[0])}
         if meta.get("ANGLE_TYPE") != "RADEC":
             continue
         if meta.get("REFERENCE_FRAME", "ICRF") not in ("ICRF", "EME2000"):
             raise DataError(path, f"REFERENCE_FRAME {meta['REFERENCE_FRAME']}: angles are compared in ICRF or EME2000")
         angles: dict[str, dict[str, float]] = {}
-        for name, epoch, value in re.findall(r"^\s*(ANGLE_[12])\s*=\s*(\S+)\s+(\S+)", segment, re.MULTILINE):
+        for name, epoch, value in _TDM_ANGLE.findall(segment):
             angles.setdefault(epoch, {})[name] = float(value)
         seen += [
             _Seen(

@@ -142,11 +142,12 @@ class RunResult(Pictured, Value):
 
     @property
     def failed_images(self) -> tuple[str, ...]:
-        """Images without an attitude, and images with a body for which no estimator made a fix.
+        """Images without an attitude, with a body for which no estimator made a fix, or with an internal error.
 
         Results rejected by a user are not failures.
         """
         tried = [record for record in self.observations if not _rejected(record)]
+        broken = {record.file for record in tried if _broken_down(record)}
         seen = {record.file for record in tried}
         fixed = {record.file for record in tried if record.status != "failed"}
         return tuple(
@@ -154,6 +155,7 @@ class RunResult(Pictured, Value):
             for record in self.attitudes
             if (record.status == "failed" and not _rejected(record))
             or (record.file in seen and record.file not in fixed)
+            or record.file in broken
         )
 
     def summary(self) -> dict[str, Any]:
@@ -258,6 +260,10 @@ def attitude_series(records: Sequence[AttitudeRecord], camera: Camera) -> Attitu
 
 def _rejected(record: AttitudeRecord | ObservationRecord) -> bool:
     return record.problem is not None and record.problem.reason == Reason.REJECTED
+
+
+def _broken_down(record: ObservationRecord) -> bool:
+    return record.problem is not None and record.problem.reason == Reason.INTERNAL_ERROR
 
 
 def _calibration(path: Path) -> dict[str, Any] | None:
