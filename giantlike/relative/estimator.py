@@ -142,7 +142,7 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
             return inputs
         result = self._budgeted(inputs)
         if isinstance(result, Failure):
-            return inputs.fail(result.reason, result.detail)
+            return inputs.fail(result.reason, result.detail, not_applicable=result.not_applicable)
         if self.of_fixes:
             return result
         response = result.corrections.response
