@@ -84,8 +84,8 @@ def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]
     Returns
     -------
     str
-        ``ok``, ``suspect``, ``failed`` or, of a rejected image, ``rejected``. What was rejected, does not suit a body or
-        is not in the field, counts only for a target of which there is nothing else, and then as good.
+        ``ok``, ``suspect``, ``failed`` or, of a rejected image, ``rejected``. What was rejected, does not suit a body
+        or is not in the field, does not count.
     """
     if record.outcome is Outcome.REJECTED:
         return str(Outcome.REJECTED)

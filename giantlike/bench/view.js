@@ -210,7 +210,7 @@ function nameMarks() {  // the first in view, which are those that matter most, 
       const [px, py] = layer.points[place], name = layer.names[place];
       let named = shown && Boolean(name) && left > 0 && px > x && px < x + w && py > y && py < y + h;
       if (named) {
-        const at = [(px - x) * scale + 5, (py - y) * scale - 8], box = [at[0], at[1], at[0] + widthOf(name) + 4, at[1] + 14];
+        const at = [(px - x) * scale, (py - y) * scale], box = [at[0] - 5, at[1] - 8, at[0] + 10 + widthOf(name), at[1] + 8];  // with its mark
         named = free(box);
         if (named) { taken.push(box); left -= 1; }
       }
@@ -307,11 +307,11 @@ function drawRows() {
   $("rows").replaceChildren({ fixes: () => fixTable(rows), compare: compareTable, plots: () => plots(rows) }[state.tab]());
 }
 function showChosenRow() {  // the table follows the image
-  const row = $("rows").querySelector("tr.chosen"), table = $("table");
-  if (!row) return;
-  const head = $("rows").querySelector("thead").getBoundingClientRect().height, seen = table.getBoundingClientRect(), at = row.getBoundingClientRect();
-  if (at.top < seen.top + head) table.scrollTop += at.top - seen.top - head;
-  else if (at.bottom > seen.bottom - 8) table.scrollTop += at.bottom - seen.bottom + 8;
+  const rows = $("rows"), chosen = [...rows.querySelectorAll("tr.chosen")];
+  if (!chosen.length) return;
+  const seen = rows.getBoundingClientRect(), head = rows.querySelector("thead").getBoundingClientRect().height;
+  const first = chosen[0].getBoundingClientRect().top, last = chosen.at(-1).getBoundingClientRect().bottom;
+  if (first < seen.top + head || last > seen.bottom - 16) rows.scrollTop += first - seen.top - head - 26;  // below one row of others
 }
 function sortable(columns, [by, sense], resort) {
   const table = document.createElement("table"), head = table.createTHead().insertRow();
@@ -386,24 +386,27 @@ function numberTicks(low, high, most) {
   const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   return ticksOf(low, high, step).map(value => [value, digits > 6 ? value.toPrecision(3) : value.toFixed(digits)]);
 }
-function abscissa() {  // time where every image has one, else the number of the image
-  const times = state.run.images.map(timeOf), timed = times.every(Number.isFinite);
-  const values = timed ? times : state.run.images.map((_, number) => number), low = Math.min(...values), high = Math.max(...values);
+function abscissa(images) {  // of some images: time where each has one, else the number of the image
+  const timed = images.every(index => Number.isFinite(timeOf(state.run.images[index]))), at = index => timed ? timeOf(state.run.images[index]) : index;
+  const values = images.map(at), low = Math.min(...values), high = Math.max(...values);
   const margin = 0.03 * (high - low) || (timed ? MINUTE : 0.5), ends = [low - margin, high + margin];
-  if (!timed) return { values, ends, ticks: numberTicks(...ends, 6).filter(([value]) => Number.isInteger(value)), label: "number of the image" };
+  if (!timed) return { at, ends, ticks: numberTicks(...ends, 6).filter(([value]) => Number.isInteger(value)), label: "number of the image" };
   const step = TIME_STEPS.find(each => (ends[1] - ends[0]) / each <= 5) ?? TIME_STEPS.at(-1), iso = value => new Date(value).toISOString();
   const clock = value => step >= DAY ? iso(value).slice(0, 10) : step >= MINUTE ? iso(value).slice(11, 16) : step >= SECOND ? iso(value).slice(11, 19) : iso(value).slice(17, 23);
-  return { values, ends, ticks: ticksOf(...ends, step).map(value => [value, clock(value)]), label: step >= DAY ? "UTC" : `UTC, from ${iso(low).slice(0, 10)}` };
+  return { at, ends, ticks: ticksOf(...ends, step).map(value => [value, clock(value)]), label: step >= DAY ? "UTC" : `UTC, from ${iso(low).slice(0, 10)}` };
 }
 function plots(rows) {
-  const all = document.createElement("div"), legend = cell("div", "", "legend"), names = [...new Set(rows.map(fix => fix.estimator))], across = abscissa();
+  const all = document.createElement("div"), legend = cell("div", "", "legend"), names = [...new Set(rows.map(fix => fix.estimator))];
   all.id = "plots";
   for (const [number, name] of names.entries()) { const word = cell("span", "● "); word.style.color = PLOT_COLORS[number % PLOT_COLORS.length]; word.append(cell("span", name)); word.lastChild.style.color = "var(--ink)"; legend.append(word); }
   legend.append(cell("span", "hollow: suspect; bars: one sigma of the measurement; dashed: the image shown"));
   all.append(legend);
-  for (const target of new Set(rows.map(fix => fix.target))) for (const [key, sigma, title] of PLOTTED) {
-    const fixes = rows.filter(fix => fix.target === target && fix[key] !== null);
-    if (fixes.length) all.append(plot(fixes, key, sigma, `${target}: ${title}`, across, names));
+  for (const target of new Set(rows.map(fix => fix.target))) {
+    const known = rows.filter(fix => fix.target === target && fix.dx !== null), across = abscissa([...new Set(known.map(fix => fix.index))]);
+    for (const [key, sigma, title] of PLOTTED) {
+      const fixes = known.filter(fix => fix[key] !== null);
+      if (fixes.length) all.append(plot(fixes, key, sigma, `${target}: ${title}`, across, names));
+    }
   }
   if (all.children.length === 1) all.append(cell("div", "nothing to plot: no fix, or none with a prediction"));
   return all;
@@ -421,9 +424,10 @@ function plot(fixes, key, sigma, title, across, names) {
   for (const [value, name] of numberTicks(low, high, 5)) svg.append(drawn("path", { class: "grid", d: `M${left} ${y(value)}H${right}` }), written(name, left - 6, y(value) + 4, { "text-anchor": "end" }));
   for (const [value, name] of across.ticks) svg.append(drawn("path", { class: "grid", d: `M${x(value)} ${top}V${bottom}` }), written(name, x(value), bottom + 15, { "text-anchor": "middle" }));
   svg.append(drawn("path", { class: "zero", d: `M${left} ${y(0)}H${right}` }), drawn("path", { class: "axis", d: `M${left} ${top}V${bottom}H${right}` }));
-  if (state.index >= 0) { const at = x(across.values[state.index]); svg.append(drawn("path", { class: "now", d: `M${at} ${top}V${bottom}` })); }
-  for (const fix of fixes) {
-    const at = x(across.values[fix.index]), color = PLOT_COLORS[names.indexOf(fix.estimator) % PLOT_COLORS.length], spread = fix[sigma];
+  const now = state.index >= 0 ? x(across.at(state.index)) : NaN;
+  if (now >= left && now <= right) svg.append(drawn("path", { class: "now", d: `M${now} ${top}V${bottom}` }));
+  for (const fix of fixes) {  // those of one image side by side
+    const at = x(across.at(fix.index)) + 4 * (names.indexOf(fix.estimator) - (names.length - 1) / 2), color = PLOT_COLORS[names.indexOf(fix.estimator) % PLOT_COLORS.length], spread = fix[sigma];
     if (Number.isFinite(spread)) svg.append(drawn("path", { class: "bar", stroke: color, d: `M${at} ${inside(fix[key] - spread)}V${inside(fix[key] + spread)}` }));
     const dot = drawn("circle", { cx: at, cy: y(fix[key]), r: 3.5, stroke: color, fill: fix.outcome === "ok" ? color : "var(--panel)" }), name = drawn("title");
     name.textContent = `${fix.file}, ${fix.estimator}: ${text(fix[key])}${Number.isFinite(spread) ? " ± " + text(spread) : ""}`;

@@ -16,8 +16,8 @@ _INERTIAL = "inertial (ICRF)"
 _STATUS = "`ok`, `suspect` (kept, but a named check objects) or `failed`."
 _REASON = "Reason of a failure."
 _OUTCOME = (
-    "The status or, of what is no failure, `rejected` (by a user), `not_applicable` (the estimator is not made for such "
-    "a body) or `not_in_field` (the target is predicted far outside of the image), all with the status `failed`."
+    "The status or, of what is no failure, `rejected` (by a user), `not_applicable` (the estimator is not made for "
+    "such a body) or `not_in_field` (the target is predicted far outside of the image), all with the status `failed`."
 )
 _FLAGS = "Names of quality flags, joined by `|`."
 _TIME = "Computing time."
