@@ -444,7 +444,7 @@ async function edit(action, thing) {
   await post("/api/edit", { action, why, ...thing });
   select(null);
   await loadRun(); await choose(state.index);
-  say(`${thing.what} ${action}ed; solve again brings results and report up to date`);
+  say(`${thing.what} ${action === "reject" ? "rejected" : "restored"}; solve again brings results and report up to date`);
 }
 const rejected = test => state.image.edits.some(test);
 const rejectStar = guarded(async star => edit(rejected(one => one.star === star) ? "restore" : "reject", { what: "star", file: state.image.file, star }));
@@ -492,7 +492,7 @@ for (const [panel, [size, more, less]] of Object.entries(PANELS)) {
 
 const ARROWS = { ArrowDown: [0, 1], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowLeft: [-1, 0] };
 window.addEventListener("keydown", event => {
-  if (!state.image || event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input, select, textarea, summary, [role=separator]")) return;
+  if (!state.image || event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input:not([type=checkbox]), select, textarea, summary, [role=separator]")) return;
   const arrow = ARROWS[event.key], box = state.box;
   if (arrow && event.shiftKey) { state.box = { ...box, x: box.x + 0.1 * box.w * arrow[0], y: box.y + 0.1 * box.h * arrow[1] }; zoomed(); }
   else if (arrow) choose(Math.min(Math.max(state.index + arrow[0] + arrow[1], 0), state.run.images.length - 1));
