@@ -5,14 +5,12 @@ from __future__ import annotations
 import getpass
 import math
 import threading
-import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from giantlike.bench.charts import correlation_chart, limb_chart, residual_chart, star_chart
 from giantlike.bench.comparison import match_of
@@ -22,13 +20,15 @@ from giantlike.bench.planes import backplanes_of, values_at, with_terminators
 from giantlike.bench.session import SeenImage, Session, verdict_of
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
-from giantlike.campaign.store.edits import Edit, add_edits
+from giantlike.campaign.store.edits import add_edits, new_edit
 from giantlike.campaign.store.fix_differences import difference_of
 from giantlike.campaign.store.records import ObservationRecord
 from giantlike.campaign.store.results import grouped
+from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import require
-from giantlike.core.errors import InputError, OpNavError
+from giantlike.core.errors import OpNavError
 from giantlike.plotting import stretched
+from giantlike.plotting.style import dark_svg
 from giantlike.ray_tracing import Backplanes
 
 COLOR_MAPS: Mapping[str, int | None] = {
@@ -70,7 +70,7 @@ class Answers:
                     "file": record.file,
                     "epoch": record.epoch_utc,
                     "verdict": verdict_of(record, statuses.get(record.file, ())),
-                    "attitude": record.status,
+                    "attitude": record.outcome,
                 }
                 for number, record in enumerate(result.attitudes)
             ]
@@ -154,26 +154,26 @@ class Answers:
             pixels = self._session.pixels(self._file(index)).pixels
         return _encoded(stretched(pixels, longest_px=_THUMBNAIL_PX), ".jpg")
 
-    def chart(self, index: int, which: str, target: str = "", estimator: str = "") -> bytes:
+    def chart(self, index: int, which: str, target: str = "", estimator: str = "", theme: str = "light") -> bytes:
         """Residuals of stars, along the limb or of a template, or the correlation surface, as SVG."""
+        charts: Mapping[str, Callable[[str], str]] = {
+            "stars": lambda file: star_chart(self._session, file),
+            "limb": lambda file: limb_chart(self._session, file, target),
+            "map": lambda file: residual_chart(self._session, file, target, estimator),
+            "correlation": lambda file: correlation_chart(self._session, file, target, estimator or None),
+        }
+        require(which in charts, f"there is no chart {which!r}; there are {', '.join(charts)}")
+        require(theme in ("light", "dark"), f"there is no theme {theme!r}; there are light and dark")
         with self._lock:
-            file = self._file(index)
-            if which == "stars":
-                return star_chart(self._session, file).encode()
-            if which == "limb":
-                return limb_chart(self._session, file, target).encode()
-            if which == "map":
-                return residual_chart(self._session, file, target, estimator).encode()
-            if which == "correlation":
-                return correlation_chart(self._session, file, target, estimator or None).encode()
-        raise InputError(f"there is no chart {which!r}; there are stars, limb, map and correlation")
+            text = charts[which](self._file(index))
+        return (dark_svg(text) if theme == "dark" else text).encode()
 
     def pixel(self, index: int, x: str, y: str) -> dict[str, Any]:
         """Value of a pixel, and the backplanes of a body there."""
         with self._lock:
             file = self._file(index)
             pixels = self._session.pixels(file).pixels
-            column, row = round(float(x)), round(float(y))
+            column, row = round(_number("x", x)), round(_number("y", y))
             if not (0 <= column < pixels.shape[1] and 0 <= row < pixels.shape[0]):
                 return {}
             values = {"dn": float(pixels[row, column])}
@@ -186,14 +186,8 @@ class Answers:
 
     def edit(self, wanted: dict[str, Any]) -> dict[str, Any]:
         """Append an edit to the edit list of the run."""
-        stamp = {"who": getpass.getuser(), "when_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
-        require(bool(str(wanted.get("why", "")).strip()), "an edit needs a reason")
-        try:
-            edit = Edit.model_validate(wanted | stamp)
-        except ValidationError as error:
-            raise InputError(f"this is no edit: {' '.join(str(error).split())[:200]}") from error
         with self._lock:
-            require(edit.file in self._session.files, f"there is no image {edit.file!r} in this run")
+            edit = new_edit(RunFolder.open(self._session.folder), wanted | {"who": getpass.getuser()})
             add_edits(self._session.folder, [edit])
             self._session.reload()
         return edit.model_dump(mode="json", exclude_none=True)
@@ -245,6 +239,16 @@ class Answers:
         return self._planes[index]
 
 
+def _number(name: str, text: str) -> float:
+    """A finite number of a request."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    require(math.isfinite(value), f"{name} must be a number, got {text[:40]!r}")
+    return value
+
+
 def _layer(each: MarkLayer) -> dict[str, Any]:
     """A layer as JSON has it."""
     return {
@@ -255,7 +259,8 @@ def _layer(each: MarkLayer) -> dict[str, Any]:
         "points": np.round(each.layer.points, 3).tolist(),
         "labels": list(each.labels),
         "names": list(each.names),
-        "star_ids": list(each.star_ids),
+        "star_ids": [str(number) for number in each.star_ids],  # they exceed the integers of JavaScript
+        "rejected": each.rejected,
     }
 
 
@@ -268,7 +273,7 @@ def _difference(one: ObservationRecord, best: ObservationRecord, index: int) -> 
     apart = difference_of(one, best)
     assert apart is not None
     ranged = len(apart.offset) > 2
-    return {
+    row = {
         "index": index,
         "file": one.file,
         "target": one.target,
@@ -283,6 +288,7 @@ def _difference(one: ObservationRecord, best: ObservationRecord, index: int) -> 
         "sigmas": apart.sigmas,
         "chance": apart.chance,
     }
+    return _finite(row)
 
 
 def _fix_row(one: ObservationRecord, index: int) -> dict[str, Any]:
@@ -293,9 +299,24 @@ def _fix_row(one: ObservationRecord, index: int) -> dict[str, Any]:
         "target": one.target,
         "estimator": one.estimator,
         "status": one.status,
+        "outcome": one.outcome,
+        "words": one.outcome.words,
         "reason": None if one.problem is None else str(one.problem.reason),
         "flags": list(one.flags),
-        **dict.fromkeys(("x", "y", "sigma_x", "sigma_y", "dx", "dy", "range_km", "sigma_range_km", "d_range_percent")),
+        **dict.fromkeys(
+            (
+                "x",
+                "y",
+                "sigma_x",
+                "sigma_y",
+                "dx",
+                "dy",
+                "range_km",
+                "sigma_range_km",
+                "d_range_percent",
+                "sigma_d_range_percent",
+            )
+        ),
     }
     if one.center_px is None or one.covariance_px2 is None:
         return row
@@ -306,8 +327,16 @@ def _fix_row(one: ObservationRecord, index: int) -> dict[str, Any]:
     if one.range_km is not None:
         row |= {"range_km": one.range_km, "sigma_range_km": one.sigma_range_km}
         if one.predicted_camera_km is not None:
-            row["d_range_percent"] = 100 * (one.range_km / float(np.linalg.norm(one.predicted_camera_km)) - 1)
-    return row
+            predicted_km = float(np.linalg.norm(one.predicted_camera_km))
+            row["d_range_percent"] = 100 * (one.range_km / predicted_km - 1)
+            if one.sigma_range_km is not None:
+                row["sigma_d_range_percent"] = 100 * one.sigma_range_km / predicted_km
+    return _finite(row)
+
+
+def _finite(row: dict[str, Any]) -> dict[str, Any]:
+    """The row with None for numbers that JSON does not have."""
+    return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()}
 
 
 def _charts(seen: SeenImage) -> list[dict[str, str]]:

@@ -236,4 +236,5 @@ def _doubt(one: AttitudeRecord | ObservationRecord) -> dict[str, Any]:
     """A result that failed or is suspect, with reason and flags."""
     what = f"{one.target}: {one.estimator}" if isinstance(one, ObservationRecord) else "attitude"
     reason = "" if one.problem is None else f"{one.problem.reason}: {one.problem.detail}"
-    return {"file": one.file, "what": what, "status": one.status, "reason": reason, "flags": list(one.flags)}
+    status = {"status": one.status, "outcome": one.outcome}
+    return {"file": one.file, "what": what, **status, "reason": reason, "flags": list(one.flags)}

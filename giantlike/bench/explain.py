@@ -55,10 +55,10 @@ def _explained_image(seen: SeenImage) -> str:
         known = next((target for target in seen.targets if target.target == name), None)
         lines += ["", *_target(name, there, known)]
         for one in there:
-            lines += [f"  {one.estimator}: {one.status}", *(f"    {line}" for line in _observation(one))]
+            lines += [f"  {one.estimator}: {one.outcome.words}", *(f"    {line}" for line in _observation(one))]
         lines += [f"  {line}" for line in _together(seen, name, there)]
     for edit in seen.edits:
-        lines += ["", f"Rejected by hand ({edit.what}): {edit.who}, {edit.when_utc}: {edit.why}"]
+        lines += ["", f"Rejected by hand ({edit.name}): {edit.who}, {edit.when_utc}: {edit.why}"]
     return "\n".join(lines)
 
 
@@ -75,7 +75,7 @@ def _image(record: AttitudeRecord) -> Iterator[str]:
 def _attitude(record: AttitudeRecord) -> Iterator[str]:
     yield ""
     if record.problem is not None:
-        yield f"Attitude: failed. {_problem(record.problem)}"
+        yield f"Attitude: {record.outcome.words}. {_problem(record.problem)}"
         if record.n_detected is not None:
             yield f"  {record.n_detected} detections, {record.n_matched or 0} of them identified."
         return

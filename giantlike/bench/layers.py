@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from giantlike.bench.session import SeenImage
+from giantlike.campaign.store.edits import Edit
 from giantlike.campaign.store.records import ObservationRecord
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
@@ -23,6 +24,8 @@ _LONGEST_NUMBER = 9
 """Maximum digits of a catalog number next to a mark: enough for Hipparcos, Tycho-2 and UCAC4."""
 TERMINATOR = "#ff7ad9"
 """Color of the line where the Sun is at the horizon of the surface."""
+REJECTED = "#aab4be"
+"""Color of everything that a user rejected."""
 LANDMARK, LANDMARK_REJECTED = "#22d3ff", MARKS["limb points rejected"]
 
 
@@ -44,6 +47,8 @@ class MarkLayer(Value):
         Short text next to each point; empty where there is none. The most important points come first.
     star_ids : sequence of int
         Number of each point in the catalog; empty where points are not stars.
+    rejected : bool
+        True for what a user rejected.
     """
 
     name: str
@@ -52,6 +57,7 @@ class MarkLayer(Value):
     labels: Sequence[str] = ()
     names: Sequence[str] = ()
     star_ids: Sequence[int] = field(default=())
+    rejected: bool = False
 
 
 def layers_of(seen: SeenImage, names: Sequence[str] | None = None) -> list[MarkLayer]:
@@ -67,9 +73,33 @@ def layers_of(seen: SeenImage, names: Sequence[str] | None = None) -> list[MarkL
     -------
     list of MarkLayer
     """
-    wanted = LAYERS if names is None else names
-    made = [layer for name in wanted for layer in _MAKERS[name](seen)]
+    made = [layer for name in (LAYERS if names is None else names) for layer in _layers_named(seen, name)]
     return [each for each in made if len(each.layer.points)]
+
+
+def _layers_named(seen: SeenImage, name: str) -> list[MarkLayer]:
+    """Layers of one name; those of what was rejected are gray."""
+    made = _MAKERS[name](seen)
+    if name in _OF_STARS and seen.image_edit is not None:
+        made = [_as_rejected(each, seen.image_edit) for each in made]
+    if name in _OF_FIXES:
+        for fix in seen.rejected_fixes:
+            edit = seen.edit_of(fix)
+            alone = _MAKERS[name](replace(seen, observations=(fix,)))
+            made += [each if edit is None else _as_rejected(each, edit) for each in alone]
+    return made
+
+
+def _as_rejected(layer: MarkLayer, edit: Edit) -> MarkLayer:
+    """The layer as that of something rejected."""
+    why = f"rejected by {edit.who}: {edit.why}"
+    return replace(
+        layer,
+        title=f"{layer.title}, {why}",
+        layer=replace(layer.layer, color=REJECTED),
+        labels=[f"{label}, {why}" for label in layer.labels],
+        rejected=True,
+    )
 
 
 def center_colors(seen: SeenImage) -> dict[str, str]:
@@ -120,8 +150,36 @@ def _matches(seen: SeenImage) -> list[MarkLayer]:
     residuals = np.linalg.norm(_points(stars["observed_px"]) - _points(stars["predicted_px"]), axis=1)
     rows = zip(_names_of(stars), _list(stars["star_ids"]), residuals.tolist(), _list(stars["sigma_px"]), strict=True)
     labels = [f"{_called(name, number)}: {off:.3f} px off, sigma {sigma:.3f}" for name, number, off, sigma in rows]
+    numbers = _list(stars["star_ids"])
+    kept = [place for place, number in enumerate(numbers) if number not in seen.star_edits]
     return [
-        MarkLayer(name="matches", title="matched stars", layer=layer, labels=labels, star_ids=_list(stars["star_ids"]))
+        MarkLayer(
+            name="matches",
+            title="matched stars",
+            layer=replace(layer, points=layer.points[kept]),
+            labels=[labels[place] for place in kept],
+            star_ids=[numbers[place] for place in kept],
+        )
+    ]
+
+
+def _rejected_stars(seen: SeenImage) -> list[MarkLayer]:
+    """Stars that a user rejected, where they were observed."""
+    stars = _stars_of(seen).get("stars")
+    places = {} if stars is None else dict(zip(_list(stars["star_ids"]), _list(stars["observed_px"]), strict=True))
+    there = [(edit, places.get(number, edit.at_px)) for number, edit in seen.star_edits.items()]
+    known = [(edit, place) for edit, place in there if place is not None]
+    return [
+        MarkLayer(
+            name="rejected-stars",
+            title="stars rejected by a user",
+            layer=Layer(
+                points=_points([place for _, place in known]), shape=Shape.CROSS, color=REJECTED, size=9.0, width=1.4
+            ),
+            labels=[f"star {edit.star}, rejected by {edit.who}: {edit.why}" for edit, _ in known],
+            star_ids=[edit.star for edit, _ in known if edit.star is not None],
+            rejected=True,
+        )
     ]
 
 
@@ -270,6 +328,7 @@ _MAKERS: Mapping[str, Callable[[SeenImage], list[MarkLayer]]] = MappingProxyType
         "catalog": _catalog,
         "matches": _matches,
         "rejected": _rejected,
+        "rejected-stars": _rejected_stars,
         "predicted": _predicted,
         "fitted": _fitted,
         "centers": _centers,
@@ -280,6 +339,8 @@ _MAKERS: Mapping[str, Callable[[SeenImage], list[MarkLayer]]] = MappingProxyType
         "landmarks-rejected": _landmarks_rejected,
     }
 )
+_OF_STARS = ("detections", "catalog", "matches", "rejected")
+_OF_FIXES = ("fitted", "centers", "limb", "limb-rejected", "landmarks", "landmarks-rejected")
 LAYERS: tuple[str, ...] = tuple(_MAKERS)
 """Names of the layers, in the order in which they are drawn."""
 

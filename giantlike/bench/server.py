@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import html
+import json
 import secrets
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from importlib.resources import files
-from inspect import signature
+from inspect import Parameter, signature
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, cast
 
 from starlette.applications import Starlette
@@ -20,16 +23,17 @@ from starlette.routing import Route
 from giantlike.bench.answers import Answers
 from giantlike.bench.session import Session
 from giantlike.core.arrays import require
-from giantlike.core.errors import OpNavError
+from giantlike.core.errors import InputError, OpNavError
 
 LOOPBACK = "127.0.0.1"
-_COOKIE = "giantlike_token"
 _NAMES = frozenset({LOOPBACK, "localhost"})
 """Names under which the page may be called: another one is a foreign page that points at this machine."""
-_POLICY = (
-    "default-src 'self'; style-src 'self' 'unsafe-inline'; script-src 'self' 'unsafe-inline'; img-src 'self' data:"
-)
-"""The page may load nothing from elsewhere."""
+_POLICY = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:"
+"""The page may load nothing from elsewhere, and runs no script but that of its own file."""
+_PARTS: Mapping[str, str] = MappingProxyType({"view.js": "text/javascript", "view.css": "text/css"})
+"""Files of the page, with their media types."""
+_MAX_BODY = 20_000
+"""Maximum size of a request, bytes: an edit has a reason of some hundred characters."""
 
 
 def application(session: Session, token: str) -> Starlette:
@@ -37,17 +41,23 @@ def application(session: Session, token: str) -> Starlette:
     answers = Answers(session)
 
     async def page(request: Request) -> Response:
-        text = (files("giantlike.bench") / "view.html").read_text(encoding="utf-8")
-        answer = HTMLResponse(text.replace("{{ token }}", token))
-        answer.set_cookie(_COOKIE, token, httponly=True, samesite="strict")
+        answer = HTMLResponse(_part("view.html").replace("{{ token }}", html.escape(token)))
+        answer.set_cookie(_cookie(request), token, httponly=True, samesite="strict")
         return answer
+
+    async def part(request: Request) -> Response:
+        name = str(request.url.path).removeprefix("/")
+        return Response(_part(name), media_type=_PARTS[name])
 
     def reading(answer: Callable[..., Any], kind: str = "json") -> Callable[[Request], Awaitable[Response]]:
         async def handle(request: Request) -> Response:
             arguments = dict(request.path_params) | dict(request.query_params)
             arguments.pop("token", None)
-            unknown = arguments.keys() - signature(answer).parameters.keys()
+            known = signature(answer).parameters
+            unknown = arguments.keys() - known.keys()
             require(not unknown, f"there is no argument {', '.join(sorted(unknown))}")
+            missing = [name for name in known if known[name].default is Parameter.empty and name not in arguments]
+            require(not missing, f"the argument {', '.join(missing)} is missing")
             content = await run_in_threadpool(answer, **arguments)
             return JSONResponse(content) if kind == "json" else Response(content, media_type=kind)
 
@@ -55,14 +65,15 @@ def application(session: Session, token: str) -> Starlette:
 
     def changing(answer: Callable[..., Any]) -> Callable[[Request], Awaitable[Response]]:
         async def handle(request: Request) -> Response:
-            if request.headers.get("x-token") != token:
+            if not _same(request.headers.get("x-token", ""), token):
                 return PlainTextResponse("the token is missing", status_code=403)
-            return JSONResponse(await run_in_threadpool(answer, await request.json()))
+            return JSONResponse(await run_in_threadpool(answer, await _body(request)))
 
         return handle
 
     routes = [
         Route("/", page),
+        *(Route(f"/{name}", part) for name in _PARTS),
         Route("/api/run", reading(answers.run)),
         Route("/api/image/{index:int}", reading(answers.image)),
         Route("/api/terminator/{index:int}", reading(answers.terminator)),
@@ -77,13 +88,49 @@ def application(session: Session, token: str) -> Starlette:
     ]
 
     async def refuse(request: Request, error: Exception) -> Response:
-        return PlainTextResponse(" ".join(str(error).split()), status_code=400)
+        text = " ".join(str(error).split()).encode("utf-8", "backslashreplace")
+        return PlainTextResponse(text, status_code=400)
 
     return Starlette(
         routes=routes,
         middleware=[Middleware(_Gate, token=token)],
         exception_handlers={OpNavError: refuse},
     )
+
+
+def _part(name: str) -> str:
+    return (files("giantlike.bench") / name).read_text(encoding="utf-8")
+
+
+def _cookie(request: Request) -> str:
+    """Name of the cookie: cookies are shared by all ports of a machine, and each run has its own port."""
+    port = request.headers.get("host", "").rpartition(":")[2]
+    return f"giantlike_token_{port if port.isascii() and port.isdecimal() else 'default'}"
+
+
+async def _body(request: Request) -> dict[str, Any]:
+    """The JSON object that a request sends.
+
+    Raises
+    ------
+    InputError
+        It is something else, or too long.
+    """
+    sent = bytearray()
+    async for chunk in request.stream():
+        sent += chunk
+        require(len(sent) <= _MAX_BODY, f"a request has at most {_MAX_BODY} bytes")
+    try:
+        content = json.loads(bytes(sent))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"a JSON object is needed: {error}") from error
+    if not isinstance(content, dict):
+        raise InputError(f"a JSON object is needed, got a {type(content).__name__}")
+    return content
+
+
+def _same(shown: str, token: str) -> bool:
+    return secrets.compare_digest(shown.encode(), token.encode())
 
 
 class _Gate(BaseHTTPMiddleware):
@@ -94,9 +141,9 @@ class _Gate(BaseHTTPMiddleware):
         self._token = token
 
     async def dispatch(self, request: Request, call_next: Callable[[Request], Awaitable[Response]]) -> Response:
-        shown = request.query_params.get("token") or request.cookies.get(_COOKIE) or ""
+        shown = request.query_params.get("token") or request.cookies.get(_cookie(request)) or ""
         name = request.headers.get("host", "").rpartition(":")[0] or request.headers.get("host", "")
-        if name not in _NAMES or not secrets.compare_digest(shown, self._token):
+        if name not in _NAMES or not _same(shown, self._token):
             return PlainTextResponse("open the address that giantlike view printed, with its token", status_code=403)
         answer = await call_next(request)
         answer.headers["Cache-Control"] = "no-store"

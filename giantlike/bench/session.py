@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,13 +15,14 @@ from giantlike.camera import Camera
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.image_loading import open_image, scene_of
-from giantlike.campaign.store.edits import Edit, read_edits
+from giantlike.campaign.store.edits import Edit, Edited, read_edits
+from giantlike.campaign.store.image_names import find_image
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, TargetRecord
 from giantlike.campaign.store.results import RunResult, camera_of_run, load_result
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.outcomes import Failure
+from giantlike.core.outcomes import Failure, Outcome
 from giantlike.image import AttitudeSource, Image
 from giantlike.scene import Scene, TargetGeometry
 
@@ -42,6 +42,8 @@ class SeenImage:
         A priori geometry and outlines.
     edits : tuple of Edit
         Rejections in effect.
+    rejected_fixes : tuple of ObservationRecord
+        Fixes that were rejected, as they were before.
     terminators : mapping of str to tuple of (n, 2) float64, px
         By target, where :func:`~giantlike.bench.planes.with_terminators` traced them.
     """
@@ -51,7 +53,23 @@ class SeenImage:
     points: Mapping[tuple[str, str], Mapping[str, Any]]
     targets: tuple[TargetRecord, ...]
     edits: tuple[Edit, ...]
+    rejected_fixes: tuple[ObservationRecord, ...] = ()
     terminators: Mapping[str, tuple[Float, ...]] = field(default_factory=dict)
+
+    @property
+    def image_edit(self) -> Edit | None:
+        """The rejection of the image itself."""
+        return next((edit for edit in self.edits if edit.what is Edited.IMAGE), None)
+
+    @property
+    def star_edits(self) -> dict[int, Edit]:
+        """Rejections of stars, by number."""
+        return {edit.star: edit for edit in self.edits if edit.star is not None}
+
+    def edit_of(self, fix: ObservationRecord) -> Edit | None:
+        """The rejection of a fix, or that of the image."""
+        of = (fix.target, fix.estimator)
+        return next((edit for edit in self.edits if (edit.target, edit.estimator) == of), self.image_edit)
 
 
 def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]) -> str:
@@ -66,13 +84,17 @@ def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]
     Returns
     -------
     str
-        ``ok``, ``suspect`` or ``failed``.
+        ``ok``, ``suspect``, ``failed`` or, of a rejected image, ``rejected``. What was rejected, does not suit a body
+        or is not in the field, does not count.
     """
-    order = ("ok", "suspect", "failed")
-    best: dict[str, str] = {}
+    if record.outcome is Outcome.REJECTED:
+        return str(Outcome.REJECTED)
+    order = (Outcome.OK, Outcome.SUSPECT, Outcome.FAILED)
+    best: dict[str, Outcome] = {}
     for one in observations:
-        best[one.target] = min(best.get(one.target, "failed"), one.status, key=order.index)
-    return max([record.status, *best.values()], key=order.index)
+        if one.outcome.tried:
+            best[one.target] = min(best.get(one.target, Outcome.FAILED), one.outcome, key=order.index)
+    return str(max([record.outcome, *best.values()], key=order.index))
 
 
 class Session:
@@ -163,16 +185,7 @@ class Session:
         InputError
             There is none, or there are several.
         """
-        if name in self.files:
-            return name
-        wanted = Path(name).name
-        found = [file for file in self.files if Path(file).name == wanted or Path(file).name.startswith(wanted)]
-        if len(found) == 1:
-            return found[0]
-        if found:
-            raise InputError(f"{name!r} may be {', '.join(found[:4])}: give the whole name")
-        near = difflib.get_close_matches(wanted, self.files, n=1, cutoff=0.5) or list(self.files[:1])
-        raise InputError(f"{self.folder}: there is no image {name!r} in this run; the nearest name is {near[0]}")
+        return find_image(name, self.files, self.folder)
 
     def seen(self, file: str) -> SeenImage:
         """Return the results of the run for an image.
@@ -191,13 +204,21 @@ class Session:
         names = dict.fromkeys(one.target for one in observations)
         with self._store.reading():
             targets = [self._store.load(TargetRecord, file, (name, "")) for name in names]
-            points = {one.of: self._store.points(one) for one in (record, *observations)}
+            edits = tuple(edit for edit in read_edits(self.folder).standing if edit.file == file)
+            hidden = [self._store.load(ObservationRecord, file, one.of, light=True) for one in observations
+                      if one.outcome is Outcome.REJECTED]  # fmt: skip
+            rejected = tuple(one for one in hidden if one is not None and one.center_px is not None)
+            found = {one.of: one for one in (record, *observations)} | {one.of: one for one in rejected}
+            if record.outcome is Outcome.REJECTED:
+                found[record.of] = self._store.load(AttitudeRecord, file, light=True) or record
+            points = {of: self._store.points(one) for of, one in found.items()}
         return SeenImage(
             record=record,
             observations=tuple(observations),
             points=points,
             targets=tuple(target for target in targets if target is not None),
-            edits=tuple(edit for edit in read_edits(self.folder).standing if edit.file == file),
+            edits=edits,
+            rejected_fixes=rejected,
         )
 
     def pixels(self, file: str) -> Image:

@@ -12,6 +12,7 @@ from giantlike.campaign.store.edits import read_edits
 from giantlike.campaign.store.lock import holder_of, is_locked
 from giantlike.campaign.store.records import Problem
 from giantlike.campaign.store.run_folder import RunFolder
+from giantlike.core.outcomes import Outcome
 
 _LOG_TAIL_BYTES = 20_000
 """End of the log that is read for the last event: some hundred lines, each of up to a few hundred bytes."""
@@ -27,10 +28,11 @@ class StepStatus:
     expected : int or None
         None where it follows from the images themselves.
     statuses : mapping of str to int
+        Number of results by :class:`~giantlike.core.reasons.Outcome`.
     reasons : mapping of str to int
-        Of failures.
+        Of everything without a result.
     example : mapping of str to str
-        Detail of the first failure, by reason.
+        Detail of the first one, by reason.
     """
 
     done: int
@@ -78,11 +80,11 @@ def status_of_run(path: Path) -> RunStatus:
     steps = {}
     if folder.has_results():
         steps["attitudes"] = _step(
-            [(record.status, record.problem) for record in edits.attitudes(folder.attitudes())], len(files)
+            [(record.outcome, record.problem) for record in edits.attitudes(folder.attitudes())], len(files)
         )
-        by_name: dict[str, list[tuple[str, Problem | None]]] = {}
+        by_name: dict[str, list[tuple[Outcome, Problem | None]]] = {}
         for record in (one for image in edits.bodies(folder.bodies()) for one in image.observations):
-            by_name.setdefault(f"{record.target}: {record.estimator}", []).append((record.status, record.problem))
+            by_name.setdefault(f"{record.target}: {record.estimator}", []).append((record.outcome, record.problem))
         steps |= {name: _step(found, None) for name, found in by_name.items()}
     finished = isinstance(provenance.get("run"), dict)
     return RunStatus(
@@ -96,7 +98,7 @@ def status_of_run(path: Path) -> RunStatus:
     )
 
 
-def _step(found: list[tuple[str, Problem | None]], expected: int | None) -> StepStatus:
+def _step(found: list[tuple[Outcome, Problem | None]], expected: int | None) -> StepStatus:
     problems = [problem for _, problem in found if problem is not None]
     example: dict[str, str] = {}
     for problem in problems:
@@ -104,7 +106,7 @@ def _step(found: list[tuple[str, Problem | None]], expected: int | None) -> Step
     return StepStatus(
         done=len(found),
         expected=expected,
-        statuses=dict(Counter(status for status, _ in found)),
+        statuses=dict(Counter(str(outcome) for outcome, _ in found)),
         reasons=dict(Counter(str(problem.reason) for problem in problems).most_common()),
         example=example,
     )

@@ -20,7 +20,6 @@ Json = Annotated[bool, typer.Option("--json", help="Write JSON to stdout.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace output files that exist.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Accepted; a run always goes on with its folder.")]
 Run = Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")]
-RunOption = Annotated[Path, typer.Option("--run", metavar="RUN", help="Run folder.")]
 Sequence = Annotated[
     bool,
     typer.Option(

@@ -17,13 +17,22 @@ from giantlike.bench import (
     write_backplanes,
 )
 from giantlike.bench import explain as explained
-from giantlike.cli.arguments import Json, Run, RunOption
+from giantlike.cli.arguments import Json, Run
 from giantlike.cli.outcome import ExitCode, show_result
 from giantlike.core.arrays import require
 from giantlike.core.atomic import make_folder, replacing
+from giantlike.core.errors import InputError
 from giantlike.core.extras import require_extra
 
-ImageName = Annotated[str, typer.Argument(metavar="IMAGE", help="Name of an image of the run, or its beginning.")]
+Names = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="[RUN] IMAGE", help="Run folder, unless --run names it, and an image: its name or the beginning."
+    ),
+]
+RunOption = Annotated[
+    Path | None, typer.Option("--run", metavar="RUN", help="Run folder, instead of the first argument.")
+]
 _SHOWN = tuple(name for name in LAYERS if name != "terminator")
 """Layers that need nothing but the run."""
 CampaignFile = Annotated[
@@ -32,9 +41,25 @@ CampaignFile = Annotated[
 ]
 
 
+def _opened(names: list[str], run: Path | None, campaign: Path | None) -> tuple[Session, str]:
+    """The run and the image that the arguments name; the image may be left out where the run has only one."""
+    require(len(names) + (run is not None) <= 2, f"a RUN and an IMAGE are needed, got {' '.join(names)}")
+    if run is None:
+        run, names = Path(names[0]), names[1:]
+        if not names and not run.exists():
+            raise InputError(f"{run}: there is no such run folder; give the run first: RUN IMAGE, or IMAGE --run RUN")
+    session = Session(run, campaign)
+    if not names:
+        files = session.files
+        require(
+            len(files) == 1, f"{run}: an IMAGE is needed; there are {len(files)}, the first is {', '.join(files[:1])}"
+        )
+        return session, files[0]
+    return session, session.find(names[0])
+
+
 def show(
-    image: ImageName,
-    run: RunOption,
+    names: Names,
     output: Annotated[Path, typer.Option(help="Picture to write; by its ending PNG, SVG or PDF.", metavar="PNG")],
     layers: Annotated[
         str, typer.Option(help=f"Of {', '.join(LAYERS)}; default: all but terminator.", metavar="A,B")
@@ -43,20 +68,20 @@ def show(
         tuple[float, float, float, float] | None,
         typer.Option(help="Part of the image to show, px.", metavar="LEFT TOP RIGHT BOTTOM"),
     ] = None,
+    run: RunOption = None,
     campaign: CampaignFile = None,
 ) -> ExitCode:
     """Draw an image of a run with its results."""
     from giantlike.bench.pictures import picture_of
 
-    names = [name.strip() for name in layers.split(",") if name.strip()]
-    unknown = [name for name in names if name not in LAYERS]
+    shown = [name.strip() for name in layers.split(",") if name.strip()]
+    unknown = [name for name in shown if name not in LAYERS]
     require(not unknown, f"there is no layer {', '.join(unknown)}; there are {', '.join(LAYERS)}")
-    session = Session(run, campaign)
-    file = session.find(image)
+    session, file = _opened(names, run, campaign)
     seen = session.seen(file)
-    if "terminator" in names:
+    if "terminator" in shown:
         seen = with_terminators(session, seen, backplanes_of(session, file))
-    figure = picture_of(session, file, layers_of(seen, names), box=box)
+    figure = picture_of(session, file, layers_of(seen, shown), box=box)
     make_folder(output.parent)
     with replacing(output) as part:
         figure.savefig(part, format=output.suffix.removeprefix(".") or "png")
@@ -64,10 +89,9 @@ def show(
     return ExitCode.DONE
 
 
-def explain(image: ImageName, run: RunOption, json: Json = False) -> ExitCode:
+def explain(names: Names, run: RunOption = None, json: Json = False) -> ExitCode:
     """Explain in words the prediction, results and rejections of an image, and which check decided."""
-    session = Session(run)
-    file = session.find(image)
+    session, file = _opened(names, run, None)
     seen = session.seen(file)
     text = explained(seen)
     summary = {"file": file, "verdict": verdict_of(seen.record, seen.observations), "text": text}
@@ -75,18 +99,18 @@ def explain(image: ImageName, run: RunOption, json: Json = False) -> ExitCode:
 
 
 def backplanes(
-    image: ImageName,
-    run: RunOption,
+    names: Names,
     output: Annotated[Path, typer.Option(help="FITS file to write.", metavar="FITS")],
     estimator: Annotated[
         str | None, typer.Option(help="Body where this estimator found it; default: the best fix.")
     ] = None,
     predicted: Annotated[bool, typer.Option("--predicted", help="Body where it was predicted.")] = False,
+    run: RunOption = None,
     campaign: CampaignFile = None,
 ) -> ExitCode:
     """Write range, angles, latitude and longitude of every pixel as a FITS cube with world coordinates."""
-    session = Session(run, campaign)
-    write_backplanes(output, session, session.find(image), estimator=estimator, predicted=predicted)
+    session, file = _opened(names, run, campaign)
+    write_backplanes(output, session, file, estimator=estimator, predicted=predicted)
     typer.echo(f"wrote {output}")
     return ExitCode.DONE
 

@@ -219,7 +219,7 @@ def _rows(stars: StarTable, directions: Float, distance_deg: Float, epoch: float
     colors = ("color_bv", "color_bp_rp")
     return rows_of(
         {
-            "id": stars.ids.tolist(),
+            "id": [str(number) for number in stars.ids.tolist()],
             "name": list(proper_names(stars)),
             "ra_deg": ra.tolist(),
             "dec_deg": dec.tolist(),

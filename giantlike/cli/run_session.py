@@ -89,13 +89,14 @@ def _print_tables(result: RunResult) -> None:
     from rich.table import Table
 
     title = f"{result.name}: {len(result.attitudes)} images"
-    table = Table("", "ok", "suspect", "failed", "reasons", title=escape(title))
+    table = Table("", "ok", "suspect", "failed", "other", "reasons", title=escape(title))
     rows = {"attitude": StatusCounts.of(result.attitudes)}
     for (target, estimator), records in result.by_estimator.items():
         rows[f"{target}: {estimator}"] = StatusCounts.of(records)
     for name, counts in rows.items():
         reasons = ", ".join(f"{reason} ({count})" for reason, count in counts.reasons.items())
-        table.add_row(escape(name), str(counts.ok), str(counts.suspect), str(counts.failed), reasons)
+        other = ", ".join(f"{count} {words}" for words, count in counts.untried.items())
+        table.add_row(escape(name), str(counts.ok), str(counts.suspect), str(counts.failed), other, reasons)
     Console().print(table)
     _print_reasons(result)
     failed = result.failed_images

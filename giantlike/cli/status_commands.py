@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import getpass
-import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from enum import StrEnum
@@ -12,12 +11,12 @@ from typing import Annotated, Any
 import typer
 
 from giantlike.campaign.status import RunStatus, status_of_run
-from giantlike.campaign.store.edits import Edit, Edited, add_edits, read_edits
-from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
+from giantlike.campaign.store.edits import Edit, Edited, add_edits, new_edit, read_edits
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.cli.arguments import Json, Run
 from giantlike.cli.outcome import ExitCode, show_result
 from giantlike.core.arrays import require
+from giantlike.core.outcomes import Outcome
 
 
 class Action(StrEnum):
@@ -40,7 +39,7 @@ def _lines(found: RunStatus) -> Iterator[str]:
     yield f"{found.folder}: {found.state}{holder}, {found.images} images{last}"
     for name, step in found.steps.items():
         expected = "" if step.expected is None else f" of {step.expected}"
-        counts = ", ".join(f"{count} {status}" for status, count in sorted(step.statuses.items()))
+        counts = ", ".join(f"{step.statuses[one]} {one.words}" for one in Outcome if one in step.statuses)
         yield f"{name}: {step.done}{expected} done: {counts}"
         for reason, count in step.reasons.items():
             yield f"  {reason} ({count}), such as {step.example[reason]}"
@@ -52,7 +51,8 @@ def edit(
     folder: Run,
     action: Annotated[Action, typer.Argument(help="list, reject or restore.")],
     file: Annotated[
-        str | None, typer.Argument(metavar="IMAGE", help="Name of the image in the tables; reject and restore need it.")
+        str | None,
+        typer.Argument(metavar="IMAGE", help="Name of the image, or its beginning; reject and restore need it."),
     ] = None,
     star: Annotated[int | None, typer.Option(help="Number of a star of it, in the catalog.", metavar="ID")] = None,
     target: Annotated[str | None, typer.Option(help="Target of a fix of it.")] = None,
@@ -71,30 +71,20 @@ def edit(
     run = RunFolder.open(folder)
     if action is Action.LIST:
         edits = read_edits(folder).edits
-        return show_result(list(map(_fields, edits)), map(_line, edits), json=json)
+        return show_result(list(map(_fields, edits)), [edit.line for edit in edits], json=json)
     require(file is not None and bool((why or "").strip()), f"{action} needs an IMAGE and --why TEXT")
     require((target is None) == (estimator is None), "a fix has a --target and an --estimator")
     require(star is None or target is None, "give either --star or --target and --estimator")
-    known = run.keys(AttitudeRecord)
-    require((file, "", "") in known, f"{folder}: there is no image {file!r} in this run")
-    if target is not None:
-        there = (file, target, estimator) in run.keys(ObservationRecord)
-        require(there, f"{folder}: {file} has no observation of {target!r} by {estimator!r}")
     what = Edited.STAR if star is not None else Edited.FIX if target is not None else Edited.IMAGE
-    made = Edit.model_validate(
+    made = new_edit(
+        run,
         {"action": str(action), "what": what, "file": file, "star": star, "target": target, "estimator": estimator,
-         "who": who or getpass.getuser(), "when_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), "why": why}
+         "who": who or getpass.getuser(), "why": why},
     )  # fmt: skip
     add_edits(folder, [made])
-    lines = [_line(made), "run the campaign again to bring tables and report up to date"]
+    lines = [made.line, "run the campaign again to bring tables and report up to date"]
     return show_result(_fields(made), lines, json=json)
 
 
 def _fields(edit: Edit) -> dict[str, Any]:
     return edit.model_dump(mode="json", exclude_none=True)
-
-
-def _line(edit: Edit) -> str:
-    which = "" if edit.star is None else f" star {edit.star}"
-    which += "" if edit.target is None else f" {edit.target}: {edit.estimator}"
-    return f"{edit.when_utc} {edit.who}: {edit.action} {edit.what} {edit.file}{which}: {edit.why}"

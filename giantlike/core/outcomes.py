@@ -15,6 +15,7 @@ from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, checked_partials
 from giantlike.core.display import Pictured
 from giantlike.core.errors import EstimationError
 from giantlike.core.findings import Corrections, Findings
+from giantlike.core.reasons import Outcome as Outcome
 from giantlike.core.reasons import Quality as Quality
 from giantlike.core.reasons import Reason as Reason
 from giantlike.core.values import Value
@@ -32,10 +33,13 @@ class Failure:
         Kind of failure.
     detail : str
         One line: the requirement, the finding, and the remedy.
+    not_applicable : bool
+        True where the estimator is not made for such a body, whatever the image shows.
     """
 
     reason: Reason
     detail: str
+    not_applicable: bool = False
 
     def __bool__(self) -> bool:
         return False

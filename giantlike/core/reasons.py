@@ -147,6 +147,33 @@ class Reason(StrEnum):
     """
 
 
+class Outcome(StrEnum):
+    """Outcome of a step for an image or a target in it; only ``failed`` counts as a failure."""
+
+    OK = "ok"
+    """There is a result."""
+    SUSPECT = "suspect"
+    """There is a result, but a named check objects."""
+    FAILED = "failed"
+    """There is no result."""
+    REJECTED = "rejected"
+    """A user rejected the result."""
+    NOT_APPLICABLE = "not_applicable"
+    """The estimator is not made for such a body, or for one of this size."""
+    NOT_IN_FIELD = "not_in_field"
+    """The target is predicted far outside of the image."""
+
+    @property
+    def words(self) -> str:
+        """The outcome in words: ``not in the field``."""
+        return "not in the field" if self is Outcome.NOT_IN_FIELD else self.value.replace("_", " ")
+
+    @property
+    def tried(self) -> bool:
+        """True for a result, and for a failure to get one."""
+        return self in (Outcome.OK, Outcome.SUSPECT, Outcome.FAILED)
+
+
 class Quality(enum.Flag):
     """Quality flags of a fix; those in ``SUSPECT`` make its status ``suspect``."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from contextlib import AbstractContextManager
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -41,6 +42,21 @@ _STYLE: Any = MappingProxyType(  # matplotlib's own type for this lists every se
         "svg.fonttype": "none",
     }
 )
+
+
+_DARK = MappingProxyType(
+    {
+        "#ffffff": "#1b2127", "white": "#1b2127", INK: "#e6eaef", GRAY: "#98a4b1", GRID: "#2c343d", BLUE: "#6ec6ff",
+        GREEN: "#3ddc97", RED: "#ff7a6b", PURPLE: "#c79be0",
+    }
+)  # fmt: skip
+"""Colors on a dark page, by those on a white one."""
+
+
+def dark_svg(text: str) -> str:
+    """Return an SVG of this package with the colors of a dark page; pictures in it stay as they are."""
+    colors = "|".join(map(re.escape, _DARK))
+    return re.sub(rf"(?i)(?<=[:\"\s])({colors})(?=[;\"])", lambda found: _DARK[found[1].lower()], text)
 
 
 def drawing() -> AbstractContextManager[None]:

@@ -155,7 +155,7 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         """Find the body, with the error budget of its position and the checks of a fix."""
         result = self._budgeted(inputs)
         if isinstance(result, Failure):
-            return inputs.fail(result.reason, result.detail)
+            return inputs.fail(result.reason, result.detail, not_applicable=result.not_applicable)
         if self.of_fixes:
             return result
         response = result.corrections.response

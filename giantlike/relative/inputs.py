@@ -187,9 +187,9 @@ class EstimatorInputs(Value):
             detector = replace(detector, saturation_dn=detector.bias_dn + float(light_dn[self.saturated].min()))
         return replace(self.image, pixels=light_dn + detector.bias_dn, detector=detector, eight_bit=None)
 
-    def fail(self, reason: Reason, detail: str) -> Failure:
+    def fail(self, reason: Reason, detail: str, *, not_applicable: bool = False) -> Failure:
         """Return a failure whose text starts with the image, the target and the estimator."""
-        return Failure(reason, f"{self.image.name}: {self.target_name}: {self.estimator}: {detail}")
+        return Failure(reason, f"{self.image.name}: {self.target_name}: {self.estimator}: {detail}", not_applicable)
 
     def flags_at(self, area: Mask, corner_px: tuple[int, int] = (0, 0)) -> Quality:
         """Return the flags of the inputs for a measurement on some pixels.

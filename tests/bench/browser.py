@@ -46,7 +46,7 @@ def chromium_page() -> Iterator[Page]:
     """An empty page of a headless Chromium."""
     with sync_playwright() as tools:
         browser = tools.chromium.launch(executable_path=CHROMIUM, args=list(_FLAGS))
-        yield browser.new_page(viewport={"width": 1400, "height": 900})
+        yield browser.new_context(viewport={"width": 1400, "height": 900}).new_page()
         browser.close()
 
 

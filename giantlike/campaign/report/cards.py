@@ -164,7 +164,7 @@ def _words(problem: Problem | None, flags: Sequence[str]) -> Iterator[tuple[str,
     """Status and sentence for a problem and for each flag."""
     if problem is not None:
         meaning = attribute_docs(Reason)[Reason(problem.reason).name]
-        yield "failed", f"{_plain(problem.reason)}: {problem.detail.rstrip('.')}. {_sentence(meaning)}"
+        yield str(problem.outcome), f"{_plain(problem.reason)}: {problem.detail.rstrip('.')}. {_sentence(meaning)}"
     for flag in flags:
         kind = "suspect" if Quality[flag.upper()].suspect else "soft"
         yield kind, f"{_plain(flag)}: {_sentence(attribute_docs(Quality)[flag.upper()])}"

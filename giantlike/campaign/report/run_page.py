@@ -14,7 +14,7 @@ from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import RunResult, StatusCounts, grouped
 from giantlike.campaign.store.run_folder import REPORT_PAGE
 from giantlike.core.atomic import write_text_atomic
-from giantlike.core.outcomes import Quality
+from giantlike.core.outcomes import Outcome, Quality
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.version import VERSION
 
@@ -22,7 +22,7 @@ _MAX_FAILURES = 300
 """Failures listed one by one; all are counted by reason, and the tables hold the rest."""
 _MAX_FIXES = 4000
 """Maximum lines of the table of fixes, about 300 bytes each; beyond it, good fixes are only in the tables."""
-_RANK = {"failed": 0, "suspect": 1, "ok": 2}
+_RANK = {"failed": 0, "suspect": 1, "ok": 2, "rejected": 3, "not_applicable": 3, "not_in_field": 3}
 
 
 def write_report(result: RunResult) -> Path:
@@ -49,7 +49,7 @@ def write_report(result: RunResult) -> Path:
 
     failures = _failures(result)
     shown, colors = _images_to_show(result), center_colors(result)
-    bodies = sorted(result.observations, key=lambda one: _RANK[one.status])[:_MAX_FIXES]
+    bodies = sorted(result.observations, key=lambda one: _RANK[one.outcome])[:_MAX_FIXES]
     page = render_page(
         "report.html.j2",
         name=result.name,
@@ -62,6 +62,7 @@ def write_report(result: RunResult) -> Path:
             for (target, estimator), records in result.by_estimator.items()
         ],
         reasons=Counter((failure.stage, failure.reason) for failure in failures).most_common(),
+        untried=Counter(_untried(result)).most_common(),
         failures=failures[:_MAX_FAILURES],
         n_failures=len(failures),
         warnings=[*result.warnings, *_notes(result)],
@@ -117,13 +118,28 @@ class _EstimatorSummary:
 
 
 def _failures(result: RunResult) -> list[_Failure]:
-    unreadable = {record.file for record in result.attitudes if not record.readable}
-    steps: list[tuple[str, AttitudeRecord | ObservationRecord]] = [("attitude", one) for one in result.attitudes]
-    steps += [(f"{one.target}: {one.estimator}", one) for one in result.observations if one.file not in unreadable]
     return [
         _Failure(record.file, stage, str(record.problem.reason), record.problem.detail)
-        for stage, record in steps
-        if record.problem is not None
+        for stage, record in _steps(result)
+        if record.problem is not None and record.outcome is Outcome.FAILED
+    ]
+
+
+def _untried(result: RunResult) -> list[tuple[str, str, str]]:
+    """Stage, outcome in words and reason of everything that is neither a result nor a failure."""
+    return [
+        (stage, record.outcome.words, str(record.problem.reason))
+        for stage, record in _steps(result)
+        if record.problem is not None and not record.outcome.tried
+    ]
+
+
+def _steps(result: RunResult) -> list[tuple[str, AttitudeRecord | ObservationRecord]]:
+    """Results of all steps, with their names; of unreadable images the attitude alone."""
+    unreadable = {record.file for record in result.attitudes if not record.readable}
+    steps: list[tuple[str, AttitudeRecord | ObservationRecord]] = [("attitude", one) for one in result.attitudes]
+    return steps + [
+        (f"{one.target}: {one.estimator}", one) for one in result.observations if one.file not in unreadable
     ]
 
 

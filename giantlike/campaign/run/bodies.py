@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -10,13 +11,15 @@ from typing import TypeAlias
 import numpy as np
 
 from giantlike.camera import Camera
+from giantlike.camera_models import ifov_rad
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.border import attempt
 from giantlike.campaign.run.image_loading import scene_of, targets_in
 from giantlike.campaign.run.observables import sighting_of, with_fix, with_prediction
 from giantlike.campaign.store.records import Attitude, ObservationRecord, Problem, TargetRecord, TargetView
-from giantlike.core.outcomes import CenterFix, Failure
+from giantlike.core.arrays import unit
+from giantlike.core.outcomes import CenterFix, Failure, Outcome, Reason
 from giantlike.core.threads import at_once
 from giantlike.core.time import utc_text
 from giantlike.image import AttitudeSource, Image
@@ -29,6 +32,11 @@ _OUTLINE_ANGLES = 120
 """Points of a predicted outline in an overlay: one every 3 deg, drawn as a polygon; no result rests on it."""
 _OUTLINE_MIN_RADIUS_PX = 2.0
 """Apparent radius, px, below which an overlay shows a cross alone: an outline would be hidden by it."""
+
+_SEARCHES = 3.0
+"""Multiple of ``search_px``: estimators of limbs widen their search to this where they find none."""
+_SURE = 3.0
+"""Number of standard deviations of the prediction beyond which a body is not expected."""
 
 Work: TypeAlias = tuple[str, str]
 """Target and estimator; an empty estimator denotes the a priori record of the target."""
@@ -123,8 +131,49 @@ def _observed(
     outcome = attempt(estimator.estimate, image, camera, scene, record.target)
     done = attempt(with_fix, record, camera, geometry, outcome) if isinstance(outcome, CenterFix) else outcome
     if not isinstance(done, ObservationRecord):
-        done = record.replace(problem=Problem.of(done) if isinstance(done, Failure) else done)
+        problem = Problem.of(done) if isinstance(done, Failure) else done
+        if problem.outcome is Outcome.FAILED and problem.reason is not Reason.INTERNAL_ERROR:
+            problem = _out_of_field(record, estimator, image, camera, geometry) or problem
+        done = record.replace(problem=problem)
     return done.model_copy(update={"time_s": time.perf_counter() - start})  # all else is checked already
+
+
+def _out_of_field(
+    record: ObservationRecord, estimator: Estimator, image: Image, camera: Camera, geometry: TargetGeometry
+) -> Problem | None:
+    """Problem of a target whose outline is predicted beyond the image by more than any search; None for another one."""
+    pixel_rad = float(ifov_rad(camera.model, camera.center_px))
+    attitude = image.attitude_covariance_rad2
+    sigma_rad = 0.0 if attitude is None else float(np.sqrt(np.max(np.diag(attitude)[:2])))
+    sigma_rad += geometry.target.uncertainty.ephemeris_km / geometry.range_km
+    search_px = max(_SEARCHES * getattr(estimator.options, "search_px", 0.0), _SURE * sigma_rad / pixel_rad)
+    outside_px = _outside_px(camera, geometry, pixel_rad)
+    if not outside_px > search_px:
+        return None
+    detail = f"the body is predicted {outside_px:.0f} px outside of the image, beyond the search of {search_px:.0f} px"
+    detail = f"{record.file}: {record.target}: {record.estimator}: {detail}"
+    return Problem(reason=Reason.OUT_OF_FRAME, detail=detail, kind=Outcome.NOT_IN_FIELD)
+
+
+def _outside_px(camera: Camera, geometry: TargetGeometry, pixel_rad: float) -> float:
+    """Distance of the sphere around a body from the image, px; negative where it reaches into it.
+
+    Where the camera model images no center, an angle from the corner of the image that is farthest from its middle.
+    """
+    last_px = np.array([camera.columns - 1.0, camera.rows - 1.0])
+    radius_km, center_px = (
+        geometry.target.shape.circumscribing_radius_km,
+        camera.model.project(geometry.position_camera_km),
+    )
+    if np.isfinite(center_px).all():
+        beyond = np.maximum(np.maximum(-center_px, center_px - last_px), 0.0)
+        return float(np.hypot(*beyond)) - apparent_radius_px(camera, center_px, radius_km, geometry.range_km)
+    corners = camera.model.unproject(last_px * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]))
+    middle = camera.model.unproject(camera.center_px)
+    cosines = np.append(corners @ middle, unit(geometry.position_camera_km) @ middle)
+    *field_rad, angle_rad = np.arccos(np.clip(cosines, -1.0, 1.0)).tolist()
+    outside_rad: float = angle_rad - math.asin(min(radius_km / geometry.range_km, 1.0)) - max(field_rad)
+    return outside_rad / pixel_rad
 
 
 def _view(campaign: Campaign, geometry: TargetGeometry) -> TargetView | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from copy import copy
 from functools import cache
+from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -34,7 +35,7 @@ from giantlike.campaign.store.record_values import (
 )
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
-from giantlike.core.outcomes import AttitudeErrors, Failure, Quality, Reason
+from giantlike.core.outcomes import AttitudeErrors, Failure, Outcome, Quality, Reason
 
 
 class Problem(PlainRecord):
@@ -47,16 +48,29 @@ class Problem(PlainRecord):
         As in :class:`~giantlike.core.outcomes.Failure`.
     traceback : str, optional
         Of a programming error.
+    kind : Outcome
+        ``failed``, or the reason why it does not count as a failure.
     """
 
     reason: Reason
     detail: str
     traceback: str | None = None
+    kind: Outcome = Outcome.FAILED
 
     @classmethod
     def of(cls, failure: Failure) -> Self:
         """Problem of a failed fit."""
-        return cls(reason=failure.reason, detail=failure.detail)
+        kind = Outcome.NOT_APPLICABLE if failure.not_applicable else Outcome.FAILED
+        return cls(reason=failure.reason, detail=failure.detail, kind=kind)
+
+    @property
+    def outcome(self) -> Outcome:
+        """The kind; of records of older versions, which have none, by the reason."""
+        return _OUTCOMES.get(self.reason, self.kind)
+
+
+_OUTCOMES = MappingProxyType({Reason.REJECTED: Outcome.REJECTED, Reason.NOT_UNRESOLVED: Outcome.NOT_APPLICABLE})
+"""Outcomes that follow from the reason."""
 
 
 class RunSummary(PlainRecord):
@@ -194,7 +208,18 @@ class _TriedRecord(ImageRecord):
         return [] if self.problem is None else [self.problem]
 
 
-class AttitudeRecord(_TriedRecord):
+class _StatusRecord(_TriedRecord):
+    """Base of the results that stand in the tables."""
+
+    status: Status
+
+    @property
+    def outcome(self) -> Outcome:
+        """The status, or the reason why a missing result does not count as a failure."""
+        return Outcome(self.status) if self.problem is None else self.problem.outcome
+
+
+class AttitudeRecord(_StatusRecord):
     """The image itself, and its attitude.
 
     Parameters
@@ -249,7 +274,6 @@ class AttitudeRecord(_TriedRecord):
     star_image: bool = False
     body_image: bool = True
     transferred: bool = False
-    status: Status
     apriori_xyzw: UnitQuaternion | None = None
     attitude: Attitude | None = None
     attitude_shares: dict[str, float] = Field(default_factory=dict)
@@ -323,7 +347,7 @@ class CalibrationRecord(_TriedRecord):
     sigma_px: Vector = Field(default_factory=list)
 
 
-class ObservationRecord(_TriedRecord):
+class ObservationRecord(_StatusRecord):
     """Result of one estimator for one target in one image; units and frames as in the tables.
 
     Covariances are (2, 2) and (3, 3), partials (2, 3); see :class:`~giantlike.io.run_tables.ObservationRow`.
@@ -361,7 +385,6 @@ class ObservationRecord(_TriedRecord):
     epoch_utc: str | None = None
     target: str
     estimator: str
-    status: Status
     attitude: Attitude | None = None
     predicted_px: Pair | None = None
     predicted_camera_km: Triple | None = None

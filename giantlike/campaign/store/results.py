@@ -19,7 +19,8 @@ from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, 
 from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CAMERA_FILE, RunFolder
 from giantlike.core.display import Pictured
 from giantlike.core.errors import DataError
-from giantlike.core.reasons import Reason
+from giantlike.core.outcomes import Reason
+from giantlike.core.reasons import Outcome
 from giantlike.core.values import Value
 from giantlike.io.attitude_series import AttitudeSeries
 
@@ -32,19 +33,28 @@ Key = TypeVar("Key", bound=Hashable)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatusCounts:
-    """Number of records by status, and of failures by reason."""
+    """Number of records by outcome, and of those without a result by reason."""
 
     ok: int
     suspect: int
     failed: int
+    rejected: int
+    not_applicable: int
+    not_in_field: int
     reasons: dict[str, int]
 
     @classmethod
     def of(cls, records: Sequence[AttitudeRecord | ObservationRecord]) -> StatusCounts:
         """Count records."""
-        statuses = Counter(record.status for record in records)
+        outcomes = Counter(record.outcome for record in records)
         reasons = Counter(str(record.problem.reason) for record in records if record.problem is not None)
-        return cls(ok=statuses["ok"], suspect=statuses["suspect"], failed=statuses["failed"], reasons=dict(reasons))
+        return cls(**{str(one): outcomes[one] for one in Outcome}, reasons=dict(reasons))
+
+    @property
+    def untried(self) -> dict[str, int]:
+        """Numbers of records that are neither results nor failures, by outcome in words; those that are not 0."""
+        counts = {one.words: int(getattr(self, one)) for one in Outcome if not one.tried}
+        return {words: count for words, count in counts.items() if count}
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,17 +154,17 @@ class RunResult(Pictured, Value):
     def failed_images(self) -> tuple[str, ...]:
         """Images without an attitude, with a body for which no estimator made a fix, or with an internal error.
 
-        Results rejected by a user are not failures.
+        Results rejected by a user, estimators that do not suit a body, and targets that are not in the field are no
+        failures.
         """
-        tried = [record for record in self.observations if not _rejected(record)]
-        broken = {record.file for record in tried if _broken_down(record)}
-        seen = {record.file for record in tried}
-        fixed = {record.file for record in tried if record.status != "failed"}
+        failed = {record.file for record in self.observations if record.outcome is Outcome.FAILED}
+        fixed = {record.file for record in self.observations if record.status != "failed"}
+        broken = {record.file for record in self.observations if _broken_down(record)}
         return tuple(
             record.file
             for record in self.attitudes
-            if (record.status == "failed" and not _rejected(record))
-            or (record.file in seen and record.file not in fixed)
+            if record.outcome is Outcome.FAILED
+            or (record.file in failed and record.file not in fixed)
             or record.file in broken
         )
 
@@ -256,10 +266,6 @@ def attitude_series(records: Sequence[AttitudeRecord], camera: Camera) -> Attitu
         names=tuple(file for _, file, _ in known),
         frame=camera.frame_name,
     )
-
-
-def _rejected(record: AttitudeRecord | ObservationRecord) -> bool:
-    return record.problem is not None and record.problem.reason == Reason.REJECTED
 
 
 def _broken_down(record: ObservationRecord) -> bool:

@@ -135,6 +135,7 @@ def _row(kind: type[Row], record: AttitudeRecord | ObservationRecord, **cells: A
     cells |= {
         "reason": None if problem is None else str(problem.reason),
         "detail": None if problem is None else problem.detail,
+        "outcome": str(record.outcome),
         "flags": "|".join(record.flags) or None,
         "provenance": json.dumps(record.provenance) if record.provenance else None,
         "time_s": round(record.time_s, 4),

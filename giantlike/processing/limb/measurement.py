@@ -304,6 +304,7 @@ def too_few(view: LimbView, area: Mask, good: Mask, rejected: Mapping[str, int],
         Reason.SATURATED if saturated > SATURATED_SHARE else Reason.NO_LIMB,
         f"{int(good.sum())} of {good.size} points measured along the lit limb in the frame are good, needed {needed}"
         + (f"; {reasons}" if reasons else ""),
+        not_applicable=good.size < needed,
     )
 
 

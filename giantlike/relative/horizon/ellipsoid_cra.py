@@ -145,7 +145,7 @@ class EllipsoidStandIn(Value):
         """Replace a body by its best-fit ellipsoid; ``WRONG_SHAPE`` if the body departs from it too far."""
         geometry, shape = inputs.geometry, inputs.geometry.target.shape
         if not shape.mean_radius_km > 0.0:
-            return Failure(Reason.WRONG_SHAPE, "the target is a point: it has no limb")
+            return Failure(Reason.WRONG_SHAPE, "the target is a point: it has no limb", not_applicable=True)
         placed, turn = shape.best_fit_ellipsoid, geometry.camera_from_body
         mesh = shape.finest if isinstance(shape, LevelsOfDetail) else shape
         relief_km = relief_sigma_km(mesh, placed) if isinstance(mesh, TriangleMesh) else 0.0
@@ -154,6 +154,7 @@ class EllipsoidStandIn(Value):
                 Reason.WRONG_SHAPE,
                 f"the shape departs from its best-fit ellipsoid by {relief_km / shape.mean_radius_km:.1%} of its "
                 f"radius (rms), allowed {max_relief:.1%}: use limb_matching or raise max_relief",
+                not_applicable=True,
             )
         relief = None
         if relief_km > 0.0:

@@ -90,6 +90,7 @@ class SigmoidLimb(BodyEstimator[SigmoidLimbOptions, PositionFix]):
             return Failure(
                 Reason.WRONG_SHAPE,
                 f"the fit needs an ellipsoid, got a {type(shape).__name__}: use ellipsoid_cra or limb_matching",
+                not_applicable=True,
             )
         view, geometry = limb_view(inputs), inputs.geometry
         altitude = self.options.altitude(geometry)

@@ -217,7 +217,7 @@ class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
         mesh = shape.finest if isinstance(shape, LevelsOfDetail) else shape
         if not isinstance(mesh, TriangleMesh):
             detail = f"landmarks need a mesh or a file of landmarks, the target is a {type(shape).__name__}"
-            return Failure(Reason.WRONG_SHAPE, detail)
+            return Failure(Reason.WRONG_SHAPE, detail, not_applicable=True)
         return landmarks_of(mesh)
 
 

@@ -124,6 +124,7 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
                 Reason.NOT_UNRESOLVED,
                 f"the sphere around the body is {diameter:.1f} px wide, max_diameter_px is "
                 f"{options.max_diameter_px:g}; use an estimator for resolved bodies",
+                not_applicable=True,
             )
         renderer = TemplateRenderer(
             target=inputs.geometry.body(),

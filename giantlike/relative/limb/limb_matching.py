@@ -106,7 +106,9 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
         if diameter_px < least_px:
             advice = "use cross_correlation or unresolved, or lower min_diameter_px"
             return Failure(
-                Reason.NO_LIMB, f"the body is {diameter_px:.1f} px across, min_diameter_px is {least_px:g}: {advice}"
+                Reason.NO_LIMB,
+                f"the body is {diameter_px:.1f} px across, min_diameter_px is {least_px:g}: {advice}",
+                not_applicable=True,
             )
         view = limb_view(inputs)
         body, (altitude_km, sigma_km) = inputs.geometry.seen_body(), inputs.geometry.limb_altitude_km
