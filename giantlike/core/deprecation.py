@@ -32,6 +32,24 @@ def renamed(module: str, names: Mapping[str, str], *, until: str) -> Callable[[s
     return __getattr__
 
 
+def moved(module: str, places: Mapping[str, str], *, until: str) -> Callable[[str], Any]:
+    """Return a module-level ``__getattr__`` that answers for names that went to other modules.
+
+    ``places`` maps each new module to the names that went there, separated by spaces.
+    """
+    home_of = {name: home for home, names in places.items() for name in names.split()}
+
+    def __getattr__(name: str) -> Any:
+        if name not in home_of:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        home = home_of[name]
+        message = f"{module}.{name} is now {home}.{name}; the old place goes in version {until}"
+        warnings.warn(message, DeprecationWarning, stacklevel=2)
+        return getattr(import_module(home), name)
+
+    return __getattr__
+
+
 def renamed_keyword(
     old: str, new: str, *, until: str
 ) -> Callable[[Callable[Arguments, Answer]], Callable[Arguments, Answer]]:
