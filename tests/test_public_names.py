@@ -18,7 +18,7 @@ PROMISED: dict[str, dict[str, Any]] = json.loads(
     Path(__file__).with_name("public_names_0_1_0.json").read_text(encoding="utf-8")
 )
 
-MOVED = ("giantlike.navigation",)
+MOVED = ("giantlike.bench", "giantlike.calibration", "giantlike.navigation", "giantlike.stars")
 """Modules with names that were moved elsewhere."""
 
 RENAMED_PARAMETERS = {"render": {"recentre"}}
@@ -69,10 +69,10 @@ def test_names_that_went_elsewhere_work_at_their_old_place_and_warn(module: str)
     old = import_module(module)
     places = inspect.getclosurevars(old.__getattr__).nonlocals["home_of"]
     assert places
-    for name, home in places.items():
-        with pytest.warns(DeprecationWarning, match=f"{name} is now {home}"):
+    for name, (home, new) in places.items():
+        with pytest.warns(DeprecationWarning, match=f"{name} is now {home}.{new};"):
             value = getattr(old, name)
-        assert value is getattr(import_module(home), name)
+        assert value is getattr(import_module(home), new)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = old.nothing
 

@@ -162,7 +162,8 @@ def _rows(result: InterlockResult) -> Iterator[list[str | float]]:
 
 
 def _figure(result: InterlockResult) -> str:
-    from giantlike.plotting import Series, charts_svg, series_charts
+    from giantlike.plotting.charts import charts_svg
+    from giantlike.plotting.residuals import Series, series_charts
 
     fix = result.alignment
     hours = (result.et - result.et[0]) / 3600.0

@@ -274,7 +274,7 @@ def save_replay(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
 
 def _page_of(replay: Replay, summary: Mapping[str, Any]) -> str:
     """The page: sections in the order of the paper, then the assumptions."""
-    from giantlike.plotting import svg_text
+    from giantlike.plotting.style import svg_text
 
     return render_page(
         "replay.html.j2",

@@ -60,21 +60,7 @@ def identify_lost_in_space(
 ) -> RefinedAttitude | Failure:
     """Find the attitude of an image anywhere on the sky.
 
-    Parameters
-    ----------
-    points_px : (m, 2) float64, px
-        Detections, brightest first.
-    covariance_px2 : (m, 2, 2) float64, px^2
-    camera : Camera
-        With ``options.estimate_scale`` only its field of view is used, known to ``options.scale_error``.
-    sky : Sky
-    options : StarOptions
-
-    Returns
-    -------
-    RefinedAttitude or Failure
-        Reasons: too_few_detections, no_catalog_stars (the catalog has too few for such fields), fov_mismatch (stars
-        fit another focal length), mirrored_image, no_pattern_match.
+    ``points_px`` (m, 2), detections, brightest first; ``covariance_px2`` (m, 2, 2).
 
     References
     ----------

@@ -77,26 +77,7 @@ def refine_attitude(
 
     The number of brightest stars used is the one that makes the matches least likely to be random.
 
-    Parameters
-    ----------
-    field : StarField
-        Brightest first.
-    points_px : (m, 2) float64, px
-        Detections.
-    covariance_px2 : (m, 2, 2) float64, px^2
-    camera : Camera
-    camera_from_inertial : Rotation
-        First attitude.
-    radius_px : float, px
-        Match radius of the first round; ``options.inlier_px`` afterwards.
-    trials : callable
-        Number of distinguishable attitudes in the search, as a function of the match radius in px.
-    options : StarOptions
-
-    Returns
-    -------
-    RefinedAttitude or Failure
-        Reasons: too_few_matches, ambiguous (the matches may be random), and the reasons of the fit.
+    ``points_px`` (m, 2); ``covariance_px2`` (m, 2, 2).
     """
     refinement = _Refinement(field, points_px, covariance_px2, trials, options)
     rotation, radius = camera_from_inertial, radius_px

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from giantlike.calibration import board_observations, calibrate
-from giantlike.calibration.boards import CORNER_SIGMA_PX
+from giantlike.calibration import calibrate
+from giantlike.calibration.boards import CORNER_SIGMA_PX, board_observations
 from giantlike.calibration.star_images import StarCalibration
 from giantlike.camera import Camera
 from giantlike.campaign.calibration.page import write_calibration_page

@@ -26,7 +26,7 @@ from giantlike.core.version import VERSION
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from giantlike.plotting import ChartSheet
+    from giantlike.plotting.charts import ChartSheet
 
 _MAX_REJECTED = 200
 """Rejected observations listed in the page, the worst first; ``calibration.json`` holds all."""
@@ -67,7 +67,8 @@ def write_calibration_page(folder: Path, name: str, camera: Camera, result: Camp
 
 def calibration_figures(solution: CalibrationResult) -> list[PageFigure]:
     """Figures of a calibration."""
-    from giantlike.plotting import correlation_figure, distortion_figure, residual_trend_figure, star_residual_charts
+    from giantlike.plotting import star_residual_charts
+    from giantlike.plotting.calibration import correlation_figure, distortion_figure, residual_trend_figure
 
     used, columns, rows = solution.used, solution.columns, solution.rows
     points, shifts = distortion_of(solution.model, columns, rows)

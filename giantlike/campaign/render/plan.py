@@ -41,11 +41,11 @@ from giantlike.io.image_files import read_image_file
 from giantlike.io.spice import load_kernels
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape
-from giantlike.simulation import DetectorModel, HotPixels, Photometry, Shot, SimulationOptions
-from giantlike.simulation.detector import Stream, scattered_pixels
+from giantlike.simulation import Shot
+from giantlike.simulation.detector import DetectorModel, HotPixels, Stream, scattered_pixels
 from giantlike.simulation.effects import FlatField, pixel_response
-from giantlike.simulation.incident import true_geometry
-from giantlike.simulation.shot import unexposed
+from giantlike.simulation.incident import SimulationOptions, true_geometry
+from giantlike.simulation.shot import Photometry, unexposed
 
 if TYPE_CHECKING:
     from astropy.time import Time

@@ -20,7 +20,8 @@ from giantlike.core.errors import DataError
 from giantlike.io import write_geometry
 from giantlike.io.geometry_table import GeometryRow
 from giantlike.relative import ESTIMATORS
-from giantlike.simulation import SimulatedImage, Sources, simulate_image
+from giantlike.simulation import Sources, simulate_image
+from giantlike.simulation.images import SimulatedImage
 from giantlike.simulation.preview import preview_png
 from giantlike.simulation.truth import geometry_rows, write_simulated
 

@@ -45,7 +45,7 @@ def write_report(result: RunResult) -> Path:
     # Imported when a page is made: workers, which draw nothing, start in half the time without matplotlib.
     from giantlike.campaign.report.cards import card, center_colors, fix_line
     from giantlike.campaign.report.figures import attitude_figures, body_figures
-    from giantlike.plotting import MARKS
+    from giantlike.plotting.overlays import MARKS
 
     failures = _failures(result)
     shown, colors = _images_to_show(result), center_colors(result)

@@ -11,10 +11,10 @@ import numpy as np
 
 from giantlike.camera import Camera
 from giantlike.campaign.file.config import Campaign, ImageEntry
-from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.border import attempt
 from giantlike.campaign.run.image_loading import scene_of, targets_in
 from giantlike.campaign.run.observables import sighting_of, with_fix, with_prediction
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.records import Attitude, ObservationRecord, Problem, TargetRecord, TargetView
 from giantlike.core.outcomes import CenterFix, Failure
 from giantlike.core.threads import at_once

@@ -18,7 +18,7 @@ import cv2
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run import WORKER_MODULES
-from giantlike.campaign.run.bench import Workbench
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
 from giantlike.core.processes import keep_memory, one_thread, one_thread_each, worker_context

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from giantlike.campaign.file.config import Campaign
-from giantlike.campaign.run.bench import Workbench
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.core import reading
 from giantlike.core.errors import DataError
 from giantlike.core.version import VERSION

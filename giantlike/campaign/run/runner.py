@@ -8,12 +8,12 @@ from typing import Any, TypeAlias
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.report.run_page import write_report
-from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.identities import Identities
 from giantlike.campaign.run.making import Announce, Progress, Run
 from giantlike.campaign.run.pool import Pool, WorkerPool
 from giantlike.campaign.run.provenance import environment_of, inputs_of
 from giantlike.campaign.run.steps import digest
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.changes import changes
 from giantlike.campaign.store.edits import EDITS_FILE, read_edits
 from giantlike.campaign.store.lock import locked

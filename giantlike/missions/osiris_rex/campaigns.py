@@ -31,8 +31,11 @@ from giantlike.missions.osiris_rex.setup import CampaignSetup
 from giantlike.missions.osiris_rex.trajectory import Visit
 from giantlike.shapes import TriangleMesh
 from giantlike.shapes.files.exchange import write_obj
-from giantlike.simulation import DetectorModel, Frame, SimulationOptions, Sources, simulate_image
+from giantlike.simulation import Sources, simulate_image
+from giantlike.simulation.approach import Frame
 from giantlike.simulation.compare import ObservationError, compare_run
+from giantlike.simulation.detector import DetectorModel
+from giantlike.simulation.incident import SimulationOptions
 from giantlike.simulation.write import (
     CAMPAIGN_FILE,
     TRUTH_COLUMNS,

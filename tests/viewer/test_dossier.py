@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from giantlike.bench.dossier import write_dossier
-from giantlike.bench.dossier_check import check_dossier, read_dossier, reproduce
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.store.edits import Edit, Edited, add_edits
 from giantlike.campaign.store.results import load_result
 from giantlike.cli.app import app
 from giantlike.core.errors import DataError, InputError
+from giantlike.viewer.dossier import write_dossier
+from giantlike.viewer.dossier_check import check_dossier, read_dossier, reproduce
 
 SHORT = "visit0_b_short.fits"
 

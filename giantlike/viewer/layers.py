@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from giantlike.bench.session import SeenImage
 from giantlike.campaign.store.records import ObservationRecord
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
-from giantlike.plotting import CENTERS, MARKS, Layer, Shape
+from giantlike.plotting.layers import Layer, Shape
+from giantlike.plotting.overlays import CENTERS, MARKS
+from giantlike.viewer.session import SeenImage
 
 _THREE_SIGMA = 3.0
 _ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)

@@ -15,20 +15,21 @@ from matplotlib.text import Annotation
 from typer.testing import CliRunner, Result
 
 import giantlike as gl
-from giantlike.bench import LAYERS, Session, explain, layers_of
-from giantlike.bench.comparison import limb_residuals, match_of
-from giantlike.bench.explain import _digits
-from giantlike.bench.pictures import picture_of
-from giantlike.bench.planes import backplanes_of, with_terminators
-from giantlike.bench.session import chosen_fix
 from giantlike.cli.app import app
 from giantlike.core.attribute_docs import attribute_docs
 from giantlike.core.errors import InputError
 from giantlike.core.findings import Findings
 from giantlike.core.frames import direction_from_radec, rotate
 from giantlike.core.outcomes import Quality, Reason
-from tests.bench.conftest import RockRun
+from giantlike.viewer import Session, explain, layers_of
+from giantlike.viewer.comparison import limb_residuals, match_of
+from giantlike.viewer.explain import _digits
+from giantlike.viewer.layers import LAYERS
+from giantlike.viewer.pictures import picture_of
+from giantlike.viewer.planes import backplanes_of, with_terminators
+from giantlike.viewer.session import chosen_fix
 from tests.campaign_files import APRIORI_OFFSET_KM, CAMERA, RADII_KM, Truth
+from tests.viewer.conftest import RockRun
 
 SHORT, LONG = "visit0_b_short.fits", "visit0_a_long.fits"
 WCS_PX = 0.01  # of the polynomials that stand for a pinhole camera

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from giantlike.bench.dossier import DOSSIER_FILE
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.provenance import file_sha256, package_versions
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.store.edits import EDITS_FILE
 from giantlike.core.errors import DataError
 from giantlike.core.version import VERSION
+from giantlike.viewer.dossier import DOSSIER_FILE
 
 _TABLES = ("attitudes.csv", "observations.csv")
 _TIME_COLUMN = "time_s"

@@ -13,16 +13,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from giantlike.bench.explain import explain
-from giantlike.bench.session import Session
 from giantlike.campaign.export import ExportFormat, export_run
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.report.cards import card, center_colors
 from giantlike.campaign.report.figures import attitude_figures, body_figures
 from giantlike.campaign.report.templates import render_page
-from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.provenance import file_sha256, inputs_of
 from giantlike.campaign.run.steps import digest
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.changes import changes
 from giantlike.campaign.store.edits import EDITS_FILE, read_edits
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
@@ -30,6 +28,8 @@ from giantlike.campaign.store.results import StatusCounts
 from giantlike.campaign.store.run_folder import RESULTS_FILE, RunFolder
 from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.errors import DataError, InputError
+from giantlike.viewer.explain import explain
+from giantlike.viewer.session import Session
 
 DOSSIER_FILE, DOSSIER_PAGE = "dossier.json", "dossier.html"
 _NOT_COPIED = frozenset({RESULTS_FILE, ".lock"})

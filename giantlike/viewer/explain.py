@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from giantlike.bench.session import SeenImage, chosen_fix
 from giantlike.campaign.store.fix_differences import difference_of
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, Problem, TargetRecord
 from giantlike.core.attribute_docs import attribute_docs
@@ -17,6 +16,7 @@ from giantlike.core.causes import Cause
 from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, Quality, Reason
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.relative.judge import FALSE_ALARM, Alternative
+from giantlike.viewer.session import SeenImage, chosen_fix
 
 _SOURCES = {
     "stars": "from its own stars",

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from giantlike.bench.comparison import limb_residuals, match_of
-from giantlike.bench.session import Session
 from giantlike.core.errors import InputError
-from giantlike.plotting import (
-    Axis,
-    Chart,
-    ChartSheet,
-    Layer,
-    Shape,
-    charts_svg,
-    correlation_surface_figure,
-    residual_map_svg,
-    star_residual_charts,
-    svg_text,
-)
-from giantlike.plotting.style import GRAY, SERIES
+from giantlike.plotting import star_residual_charts
+from giantlike.plotting.charts import Axis, Chart, ChartSheet, charts_svg
+from giantlike.plotting.layers import Layer, Shape
+from giantlike.plotting.residual_map import residual_map_svg
+from giantlike.plotting.residuals import correlation_surface_figure
+from giantlike.plotting.style import GRAY, SERIES, svg_text
 from giantlike.processing.correlate import find_peak
+from giantlike.viewer.comparison import limb_residuals, match_of
+from giantlike.viewer.session import Session
 
 
 def star_chart(session: Session, file: str) -> str:

@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike.bench.session import SeenImage, Session, chosen_fix
 from giantlike.core.arrays import Float
 from giantlike.core.atomic import replacing
 from giantlike.core.errors import InputError
 from giantlike.core.version import VERSION
 from giantlike.io.camera_sip import PosedModel, sip_header
 from giantlike.ray_tracing import Backplanes, trace_backplanes
+from giantlike.viewer.session import SeenImage, Session, chosen_fix
 
 PLANES: Mapping[str, str] = MappingProxyType(
     {
@@ -83,21 +83,7 @@ def backplanes_of(session: Session, file: str, *, estimator: str | None = None, 
 
 
 def with_terminators(session: Session, seen: SeenImage, planes: Backplanes) -> SeenImage:
-    """Add the lines of an image where the Sun is at the horizon of the surface.
-
-    Parameters
-    ----------
-    session : Session
-    seen : SeenImage
-    planes : Backplanes
-        Of :func:`backplanes_of`: each body where the best fix has it.
-
-    Returns
-    -------
-    SeenImage
-        With the lines of incidence 90 deg between pixels of one body; pieces within shadows, and pieces of a few
-        pixels, from single boulders, are left out.
-    """
+    """Add the lines of an image where the Sun is at the horizon of the surface."""
     from matplotlib.figure import Figure
 
     found: dict[str, tuple[Float, ...]] = {}
@@ -147,22 +133,7 @@ def write_backplanes(
 ) -> None:
     """Write backplanes as a FITS cube with the names of the planes and world coordinates.
 
-    Parameters
-    ----------
-    path : Path
-        Replaced if it exists.
-    session : Session
-    file : str
-    estimator : str, optional
-    predicted : bool
-        As for :func:`backplanes_of`.
-
-    Raises
-    ------
-    InputError
-        No target has a geometry in this image, the estimator did not run, or the image has no attitude.
-    DataError
-        A file cannot be read or written.
+    ``predicted`` as for :func:`backplanes_of`.
     """
     from astropy.io import fits
 

@@ -9,12 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from giantlike.bench import Session, layers_of
-from giantlike.bench.answers import Answers
-from giantlike.bench.charts import correlation_chart, residual_chart
-from giantlike.bench.comparison import limb_residuals, match_of
-from giantlike.bench.planes import backplanes_of
-from giantlike.bench.session import SeenImage
 from giantlike.campaign.file.config import Campaign
 from giantlike.catalogs import apparent_directions, proper_names
 from giantlike.core.arrays import Float
@@ -22,8 +16,14 @@ from giantlike.core.frames import rotate
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.plotting.residuals import correlation_surface_figure
 from giantlike.processing.correlate import find_peak
-from tests.bench.conftest import SPECKLED_PX, Made, RockRun
+from giantlike.viewer import Session, layers_of
+from giantlike.viewer.answers import Answers
+from giantlike.viewer.charts import correlation_chart, residual_chart
+from giantlike.viewer.comparison import limb_residuals, match_of
+from giantlike.viewer.planes import backplanes_of
+from giantlike.viewer.session import SeenImage
 from tests.campaign_files import APRIORI_OFFSET_KM, BODY_TURN, CAMERA, OBSERVER, RADII_KM, Truth, sky
+from tests.viewer.conftest import SPECKLED_PX, Made, RockRun
 
 SHORT, LONG = "visit0_b_short.fits", "visit0_a_long.fits"
 STAR_PX = 0.3  # of single stars, the faintest of which have a sigma of 0.1 px

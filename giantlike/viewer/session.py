@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.campaign.file.config import Campaign
-from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.image_loading import open_image, scene_of
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.edits import Edit, read_edits
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, TargetRecord
 from giantlike.campaign.store.results import RunResult, camera_of_run, load_result
@@ -43,7 +43,7 @@ class SeenImage:
     edits : tuple of Edit
         Rejections in effect.
     terminators : mapping of str to tuple of (n, 2) float64, px
-        By target, where :func:`~giantlike.bench.planes.with_terminators` traced them.
+        By target, where :func:`~giantlike.viewer.planes.with_terminators` traced them.
     """
 
     record: AttitudeRecord
@@ -55,19 +55,7 @@ class SeenImage:
 
 
 def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]) -> str:
-    """Return the verdict on an image: the worst of its attitude and of the best fix of each target.
-
-    Parameters
-    ----------
-    record : AttitudeRecord
-    observations : iterable of ObservationRecord
-        Of the image.
-
-    Returns
-    -------
-    str
-        ``ok``, ``suspect`` or ``failed``.
-    """
+    """Return the verdict on an image: the worst of its attitude and of the best fix of each target."""
     order = ("ok", "suspect", "failed")
     best: dict[str, str] = {}
     for one in observations:

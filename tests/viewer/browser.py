@@ -11,10 +11,10 @@ from pathlib import Path
 import uvicorn
 from playwright.sync_api import Page, sync_playwright
 
-from giantlike.bench import Session
-from giantlike.bench.server import LOOPBACK, application
 from giantlike.campaign.store.records import AttitudeRecord, ImageRecord, ObservationRecord, TargetRecord
 from giantlike.campaign.store.run_folder import RunFolder
+from giantlike.viewer import Session
+from giantlike.viewer.server import LOOPBACK, application
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 _FLAGS = (

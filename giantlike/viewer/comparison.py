@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from giantlike.bench.session import Session, chosen_fix
 from giantlike.campaign.store.records import ObservationRecord
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.errors import InputError
@@ -15,6 +14,7 @@ from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.processing.correlate import normalized_correlation
 from giantlike.ray_tracing import Template, render, trace_silhouette
+from giantlike.viewer.session import Session, chosen_fix
 
 _BORDER_PX = 20
 """Pixels around a template whose mean is its background: wider than a psf, nearer than most other bodies."""

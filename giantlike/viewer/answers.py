@@ -1,4 +1,4 @@
-"""Answers to the page of the bench: a run, an image, pictures, charts, edits, as plain values and bytes."""
+"""Answers to the page of the viewer: a run, an image, pictures, charts, edits, as plain values and bytes."""
 
 from __future__ import annotations
 
@@ -14,12 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from giantlike.bench.charts import correlation_chart, limb_chart, residual_chart, star_chart
-from giantlike.bench.comparison import match_of
-from giantlike.bench.explain import explain
-from giantlike.bench.layers import MarkLayer, layers_of
-from giantlike.bench.planes import backplanes_of, values_at, with_terminators
-from giantlike.bench.session import SeenImage, Session, verdict_of
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.store.edits import Edit, add_edits
@@ -28,8 +22,14 @@ from giantlike.campaign.store.records import ObservationRecord
 from giantlike.campaign.store.results import grouped
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError, OpNavError
-from giantlike.plotting import stretched
+from giantlike.plotting.overlays import stretched
 from giantlike.ray_tracing import Backplanes
+from giantlike.viewer.charts import correlation_chart, limb_chart, residual_chart, star_chart
+from giantlike.viewer.comparison import match_of
+from giantlike.viewer.explain import explain
+from giantlike.viewer.layers import MarkLayer, layers_of
+from giantlike.viewer.planes import backplanes_of, values_at, with_terminators
+from giantlike.viewer.session import SeenImage, Session, verdict_of
 
 COLOR_MAPS: Mapping[str, int | None] = {
     "gray": None,

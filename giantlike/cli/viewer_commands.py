@@ -7,21 +7,16 @@ from typing import Annotated
 
 import typer
 
-from giantlike.bench import (
-    LAYERS,
-    Session,
-    backplanes_of,
-    layers_of,
-    verdict_of,
-    with_terminators,
-    write_backplanes,
-)
-from giantlike.bench import explain as explained
 from giantlike.cli.arguments import Json, Run, RunOption
 from giantlike.cli.outcome import ExitCode, show_result
 from giantlike.core.arrays import require
 from giantlike.core.atomic import make_folder, replacing
 from giantlike.core.extras import require_extra
+from giantlike.viewer import Session, backplanes_of, layers_of
+from giantlike.viewer import explain as explained
+from giantlike.viewer.layers import LAYERS
+from giantlike.viewer.planes import with_terminators, write_backplanes
+from giantlike.viewer.session import verdict_of
 
 ImageName = Annotated[str, typer.Argument(metavar="IMAGE", help="Name of an image of the run, or its beginning.")]
 _SHOWN = tuple(name for name in LAYERS if name != "terminator")
@@ -46,7 +41,7 @@ def show(
     campaign: CampaignFile = None,
 ) -> ExitCode:
     """Draw an image of a run with its results."""
-    from giantlike.bench.pictures import picture_of
+    from giantlike.viewer.pictures import picture_of
 
     names = [name.strip() for name in layers.split(",") if name.strip()]
     unknown = [name for name in names if name not in LAYERS]
@@ -103,7 +98,7 @@ def view(
     """
     for module in ("starlette", "uvicorn"):
         require_extra(module, extra="view", purpose="giantlike view")
-    from giantlike.bench.server import serve
+    from giantlike.viewer.server import serve
 
     def announce(address: str) -> None:
         typer.echo(address)

@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import giantlike as gl
-from giantlike.bench import Session
 from giantlike.campaign.store.results import RunResult
 from giantlike.core.errors import InputError
+from giantlike.viewer import Session
 from tests.campaign_files import CAMERA
 
 LONGEST = 250

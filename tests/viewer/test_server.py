@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
-from giantlike.bench import Session
-from giantlike.bench.server import application
 from giantlike.campaign.store.edits import read_edits
 from giantlike.campaign.store.fix_differences import difference_of
+from giantlike.viewer import Session
+from giantlike.viewer.server import application
 
 TOKEN = "secret"
 

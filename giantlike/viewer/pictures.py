@@ -1,4 +1,4 @@
-"""Pictures of the bench: an image with layers, and how well the image and a fix agree."""
+"""Pictures of the viewer: an image with layers, and how well the image and a fix agree."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from giantlike.bench.layers import MarkLayer
-from giantlike.bench.session import Session
 from giantlike.core.arrays import require
-from giantlike.plotting import OverlayPanel, overlay_figure, stretched
+from giantlike.plotting import overlay_figure
+from giantlike.plotting.overlays import OverlayPanel, stretched
+from giantlike.viewer.layers import MarkLayer
+from giantlike.viewer.session import Session
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

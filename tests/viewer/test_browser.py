@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page
 
-from giantlike.bench import LAYERS
 from giantlike.campaign.export import ExportFormat, ExportOptions, export_run
 from giantlike.campaign.store.edits import read_edits
 from giantlike.io.image_files import read_image_file
-from tests.bench.browser import CHROMIUM, chromium_page, multiply, open_page, served, with_rejected_match
-from tests.bench.conftest import RockRun
+from giantlike.viewer.layers import LAYERS
+from tests.viewer.browser import CHROMIUM, chromium_page, multiply, open_page, served, with_rejected_match
+from tests.viewer.conftest import RockRun
 
 pytestmark = pytest.mark.slow
 

@@ -1,4 +1,4 @@
-"""The bench in a browser: pages of a run on the loopback interface, behind a token."""
+"""The viewer in a browser: pages of a run on the loopback interface, behind a token."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
-from giantlike.bench.answers import Answers
-from giantlike.bench.session import Session
 from giantlike.core.arrays import require
 from giantlike.core.errors import OpNavError
+from giantlike.viewer.answers import Answers
+from giantlike.viewer.session import Session
 
 LOOPBACK = "127.0.0.1"
 _COOKIE = "giantlike_token"
@@ -37,7 +37,7 @@ def application(session: Session, token: str) -> Starlette:
     answers = Answers(session)
 
     async def page(request: Request) -> Response:
-        text = (files("giantlike.bench") / "view.html").read_text(encoding="utf-8")
+        text = (files("giantlike.viewer") / "view.html").read_text(encoding="utf-8")
         answer = HTMLResponse(text.replace("{{ token }}", token))
         answer.set_cookie(_COOKIE, token, httponly=True, samesite="strict")
         return answer
@@ -105,7 +105,7 @@ class _Gate(BaseHTTPMiddleware):
 
 
 def serve(run: Path, *, campaign: Path | None, port: int, announce: Callable[[str], None]) -> None:
-    """Serve the bench of a run until it is interrupted."""
+    """Serve the viewer of a run until it is interrupted."""
     import socket
 
     import uvicorn
