@@ -14,10 +14,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.reading import check, unzipped
 from giantlike.catalogs.readers.rows import parsed
 from giantlike.core.arrays import Mask
 from giantlike.core.errors import DataError
-from giantlike.core.reading import check, unzipped
 from giantlike.core.values import Value
 
 MISSING = ("", "null", "nan", "none", "na", "n/a", "--", "\\n")

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
+from giantlike._system.atomic import make_folder, replacing
 from giantlike.cli.arguments import Json, Run, RunOption
 from giantlike.cli.outcome import ExitCode, show_result
 from giantlike.core.arrays import require
-from giantlike.core.atomic import make_folder, replacing
 from giantlike.core.extras import require_extra
 from giantlike.viewer import Session, backplanes_of, layers_of
 from giantlike.viewer import explain as explained

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from giantlike.core.atomic import append_text, write_text_atomic
+from giantlike._system.atomic import append_text, write_text_atomic
 from giantlike.core.version import VERSION
 from giantlike.gauntlet.page import page_of
 from giantlike.gauntlet.run import Gauntlet, ImageResult, summary_of

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.atomic import replacing
 from giantlike.core.arrays import require
-from giantlike.core.atomic import replacing
 from giantlike.core.causes import Cause
 from giantlike.core.errors import DataError
 from giantlike.core.values import Value

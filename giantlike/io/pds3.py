@@ -13,7 +13,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from giantlike.core.reading import reads
+from giantlike._system.reading import reads
 from giantlike.io.decoded import DecodedImage, HeaderValue
 from giantlike.io.label_times import label_epoch, label_exposure_s
 from giantlike.io.raw_image import RawLayout, label_count, read_raw

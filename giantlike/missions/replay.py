@@ -15,9 +15,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from giantlike._system.atomic import make_folder, write_text_atomic
 from giantlike.campaign.report.templates import render_page
 from giantlike.core.arrays import require
-from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.errors import InputError
 from giantlike.core.version import VERSION
 

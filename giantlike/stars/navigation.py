@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.processes import one_thread
 from giantlike.camera import Camera
 from giantlike.camera_models import model_to_mapping
 from giantlike.catalogs import StarCatalog, proper_names
@@ -20,7 +21,6 @@ from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause, summed
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import AttitudeFix, Failure, Quality, Reason
-from giantlike.core.processes import one_thread
 from giantlike.core.time import utc_text
 from giantlike.core.version import VERSION
 from giantlike.image import Image

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from giantlike._system.atomic import make_folder, write_text_atomic
 from giantlike.campaign.export import ExportFormat, export_run
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.report.cards import card, center_colors
@@ -26,7 +27,6 @@ from giantlike.campaign.store.edits import EDITS_FILE, read_edits
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import StatusCounts
 from giantlike.campaign.store.run_folder import RESULTS_FILE, RunFolder
-from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.viewer.explain import explain
 from giantlike.viewer.session import Session

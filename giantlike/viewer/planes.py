@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.atomic import replacing
 from giantlike.core.arrays import Float
-from giantlike.core.atomic import replacing
 from giantlike.core.errors import InputError
 from giantlike.core.version import VERSION
 from giantlike.io.camera_sip import PosedModel, sip_header

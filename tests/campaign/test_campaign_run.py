@@ -28,6 +28,7 @@ from pyarrow import parquet
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from giantlike._system.threads import ALLOWED
 from giantlike.camera import Camera
 from giantlike.campaign.export import ExportFormat, ExportOptions, PointingSource, export_run
 from giantlike.campaign.file.config import Campaign, ImageEntry
@@ -46,7 +47,6 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import camera_from_inertial_of_pointing, rotate, rotation_between
-from giantlike.core.threads import ALLOWED
 from giantlike.core.time import time_from_utc
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.ephemeris import SpiceEphemeris

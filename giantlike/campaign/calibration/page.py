@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from giantlike._system.atomic import write_text_atomic
 from giantlike.calibration.field_map import field_grid
 from giantlike.calibration.observability import Verdict
 from giantlike.calibration.result import CalibrationResult
@@ -20,7 +21,6 @@ from giantlike.campaign.calibration.solve import CampaignCalibration, calibratio
 from giantlike.campaign.report.templates import PageFigure, render_page
 from giantlike.campaign.store.run_folder import CALIBRATION_PAGE
 from giantlike.core.arrays import Float
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.version import VERSION
 
 if TYPE_CHECKING:

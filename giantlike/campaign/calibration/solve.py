@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.atomic import write_text_atomic
+from giantlike._system.reading import file_sha256
 from giantlike.calibration import calibrate_stars
 from giantlike.calibration.alignment import AlignmentResult, align
 from giantlike.calibration.result import CalibrationResult
@@ -26,11 +28,9 @@ from giantlike.campaign.store.records import CalibrationRecord
 from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CALIBRATION_PAGE, CAMERA_FILE, RESIDUALS_FILE
 from giantlike.catalogs import StarCatalog
 from giantlike.core.arrays import finite_or_none
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.outcomes import Failure
-from giantlike.core.reading import file_sha256
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
 from giantlike.image import Image

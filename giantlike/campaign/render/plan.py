@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.reading import resolving
 from giantlike.camera import Camera
 from giantlike.campaign.file.inputs import (
     SpiceSetup,
@@ -30,7 +31,6 @@ from giantlike.campaign.render.schema import DetectorSection, ImageSection, Plac
 from giantlike.core.arrays import Float, require, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import camera_from_inertial_of_pointing, rotation_from_xyzw
-from giantlike.core.reading import resolving
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.core.units import AU_KM, RAD_PER_DEG
 from giantlike.core.values import Value

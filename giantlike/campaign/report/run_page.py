@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from giantlike._system.atomic import write_text_atomic
 from giantlike.campaign.report.templates import render_page
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import RunResult, StatusCounts, grouped
 from giantlike.campaign.store.run_folder import REPORT_PAGE
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.outcomes import Quality
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.version import VERSION

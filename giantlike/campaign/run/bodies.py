@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from giantlike._system.threads import at_once
 from giantlike.camera import Camera
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.run.border import attempt
@@ -17,7 +18,6 @@ from giantlike.campaign.run.observables import sighting_of, with_fix, with_predi
 from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.records import Attitude, ObservationRecord, Problem, TargetRecord, TargetView
 from giantlike.core.outcomes import CenterFix, Failure
-from giantlike.core.threads import at_once
 from giantlike.core.time import utc_text
 from giantlike.image import AttitudeSource, Image
 from giantlike.ray_tracing.silhouette import lit_outline

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any, TypeAlias
 
+from giantlike._system.atomic import make_folder
+from giantlike._system.processes import available_cpus, process_count
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.report.run_page import write_report
 from giantlike.campaign.run.identities import Identities
@@ -29,9 +31,7 @@ from giantlike.campaign.store.records import RunSummary
 from giantlike.campaign.store.results import RunResult, camera_of_run
 from giantlike.campaign.store.run_folder import REPORT_PAGE, RunFolder
 from giantlike.campaign.store.tables import TABLE_FILES, write_tables
-from giantlike.core.atomic import make_folder
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.processes import available_cpus, process_count
 
 PoolMaker: TypeAlias = Callable[[Workbench, int], Pool]
 """Called with the workbench and the number of images; makes the executor of the work."""

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from giantlike._system.reading import resolving
 from giantlike.camera import Camera
 from giantlike.campaign.calibration.solve import temperature_of
 from giantlike.campaign.file.config import Campaign
 from giantlike.catalogs import StarCatalog, StarTable, load_catalog
-from giantlike.core.reading import resolving
 from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.io.spice import SpiceKernels, load_kernels

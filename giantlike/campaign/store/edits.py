@@ -16,8 +16,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
+from giantlike._system.atomic import append_text
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, Problem
-from giantlike.core.atomic import append_text
 from giantlike.core.errors import DataError
 from giantlike.core.outcomes import Reason
 

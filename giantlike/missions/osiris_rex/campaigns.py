@@ -13,6 +13,7 @@ import numpy as np
 import tomli_w
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.atomic import make_folder, write_text_atomic
 from giantlike.camera import Camera
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
@@ -21,7 +22,6 @@ from giantlike.campaign.store.results import RunResult
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.catalogs import StarCatalog, load_catalog
 from giantlike.core.arrays import Float
-from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.frames import rotate, rotation_from_xyzw
 from giantlike.core.values import Value
 from giantlike.io import write_fits, write_geometry

@@ -27,8 +27,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.reading import is_of_content, library_message
 from giantlike.core.errors import OpNavError
-from giantlike.core.reading import is_of_content, library_message
 
 Arrays = Mapping[str, NDArray[Any]]
 _BASE_CPU_S, _CPU_S_PER_MB = 5, 1
@@ -131,7 +131,7 @@ class _Template:
 def _started(function: str, *arguments: str, **options: Any) -> subprocess.Popen[bytes]:
     """New Python process that calls a function of this module."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-c", f"from giantlike.core.child import {function}; {function}()", *arguments]
+    command = [sys.executable, "-c", f"from giantlike._system.child import {function}; {function}()", *arguments]
     quiet: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     process: subprocess.Popen[bytes] = subprocess.Popen(command, env=environment, **(quiet | options))
     return process

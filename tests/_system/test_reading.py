@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from giantlike._system.reading import reads
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.reading import reads
 
 PATH = Path("some") / "file.dat"
 

@@ -7,8 +7,8 @@ from functools import partial
 
 import pytest
 
+from giantlike._system.threads import at_once, threads
 from giantlike.core.errors import InputError
-from giantlike.core.threads import at_once, threads
 
 WAIT_S = 20.0
 

@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from giantlike.core.processes import importing, one_thread, one_thread_each, process_count
+from giantlike._system.processes import importing, one_thread, one_thread_each, process_count
 
 _EARLY = """
 import os, sys
 from concurrent.futures import ProcessPoolExecutor
-from giantlike.core.processes import start_server, worker_context
+from giantlike._system.processes import start_server, worker_context
 
 def state():
     return "colorsys" in sys.modules, os.environ.get("OMP_NUM_THREADS")
@@ -33,7 +33,7 @@ if __name__ == "__main__":
 _FREED = """
 import resource, sys
 import numpy as np
-from giantlike.core.processes import keep_memory
+from giantlike._system.processes import keep_memory
 
 if sys.argv[1] == "keep":
     keep_memory()

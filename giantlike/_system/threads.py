@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar
 from typing import TypeVar
 
+from giantlike._system.processes import one_thread
 from giantlike.core.arrays import require
-from giantlike.core.processes import one_thread
 
 Result = TypeVar("Result")
 
