@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from tests.bench.browser import chromium_page, multiply, open_page, served
+from tests.viewer.browser import chromium_page, multiply, open_page, served
 
 _REPEATS = 3
 

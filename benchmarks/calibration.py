@@ -22,7 +22,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from giantlike.calibration import CalibrationResult, ImageObservations, calibrate, calibrate_stars, identify_first
+from giantlike.calibration import (
+    CalibrationResult,
+    ImageObservations,
+    calibrate,
+    calibrate_stars,
+    identify_first,
+)
 from giantlike.calibration.boards import board_corners, board_observations
 from giantlike.calibration.field_map import map_difference
 from giantlike.camera import Camera

@@ -21,12 +21,18 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from giantlike.cislunar import (
+    FilterModel,
+    FilterState,
+    estimate_batch,
+    measurement_update,
+    time_update,
+)
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure
-from giantlike.navigation import FilterModel, FilterState, estimate_batch, measurement_update, time_update
-from tests.navigation.cislunar_case import MODEL, flown
-from tests.navigation.test_cislunar_filter import CONSIDERED, correlated_start, dense_joseph, images
-from tests.navigation.test_stone_soup import by_stone_soup
+from tests.cislunar.cislunar_case import MODEL, flown
+from tests.cislunar.test_cislunar_filter import CONSIDERED, correlated_start, dense_joseph, images
+from tests.cislunar.test_stone_soup import by_stone_soup
 
 SEED = 2026
 

@@ -31,8 +31,9 @@ from giantlike.core.frames import rotate
 from giantlike.core.outcomes import AttitudeFix, Failure
 from giantlike.image import Image
 from giantlike.processing.detection.detections import Detections
-from giantlike.stars import Sky, StarNavigation, StarOptions, navigation
+from giantlike.stars import StarNavigation, StarOptions, navigation
 from giantlike.stars import lost_in_space as search
+from giantlike.stars.field import Sky
 from giantlike.stars.refine import RefinedAttitude, refine_attitude
 from giantlike.stars.star_index import Pattern, cap_radius_rad, sky_index
 

@@ -35,16 +35,16 @@ from giantlike.core.time import time_from_et
 from giantlike.core.units import AU_KM, RAD_PER_ARCSEC
 from giantlike.independent import Psf, Recorder, StarField, apparent_geometry, random_stars, record, star_image
 from giantlike.independent.views import PinholeView
-from giantlike.navigation import (
+from giantlike.shapes import Ellipsoid
+from giantlike.triangulation import (
     Sightline,
     TriangulatedPosition,
-    TriangulationMethod,
     TriangulationOptions,
     locate,
     sightline_of_fix,
     triangulate,
 )
-from giantlike.shapes import Ellipsoid
+from giantlike.triangulation.positions import TriangulationMethod
 
 ET = 600_000_000.0
 PARSEC_AU = 206_264.8

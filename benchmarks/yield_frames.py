@@ -26,8 +26,8 @@ from stress_truth import CASES, draw_of, view_of
 from giantlike.atmosphere import Atmosphere
 from giantlike.camera import Camera
 from giantlike.campaign import Campaign
-from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.image_loading import open_image, scene_of
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import Failure

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.reading import check, reads
 from giantlike.catalogs.catalog import MemoryCatalog
 from giantlike.catalogs.readers.rows import REQUIRED, stars_of
 from giantlike.catalogs.readers.tabular import Table, text_table
 from giantlike.catalogs.table import COLUMN_TYPES
-from giantlike.core.reading import check, reads
 
 TEXT_COLUMNS = ("name", "source", "comment")
 """Columns for users, which are not read."""

@@ -35,12 +35,12 @@ from typing import Any, TypedDict, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.atomic import replacing
+from giantlike._system.reading import check, reads
 from giantlike.catalogs.catalog import Column, MemoryCatalog
 from giantlike.catalogs.cells import CELLS, ZONES, SkyIndex
 from giantlike.catalogs.table import COLUMN_TYPES
-from giantlike.core.atomic import replacing
 from giantlike.core.errors import DataError
-from giantlike.core.reading import check, reads
 
 SUFFIX = ".stars"
 FORMAT = 2  # version of the format above; raise it when that changes

@@ -16,7 +16,6 @@ from tests.exported import PACKAGES, exported_names
 
 OTHERS = (
     "giantlike.atmosphere",
-    "giantlike.bench",
     "giantlike.campaign",
     "giantlike.catalogs.readers",
     "giantlike.gauntlet",
@@ -30,6 +29,7 @@ OTHERS = (
     "giantlike.rings",
     "giantlike.simulation",
     "giantlike.terrain",
+    "giantlike.viewer",
 )
 """Packages that users meet beside those whose names are promised."""
 

@@ -18,6 +18,7 @@ from giantlike.core.display import provide
 from giantlike.core.version import VERSION
 
 if TYPE_CHECKING:
+    from giantlike._system.threads import threads as threads
     from giantlike.calibration import CalibrationOptions as CalibrationOptions
     from giantlike.camera import Camera as Camera
     from giantlike.core.causes import Cause as Cause
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from giantlike.core.outcomes import PositionFix as PositionFix
     from giantlike.core.outcomes import Quality as Quality
     from giantlike.core.outcomes import Reason as Reason
-    from giantlike.core.threads import threads as threads
     from giantlike.ephemeris import ApparentGeometry as ApparentGeometry
     from giantlike.ephemeris import DistantLight as DistantLight
     from giantlike.ephemeris import FixedEphemeris as FixedEphemeris
@@ -84,7 +84,7 @@ _HOMES = {
     "giantlike.core.detector": ("Detector", "GaussianPsf"),
     "giantlike.core.errors": ("DataError", "EstimationError", "FrameMismatchError", "InputError", "OpNavError"),
     "giantlike.core.outcomes": ("AttitudeFix", "CenterFix", "Failure", "PositionFix", "Quality", "Reason"),
-    "giantlike.core.threads": ("threads",),
+    "giantlike._system.threads": ("threads",),
     "giantlike.ephemeris": ("ApparentGeometry", "DistantLight", "FixedEphemeris", "SpiceEphemeris", "TableEphemeris"),
     "giantlike.image": ("Image",),
     "giantlike.relative": tuple(name + part for name in _ESTIMATORS for part in ("", "Options")),

@@ -14,6 +14,8 @@ import tomli_w
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.atomic import write_text_atomic
+from giantlike._system.reading import toml_table
 from giantlike.camera_models import (
     CameraModel,
     ifov_rad,
@@ -25,12 +27,10 @@ from giantlike.camera_models.part import divisible
 from giantlike.camera_models.plane import PlaneModel
 from giantlike.camera_models.registry import lens_class
 from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.display import Pictured
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import FrameRotation, quaternion_xyzw, require_same_frame, rotation_from_xyzw
-from giantlike.core.reading import toml_table
 from giantlike.core.tables import checked_table, record_of_numbers, table_of_numbers
 from giantlike.core.values import Value
 

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.compiled import compiled
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.compiled import compiled
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float
-from giantlike.core.compiled import compiled
 from giantlike.core.values import Value
 
 

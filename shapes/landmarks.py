@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.atomic import replacing
+from giantlike._system.reading import check, reads
 from giantlike.core.arrays import Float, frozen, require
-from giantlike.core.atomic import replacing
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.reading import check, reads
 from giantlike.core.values import Value
 from giantlike.shapes.files.maplet import read_maplet
 from giantlike.shapes.files.npz import archive_arrays

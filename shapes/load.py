@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from giantlike._system.reading import file_sha256
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.reading import file_sha256
 from giantlike.shapes.files.formats import read_file
 from giantlike.shapes.mesh import TriangleMesh
 from giantlike.shapes.surface import Surface

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from giantlike._system.atomic import replacing
 from giantlike.core.arrays import require
-from giantlike.core.atomic import replacing
 from giantlike.core.errors import InputError
 from giantlike.shapes.files.dsk import DskIdentity, write_dsk
 from giantlike.shapes.files.formats import format_of

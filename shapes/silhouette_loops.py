@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.compiled import compiled
 
 Indices = NDArray[np.int64]
 Float32 = NDArray[np.float32]

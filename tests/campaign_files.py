@@ -24,7 +24,8 @@ from giantlike.io import navigation_header, write_fits, write_geometry
 from giantlike.io.geometry_table import GeometryRow
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
-from giantlike.simulation import Shot, SimulationOptions, Sources, simulate_image
+from giantlike.simulation import Shot, Sources, simulate_image
+from giantlike.simulation.incident import SimulationOptions
 
 CAMERA = Camera(
     name="test camera",

@@ -31,7 +31,11 @@ PACKAGES = (
     "giantlike.core.outcomes",
     "giantlike.core.detector",
     "giantlike.stars.rates",
-    "giantlike.navigation",
+    "giantlike.triangulation",
+    "giantlike.passes",
+    "giantlike.cislunar",
+    "giantlike.autonomy",
+    "giantlike.dynamics",
 )
 """Modules whose names are promised to users; all other modules may change without notice."""
 

@@ -183,7 +183,7 @@ def _file_of(kind: str) -> str:
 
 def _end_children() -> None:
     """End the process that reads kernels, which nothing else does where Python's own end is left out."""
-    from giantlike.core.child import end_template
+    from giantlike._system.child import end_template
 
     end_template()
 

@@ -16,7 +16,7 @@ import tomli_w
 import trimesh
 
 import giantlike as gl
-from giantlike.bench.dossier_check import check_dossier
+from giantlike._system.reading import file_sha256
 from giantlike.campaign.compare import external
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.render.plan import RenderPlan
@@ -29,7 +29,6 @@ from giantlike.catalogs.readers import build_catalog
 from giantlike.catalogs.stored import save_catalog
 from giantlike.cli.frames_input import frames_table
 from giantlike.core.causes import Cause
-from giantlike.core.reading import file_sha256
 from giantlike.gauntlet.files import load_results, save_results
 from giantlike.gauntlet.run import Gauntlet, ImageResult
 from giantlike.gauntlet.trial import TrialRow
@@ -47,6 +46,7 @@ from giantlike.shapes.landmarks import LandmarkCatalog, landmark_of, load_landma
 from giantlike.stars import star_index
 from giantlike.stars.rates import read_rates
 from giantlike.terrain import HeightMap
+from giantlike.viewer.dossier_check import check_dossier
 from tests.camera_models.test_camera_models import NAVCAM
 from tests.campaign import test_export as run_files
 from tests.campaign_files import campaign_table

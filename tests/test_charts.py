@@ -10,16 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
-from giantlike.plotting import (
-    Axis,
-    Chart,
-    ChartSheet,
-    Layer,
-    Shape,
-    charts_figure,
-    charts_svg,
-    residual_map_svg,
-)
+from giantlike.plotting import charts_figure
+from giantlike.plotting.charts import Axis, Chart, ChartSheet, charts_svg
+from giantlike.plotting.layers import Layer, Shape
+from giantlike.plotting.residual_map import residual_map_svg
 
 _SVG = "{http://www.w3.org/2000/svg}"
 

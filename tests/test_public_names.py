@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import warnings
 from importlib import import_module
@@ -16,6 +17,9 @@ from tests.exported import constructor_keywords, parameter_names
 PROMISED: dict[str, dict[str, Any]] = json.loads(
     Path(__file__).with_name("public_names_0_1_0.json").read_text(encoding="utf-8")
 )
+
+MOVED = ("giantlike.bench", "giantlike.calibration", "giantlike.navigation", "giantlike.stars")
+"""Modules with names that were moved elsewhere."""
 
 RENAMED_PARAMETERS = {"render": {"recentre"}}
 """Parameters of functions that have another name since, by CHANGELOG.md."""
@@ -58,6 +62,19 @@ def test_functions_take_every_parameter_that_they_took_in_0_1_0(package: str) ->
         if (lack := set(had) - set(parameter_names(current(package, name))) - RENAMED_PARAMETERS.get(name, set()))
     }
     assert not lost, f"functions of {package} lost parameters"
+
+
+@pytest.mark.parametrize("module", MOVED)
+def test_names_that_went_elsewhere_work_at_their_old_place_and_warn(module: str) -> None:
+    old = import_module(module)
+    places = inspect.getclosurevars(old.__getattr__).nonlocals["home_of"]
+    assert places
+    for name, (home, new) in places.items():
+        with pytest.warns(DeprecationWarning, match=f"{name} is now {home}.{new};"):
+            value = getattr(old, name)
+        assert value is getattr(import_module(home), new)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = old.nothing
 
 
 def test_a_renamed_keyword_works_and_warns() -> None:

@@ -11,6 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from giantlike._system.reading import file_sha256
 from giantlike.catalogs.catalog import MemoryCatalog
 from giantlike.catalogs.readers.fixed_width import read_hipparcos, read_tycho2
 from giantlike.catalogs.readers.mapped import ColumnMap, column_map, read_gaia, read_mapped, read_usno_gnc
@@ -20,7 +21,6 @@ from giantlike.catalogs.stored import Source
 from giantlike.catalogs.table import joined
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.reading import file_sha256
 from giantlike.core.values import Value
 
 __all__ = ["FORMATS", "Built", "ColumnMap", "build_catalog", "column_map"]

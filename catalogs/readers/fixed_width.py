@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.reading import reads, unzipped
 from giantlike.catalogs.readers.rows import CLOSE_ARCSEC, HIPPARCOS_EPOCH, ReadStars, parsed, rms, stars_of
 from giantlike.core.arrays import Float
-from giantlike.core.reading import reads, unzipped
 from giantlike.core.values import Value
 
 Places = Mapping[str, tuple[int, int]]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.reading import check, reads, toml_table
 from giantlike.catalogs.readers.rows import (
     CLOSE_ARCSEC,
     DEFAULTS,
@@ -25,7 +26,6 @@ from giantlike.catalogs.readers.tabular import Table, open_table
 from giantlike.catalogs.table import COLUMN_TYPES
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
-from giantlike.core.reading import check, reads, toml_table
 
 Term = str | float
 """``NAME`` or ``NAME*FACTOR`` of a column, or a number that all stars have in common."""

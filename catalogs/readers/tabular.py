@@ -17,11 +17,11 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.reading import check, check_declared_bytes, unzipped
 from giantlike.catalogs.readers.rows import parsed
 from giantlike.core.arrays import Mask
 from giantlike.core.errors import DataError
 from giantlike.core.fits_structure import require_whole_fits
-from giantlike.core.reading import check, check_declared_bytes, unzipped
 from giantlike.core.values import Value
 
 MISSING = ("", "null", "nan", "none", "na", "n/a", "--", "\\n")

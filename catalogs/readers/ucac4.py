@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.reading import reads
 from giantlike.catalogs.readers.rows import ReadStars, rms, stars_of
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError
-from giantlike.core.reading import reads
 
 RECORD = np.dtype(
     [

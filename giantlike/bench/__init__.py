@@ -1,19 +1,14 @@
-"""The analyst's bench: look into a run image by image, at the shell, in Python and in a browser."""
+"""Deprecated: names of :mod:`giantlike.viewer` by their old place, with a warning."""
 
-from giantlike.bench.explain import explain
-from giantlike.bench.layers import LAYERS, MarkLayer, layers_of
-from giantlike.bench.planes import backplanes_of, with_terminators, write_backplanes
-from giantlike.bench.session import SeenImage, Session, verdict_of
+from giantlike.core.deprecation import moved
 
-__all__ = [
-    "LAYERS",
-    "MarkLayer",
-    "SeenImage",
-    "Session",
-    "backplanes_of",
-    "explain",
-    "layers_of",
-    "verdict_of",
-    "with_terminators",
-    "write_backplanes",
-]
+__getattr__ = moved(
+    __name__,
+    {
+        "giantlike.viewer": "Session backplanes_of explain layers_of",
+        "giantlike.viewer.layers": "LAYERS MarkLayer",
+        "giantlike.viewer.planes": "with_terminators write_backplanes",
+        "giantlike.viewer.session": "SeenImage verdict_of",
+    },
+    until="0.4",
+)

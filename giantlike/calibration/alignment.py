@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from scipy.special import gammainc
 
+from giantlike._system.processes import one_thread
 from giantlike.core.arrays import Float, Mask, as_finite, require
 from giantlike.core.frames import FrameRotation
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.processes import one_thread
 from giantlike.core.statistics import squared_residuals
 from giantlike.core.values import Value
 
@@ -60,41 +60,16 @@ class AlignmentResult(Value):
     second: str = ""
 
     def rotation_at(self, temperature_c: float) -> Rotation:
-        """Return ``second_from_first`` at a temperature.
-
-        Parameters
-        ----------
-        temperature_c : float, Celsius
-            Temperature of the sensors.
-
-        Returns
-        -------
-        scipy Rotation
-        """
+        """Return ``second_from_first`` at a temperature."""
         turn = self.rate_rad_per_c * (temperature_c - self.reference_c)
         return Rotation.from_rotvec(turn) * self.rotation
 
     def frame_rotation_at(self, temperature_c: float) -> FrameRotation:
-        """Return ``second_from_first`` at a temperature with the names of the two frames, which products check.
-
-        Parameters
-        ----------
-        temperature_c : float, Celsius
-            Temperature of the sensors.
-
-        Returns
-        -------
-        FrameRotation
-        """
+        """Return ``second_from_first`` at a temperature with the names of the two frames, which products check."""
         return FrameRotation(rotation=self.rotation_at(temperature_c), target=self.second, source=self.first)
 
     def unwrap(self) -> AlignmentResult:
-        """Return the alignment itself; a :class:`~giantlike.core.outcomes.Failure` raises instead.
-
-        Returns
-        -------
-        AlignmentResult
-        """
+        """Return the alignment itself; a :class:`~giantlike.core.outcomes.Failure` raises instead."""
         return self
 
 
@@ -108,27 +83,7 @@ def align(
 ) -> AlignmentResult | Failure:
     """Weighted mean of n measured alignments, with a drift linear in temperature where temperatures are given.
 
-    Parameters
-    ----------
-    rotations : Rotation
-        n measurements of ``second_from_first``.
-    covariances_rad2 : (n, 3, 3), rad^2
-        Of the small rotation about the axes of the second sensor.
-    temperatures_c : (n,), Celsius, optional
-        If given, the drift is estimated too.
-    outlier_sigma : float
-        Rejection limit of measurements, in units of their sigma times the robust spread of all. Default 5: of 1,000
-        good measurements, a three-dimensional normal error exceeds it once in 65 alignments.
-
-    Returns
-    -------
-    AlignmentResult or Failure
-        Reasons: too_few_matches, degenerate_geometry (one temperature only).
-
-    Raises
-    ------
-    InputError
-        Shapes disagree.
+    ``covariances_rad2`` (n, 3, 3); ``temperatures_c`` (n,).
     """
     count = len(rotations)
     covariances = as_finite(covariances_rad2, (count, 3, 3), "covariances_rad2")
@@ -171,25 +126,7 @@ def interlock(
 ) -> AlignmentResult | Failure:
     """Alignment ``second_from_first`` from n attitudes of two sensors at the same times.
 
-    Parameters
-    ----------
-    first_from_inertial, second_from_inertial : FrameRotation or Rotation
-        n attitudes each: a star tracker's and a camera's, for example. If both name their frames, both must refer
-        to the same inertial frame.
-    first_covariance_rad2, second_covariance_rad2 : (n, 3, 3), rad^2
-        Each about its own sensor's axes.
-    temperatures_c : (n,), Celsius, optional
-
-    Returns
-    -------
-    AlignmentResult or Failure
-
-    Raises
-    ------
-    InputError
-        Shapes disagree.
-    FrameMismatchError
-        The attitudes refer to different inertial frames.
+    ``first_covariance_rad2``, ``second_covariance_rad2`` (n, 3, 3); ``temperatures_c`` (n,).
 
     References
     ----------

@@ -106,23 +106,8 @@ def board_observations(
 ) -> tuple[list[ImageObservations], list[tuple[str, Failure]]]:
     """Observations of a checkerboard for :func:`~giantlike.calibration.calibrate`, with a first pose in every image.
 
-    Parameters
-    ----------
-    images : sequence of Image
-        All of one camera, with the board in different places, also near the edges of the field.
-    model : CameraModel
-        Start of :func:`~giantlike.calibration.calibrate`.
-    across, down : int
-        Inner corners of the board.
-    square : float
-        Side of a square in any unit of length, the same as for the poses; the camera model does not depend on it.
-    sigma_px : float, px
-        Standard deviation of a corner per axis.
-
-    Returns
-    -------
-    list of ImageObservations, list of (str, Failure)
-        Observations of the images that show the whole board; names of the others, and the reasons.
+    ``square``: side of a square in any unit of length, the same as for the poses
+    (the camera model does not depend on it).
 
     References
     ----------

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import gammainc
 
+from giantlike._system.processes import one_thread
 from giantlike.calibration.bundle_adjustment import Data, Minimum, State, covariance_of, minimize, predict
 from giantlike.calibration.criteria import CalibrationCriteria
 from giantlike.calibration.field_map import FieldSensitivity
@@ -21,7 +22,6 @@ from giantlike.calibration.result import CalibrationResult, ImageCalibration, Re
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.processes import one_thread
 from giantlike.core.statistics import MEDIAN_CHI2
 from giantlike.core.values import Value
 from giantlike.core.version import VERSION

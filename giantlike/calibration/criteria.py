@@ -31,11 +31,6 @@ class CalibrationCriteria:
         Smallest number of observations kept per parameter of the camera. Default 3, six equations.
     min_covered : float
         Smallest fraction of nine equal parts of the field with observations. Default 0.6: six of nine.
-
-    Raises
-    ------
-    InputError
-        A value is not positive.
     """
 
     max_residual_px: float = 0.5
@@ -50,17 +45,7 @@ class CalibrationCriteria:
             require(getattr(self, name) > 0, f"{name} must be > 0, got {getattr(self, name)}")
 
     def missed_by(self, result: CalibrationResult) -> tuple[str, ...]:
-        """Criteria that a calibration misses, one sentence each; empty if it meets all.
-
-        Parameters
-        ----------
-        result : CalibrationResult
-
-        Returns
-        -------
-        tuple of str
-            Each with the required and the actual value.
-        """
+        """Criteria that a calibration misses, one sentence each; empty if it meets all."""
         missed = []
         weighted_px = result.weighted_rms_px()
         if weighted_px > self.max_residual_px:

@@ -102,15 +102,7 @@ def collimator_directions(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> F
     the other way. All images of a grid form one composite: one :class:`ImageObservations` whose
     ``camera_from_reference`` is the orientation of the camera on the stage.
 
-    Parameters
-    ----------
-    azimuth_rad, elevation_rad : (n,) float64, rad
-        Angles read from the encoders.
-
-    Returns
-    -------
-    (n, 3) float64, unitless
-        Unit vectors in the axes of the stage.
+    ``azimuth_rad``, ``elevation_rad`` (n,); returns (n, 3), unit vectors in the axes of the stage.
 
     References
     ----------

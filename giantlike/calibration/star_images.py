@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.processes import one_thread
 from giantlike.calibration.calibrate import calibrate
 from giantlike.calibration.criteria import CalibrationCriteria
 from giantlike.calibration.observations import ImageObservations
@@ -21,7 +22,6 @@ from giantlike.camera_models import BrownModel, CameraModel, model_from_mapping,
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import AttitudeFix, Failure, Reason
-from giantlike.core.processes import one_thread
 from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.stars.field import Sky, StarField
@@ -184,29 +184,7 @@ def identify_first(
 def observations_of_fix(
     fix: AttitudeFix, sky: Sky, camera: Camera, *, name: str, temperature_c: float = 0.0
 ) -> ImageObservations:
-    """Observations for :func:`~giantlike.calibration.calibrate` from an attitude solution.
-
-    Parameters
-    ----------
-    fix : AttitudeFix
-    sky : Sky
-        The catalog as the observer saw it; its apparent directions are the targets.
-    camera : Camera
-        The camera that the attitude was solved with.
-    name : str
-        Name of the image in reports.
-    temperature_c : float, Celsius
-
-    Returns
-    -------
-    ImageObservations
-        The stars that the attitude rests on.
-
-    Raises
-    ------
-    InputError
-        A star of the fix is not in the catalog where the camera points.
-    """
+    """Observations for :func:`~giantlike.calibration.calibrate` from an attitude solution."""
     field = _stars_of_ids(sky, camera, fix.camera_from_inertial, fix.star_ids, name)
     return _observations(name, field, fix.camera_from_inertial, fix.observed_px, fix.sigma_px, temperature_c)
 

@@ -10,9 +10,9 @@ from typing import TypeVar
 
 import numpy as np
 
+from giantlike._system.compiled import compiled
 from giantlike.camera_models.plane import LAST_STEP, MAX_NEWTON_STEPS, STEP_PER_ERROR
 from giantlike.core.arrays import Float
-from giantlike.core.compiled import compiled
 
 Coordinate = TypeVar("Coordinate", float, Float)
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from giantlike._system.reading import toml_table
 from giantlike.calibration.star_images import start_model
 from giantlike.campaign.file.config import Campaign, images_of, stars_of
 from giantlike.campaign.file.frame_files import frames_of
@@ -23,7 +24,6 @@ from giantlike.campaign.file.schema import CampaignFile, TargetSection
 from giantlike.campaign.file.toml_file import checked_table, problems_of
 from giantlike.campaign.file.toml_lines import line_of, lines_of_keys
 from giantlike.core.errors import DataError, InputError, OpNavError
-from giantlike.core.reading import toml_table
 from giantlike.image import Image
 from giantlike.io.geometry_table import GeometryTable
 from giantlike.presets import preset_names

@@ -12,12 +12,12 @@ from types import MappingProxyType
 
 import numpy as np
 
+from giantlike._system.atomic import make_folder, name_of_file
 from giantlike.camera import Camera
 from giantlike.campaign.store.observables import run_observables, write_run_observables
 from giantlike.campaign.store.records import Attitude, AttitudeRecord
 from giantlike.campaign.store.results import RunResult, attitude_series, camera_of_run, load_result
 from giantlike.core.arrays import require
-from giantlike.core.atomic import make_folder, name_of_file
 from giantlike.core.errors import InputError
 from giantlike.core.frames import quaternion_xyzw, require_same_frame
 from giantlike.core.outcomes import Failure

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from giantlike._system.atomic import write_text_atomic
 from giantlike.core.arrays import require
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.image import Image
 

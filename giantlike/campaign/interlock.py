@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from giantlike._system.atomic import make_folder, write_text_atomic
 from giantlike.calibration.alignment import AlignmentResult, interlock
 from giantlike.campaign.store.results import attitude_series, camera_of_run, load_result
 from giantlike.core.arrays import Float, finite_or_none, require
-from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.outcomes import Failure
@@ -162,7 +162,8 @@ def _rows(result: InterlockResult) -> Iterator[list[str | float]]:
 
 
 def _figure(result: InterlockResult) -> str:
-    from giantlike.plotting import Series, charts_svg, series_charts
+    from giantlike.plotting.charts import charts_svg
+    from giantlike.plotting.residuals import Series, series_charts
 
     fix = result.alignment
     hours = (result.et - result.et[0]) / 3600.0

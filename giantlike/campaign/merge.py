@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from giantlike._system.atomic import make_folder
 from giantlike.campaign.report.run_page import write_report
 from giantlike.campaign.store.changes import changes
 from giantlike.campaign.store.edits import add_edits, read_edits
@@ -16,7 +17,6 @@ from giantlike.campaign.store.results import RunResult, load_result
 from giantlike.campaign.store.run_folder import CAMERA_FILE, RunFolder
 from giantlike.campaign.store.tables import write_tables
 from giantlike.core.arrays import require
-from giantlike.core.atomic import make_folder
 from giantlike.core.errors import InputError
 
 _MAY_DIFFER = (

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from giantlike._system.atomic import write_text_atomic
 from giantlike.campaign.calibration.boards import BoardSetup, calibrate_boards
 from giantlike.campaign.calibration.solve import calibration_summary
 from giantlike.campaign.file.config import Campaign
@@ -18,7 +19,6 @@ from giantlike.cli.frames_input import frames_table
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import require
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import InputError, OpNavError
 from giantlike.image import Image
 

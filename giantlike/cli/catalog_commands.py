@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from giantlike._system.reading import file_sha256
 from giantlike.catalogs import apparent_directions, et_of_julian_year, load_catalog, proper_names
 from giantlike.catalogs.catalog import MemoryCatalog
 from giantlike.catalogs.join import join_catalogs
@@ -21,7 +22,6 @@ from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import Float, finite_or_none, require
 from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec, radec_from_direction
-from giantlike.core.reading import file_sha256
 from giantlike.core.units import RAD_PER_DEG
 
 _SHOWN = 40

@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from giantlike.bench.dossier import write_dossier
-from giantlike.bench.dossier_check import check_dossier, reproduce
 from giantlike.cli.arguments import Json, Workers
 from giantlike.cli.outcome import ExitCode, show_result
 from giantlike.core.arrays import require
+from giantlike.viewer.dossier import write_dossier
+from giantlike.viewer.dossier_check import check_dossier, reproduce
 
 _MOST_LINES = 20
 """Lines of differences that are printed; with --json all are."""

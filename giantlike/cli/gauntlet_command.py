@@ -9,14 +9,14 @@ from typing import Annotated, Any
 
 import typer
 
+from giantlike._system.atomic import make_folder
+from giantlike._system.processes import process_count
 from giantlike.campaign.store.lock import locked
 from giantlike.cli.arguments import Json, Overwrite, Resume, Workers
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import require
-from giantlike.core.atomic import make_folder
 from giantlike.core.errors import InputError
-from giantlike.core.processes import process_count
 from giantlike.gauntlet.files import has_results, load_results, save_results
 from giantlike.gauntlet.kinds import KINDS
 from giantlike.gauntlet.run import Gauntlet, ImageResult, run_gauntlet, summary_of

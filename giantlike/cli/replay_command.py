@@ -8,12 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
+from giantlike._system.atomic import make_folder
+from giantlike._system.processes import process_count
 from giantlike.cli.arguments import Json, Overwrite, Workers
 from giantlike.cli.outcome import ExitCode, show_result
 from giantlike.cli.progress import progress_bar
-from giantlike.core.atomic import make_folder
 from giantlike.core.errors import InputError
-from giantlike.core.processes import process_count
 from giantlike.missions import REPLAYS, ReplaySettings, run_replay, save_replay
 
 _MANY_JOBS = 1000

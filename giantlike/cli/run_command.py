@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
+from giantlike._system.processes import available_cpus, importing, keep_memory, start_server
 from giantlike.campaign.run import WORKER_MODULES
 from giantlike.cli.arguments import Json, Resume, Workers
 from giantlike.cli.outcome import ExitCode
-from giantlike.core.processes import available_cpus, importing, keep_memory, start_server
 
 
 def run(

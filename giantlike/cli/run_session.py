@@ -11,8 +11,8 @@ from pathlib import Path
 import typer
 
 from giantlike.campaign import Campaign, RunResult, run_campaign
-from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.cluster import DaskPool
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.log import LOGGER
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import StatusCounts

@@ -12,12 +12,12 @@ import typer
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.atomic import write_bytes_atomic
 from giantlike.camera_models import PinholeModel
 from giantlike.cli.arguments import Json, Overwrite, Units, UnitsOption
 from giantlike.cli.outcome import ExitCode, show_result
 from giantlike.cli.shape_commands import units_said
 from giantlike.core.arrays import require
-from giantlike.core.atomic import write_bytes_atomic
 from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec, east_north
 from giantlike.core.outcomes import Failure

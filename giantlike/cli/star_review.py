@@ -15,7 +15,13 @@ def write_review(
     folder: Path, path: Path, image: Image, detections: Detections, outcome: AttitudeFix | Failure
 ) -> tuple[Path, ...]:
     """Write ``NAME.stars.png`` (detections, matches, rejects on the image), ``NAME.residuals.png`` where solved."""
-    from giantlike.plotting import StarMarks, charts_figure, overlay_figure, overlay_panels, star_residual_charts
+    from giantlike.plotting import (
+        StarMarks,
+        charts_figure,
+        overlay_figure,
+        overlay_panels,
+        star_residual_charts,
+    )
 
     solved = outcome if isinstance(outcome, AttitudeFix) else None
     marks, said = StarMarks.of_detections(detections.points_px), "not solved"

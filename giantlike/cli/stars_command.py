@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from giantlike._system.atomic import make_folder
 from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog, load_catalog
 from giantlike.cli.arguments import Frames, Hdu, Images, Json, Sequence
@@ -20,7 +21,6 @@ from giantlike.cli.progress import with_progress
 from giantlike.cli.sequence_input import BOTH_PATTERNS, sequence_pattern, without_pattern
 from giantlike.cli.star_review import write_review
 from giantlike.core.arrays import require
-from giantlike.core.atomic import make_folder
 from giantlike.core.detector import Detector
 from giantlike.core.errors import OpNavError
 from giantlike.core.frames import pointing_deg, quaternion_xyzw

@@ -12,22 +12,29 @@ Arguments = ParamSpec("Arguments")
 Answer = TypeVar("Answer")
 
 
-def renamed(module: str, names: Mapping[str, str], *, until: str) -> Callable[[str], Any]:
-    """Return a module-level ``__getattr__`` that answers for renamed things.
+def moved(module: str, places: Mapping[str, str], *, until: str) -> Callable[[str], Any]:
+    """Return a module-level ``__getattr__`` that answers for names that went elsewhere or were renamed.
+
+    ``places`` maps each new module to the names that went there, separated by spaces; ``Old:New`` for a new name.
 
     Examples
     --------
     In ``giantlike/calibration/__init__.py``::
 
-        __getattr__ = renamed(__name__, {"CalibrationFix": "CalibrationResult"}, until="0.4")
+        __getattr__ = moved(__name__, {"giantlike.calibration": "CalibrationFix:CalibrationResult"}, until="0.4")
     """
+    home_of: dict[str, tuple[str, str]] = {}
+    for home, names in places.items():
+        for old, _, new in (each.partition(":") for each in names.split()):
+            home_of[old] = home, new or old
 
     def __getattr__(name: str) -> Any:
-        if name not in names:
+        if name not in home_of:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
-        message = f"{module}.{name} is now {module}.{names[name]}; the old name goes in version {until}"
+        home, new = home_of[name]
+        message = f"{module}.{name} is now {home}.{new}; the old place goes in version {until}"
         warnings.warn(message, DeprecationWarning, stacklevel=2)
-        return getattr(import_module(module), names[name])
+        return getattr(import_module(home), new)
 
     return __getattr__
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float
-from giantlike.core.compiled import compiled
 
 RIDGE = 1e-12
 """Added to normal matrices of unit diagonal: beyond rounding, below all information."""

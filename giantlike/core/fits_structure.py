@@ -7,7 +7,7 @@ from mmap import mmap
 
 import numpy as np
 
-from giantlike.core.reading import check
+from giantlike._system.reading import check
 
 _BLOCK, _CARD = 2880, 80  # bytes: FITS Standard 4.0, sections 3.1 and 4.1
 _MOST_AXES = 999  # FITS standard 4.0, section 4.4.1.1

@@ -11,9 +11,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
-from giantlike.core.atomic import append_text, write_text_atomic
+from giantlike._system.atomic import append_text, write_text_atomic
+from giantlike._system.reading import check, reads
 from giantlike.core.errors import DataError
-from giantlike.core.reading import check, reads
 from giantlike.core.version import VERSION
 from giantlike.gauntlet.page import page_of
 from giantlike.gauntlet.run import Gauntlet, ImageResult, summary_of

@@ -18,9 +18,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from giantlike._system.processes import one_thread_each
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
-from giantlike.core.processes import one_thread_each
 from giantlike.core.values import Value
 from giantlike.gauntlet.kinds import KINDS
 from giantlike.gauntlet.real import REAL_KIND, image_files, real_rows

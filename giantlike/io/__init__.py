@@ -1,6 +1,6 @@
 """Readers and writers of files: images, SPICE kernels, cameras, geometry and ephemeris tables."""
 
-from giantlike.core.atomic import write_bytes_atomic, write_text_atomic
+from giantlike._system.atomic import write_bytes_atomic, write_text_atomic
 from giantlike.core.observer import ObserverState
 from giantlike.io.ephemeris_table import read_ephemeris_table
 from giantlike.io.fits import navigation_header, write_fits

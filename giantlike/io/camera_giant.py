@@ -15,11 +15,11 @@ from xml.etree import ElementTree
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.reading import check, reads
 from giantlike.camera_models import BrownModel, EquidistantModel, OpenCVModel, OwenModel, PinholeModel
 from giantlike.camera_models.affine import AffineModel
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
-from giantlike.core.reading import check, reads
 from giantlike.io.mission_frame import Boresight, ImportedCamera, from_mission_frame
 
 _KINDS: dict[str, type[AffineModel]] = {

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
+from giantlike._system.reading import check, reads
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
-from giantlike.core.reading import check, reads
 from giantlike.io.mission_frame import Boresight, ImportedCamera, from_mission_frame
 
 _BLOCK = re.compile(r"\\begindata(.*?)(?=\\begintext|\Z)", re.DOTALL)

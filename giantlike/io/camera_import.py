@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from giantlike._system.reading import reads
 from giantlike.core.errors import InputError
-from giantlike.core.reading import reads
 from giantlike.io.camera_giant import read_giant_camera
 from giantlike.io.camera_ik import read_ik_camera
 from giantlike.io.camera_opencv import read_opencv_camera

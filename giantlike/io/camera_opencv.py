@@ -16,12 +16,12 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.atomic import write_text_atomic
+from giantlike._system.reading import reads
 from giantlike.camera_models import BrownModel, CameraModel, EquidistantModel, OpenCVModel, PinholeModel
 from giantlike.camera_models.affine import TEMPERATURE_NAMES, AffineModel
 from giantlike.core.arrays import Float, require
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import InputError
-from giantlike.core.reading import reads
 from giantlike.io.mission_frame import ImportedCamera
 
 # Order and possible numbers of distortion coefficients: OpenCV 4 documentation, module calib3d, "Detailed Description".

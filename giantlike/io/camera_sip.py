@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.reading import reads
 from giantlike.camera_models import CameraModel
 from giantlike.camera_models.convert import Conversion, fit_lens, frame_grid
 from giantlike.camera_models.registry import lens_class
 from giantlike.core.arrays import Float, require, unit
 from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec, east_north, radec_from_direction, rotate
-from giantlike.core.reading import reads
 from giantlike.core.values import Value
 from giantlike.io.mission_frame import ImportedCamera
 

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from giantlike._system.atomic import write_text_atomic
 from giantlike.core.arrays import Float, require
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.time import time_from_et, utc_text
 from giantlike.core.version import VERSION
 from giantlike.io.attitude_series import AttitudeSeries

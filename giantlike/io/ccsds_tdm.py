@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+from giantlike._system.atomic import write_text_atomic
 from giantlike.core.arrays import require
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.version import VERSION
 
 ABERRATION_REMOVED = "stellar aberration is removed"

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.atomic import write_text_atomic
+from giantlike._system.reading import reads
 from giantlike.core.arrays import Float
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import rotation_from_xyzw
-from giantlike.core.reading import reads
 from giantlike.core.time import et_from_time, time_from_utc
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from giantlike.core.reading import check
+from giantlike._system.reading import check
 
 # Layout of a DAF file, bytes and words: NAIF, "DAF Required Reading", sections on file and summary records.
 _RECORD_BYTES, _WORD_BYTES = 1024, 8

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.atomic import write_bytes_atomic
+from giantlike._system.child import in_child
+from giantlike._system.reading import check, reads
 from giantlike.core.arrays import as_finite, as_image, require
-from giantlike.core.atomic import write_bytes_atomic
-from giantlike.core.child import in_child
 from giantlike.core.errors import InputError
 from giantlike.core.fits_structure import require_whole_fits
 from giantlike.core.frames import quaternion_xyzw
-from giantlike.core.reading import check, reads
 from giantlike.core.time import utc_text
 from giantlike.io.decoded import DecodedImage, HeaderValue
 from giantlike.io.fits_keywords import (

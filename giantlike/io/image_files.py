@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.reading import reads, unzipped
 from giantlike.core.arrays import Mask
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.observer import ObserverState
 from giantlike.core.pixel_noise import EightBitValues
-from giantlike.core.reading import reads, unzipped
 from giantlike.core.values import Value
 from giantlike.io.decoded import DecodedImage, HeaderValue
 from giantlike.io.fits import decode_fits

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.child import in_child
+from giantlike._system.reading import check, reads
 from giantlike.core.arrays import Mask
-from giantlike.core.child import in_child
 from giantlike.core.extras import require_extra
-from giantlike.core.reading import check, reads
 from giantlike.io.decoded import DecodedImage
 from giantlike.io.label_times import label_epoch, label_exposure_s
 from giantlike.io.pds3 import parse_pds3

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.atomic import replacing
+from giantlike._system.reading import check_declared_bytes, reads
 from giantlike.core.arrays import require
-from giantlike.core.atomic import replacing
 from giantlike.core.causes import Cause
 from giantlike.core.errors import DataError
-from giantlike.core.reading import check_declared_bytes, reads
 from giantlike.core.values import Value
 from giantlike.io.tables import arrow_schema, column, columns_of
 

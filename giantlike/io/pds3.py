@@ -13,7 +13,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from giantlike.core.reading import check, reads
+from giantlike._system.reading import check, reads
 from giantlike.io.decoded import DecodedImage, HeaderValue
 from giantlike.io.label_statements import statements
 from giantlike.io.label_times import label_epoch, label_exposure_s

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.atomic import write_text_atomic
 from giantlike.core.arrays import Float, require
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.frames import east_north, radec_from_direction, rotate
 from giantlike.core.time import time_from_et, utc_text
 from giantlike.core.values import Value

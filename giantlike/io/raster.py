@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.reading import check, check_declared_bytes, reads
 from giantlike.core.pixel_noise import EightBitValues
-from giantlike.core.reading import check, check_declared_bytes, reads
 from giantlike.io.decoded import DecodedImage
 
 LUMINANCE_BGR = (0.114, 0.587, 0.299)

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.atomic import write_text_atomic
 from giantlike.core.arrays import Float, as_finite
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError
 from giantlike.core.time import time_from_utc, utc_text
 from giantlike.core.values import Value

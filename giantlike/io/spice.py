@@ -21,10 +21,10 @@ from typing import TypeVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.child import in_child
+from giantlike._system.reading import file_sha256, library_message, reads
 from giantlike.core.arrays import Float, require
-from giantlike.core.child import in_child
 from giantlike.core.errors import DataError
-from giantlike.core.reading import file_sha256, library_message, reads
 from giantlike.core.time import time_from_et, utc_text
 from giantlike.io.daf import require_whole_daf, try_segments
 from giantlike.shapes import Ellipsoid

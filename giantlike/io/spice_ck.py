@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.atomic import replacing, write_text_atomic
+from giantlike._system.reading import library_message
 from giantlike.core.arrays import Float, require
-from giantlike.core.atomic import replacing, write_text_atomic
 from giantlike.core.errors import DataError
-from giantlike.core.reading import library_message
 from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 from giantlike.io.attitude_series import AttitudeSeries

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.reading import library_message
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.reading import library_message
 from giantlike.core.time import et_from_time, time_from_et, time_from_utc, utc_text
 from giantlike.io.decoded import HeaderValue
 from giantlike.io.spice import CoverageError, attitude

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar, get_args, get_type_hints
 
-from giantlike.core.atomic import write_bytes_atomic
+from giantlike._system.atomic import write_bytes_atomic
 from giantlike.io.csv_rows import CsvRow, read_csv_rows, write_csv_rows
 
 Row = TypeVar("Row")

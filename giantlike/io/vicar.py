@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.reading import check, reads
 from giantlike.core.arrays import Mask
-from giantlike.core.reading import check, reads
 from giantlike.io.decoded import DecodedImage, HeaderValue
 from giantlike.io.label_times import label_epoch, label_exposure_s
 from giantlike.io.raw_image import RawLayout, label_count, read_raw

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.atomic import replacing
 from giantlike.camera_models import CameraModel
 from giantlike.camera_models.convert import frame_grid
-from giantlike.core.atomic import replacing
 from giantlike.core.errors import InputError
 from giantlike.core.frames import rotate
 from giantlike.core.time import time_from_et, utc_text

@@ -15,9 +15,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from giantlike._system.atomic import make_folder, write_text_atomic
 from giantlike.campaign.report.templates import render_page
 from giantlike.core.arrays import require
-from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.errors import InputError
 from giantlike.core.version import VERSION
 
@@ -274,7 +274,7 @@ def save_replay(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
 
 def _page_of(replay: Replay, summary: Mapping[str, Any]) -> str:
     """The page: sections in the order of the paper, then the assumptions."""
-    from giantlike.plotting import svg_text
+    from giantlike.plotting.style import svg_text
 
     return render_page(
         "replay.html.j2",

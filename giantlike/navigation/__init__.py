@@ -1,213 +1,55 @@
-"""Estimation from series of images: passes, filters, covariance analysis, positions from several bodies."""
+"""Deprecated: names of triangulation, passes, cislunar, autonomy and dynamics by their old place, with a warning."""
 
-from giantlike.navigation.batch import BatchSolution, estimate_batch
-from giantlike.navigation.body_measurements import (
-    TangentCamera,
-    angular_diameter,
-    disk_diameter,
-    measure_body,
-    measurement_partials,
-    position_from_measurement,
-    range_from_disk_diameter,
-    range_per_diameter,
-    range_sigma,
-    tangent_angles,
-)
-from giantlike.navigation.body_photometry import (
-    BodyLight,
-    Identified,
-    PatchOfLight,
-    PhotometricCamera,
-    chandrasekhar_sphere,
-    expected_dn,
-    identify_body,
-)
-from giantlike.navigation.body_search import SearchOptions, SeenPatch, find_patches, pointing_slew
-from giantlike.navigation.camera_sources import (
-    CameraSource,
-    ExposureRequest,
-    FolderCamera,
-    SimulatedCamera,
-    TriggerPlan,
-    take_pair,
-    trigger_plan,
-)
-from giantlike.navigation.cislunar_covariance import (
-    Dispersed,
-    after_coast,
-    after_correction,
-    after_image,
-    after_steps,
-    reference_steps,
-)
-from giantlike.navigation.cislunar_filter import (
-    BodyObservation,
-    FilterModel,
-    FilterState,
-    Innovations,
-    Transition,
-    coast,
-    maneuver,
-    measurement_update,
-    predicted,
-    time_update,
-)
-from giantlike.navigation.dynamics import (
-    Flight,
-    PointMasses,
-    ThirdBody,
-    cislunar,
-    fly,
-    moon_position_km,
-    sun_position_km,
-)
-from giantlike.navigation.limb_modes import limb_waves, wave_amplitudes
-from giantlike.navigation.linear_covariance import (
-    JointDispersion,
-    dispersed_correction,
-    dispersed_measurement,
-    dispersed_step,
-)
-from giantlike.navigation.measurement_errors import BodyErrorModel
-from giantlike.navigation.mode_machine import InstrumentState, Mode, ModeMachine, Slew, Telemetry
-from giantlike.navigation.pass_estimator import estimate_pass
-from giantlike.navigation.pass_fix import PassFix, TermTest, TimetagJitter, WeakCombination
-from giantlike.navigation.pass_images import LimbPoints, MeasuredPosition, NavigationPass, PassImage
-from giantlike.navigation.pass_run import RunPass, pass_from_rows, pass_from_run
-from giantlike.navigation.pass_terms import PassOptions, PassTerm, Treatment
-from giantlike.navigation.refraction import SiteAtmosphere, refracted, unrefracted
-from giantlike.navigation.sightlines import (
-    Sightline,
-    StarEphemeris,
-    sightline_of_fix,
-    sightline_of_pixel,
-    without_aberration,
-)
-from giantlike.navigation.triangulation import (
-    TriangulatedPosition,
-    TriangulationMethod,
-    TriangulationOptions,
-    locate,
-    position_at_emission,
-    triangulate,
-)
-from giantlike.navigation.two_camera_pose import Interlock, PairPose, carried_attitude, pose_of_pair
-from giantlike.navigation.udu import (
-    ScalarUpdate,
-    UduFactors,
-    considered_update,
-    gauss_markov_step,
-    gram_schmidt,
-    plus_dyad,
-    scalar_update,
-    udu_factors,
-)
+from giantlike.core.deprecation import moved
 
-__all__ = [
-    "BatchSolution",
-    "BodyErrorModel",
-    "BodyLight",
-    "BodyObservation",
-    "CameraSource",
-    "Dispersed",
-    "ExposureRequest",
-    "FilterModel",
-    "FilterState",
-    "Flight",
-    "FolderCamera",
-    "Identified",
-    "Innovations",
-    "InstrumentState",
-    "Interlock",
-    "JointDispersion",
-    "LimbPoints",
-    "MeasuredPosition",
-    "Mode",
-    "ModeMachine",
-    "NavigationPass",
-    "PairPose",
-    "PassFix",
-    "PassImage",
-    "PassOptions",
-    "PassTerm",
-    "PatchOfLight",
-    "PhotometricCamera",
-    "PointMasses",
-    "RunPass",
-    "ScalarUpdate",
-    "SearchOptions",
-    "SeenPatch",
-    "Sightline",
-    "SimulatedCamera",
-    "SiteAtmosphere",
-    "Slew",
-    "StarEphemeris",
-    "TangentCamera",
-    "Telemetry",
-    "TermTest",
-    "ThirdBody",
-    "TimetagJitter",
-    "Transition",
-    "Treatment",
-    "TriangulatedPosition",
-    "TriangulationMethod",
-    "TriangulationOptions",
-    "TriggerPlan",
-    "UduFactors",
-    "WeakCombination",
-    "after_coast",
-    "after_correction",
-    "after_image",
-    "after_steps",
-    "angular_diameter",
-    "carried_attitude",
-    "chandrasekhar_sphere",
-    "cislunar",
-    "coast",
-    "considered_update",
-    "disk_diameter",
-    "dispersed_correction",
-    "dispersed_measurement",
-    "dispersed_step",
-    "estimate_batch",
-    "estimate_pass",
-    "expected_dn",
-    "find_patches",
-    "fly",
-    "gauss_markov_step",
-    "gram_schmidt",
-    "identify_body",
-    "limb_waves",
-    "locate",
-    "maneuver",
-    "measure_body",
-    "measurement_partials",
-    "measurement_update",
-    "moon_position_km",
-    "pass_from_rows",
-    "pass_from_run",
-    "plus_dyad",
-    "pointing_slew",
-    "pose_of_pair",
-    "position_at_emission",
-    "position_from_measurement",
-    "predicted",
-    "range_from_disk_diameter",
-    "range_per_diameter",
-    "range_sigma",
-    "reference_steps",
-    "refracted",
-    "scalar_update",
-    "sightline_of_fix",
-    "sightline_of_pixel",
-    "sun_position_km",
-    "take_pair",
-    "tangent_angles",
-    "time_update",
-    "triangulate",
-    "trigger_plan",
-    "udu_factors",
-    "unrefracted",
-    "wave_amplitudes",
-    "without_aberration",
-]
+__getattr__ = moved(
+    __name__,
+    {
+        "giantlike.autonomy": "ModeMachine expected_dn find_patches identify_body pose_of_pair",
+        "giantlike.autonomy.body_photometry": (
+            "BodyLight Identified PatchOfLight PhotometricCamera chandrasekhar_sphere"
+        ),
+        "giantlike.autonomy.body_search": "SearchOptions SeenPatch pointing_slew",
+        "giantlike.autonomy.camera_sources": (
+            "CameraSource ExposureRequest FolderCamera SimulatedCamera TriggerPlan take_pair trigger_plan"
+        ),
+        "giantlike.autonomy.mode_machine": "InstrumentState Mode Slew Telemetry",
+        "giantlike.autonomy.refraction": "SiteAtmosphere refracted unrefracted",
+        "giantlike.autonomy.two_camera_pose": "Interlock PairPose carried_attitude",
+        "giantlike.cislunar": (
+            "BodyErrorModel BodyObservation FilterModel FilterState estimate_batch measurement_update time_update "
+            "udu_factors"
+        ),
+        "giantlike.cislunar.batch": "BatchSolution",
+        "giantlike.cislunar.body_measurements": (
+            "TangentCamera angular_diameter disk_diameter measure_body measurement_partials "
+            "position_from_measurement range_from_disk_diameter range_per_diameter range_sigma tangent_angles"
+        ),
+        "giantlike.cislunar.covariance": (
+            "Dispersed after_coast after_correction after_image after_steps reference_steps"
+        ),
+        "giantlike.cislunar.filter": "Innovations Transition coast maneuver predicted",
+        "giantlike.cislunar.linear_covariance": (
+            "JointDispersion dispersed_correction dispersed_measurement dispersed_step"
+        ),
+        "giantlike.cislunar.udu": (
+            "ScalarUpdate UduFactors considered_update gauss_markov_step gram_schmidt plus_dyad scalar_update"
+        ),
+        "giantlike.dynamics": "Flight PointMasses ThirdBody cislunar fly moon_position_km sun_position_km",
+        "giantlike.passes": (
+            "LimbPoints NavigationPass PassFix PassImage PassOptions PassTerm RunPass estimate_pass pass_from_run"
+        ),
+        "giantlike.passes.fix": "TermTest TimetagJitter WeakCombination",
+        "giantlike.passes.images": "MeasuredPosition",
+        "giantlike.passes.limb_modes": "limb_waves wave_amplitudes",
+        "giantlike.passes.run": "pass_from_rows",
+        "giantlike.passes.terms": "Treatment",
+        "giantlike.triangulation": (
+            "Sightline StarEphemeris TriangulatedPosition TriangulationOptions locate sightline_of_fix "
+            "sightline_of_pixel triangulate"
+        ),
+        "giantlike.triangulation.positions": "TriangulationMethod position_at_emission",
+        "giantlike.triangulation.sightlines": "without_aberration",
+    },
+    until="0.4",
+)

@@ -27,17 +27,8 @@ def distortion_figure(
 ) -> Figure:
     """Distortion over the field (arrows on its size), and next to it the uncertainty of the camera map.
 
-    Parameters
-    ----------
-    points_px, distortion_px : (n, 2), px
-        A pinhole of the same focal length would image the direction of a point at ``points_px - distortion_px``.
-    sigma_points_px, sigma_px : (m, 2), (m,), px
-        Radial standard deviation of the map, modulo a rotation.
-    columns, rows : int
-
-    Returns
-    -------
-    Figure
+    ``points_px``, ``distortion_px`` (n, 2), a pinhole of the same focal length would image the direction of a point at
+    ``points_px - distortion_px``; ``sigma_points_px`` (m, 2), ``sigma_px`` (m,).
     """
     with drawing():
         figure, (left, right) = new_panels(10.0, 3.9, columns=2)
@@ -78,14 +69,7 @@ def _thinned(points_px: Float) -> NDArray[np.intp]:
 def correlation_figure(names: Sequence[str], correlation: Float) -> Figure:
     """Correlation matrix of estimated parameters, with its numbers.
 
-    Parameters
-    ----------
-    names : sequence of str
-    correlation : (k, k)
-
-    Returns
-    -------
-    Figure
+    ``correlation`` (k, k).
     """
     with drawing():
         side = 1.6 + 0.52 * len(names)
@@ -107,14 +91,7 @@ def correlation_figure(names: Sequence[str], correlation: Float) -> Figure:
 def residual_trend_figure(trends: Mapping[str, tuple[Float, Float, Float]]) -> Figure:
     """Residual rms against quantities it might depend on, one panel each, with the rms expected from the noise.
 
-    Parameters
-    ----------
-    trends : mapping of str to (n,), (n,), (n,)
-        By label of the axis: its values, the radial rms there and the radial rms expected there, px.
-
-    Returns
-    -------
-    Figure
+    ``trends`` mapping of str to (n,), (n,), (n,).
     """
     with drawing():
         figure, panels = new_panels(2.2 + 2.6 * len(trends), 2.9, columns=max(len(trends), 1), sharey=True)

@@ -56,18 +56,7 @@ class Axis:
     def around(cls, label: str, values: Float, *, margin: float = 0.05, logarithmic: bool = False) -> Axis:
         """Axis that contains given values.
 
-        Parameters
-        ----------
-        label : str
-        values : (n,)
-            Those that are not finite do not count.
-        margin : float
-            Fraction of the axis that stays empty at each end.
-        logarithmic : bool
-
-        Returns
-        -------
-        Axis
+        ``values`` (n,), those that are not finite do not count.
         """
         known = values[np.isfinite(values)]
         known = np.log10(known) if logarithmic else known
@@ -142,18 +131,7 @@ class ChartSheet(Value):
 
 
 def charts_svg(sheet: ChartSheet, name: str) -> str:
-    """Return charts as SVG, to put inside a page or to write to a file.
-
-    Parameters
-    ----------
-    sheet : ChartSheet
-    name : str
-        Differs for every figure of a page, so that their internal names do not clash.
-
-    Returns
-    -------
-    str
-    """
+    """Return charts as SVG, to put inside a page or to write to a file."""
     width, height = sheet.width_in * _UNITS_PER_IN, sheet.height_in * _UNITS_PER_IN
     name = "".join(letter if letter.isalnum() else "-" for letter in name)
     count, stacked = len(sheet.charts), sheet.stacked

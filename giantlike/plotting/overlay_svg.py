@@ -27,19 +27,7 @@ _TICKS = 5
 
 
 def overlay_svg(panels: Sequence[OverlayPanel], name: str) -> str:
-    """Return panels side by side as SVG to put inside a page.
-
-    Parameters
-    ----------
-    panels : sequence of OverlayPanel
-        Of :func:`giantlike.plotting.overlay_panels`.
-    name : str
-        Differs for every picture of a page, so that their internal names do not clash.
-
-    Returns
-    -------
-    str
-    """
+    """Return panels side by side as SVG to put inside a page."""
     width = PANEL_IN * _UNITS_PER_IN
     height = width * shown_aspect(panels[0])
     step = _LEFT + width + _RIGHT

@@ -139,15 +139,7 @@ class BodyMarks(Value):
 def stretched(pixels: NDArray[np.generic], *, longest_px: int = 640) -> NDArray[np.uint8]:
     """Return an image for viewing: noise dark gray, faint stars visible, the shading of bodies kept.
 
-    Parameters
-    ----------
-    pixels : (rows, columns), DN
-    longest_px : int
-        Larger images are reduced to about this many pixels along the longer side; single bright pixels survive.
-
-    Returns
-    -------
-    gray : (rows, columns) uint8
+    ``pixels`` in DN; returns ``gray`` (rows, columns).
     """
     image = np.ascontiguousarray(pixels, dtype=np.float32)
     factor = int(np.ceil(max(image.shape) / longest_px))

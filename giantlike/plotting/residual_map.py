@@ -33,21 +33,7 @@ _SCALE = np.linspace(-1.0, 1.0, 64)
 def residual_map_svg(at_px: Float, values: Float, cell_px: float, title: str, *, unit: str) -> str:
     """Draw a map of residuals.
 
-    Parameters
-    ----------
-    at_px : (n, 2) float64, px
-        Middles of cells, which stand on a grid.
-    values : (n,) float64
-    cell_px : float, px
-        Side of a cell.
-    title : str
-    unit : str
-        Of the values.
-
-    Returns
-    -------
-    str
-        SVG.
+    ``at_px`` (n, 2); ``values`` (n,).
     """
     low = at_px.min(axis=0)
     cells = np.rint((at_px - low) / cell_px).astype(np.int64)

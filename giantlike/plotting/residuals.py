@@ -53,19 +53,7 @@ class Series(Value):
 
 
 def series_charts(series: Sequence[Series], panels: Sequence[str], at_label: str, title: str) -> ChartSheet:
-    """Values with one-sigma bars, one panel per quantity, one color per series.
-
-    Parameters
-    ----------
-    series : sequence of Series
-    panels : sequence of str
-        Labels of the k quantities, with units; a quantity that no series has gets no panel.
-    at_label, title : str
-
-    Returns
-    -------
-    ChartSheet
-    """
+    """Values with one-sigma bars, one panel per quantity, one color per series."""
     shown = [k for k in range(len(panels)) if any(np.isfinite(part.values[:, k]).any() for part in series)] or [0]
     along = Axis.around(at_label, np.concatenate([part.at for part in series]), margin=0.03)
     charts = list[Chart]()
@@ -189,17 +177,7 @@ def _binned(magnitudes: Float, values: Float) -> Float:
 def correlation_surface_figure(surface: Float, peak_px: Float | None, title: str) -> Figure:
     """Correlation for shifts around a position, and the shift of its peak.
 
-    Parameters
-    ----------
-    surface : (2 h + 1, 2 h + 1) float64
-        Element [h + dy, h + dx] is of the shift (dx, dy), px; NaN where it is undefined.
-    peak_px : (2,) float64, px, or None
-        Shift of the peak; None where there is none.
-    title : str
-
-    Returns
-    -------
-    Figure
+    ``surface`` (2 h + 1, 2 h + 1), NaN where it is undefined; ``peak_px`` (2,).
     """
     half = (np.array(surface.shape[::-1]) - 1) / 2
     left, top = -half - 0.5

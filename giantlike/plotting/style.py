@@ -103,18 +103,7 @@ def show_field(axis: Axes, columns: int, rows: int) -> None:
 
 
 def svg_text(figure: Figure, name: str) -> str:
-    """Return a figure as SVG to put inside a page.
-
-    Parameters
-    ----------
-    figure : Figure
-    name : str
-        Differs for every figure of a page, so that their internal names do not clash.
-
-    Returns
-    -------
-    str
-    """
+    """Return a figure as SVG to put inside a page."""
     import matplotlib
 
     buffer = io.StringIO()

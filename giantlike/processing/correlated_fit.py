@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float, Mask, require
-from giantlike.core.compiled import compiled
 from giantlike.core.elimination import solve_normal, solve_symmetric
 from giantlike.core.statistics import MAD_TO_SIGMA
 from giantlike.core.values import Value

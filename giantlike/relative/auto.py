@@ -11,11 +11,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from giantlike._system.threads import at_once
 from giantlike.atmosphere import Atmosphere
 from giantlike.core.arrays import require
 from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
-from giantlike.core.threads import at_once
 from giantlike.ray_tracing import trace_silhouette
 from giantlike.relative.consensus import agreement_of, confirming, fused
 from giantlike.relative.estimator import BodyEstimator, Estimator

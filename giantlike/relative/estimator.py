@@ -11,13 +11,13 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 import cv2
 import numpy as np
 
+from giantlike._system.processes import one_thread
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.errors import BREAKDOWNS, breakdown_text
 from giantlike.core.findings import Response
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Reason
-from giantlike.core.processes import one_thread
 from giantlike.image import Image
 from giantlike.relative.budget import STRAIN_TENSION, place_difference, with_budget, with_error, with_larger_errors
 from giantlike.relative.inputs import EstimatorInputs, gather

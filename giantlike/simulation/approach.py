@@ -217,19 +217,7 @@ class Approach(Value):
     options: ApproachOptions
 
     def take(self, frame: Frame, catalog: StarCatalog) -> SimulatedImage:
-        """Simulate the image of a frame; equal frames give equal images.
-
-        Parameters
-        ----------
-        frame : Frame
-            One of the frames.
-        catalog : StarCatalog
-            Stars.
-
-        Returns
-        -------
-        SimulatedImage
-        """
+        """Simulate the image of a frame; equal frames give equal images."""
         return simulate_image(
             frame.shot,
             self.camera,

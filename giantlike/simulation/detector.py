@@ -58,11 +58,6 @@ class HotPixels(Value):
         Column and row of each; those outside a frame are left out.
     rate_e_s : (n,) float64, electron/s
         Dark current of each.
-
-    Raises
-    ------
-    InputError
-        Shapes disagree.
     """
 
     points_px: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
@@ -81,20 +76,7 @@ class HotPixels(Value):
     ) -> HotPixels:
         """Draw hot pixels uniformly over a detector, with log-uniform rates over a factor of ten about their median.
 
-        Parameters
-        ----------
-        count : int
-            Number of hot pixels.
-        columns, rows : int
-            Size of the detector.
-        rng : numpy Generator
-            Source of random numbers.
-        median_e_s : float, electron/s
-            Median rate.
-
-        Returns
-        -------
-        HotPixels
+        ``median_e_s`` in electron/s.
         """
         points = scattered_pixels(count, columns, rows, rng)
         return cls(points_px=points, rate_e_s=median_e_s * 10.0 ** rng.uniform(-_DECADES / 2, _DECADES / 2, count))
@@ -140,11 +122,6 @@ class DetectorModel(Value):
         Full-well capacity and blooming.
     bits : int
         Bits of the converter, at most 16: numbers end at ``2^bits - 1``.
-
-    Raises
-    ------
-    InputError
-        ``dead_px`` has another shape, or ``bits`` is out of range.
     """
 
     stray: StrayLight = field(default_factory=StrayLight)
@@ -211,28 +188,7 @@ def expose(
 ) -> Readout:
     """Convert the light on a detector to the digital numbers of an image.
 
-    Parameters
-    ----------
-    light_e : (rows, columns) float64, electron
-        Mean number of photoelectrons of each pixel during the exposure.
-    exposure_s : float, s
-        Exposure time, for dark current, stray light, cosmic rays and smear.
-    detector : Detector
-        Gain, read noise, bias and the number at which pixels saturate.
-    seed : int or tuple of int
-        Seed of all noise.
-    model : DetectorModel, optional
-        All other effects; by default there is only shot noise.
-
-    Returns
-    -------
-    Readout
-        Numbers are rounded and clipped to 0 and to ``detector.saturation_dn`` or the largest number of the converter.
-
-    Raises
-    ------
-    InputError
-        The light is not two-dimensional, negative or not finite, or a map has another size.
+    ``light_e`` (rows, columns).
     """
     light = as_floats(light_e, (), "light_e")
     require(light.ndim == 2, f"light_e must have shape (rows, columns), got {light.shape}")

@@ -68,17 +68,7 @@ class SimulationOptions:
     min_rays_across: int = 256
 
     def shared_among(self, moments: int) -> SimulationOptions:
-        """Return options that spend the rays of one image on several moments, each with its own random rays.
-
-        Parameters
-        ----------
-        moments : int
-            Number of moments.
-
-        Returns
-        -------
-        SimulationOptions
-        """
+        """Return options that spend the rays of one image on several moments, each with its own random rays."""
         fewer = 1.0 / math.sqrt(moments)
         return dataclasses.replace(
             self,

@@ -44,11 +44,6 @@ class Photometry:
         Distance of the bodies from the Sun.
     albedos : mapping of str to float
         Radiance factor of targets that differ from ``albedo``, by name.
-
-    Raises
-    ------
-    InputError
-        A value is not positive.
     """
 
     zero_point_e_s: float = 2.0e5
@@ -65,13 +60,7 @@ class Photometry:
     def star_rate_e_s(self, magnitudes: Float) -> Float:
         """Signal of stars.
 
-        Parameters
-        ----------
-        magnitudes : (n,) float64
-
-        Returns
-        -------
-        (n,) float64, electron/s
+        ``magnitudes`` (n,); returns (n,) electron/s.
         """
         rate: Float = self.zero_point_e_s * 10.0 ** (-0.4 * magnitudes)
         return rate
@@ -79,16 +68,7 @@ class Photometry:
     def surface_rate_e_s(self, camera: Camera, target: str | None = None) -> float:
         """Signal of a pixel that sees a surface lit and seen along its normal.
 
-        Parameters
-        ----------
-        camera : Camera
-            Gives the solid angle of the pixel at the image center.
-        target : str, optional
-            Name of the body, for its albedo.
-
-        Returns
-        -------
-        float, electron/s
+        Returned in electron/s.
         """
         sun_e_s = self.zero_point_e_s * math.pow(10.0, -0.4 * SUN_MAGNITUDE_G) / self.sun_distance_au**2
         pixel_sr = float(ifov_rad(camera.model, camera.center_px)) ** 2

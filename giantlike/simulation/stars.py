@@ -46,14 +46,7 @@ class StarField(Value):
     def select(self, index: ArrayLike) -> StarField:
         """Return some of the stars.
 
-        Parameters
-        ----------
-        index : (n,) bool or (k,) int
-            Mask or indices of the stars.
-
-        Returns
-        -------
-        StarField
+        ``index`` (n,) or (k,).
         """
         return select_rows(self, np.asarray(index))
 
@@ -66,25 +59,7 @@ def star_field(
     max_magnitude: float | None = None,
     smear_px: float = 0.0,
 ) -> StarField:
-    """Project the stars of a catalog into an image.
-
-    Parameters
-    ----------
-    catalog : StarCatalog or None
-        Without a catalog there are no stars.
-    camera : Camera
-    shot : Shot
-        Gives the epoch that stars are moved to, the attitude, and the observer for parallax and aberration.
-    max_magnitude : float, optional
-        Faintest star.
-    smear_px : float, px
-        Motion of the image during the exposure: stars up to that far outside the frame are kept.
-
-    Returns
-    -------
-    StarField
-        Stars whose light reaches the detector, some a few pixels outside it.
-    """
+    """Project the stars of a catalog into an image."""
     if catalog is None:
         empty = np.zeros((0, 3))
         return StarField(
@@ -111,26 +86,7 @@ def star_field(
 def point_sources(points_px: ArrayLike, flux: ArrayLike, *, sigma_px: float, columns: int, rows: int) -> Float:
     """Draw point sources with a round Gaussian PSF, integrated exactly over each pixel.
 
-    Parameters
-    ----------
-    points_px : (n, 2) array_like, px
-        Positions.
-    flux : (n,) array_like
-        Total flux of each source, in any unit.
-    sigma_px : float, px
-        Standard deviation of the PSF; 0 puts all light into one pixel.
-    columns, rows : int
-        Size of the image.
-
-    Returns
-    -------
-    (rows, columns) float64
-        Sum in each pixel, in the unit of ``flux``.
-
-    Raises
-    ------
-    InputError
-        Shapes disagree or ``sigma_px`` is negative.
+    ``points_px`` (n, 2); ``flux`` (n,); returns (rows, columns), sum in each pixel, in the unit of ``flux``.
     """
     points, light = as_floats(points_px, (2,), "points_px"), as_floats(flux, (), "flux")
     require(

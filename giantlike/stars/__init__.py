@@ -1,33 +1,27 @@
 """Attitude from stars: identification with and without an a priori attitude, and the weighted fit."""
 
-from __future__ import annotations
-
-from giantlike.stars.apriori import Identification, identify_apriori
-from giantlike.stars.attitude import AttitudeMethod, AttitudeSolution, Scale, fit_attitude
-from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky, StarField
-from giantlike.stars.lost_in_space import identify_lost_in_space
+from giantlike.core.deprecation import moved
 from giantlike.stars.navigation import StarNavigation
-from giantlike.stars.options import StarOptions, bright_enough
-from giantlike.stars.refine import RefinedAttitude, refine_attitude
-from giantlike.stars.transfer import TransferMethod, TransferOptions, carry_attitude
+from giantlike.stars.options import StarOptions
+from giantlike.stars.transfer import TransferOptions, carry_attitude
 
 __all__ = [
-    "EPOCH_WHEN_UNKNOWN",
-    "AttitudeMethod",
-    "AttitudeSolution",
-    "Identification",
-    "RefinedAttitude",
-    "Scale",
-    "Sky",
-    "StarField",
     "StarNavigation",
     "StarOptions",
-    "TransferMethod",
     "TransferOptions",
-    "bright_enough",
     "carry_attitude",
-    "fit_attitude",
-    "identify_apriori",
-    "identify_lost_in_space",
-    "refine_attitude",
 ]
+
+__getattr__ = moved(
+    __name__,
+    {
+        "giantlike.stars.apriori": "Identification identify_apriori",
+        "giantlike.stars.attitude": "AttitudeMethod AttitudeSolution Scale fit_attitude",
+        "giantlike.stars.field": "EPOCH_WHEN_UNKNOWN Sky StarField",
+        "giantlike.stars.lost_in_space": "identify_lost_in_space",
+        "giantlike.stars.options": "bright_enough",
+        "giantlike.stars.refine": "RefinedAttitude refine_attitude",
+        "giantlike.stars.transfer": "TransferMethod",
+    },
+    until="0.4",
+)

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.processes import one_thread
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.processes import one_thread
 from giantlike.core.values import Value
 from giantlike.processing.geometry.wahba import davenport_quaternions
 from giantlike.stars.field import half_diagonal_px
@@ -72,21 +72,8 @@ def identify_apriori(
     and the steps are repeated, so that the attitude may be wrong by more than the distance between stars. Shifts are
     compared first to ``inlier_px`` (for crowded fields), then to the spread that an error of roll gives them.
 
-    Parameters
-    ----------
-    directions_inertial : (n, 3) float64, unitless, inertial
-        Apparent unit vectors of catalog stars in and around the field of view, brightest first.
-    points_px : (m, 2) float64, px
-        Detections, brightest first.
-    camera : Camera
-    camera_from_inertial : Rotation
-        A priori attitude.
-    options : StarOptions
-
-    Returns
-    -------
-    Identification or Failure
-        Reasons: no_catalog_stars, too_few_detections, too_few_matches, ambiguous (the matches may be random).
+    ``directions_inertial`` (n, 3), apparent unit vectors of catalog stars in and around the field of view, brightest
+    first; ``points_px`` (m, 2), detections, brightest first.
 
     References
     ----------

@@ -12,11 +12,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import gammainc
 
+from giantlike._system.processes import one_thread
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.frames import rotate, turned_about
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.processes import one_thread
 from giantlike.core.statistics import error_floor, error_terms, squared_residuals, whitened
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
@@ -134,33 +134,8 @@ def fit_attitude(
     (:func:`~giantlike.core.statistics.error_terms`): the covariance of the attitude then includes the unmodeled error.
     No star weighs more than half of all others together, whose residuals could not show its unmodeled error.
 
-    Parameters
-    ----------
-    directions_inertial : (n, 3) float64, unitless, inertial
-        Apparent unit vectors of the stars.
-    points_px : (n, 2) float64, px
-        Centroids of the stars.
-    covariance_px2 : (n, 2, 2) float64, px^2
-        Of centroid and catalog together, positive definite.
-    model : CameraModel
-    scale : Scale
-        Parameters of the model to estimate too; ``RADIAL`` needs a model with ``k1``.
-    outlier_sigma : float
-        Rejection limit in standard deviations, default 4 as in :class:`~giantlike.stars.StarOptions`.
-    method : AttitudeMethod
-    uncertain : sequence of str
-        Parameters of the model whose errors are declared, and not in this covariance: residuals that they explain are
-        no sign of other errors.
-
-    Returns
-    -------
-    AttitudeSolution or Failure
-        Reasons: degenerate_geometry, not_converged.
-
-    Raises
-    ------
-    InputError
-        The scale is to be estimated by a method other than ``weighted``.
+    ``directions_inertial`` (n, 3), apparent unit vectors of the stars; ``points_px`` (n, 2); ``covariance_px2``
+    (n, 2, 2), of centroid and catalog together, positive definite.
 
     References
     ----------

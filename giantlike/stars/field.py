@@ -43,13 +43,7 @@ class StarField(Value):
     def select(self, which: NDArray[np.integer]) -> StarField:
         """Stars of the given indices (k,), in that order.
 
-        Parameters
-        ----------
-        which : (k,) int
-
-        Returns
-        -------
-        StarField
+        ``which`` (k,).
         """
         return replace(select_rows(self, which), stars=self.stars.select(which))
 
@@ -83,39 +77,14 @@ class Sky(Value):
     def field(
         self, camera: Camera, camera_from_inertial: Rotation, *, margin_px: float = 0.0, count: int | None = None
     ) -> StarField:
-        """Stars in the field of view of a camera.
-
-        Parameters
-        ----------
-        camera : Camera
-        camera_from_inertial : Rotation
-        margin_px : float, px
-            Width of the border around the image to include.
-        count : int, optional
-            Number of brightest stars to return; default all.
-
-        Returns
-        -------
-        StarField
-        """
+        """Stars in the field of view of a camera."""
         radius = half_diagonal_rad(camera) * _MARGIN + margin_px / camera.model.focal_length_px
         return self.cone(line_of_sight(camera, camera_from_inertial), min(radius, np.pi), count=count)
 
     def cone(self, direction_inertial: ArrayLike, radius_rad: float, *, count: int | None = None) -> StarField:
         """Stars in a cone.
 
-        Parameters
-        ----------
-        direction_inertial : (3,), unitless, inertial
-            Axis, a unit vector.
-        radius_rad : float, rad
-            Half opening angle.
-        count : int, optional
-            Number of brightest stars to return; default all.
-
-        Returns
-        -------
-        StarField
+        ``direction_inertial``: axis, a unit vector.
         """
         stars = self.catalog.cone(direction_inertial, radius_rad, max_magnitude=self.max_magnitude)
         if count is not None and count < len(stars):

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.processes import one_thread
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.processes import one_thread
 from giantlike.core.values import Value
 from giantlike.processing.geometry.wahba import davenport_quaternions
 from giantlike.stars.field import Sky, StarField, half_diagonal_rad, line_of_sight
@@ -69,23 +69,8 @@ def identify_lost_in_space(
 ) -> RefinedAttitude | Failure:
     """Find the attitude of an image anywhere on the sky.
 
-    Parameters
-    ----------
-    points_px : (m, 2) float64, px
-        Detections, brightest first.
-    covariance_px2 : (m, 2, 2) float64, px^2
-    camera : Camera
-        With ``options.estimate_scale`` only its field of view is used, known to ``options.scale_error``.
-    sky : Sky
-    options : StarOptions
-    until_s : float, s, optional
-        Time of :func:`time.thread_time` at which the search ends. Default: ``options.time_limit_s`` from now.
-
-    Returns
-    -------
-    RefinedAttitude or Failure
-        Reasons: time_limit, too_few_detections, no_catalog_stars (too few for such fields), fov_mismatch (stars
-        fit another focal length), mirrored_image, no_pattern_match.
+    ``points_px`` (m, 2), detections, brightest first; ``covariance_px2`` (m, 2, 2).
+    ``until_s`` is the time of :func:`time.thread_time` at which the search ends.
 
     References
     ----------

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.processes import one_thread
 from giantlike.camera import Camera
 from giantlike.camera_models import model_to_mapping
 from giantlike.catalogs import StarCatalog, proper_names
@@ -22,7 +23,6 @@ from giantlike.core.causes import Cause, summed
 from giantlike.core.errors import BREAKDOWNS, breakdown_text
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import AttitudeFix, Failure, Quality, Reason
-from giantlike.core.processes import one_thread
 from giantlike.core.time import utc_text
 from giantlike.core.version import VERSION
 from giantlike.image import Image

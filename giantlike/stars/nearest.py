@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float
-from giantlike.core.compiled import compiled
 
 _MOST_CELLS = 256  # along each axis: cells of a few pixels, and a table of them that stays in the cache
 

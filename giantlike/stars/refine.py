@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.processes import one_thread
 from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel, CameraModel, PinholeModel, ifov_rad
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.processes import one_thread
 from giantlike.core.values import Value
 from giantlike.stars.attitude import AttitudeSolution, Scale, fit_attitude
 from giantlike.stars.field import StarField
@@ -79,26 +79,7 @@ def refine_attitude(
 
     The number of brightest stars used is the one that makes the matches least likely to be random.
 
-    Parameters
-    ----------
-    field : StarField
-        Brightest first.
-    points_px : (m, 2) float64, px
-        Detections.
-    covariance_px2 : (m, 2, 2) float64, px^2
-    camera : Camera
-    camera_from_inertial : Rotation
-        First attitude.
-    radius_px : float, px
-        Match radius of the first round; ``options.inlier_px`` afterwards.
-    trials : callable
-        Number of distinguishable attitudes in the search, as a function of the match radius in px.
-    options : StarOptions
-
-    Returns
-    -------
-    RefinedAttitude or Failure
-        Reasons: too_few_matches, ambiguous (the matches may be random), and the reasons of the fit.
+    ``points_px`` (m, 2); ``covariance_px2`` (m, 2, 2).
     """
     refinement = _Refinement(field, points_px, covariance_px2, trials, options)
     rotation, radius = camera_from_inertial, radius_px

@@ -14,12 +14,12 @@ from enum import StrEnum
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.processes import one_thread
 from giantlike.core.arrays import Float, as_finite, require, require_number
 from giantlike.core.causes import Cause, summed
 from giantlike.core.errors import InputError
 from giantlike.core.frames import skew
 from giantlike.core.outcomes import AttitudeErrors, Failure, Quality, Reason
-from giantlike.core.processes import one_thread
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG
 from giantlike.core.values import Value
 from giantlike.image import AttitudeSource, Image

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from giantlike._system.reading import file_sha256
 from giantlike.core.arrays import Float, as_finite, as_floats, require, require_number
-from giantlike.core.reading import file_sha256
 from giantlike.core.values import Value
 from giantlike.io.height_maps import HeightGrid, joined_grid, read_height_grid, require_usable, write_height_archive
 from giantlike.shapes import TriangleMesh

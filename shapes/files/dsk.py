@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.child import in_child
+from giantlike._system.reading import check, library_message
 from giantlike.core.arrays import Float, require
-from giantlike.core.child import in_child
 from giantlike.core.errors import InputError
-from giantlike.core.reading import check, library_message
 from giantlike.core.units import SECONDS_PER_JULIAN_YEAR
 from giantlike.shapes.files.das import require_whole_das
 from giantlike.shapes.mesh import Faces, TriangleMesh

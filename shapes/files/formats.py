@@ -10,8 +10,8 @@ from types import MappingProxyType
 
 import numpy as np
 
+from giantlike._system.reading import check, reads
 from giantlike.core.errors import InputError
-from giantlike.core.reading import check, reads
 from giantlike.shapes.albedo import Albedo, FacetAlbedo, VertexAlbedo
 from giantlike.shapes.files.dsk import read_dsk
 from giantlike.shapes.files.exchange import read_exchange, write_obj, write_stl

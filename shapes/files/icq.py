@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from giantlike._system.reading import check
 from giantlike.core.arrays import require
-from giantlike.core.reading import check
 from giantlike.shapes.albedo import VertexAlbedo
 from giantlike.shapes.files.text import numbers, text_rows, write_rows
 from giantlike.shapes.mesh import Faces, TriangleMesh

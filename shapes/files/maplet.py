@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.reading import check, reads
+from giantlike._system.reading import check, reads
 from giantlike.shapes.local_map import LocalMap
 
 _RECORD = 72  # bytes before the pixels [1]_ of read_maplet

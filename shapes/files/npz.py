@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.archives import array_of, open_archive_of_arrays, single_value, unpacked_sizes
+from giantlike._system.archives import array_of, open_archive_of_arrays, single_value, unpacked_sizes
 from giantlike.shapes.albedo import FacetAlbedo, VertexAlbedo
 from giantlike.shapes.mesh import TriangleMesh
 from giantlike.shapes.surface import Surface

@@ -14,20 +14,13 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
 import giantlike.calibration
-from giantlike.calibration import (
-    AlignmentResult,
-    CalibrationCriteria,
-    CalibrationOptions,
-    CalibrationResult,
-    ImageObservations,
-    align,
-    calibrate,
-    collimator_directions,
-    interlock,
-)
+from giantlike.calibration import CalibrationOptions, CalibrationResult, ImageObservations, calibrate
+from giantlike.calibration.alignment import AlignmentResult, align, interlock
 from giantlike.calibration.bundle_adjustment import Data, State, linearized, normal_equations, predict
+from giantlike.calibration.criteria import CalibrationCriteria
 from giantlike.calibration.field_map import map_difference
 from giantlike.calibration.observability import Verdict
+from giantlike.calibration.observations import collimator_directions
 from giantlike.calibration.options import Loss
 from giantlike.calibration.statistics import residual_statistics
 from giantlike.camera import Camera

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import tomli_w
 
+from giantlike._system.reading import file_sha256
 from giantlike.campaign.check import check_campaign
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
-from giantlike.core.reading import file_sha256
 from giantlike.io.fits import write_fits
 from tests.campaign_files import CAMERA, campaign_table, write_campaign
 

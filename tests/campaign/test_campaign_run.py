@@ -28,16 +28,17 @@ from pyarrow import parquet
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from giantlike._system.threads import ALLOWED
 from giantlike.camera import Camera
 from giantlike.campaign.export import ExportFormat, ExportOptions, PointingSource, export_run
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.report.run_page import write_report
 from giantlike.campaign.run import bodies
 from giantlike.campaign.run.attitude_transfer import attitude_to_use
-from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.image_loading import open_image, scene_of
 from giantlike.campaign.run.pool import WorkerPool
 from giantlike.campaign.run.runner import run_campaign
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store import observables
 from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.store.results import RunResult, grouped, load_result
@@ -46,7 +47,6 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import camera_from_inertial_of_pointing, rotate, rotation_between
-from giantlike.core.threads import ALLOWED
 from giantlike.core.time import time_from_utc
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.ephemeris import SpiceEphemeris
@@ -57,19 +57,16 @@ from giantlike.io.geometry_table import GeometryRow
 from giantlike.io.observables_file import read_observables
 from giantlike.io.spice import load_kernels
 from giantlike.plotting import (
-    BodyMarks,
-    CenterMark,
-    Series,
     StarMarks,
     charts_figure,
-    charts_svg,
     overlay_figure,
     overlay_panels,
-    overlay_svg,
-    series_charts,
     star_residual_charts,
-    stretched,
 )
+from giantlike.plotting.charts import charts_svg
+from giantlike.plotting.overlay_svg import overlay_svg
+from giantlike.plotting.overlays import BodyMarks, CenterMark, stretched
+from giantlike.plotting.residuals import Series, series_charts
 from giantlike.relative import ESTIMATORS
 from giantlike.scene import Scene, Target, TargetGeometry
 from giantlike.shapes import sphere

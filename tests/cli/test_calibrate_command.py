@@ -26,7 +26,8 @@ from giantlike.core.errors import DataError
 from giantlike.core.frames import camera_from_inertial_of_pointing
 from giantlike.core.time import time_from_utc
 from giantlike.io import navigation_header, write_fits
-from giantlike.simulation import Shot, SimulationOptions, Sources, simulate_image
+from giantlike.simulation import Shot, Sources, simulate_image
+from giantlike.simulation.incident import SimulationOptions
 from tests.campaign_files import OBSERVER, sky
 from tests.tolerances import FALSE_ALARM, FLOAT64_SUM
 

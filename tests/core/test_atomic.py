@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from giantlike.core.atomic import append_text, name_of_file, write_text_atomic
+from giantlike._system.atomic import append_text, name_of_file, write_text_atomic
 from giantlike.core.errors import DataError
 
 

@@ -16,9 +16,9 @@ import pytest
 from astropy.io import fits
 from pyarrow import parquet
 
+from giantlike._system.reading import toml_table
 from giantlike.catalogs.readers import build_catalog
 from giantlike.core.errors import DataError
-from giantlike.core.reading import toml_table
 from giantlike.io.image_files import read_image_file
 from tests.catalogs import test_catalog_readers as catalog_files
 from tests.io.test_long_texts import little_time

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import spiceypy
 
+from giantlike._system.child import end_template, in_child
 from giantlike.camera import Camera
-from giantlike.core.child import end_template, in_child
 from giantlike.core.errors import DataError, OpNavError
 from giantlike.io import load_kernels
 from giantlike.io.camera_opencv import read_opencv_camera

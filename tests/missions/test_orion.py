@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from giantlike.dynamics import fly
 from giantlike.missions import ComparisonKind, Replay, ReplaySettings, run_replay, save_replay
 from giantlike.missions.orion.gimbal import gimbal_angles, pinhole_error_px
 from giantlike.missions.orion.return_leg import analyzed, angle_slope, entry_angle_deg
 from giantlike.missions.orion.return_plan import Plan, make_plan, without_close_pass
-from giantlike.navigation import fly
 from tests.numerical import numerical_jacobian
 from tests.tolerances import FLOAT64_SUM
 

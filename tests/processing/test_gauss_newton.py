@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 from scipy.stats import norm
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float
-from giantlike.core.compiled import compiled
 from giantlike.core.detector import Detector
 from giantlike.processing.detection.centroid import fit_stars
 from giantlike.processing.detection.patches import Patches, cut_patches

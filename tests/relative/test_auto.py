@@ -14,13 +14,13 @@ import pytest
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
+from giantlike._system.threads import threads
 from giantlike.camera import Camera
 from giantlike.cli.app import app
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
-from giantlike.core.threads import threads
 from giantlike.image import Image
 from giantlike.relative import ESTIMATORS, Auto, AutoOptions, CrossCorrelation, Estimator, LimbMatching
 from giantlike.relative.auto import choose

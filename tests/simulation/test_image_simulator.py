@@ -19,9 +19,9 @@ from giantlike.ephemeris import DistantLight, FixedEphemeris
 from giantlike.processing.detection.detect import detect_sources
 from giantlike.scene import Scene, Target
 from giantlike.shapes import sphere
-from giantlike.simulation import DetectorModel, HotPixels, Shot, Sources, expose, simulate_image
+from giantlike.simulation import Shot, Sources, simulate_image
 from giantlike.simulation.cosmic_rays import CosmicRays, Tracks, draw_tracks
-from giantlike.simulation.detector import Stream, converted, scattered_pixels
+from giantlike.simulation.detector import DetectorModel, HotPixels, Stream, converted, expose, scattered_pixels
 from giantlike.simulation.effects import (
     DarkCurrent,
     FlatField,

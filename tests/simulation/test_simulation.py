@@ -26,23 +26,20 @@ from giantlike.io import read_geometry
 from giantlike.scene import Scene, Target, TargetGeometry
 from giantlike.shapes import load_shape, sphere
 from giantlike.simulation import (
-    Approach,
     ApproachOptions,
-    HotPixels,
-    Photometry,
-    SimulatedImage,
     Sources,
     Visit,
     demo_camera,
-    expose,
     plan_approach,
-    point_sources,
     simulate_image,
-    star_field,
     write_approach,
 )
+from giantlike.simulation.approach import Approach
+from giantlike.simulation.detector import HotPixels, expose
+from giantlike.simulation.images import SimulatedImage
 from giantlike.simulation.orbits import CircularOrbit
-from giantlike.simulation.shot import SUN_MAGNITUDE_G, unexposed
+from giantlike.simulation.shot import SUN_MAGNITUDE_G, Photometry, unexposed
+from giantlike.simulation.stars import point_sources, star_field
 from giantlike.simulation.write import TRUTH_FILE
 from tests.simulated import ET, OBSERVER, shot_of, small_camera, small_catalog, sphere_scene
 from tests.tolerances import EPOCH_S, FLOAT32_SUM, FLOAT64, FLOAT64_SUM, SAMPLED, SETTLED

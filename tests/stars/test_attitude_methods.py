@@ -19,14 +19,8 @@ from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.image import Image, ObserverState
 from giantlike.processing import Detections
 from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
-from giantlike.stars import (
-    AttitudeMethod,
-    AttitudeSolution,
-    Scale,
-    StarNavigation,
-    StarOptions,
-    fit_attitude,
-)
+from giantlike.stars import StarNavigation, StarOptions
+from giantlike.stars.attitude import AttitudeMethod, AttitudeSolution, Scale, fit_attitude
 from giantlike.stars.navigation import sky_of
 from tests.sizes import slow
 

@@ -30,17 +30,11 @@ from giantlike.core.outcomes import AttitudeFix, Failure, Quality, Reason
 from giantlike.core.time import time_from_utc
 from giantlike.image import Image
 from giantlike.processing.detection.detections import DetectionFlag, Detections
-from giantlike.stars import (
-    RefinedAttitude,
-    Scale,
-    Sky,
-    StarNavigation,
-    StarOptions,
-    fit_attitude,
-    identify_apriori,
-    identify_lost_in_space,
-    navigation,
-)
+from giantlike.stars import StarNavigation, StarOptions, navigation
+from giantlike.stars.apriori import identify_apriori
+from giantlike.stars.attitude import Scale, fit_attitude
+from giantlike.stars.field import Sky
+from giantlike.stars.lost_in_space import identify_lost_in_space
 from giantlike.stars.matching import (
     chance_of_match,
     confusion_px,
@@ -48,7 +42,7 @@ from giantlike.stars.matching import (
     log_chance,
     match_nearest,
 )
-from giantlike.stars.refine import scaled_model
+from giantlike.stars.refine import RefinedAttitude, scaled_model
 from giantlike.stars.tetra import pattern_database
 from tests.numerical import numerical_jacobian
 from tests.sizes import slow

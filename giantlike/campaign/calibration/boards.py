@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from giantlike.calibration import board_observations, calibrate
-from giantlike.calibration.boards import CORNER_SIGMA_PX
+from giantlike._system.atomic import make_folder
+from giantlike.calibration import calibrate
+from giantlike.calibration.boards import CORNER_SIGMA_PX, board_observations
 from giantlike.calibration.star_images import StarCalibration
 from giantlike.camera import Camera
 from giantlike.campaign.calibration.page import write_calibration_page
 from giantlike.campaign.calibration.solve import CampaignCalibration, write_calibration
 from giantlike.campaign.store.run_folder import CALIBRATION_FILE
 from giantlike.core.arrays import require
-from giantlike.core.atomic import make_folder
 from giantlike.core.errors import DataError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from giantlike._system.atomic import write_text_atomic
 from giantlike.calibration.field_map import field_grid
 from giantlike.calibration.observability import Verdict
 from giantlike.calibration.result import CalibrationResult
@@ -20,13 +21,12 @@ from giantlike.campaign.calibration.solve import CampaignCalibration, calibratio
 from giantlike.campaign.report.templates import PageFigure, render_page
 from giantlike.campaign.store.run_folder import CALIBRATION_PAGE
 from giantlike.core.arrays import Float
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.version import VERSION
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from giantlike.plotting import ChartSheet
+    from giantlike.plotting.charts import ChartSheet
 
 _MAX_REJECTED = 200
 """Rejected observations listed in the page, the worst first; ``calibration.json`` holds all."""
@@ -67,7 +67,8 @@ def write_calibration_page(folder: Path, name: str, camera: Camera, result: Camp
 
 def calibration_figures(solution: CalibrationResult) -> list[PageFigure]:
     """Figures of a calibration."""
-    from giantlike.plotting import correlation_figure, distortion_figure, residual_trend_figure, star_residual_charts
+    from giantlike.plotting import star_residual_charts
+    from giantlike.plotting.calibration import correlation_figure, distortion_figure, residual_trend_figure
 
     used, columns, rows = solution.used, solution.columns, solution.rows
     points, shifts = distortion_of(solution.model, columns, rows)

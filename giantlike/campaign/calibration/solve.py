@@ -13,7 +13,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike.calibration import AlignmentResult, align, calibrate_stars
+from giantlike._system.atomic import write_text_atomic
+from giantlike._system.reading import file_sha256
+from giantlike.calibration import calibrate_stars
+from giantlike.calibration.alignment import AlignmentResult, align
 from giantlike.calibration.result import CalibrationResult
 from giantlike.calibration.star_images import StarCalibration, StarImage
 from giantlike.calibration.statistics import residual_statistics
@@ -25,16 +28,15 @@ from giantlike.campaign.store.records import CalibrationRecord
 from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CALIBRATION_PAGE, CAMERA_FILE, RESIDUALS_FILE
 from giantlike.catalogs import StarCatalog
 from giantlike.core.arrays import finite_or_none
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.errors import DataError
 from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.outcomes import Failure
-from giantlike.core.reading import file_sha256
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.io.csv_rows import write_csv_rows
-from giantlike.stars import Sky, StarOptions
+from giantlike.stars import StarOptions
+from giantlike.stars.field import Sky
 
 NO_STAR_IMAGE = "is not a star image: its exposure is shorter than stars.long_exposure_s"
 """Detail of the problem of an image that takes no part because it is not meant to."""

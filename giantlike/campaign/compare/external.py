@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.reading import reads
 from giantlike.camera import Camera
 from giantlike.campaign.compare.differences import Comparison, Difference, differences_of
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
@@ -19,7 +20,6 @@ from giantlike.campaign.store.results import RunResult, camera_of_run, load_resu
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import direction_from_radec, rotate, rotation_between, rotation_from_xyzw
-from giantlike.core.reading import reads
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.core.units import ARCSEC_PER_RAD, RAD_PER_DEG
 from giantlike.io.attitude_series import read_attitude_table

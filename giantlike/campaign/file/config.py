@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from giantlike._system.reading import resolving
 from giantlike.calibration.star_images import start_model
 from giantlike.camera import Camera
 from giantlike.campaign.file.frame_files import FrameFiles, frames_of
@@ -30,7 +31,6 @@ from giantlike.campaign.file.mission_defaults import with_mission
 from giantlike.campaign.file.schema import CalibrationSection, CampaignFile, StarsSection
 from giantlike.campaign.file.toml_file import named, read_toml
 from giantlike.core.arrays import Float, require
-from giantlike.core.reading import resolving
 from giantlike.core.units import RAD_PER_DEG
 from giantlike.io.geometry_table import GeometryTable, ImageGeometry
 from giantlike.processing.detection.options import DetectionOptions

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from giantlike._system.reading import file_sha256
 from giantlike.campaign.file.inputs import existing_file, matching_files
 from giantlike.campaign.file.schema import CalibrationFramesSection
 from giantlike.campaign.file.toml_file import named
 from giantlike.core.arrays import require
-from giantlike.core.reading import file_sha256
 from giantlike.image import Image
 from giantlike.processing.calibration_frames import CalibrationFrames, combine_frames, flat_from
 

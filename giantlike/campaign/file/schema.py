@@ -13,7 +13,8 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import Field, PlainValidator
 
 from giantlike.atmosphere import Atmosphere
-from giantlike.calibration import CalibrationCriteria, CalibrationOptions
+from giantlike.calibration import CalibrationOptions
+from giantlike.calibration.criteria import CalibrationCriteria
 from giantlike.calibration.star_images import DEFAULT_MIN_SNR
 from giantlike.campaign.file.options import options_validator
 from giantlike.campaign.file.toml_file import Section

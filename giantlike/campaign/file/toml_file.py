@@ -11,9 +11,9 @@ from typing import Any, TypeAlias, TypeVar, get_args
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
+from giantlike._system.reading import toml_table
 from giantlike.campaign.file.hints import nearest
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.reading import toml_table
 
 Content = TypeVar("Content", bound=BaseModel)
 

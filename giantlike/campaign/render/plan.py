@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.reading import resolving
 from giantlike.camera import Camera
 from giantlike.campaign.file.inputs import (
     SpiceSetup,
@@ -30,7 +31,6 @@ from giantlike.campaign.render.schema import DetectorSection, ImageSection, Plac
 from giantlike.core.arrays import Float, require, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import camera_from_inertial_of_pointing, rotation_from_xyzw
-from giantlike.core.reading import resolving
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.core.units import AU_KM, RAD_PER_DEG
 from giantlike.core.values import Value
@@ -41,11 +41,11 @@ from giantlike.io.image_files import read_image_file
 from giantlike.io.spice import load_kernels
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape
-from giantlike.simulation import DetectorModel, HotPixels, Photometry, Shot, SimulationOptions
-from giantlike.simulation.detector import Stream, scattered_pixels
+from giantlike.simulation import Shot
+from giantlike.simulation.detector import DetectorModel, HotPixels, Stream, scattered_pixels
 from giantlike.simulation.effects import FlatField, pixel_response
-from giantlike.simulation.incident import true_geometry
-from giantlike.simulation.shot import unexposed
+from giantlike.simulation.incident import SimulationOptions, true_geometry
+from giantlike.simulation.shot import Photometry, unexposed
 
 if TYPE_CHECKING:
     from astropy.time import Time

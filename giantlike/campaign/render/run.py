@@ -12,15 +12,16 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from giantlike._system.atomic import make_folder, write_bytes_atomic, write_text_atomic
 from giantlike.campaign.render.plan import FITS_SUFFIXES, RenderPlan
 from giantlike.catalogs import StarCatalog, load_catalog
 from giantlike.core.arrays import require
-from giantlike.core.atomic import make_folder, write_bytes_atomic, write_text_atomic
 from giantlike.core.errors import DataError
 from giantlike.io import write_geometry
 from giantlike.io.geometry_table import GeometryRow
 from giantlike.relative import ESTIMATORS
-from giantlike.simulation import SimulatedImage, Sources, simulate_image
+from giantlike.simulation import Sources, simulate_image
+from giantlike.simulation.images import SimulatedImage
 from giantlike.simulation.preview import preview_png
 from giantlike.simulation.truth import geometry_rows, write_simulated
 

@@ -17,22 +17,12 @@ from giantlike.core.attribute_docs import attribute_docs
 from giantlike.core.errors import OpNavError
 from giantlike.core.outcomes import Quality, Reason
 from giantlike.image import Image
-from giantlike.plotting import (
-    CENTERS,
-    MARKS,
-    Axis,
-    BodyMarks,
-    CenterMark,
-    Chart,
-    ChartSheet,
-    Layer,
-    Shape,
-    StarMarks,
-    charts_svg,
-    overlay_panels,
-    overlay_svg,
-    residual_map_svg,
-)
+from giantlike.plotting import StarMarks, overlay_panels
+from giantlike.plotting.charts import Axis, Chart, ChartSheet, charts_svg
+from giantlike.plotting.layers import Layer, Shape
+from giantlike.plotting.overlay_svg import overlay_svg
+from giantlike.plotting.overlays import CENTERS, MARKS, BodyMarks, CenterMark
+from giantlike.plotting.residual_map import residual_map_svg
 from giantlike.plotting.style import BLUE, GRAY
 
 _MAX_ARROWS = 150

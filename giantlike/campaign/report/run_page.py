@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from giantlike._system.atomic import write_text_atomic
 from giantlike.campaign.report.templates import render_page
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import RunResult, StatusCounts, grouped
 from giantlike.campaign.store.run_folder import REPORT_PAGE
-from giantlike.core.atomic import write_text_atomic
 from giantlike.core.outcomes import Outcome, Quality
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.version import VERSION
@@ -45,7 +45,7 @@ def write_report(result: RunResult) -> Path:
     # Imported when a page is made: workers, which draw nothing, start in half the time without matplotlib.
     from giantlike.campaign.report.cards import card, center_colors, fix_line
     from giantlike.campaign.report.figures import attitude_figures, body_figures
-    from giantlike.plotting import MARKS
+    from giantlike.plotting.overlays import MARKS
 
     failures = _failures(result)
     shown, colors = _images_to_show(result), center_colors(result)

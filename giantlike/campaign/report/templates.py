@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from giantlike.plotting import ChartSheet
+    from giantlike.plotting.charts import ChartSheet
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,8 @@ class PageFigure:
     @classmethod
     def of(cls, figure: ChartSheet | Figure, name: str, caption: str) -> PageFigure:
         """Figure of a page from charts or a figure of matplotlib."""
-        from giantlike.plotting import ChartSheet, charts_svg, svg_text
+        from giantlike.plotting.charts import ChartSheet, charts_svg
+        from giantlike.plotting.style import svg_text
 
         return cls(charts_svg(figure, name) if isinstance(figure, ChartSheet) else svg_text(figure, name), caption)
 

@@ -10,17 +10,17 @@ from typing import TypeAlias
 
 import numpy as np
 
+from giantlike._system.threads import at_once
 from giantlike.camera import Camera
 from giantlike.camera_models import ifov_rad
 from giantlike.campaign.file.config import Campaign, ImageEntry
-from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.border import attempt
 from giantlike.campaign.run.image_loading import scene_of, targets_in
 from giantlike.campaign.run.observables import sighting_of, with_fix, with_prediction
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.records import Attitude, ObservationRecord, Problem, TargetRecord, TargetView
 from giantlike.core.arrays import unit
 from giantlike.core.outcomes import CenterFix, Failure, Outcome, Reason
-from giantlike.core.threads import at_once
 from giantlike.core.time import utc_text
 from giantlike.image import AttitudeSource, Image
 from giantlike.ray_tracing.silhouette import lit_outline

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import cv2
 
+from giantlike._system.processes import one_thread
 from giantlike.campaign.file.config import Campaign
-from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.pool import Jobs
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.core.errors import InputError
 from giantlike.core.extras import require_extra
-from giantlike.core.processes import one_thread
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from giantlike._system.reading import file_sha256
 from giantlike.campaign.file.config import ImageEntry
 from giantlike.campaign.store.database import KnownImage
 from giantlike.campaign.store.run_folder import RunFolder, stamp_of
-from giantlike.core.reading import file_sha256
 
 
 class Identities:

@@ -16,7 +16,6 @@ from giantlike.campaign.calibration.solve import (
 )
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.run.attitude_transfer import attitude_to_use, transfer_attitudes
-from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.bodies import BodyRecord, failed_bodies, work_in
 from giantlike.campaign.run.identities import Identities
 from giantlike.campaign.run.pool import Pool
@@ -29,6 +28,7 @@ from giantlike.campaign.run.worker import (
     lost_image,
     process_image,
 )
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.edits import EditList
 from giantlike.campaign.store.packing import PackedRecord
 from giantlike.campaign.store.records import (

@@ -16,13 +16,13 @@ from typing import Any, Protocol, Self, TypeVar
 
 import cv2
 
+from giantlike._system.processes import keep_memory, one_thread, one_thread_each, worker_context
+from giantlike._system.threads import threads
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run import WORKER_MODULES
-from giantlike.campaign.run.bench import Workbench
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
-from giantlike.core.processes import keep_memory, one_thread, one_thread_each, worker_context
-from giantlike.core.threads import threads
 
 Job = TypeVar("Job")
 Job_co = TypeVar("Job_co", covariant=True)

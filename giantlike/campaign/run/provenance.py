@@ -9,9 +9,9 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any
 
+from giantlike._system import reading
 from giantlike.campaign.file.config import Campaign
-from giantlike.campaign.run.bench import Workbench
-from giantlike.core import reading
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.core.errors import DataError
 from giantlike.core.version import VERSION
 

@@ -6,14 +6,16 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any, TypeAlias
 
+from giantlike._system.atomic import make_folder
+from giantlike._system.processes import available_cpus, process_count
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.report.run_page import write_report
-from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.identities import Identities
 from giantlike.campaign.run.making import Announce, Progress, Run
 from giantlike.campaign.run.pool import Pool, WorkerPool
 from giantlike.campaign.run.provenance import environment_of, inputs_of
 from giantlike.campaign.run.steps import digest
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.changes import changes
 from giantlike.campaign.store.edits import EDITS_FILE, read_edits
 from giantlike.campaign.store.lock import locked
@@ -29,9 +31,7 @@ from giantlike.campaign.store.records import RunSummary
 from giantlike.campaign.store.results import RunResult, camera_of_run
 from giantlike.campaign.store.run_folder import REPORT_PAGE, RunFolder
 from giantlike.campaign.store.tables import TABLE_FILES, write_tables
-from giantlike.core.atomic import make_folder
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.processes import available_cpus, process_count
 
 PoolMaker: TypeAlias = Callable[[Workbench, int], Pool]
 """Called with the workbench and the number of images; makes the executor of the work."""

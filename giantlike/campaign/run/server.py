@@ -2,7 +2,7 @@
 
 from importlib import import_module
 
-from giantlike.core.processes import importing
+from giantlike._system.processes import importing
 
 with importing():
     for _module in ("giantlike.campaign.run.worker", "giantlike.campaign.run.pool", "astropy.io.fits"):

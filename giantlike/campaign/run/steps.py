@@ -15,11 +15,11 @@ from astropy.time import Time
 from pydantic import BaseModel
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.reading import file_sha256
 from giantlike.campaign.file.config import ImageEntry
 from giantlike.campaign.file.limb_inputs import LimbSetup
-from giantlike.campaign.run.bench import Workbench
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.records import Attitude
-from giantlike.core.reading import file_sha256
 from giantlike.core.version import VERSION
 
 _DIGITS = 20

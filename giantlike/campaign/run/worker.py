@@ -11,11 +11,11 @@ from giantlike.camera import Camera
 from giantlike.campaign.calibration.solve import NO_STAR_IMAGE, record_of_stars, temperature_of
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.run.attitude_transfer import attitude_to_use
-from giantlike.campaign.run.bench import Workbench
 from giantlike.campaign.run.bodies import BodyRecord, Work, estimate_bodies, failed_bodies
 from giantlike.campaign.run.border import attempt, reading
 from giantlike.campaign.run.image_loading import PreparedImage, open_image
 from giantlike.campaign.run.observables import attitude_of, with_attitude, with_observer, with_stars
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.packing import PackedRecord
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, CalibrationRecord, Problem
 from giantlike.core.frames import quaternion_xyzw

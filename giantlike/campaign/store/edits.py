@@ -18,12 +18,12 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError, field_serializer, model_validator
 
+from giantlike._system.atomic import append_text
 from giantlike.campaign.store.image_names import find_image
 from giantlike.campaign.store.record_values import Pair
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, Problem
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import require
-from giantlike.core.atomic import append_text
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Reason
 

@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from giantlike.core.atomic import write_text_atomic
+from giantlike._system.atomic import write_text_atomic
 from giantlike.core.errors import DataError, InputError
 
 _LOCK, _HOLDER = ".lock", ".lock.json"

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from giantlike.core.atomic import append_text
+from giantlike._system.atomic import append_text
 
 LOGGER = logging.getLogger("giantlike.campaign")
 

@@ -7,8 +7,8 @@ from typing import Annotated, Literal, Self, TypeAlias
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from giantlike._system.reading import check
 from giantlike.core.outcomes import Quality
-from giantlike.core.reading import check
 
 Vector: TypeAlias = list[float]
 Matrix: TypeAlias = list[list[float]]

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from giantlike._system.atomic import make_folder, write_text_atomic
 from giantlike.campaign.store.database import Database, KnownImage, Unit
 from giantlike.campaign.store.log import log_event
 from giantlike.campaign.store.packing import PackedRecord, damaged, points_of, unpacked
@@ -21,7 +22,6 @@ from giantlike.campaign.store.records import (
     TargetRecord,
 )
 from giantlike.core.arrays import require
-from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Reason
 

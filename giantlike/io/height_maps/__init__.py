@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from giantlike._system.reading import reads
 from giantlike.core.arrays import Float
-from giantlike.core.reading import reads
 from giantlike.io.height_maps.archive import open_archive, write_height_archive
 from giantlike.io.height_maps.geotiff import open_geotiff
 from giantlike.io.height_maps.grid import HeightGrid, require_usable

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.archives import array_of, open_archive_of_arrays, unpacked_sizes
+from giantlike._system.archives import array_of, open_archive_of_arrays, unpacked_sizes
+from giantlike._system.reading import check, reads
 from giantlike.core.arrays import Float
-from giantlike.core.reading import check, reads
 from giantlike.io.height_maps.grid import MOST_AT_ONCE, HeightGrid, Read, put, tiles_of
 
 _FORMAT, _VERSION = "giantlike heights", 1

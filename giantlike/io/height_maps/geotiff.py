@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.reading import check, reads
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
-from giantlike.core.reading import check, reads
 from giantlike.io.height_maps.grid import MOST_AT_ONCE, HeightGrid, Read, put
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.reading import check
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError
-from giantlike.core.reading import check
 from giantlike.core.values import Value
 
 Read = Callable[[slice, slice], NDArray[Any]]

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.reading import reads
 from giantlike.core.arrays import Float
-from giantlike.core.reading import reads
 from giantlike.io.decoded import HeaderValue
 from giantlike.io.height_maps.grid import RADIUS_SHARE, HeightGrid, Read
 from giantlike.io.pds3 import Pds3Label, image_pointer, parse_pds3, raw_layout

@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
-from giantlike.calibration import CalibrationResult, ImageObservations, align, calibrate
+from giantlike.calibration import CalibrationResult, ImageObservations, calibrate
+from giantlike.calibration.alignment import align
 from giantlike.camera_models import BrownModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.outcomes import Failure

@@ -20,7 +20,7 @@ from giantlike.missions.artemis1.passes import KM_PER_KFT, SUN_AZIMUTH_DEG, Sett
 from giantlike.missions.artemis1.report import DERIVED, GRAY, INDEPENDENT, INPUT, RED, Dots, holds, near, panel_figure
 from giantlike.missions.artemis1.simulate import VELOCITY_SIGMA_KM_S, FlownPass, positions_of, residuals_of
 from giantlike.missions.replay import Comparison, ReplayFigure, Section
-from giantlike.navigation import (
+from giantlike.passes import (
     LimbPoints,
     NavigationPass,
     PassFix,

@@ -7,20 +7,20 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, unit
-from giantlike.core.units import ARCSEC_PER_RAD
-from giantlike.missions.artemis1.passes import Setting, preflight_sigmas_px
-from giantlike.missions.artemis1.simulate import VELOCITY_SIGMA_KM_S, FlownPass, positions_of
-from giantlike.navigation import (
+from giantlike.cislunar import (
     BodyObservation,
     FilterModel,
     FilterState,
-    PointMasses,
-    measure_body,
     measurement_update,
     time_update,
     udu_factors,
 )
+from giantlike.cislunar.body_measurements import measure_body
+from giantlike.core.arrays import Float, unit
+from giantlike.core.units import ARCSEC_PER_RAD
+from giantlike.dynamics import PointMasses
+from giantlike.missions.artemis1.passes import Setting, preflight_sigmas_px
+from giantlike.missions.artemis1.simulate import VELOCITY_SIGMA_KM_S, FlownPass, positions_of
 
 _PARAMETERS = 15
 _DIAMETER = 20

@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.atmosphere import Atmosphere
 from giantlike.camera_models import PinholeModel
+from giantlike.cislunar import BodyErrorModel
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
-from giantlike.navigation import BodyErrorModel
 from giantlike.relative.horizon.geometry import Figure
 
 KM_PER_NMI = 1.852

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from giantlike.autonomy.body_photometry import chandrasekhar_sphere
+from giantlike.autonomy.camera_sources import trigger_plan
 from giantlike.core.arrays import Float
 from giantlike.missions.odin.figures import camera_residuals_km
 from giantlike.missions.odin.modes import Flight, cycle_s
@@ -18,8 +20,6 @@ from giantlike.missions.odin.wide import (
     moon_phase_law,
 )
 from giantlike.missions.replay import Comparison, ComparisonKind
-from giantlike.navigation.body_photometry import chandrasekhar_sphere
-from giantlike.navigation.camera_sources import trigger_plan
 
 INPUT, DERIVED, INDEPENDENT = ComparisonKind.INPUT, ComparisonKind.DERIVED, ComparisonKind.INDEPENDENT
 GOOD_SHARE = 0.9  # of the bodies that have a size: the paper says that the problem "may be solved"

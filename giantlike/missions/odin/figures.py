@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
+from giantlike.autonomy.body_photometry import chandrasekhar_sphere
 from giantlike.core.arrays import Float
 from giantlike.core.frames import rotate
 from giantlike.missions.odin.narrow import InterlockStudy, LensStudy, MoonPair
@@ -19,7 +20,6 @@ from giantlike.missions.odin.wide import (
     lambert_phase_law,
     moon_phase_law,
 )
-from giantlike.navigation.body_photometry import chandrasekhar_sphere
 from giantlike.plotting.style import BLUE, GRAY, GREEN, INK, ORANGE, RED, drawing, new_panels
 
 

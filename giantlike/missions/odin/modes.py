@@ -9,6 +9,11 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike.autonomy import ModeMachine, pose_of_pair
+from giantlike.autonomy.body_search import pointing_slew
+from giantlike.autonomy.camera_sources import CameraSource, ExposureRequest, SimulatedCamera, take_pair
+from giantlike.autonomy.mode_machine import InstrumentState, Mode, Slew, Telemetry
+from giantlike.autonomy.two_camera_pose import Interlock, carried_attitude
 from giantlike.calibration import calibrate_stars, identify_first
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, unit
@@ -28,10 +33,6 @@ from giantlike.missions.odin.narrow import (
 )
 from giantlike.missions.odin.paper import paper, rough_narrow_camera
 from giantlike.missions.odin.wide import EXPOSURES_S, CislunarScene, Found, search, wide_image
-from giantlike.navigation.body_search import pointing_slew
-from giantlike.navigation.camera_sources import CameraSource, ExposureRequest, SimulatedCamera, take_pair
-from giantlike.navigation.mode_machine import InstrumentState, Mode, ModeMachine, Slew, Telemetry
-from giantlike.navigation.two_camera_pose import Interlock, carried_attitude, pose_of_pair
 from giantlike.relative import EllipsoidCRA
 from giantlike.stars import StarNavigation, StarOptions
 

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike.autonomy import pose_of_pair
+from giantlike.autonomy.refraction import SiteAtmosphere, unrefracted
+from giantlike.autonomy.two_camera_pose import Interlock, PairPose, carried_attitude
 from giantlike.calibration import calibrate_stars, identify_first
 from giantlike.calibration.result import CalibrationResult
 from giantlike.camera import Camera
@@ -21,8 +24,6 @@ from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.missions.odin.ground import MOON_RADIUS_KM, Sky, catalog, moon_frame, sky_at, star_frame
 from giantlike.missions.odin.paper import narrow_camera, rough_narrow_camera
-from giantlike.navigation.refraction import SiteAtmosphere, unrefracted
-from giantlike.navigation.two_camera_pose import Interlock, PairPose, carried_attitude, pose_of_pair
 from giantlike.relative import EllipsoidCRA
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid

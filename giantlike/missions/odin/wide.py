@@ -10,6 +10,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
+from giantlike.autonomy import find_patches, identify_body
+from giantlike.autonomy.body_photometry import BodyLight, PatchOfLight, PhotometricCamera, chandrasekhar_sphere
+from giantlike.autonomy.body_search import SIZE_SIGMA, SearchOptions, SeenPatch
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, unit
 from giantlike.core.frames import rotate
@@ -20,14 +23,6 @@ from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.independent import LAWS
 from giantlike.missions.odin.paper import FULL_WELL_E, PSF_SIGMA_PX, paper, wide_camera
-from giantlike.navigation.body_photometry import (
-    BodyLight,
-    PatchOfLight,
-    PhotometricCamera,
-    chandrasekhar_sphere,
-    identify_body,
-)
-from giantlike.navigation.body_search import SIZE_SIGMA, SearchOptions, SeenPatch, find_patches
 from giantlike.ray_tracing import Lambert, disk_photocenter
 
 RADII_KM = {"EARTH": 6371.0, "MOON": 1737.4, "SUN": 695_700.0}

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from giantlike.cislunar import BodyErrorModel
 from giantlike.core.arrays import Float
-from giantlike.navigation import BodyErrorModel
 
 FOOT_KM = 3.048e-4
 MOON_KM, EARTH_KM = 1737.4, 6378.137

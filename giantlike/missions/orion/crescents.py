@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from giantlike.cislunar.body_measurements import angular_diameter
 from giantlike.missions.orion.constants import MOON_KM, focal_px, moon_errors, table
 from giantlike.missions.orion.images import Measured, Photograph, View, measured, photograph
 from giantlike.missions.orion.judging import bounded, stated
 from giantlike.missions.replay import Comparison, ComparisonKind, ReplaySettings
-from giantlike.navigation import angular_diameter
 
 PHASES_DEG = (140.0, 150.0, 160.0, 166.0, 172.0)
 ESTIMATORS_TRIED = ("ellipsoid_cra", "sigmoid_limb", "limb_matching", "ellipse_fit")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from giantlike.cislunar.filter import STATES
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 from giantlike.missions.orion.constants import earth_errors, table
@@ -13,7 +14,6 @@ from giantlike.missions.orion.judging import ANALYSIS, bounded, near, stated
 from giantlike.missions.orion.return_leg import Delivery, Flown, History, analyzed, flown
 from giantlike.missions.orion.return_plan import Plan, make_plan, with_earth, without_close_pass
 from giantlike.missions.replay import Comparison, ComparisonKind, ReplaySettings
-from giantlike.navigation.cislunar_filter import STATES
 
 RUNS, SMALL_RUNS = 500, 40
 STEP_S, SMALL_STEP_S = 900.0, 3600.0

@@ -12,6 +12,7 @@ from matplotlib.patches import Circle, Ellipse, Rectangle
 from matplotlib.tri import Triangulation
 
 from giantlike.core.arrays import Float
+from giantlike.dynamics import moon_position_km
 from giantlike.missions.orion.constants import EARTH_KM, earth_errors, focal_px, moon_errors, table
 from giantlike.missions.orion.crescents import CRESCENT_KM
 from giantlike.missions.orion.delivery import Study
@@ -20,7 +21,6 @@ from giantlike.missions.orion.images import Measured, Photograph
 from giantlike.missions.orion.models import AXES, spread_px
 from giantlike.missions.orion.return_plan import hours_before_entry
 from giantlike.missions.replay import ReplayFigure
-from giantlike.navigation import moon_position_km
 from giantlike.plotting.style import BLUE, GRAY, GREEN, INK, ORANGE, RED, SERIES, drawing
 
 WIDE, SQUARE = (6.4, 3.6), (4.8, 4.4)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.calibration import CalibrationResult, ImageObservations, calibrate, collimator_directions
+from giantlike.calibration import CalibrationResult, ImageObservations, calibrate
+from giantlike.calibration.observations import collimator_directions
 from giantlike.camera_models import BrownModel
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector

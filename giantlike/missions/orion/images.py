@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
+from giantlike.cislunar.body_measurements import disk_diameter
 from giantlike.core.arrays import Float, unit
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import Failure, PositionFix
@@ -30,7 +31,6 @@ from giantlike.independent import (
     render_body,
 )
 from giantlike.missions.orion.constants import EARTH_KM, MOON_KM, focal_px
-from giantlike.navigation import disk_diameter
 from giantlike.ray_tracing import McEwen
 from giantlike.relative import ESTIMATORS
 from giantlike.scene import Scene, Target

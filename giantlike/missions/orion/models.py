@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from giantlike.cislunar.body_measurements import disk_diameter, range_from_disk_diameter, range_sigma
 from giantlike.core.arrays import Float
 from giantlike.missions.orion.constants import (
     EARTH_KM,
@@ -20,7 +21,6 @@ from giantlike.missions.orion.constants import (
 from giantlike.missions.orion.images import Measured, View, measured, photograph
 from giantlike.missions.orion.judging import MODEL, ROUNDING, bounded, near, stated
 from giantlike.missions.replay import Comparison, ComparisonKind, ReplaySettings
-from giantlike.navigation import disk_diameter, range_from_disk_diameter, range_sigma
 
 AXES = ("along the Sun", "across the Sun", "radius")
 FAMILY = "ellipsoid_cra"

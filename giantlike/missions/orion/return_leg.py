@@ -7,28 +7,24 @@ from typing import Any
 
 import numpy as np
 
-from giantlike.core.arrays import Float
-from giantlike.core.values import Value
-from giantlike.independent.flight import Processes, Sky, burned, fly_spacecraft, sighted
-from giantlike.missions.orion.constants import EARTH_KM, table
-from giantlike.missions.orion.return_plan import Image, Leg, Plan
-from giantlike.missions.replay import ReplaySettings
-from giantlike.navigation import (
+from giantlike.cislunar import (
     BodyObservation,
-    Dispersed,
     FilterState,
-    JointDispersion,
-    UduFactors,
-    after_correction,
-    after_image,
-    after_steps,
-    maneuver,
     measurement_update,
     time_update,
     udu_factors,
 )
-from giantlike.navigation.cislunar_filter import STATES
-from giantlike.navigation.dynamics import GM_EARTH_KM3_S2, GM_MOON_KM3_S2, GM_SUN_KM3_S2
+from giantlike.cislunar.covariance import Dispersed, after_correction, after_image, after_steps
+from giantlike.cislunar.filter import STATES, maneuver
+from giantlike.cislunar.linear_covariance import JointDispersion
+from giantlike.cislunar.udu import UduFactors
+from giantlike.core.arrays import Float
+from giantlike.core.values import Value
+from giantlike.dynamics import GM_EARTH_KM3_S2, GM_MOON_KM3_S2, GM_SUN_KM3_S2
+from giantlike.independent.flight import Processes, Sky, burned, fly_spacecraft, sighted
+from giantlike.missions.orion.constants import EARTH_KM, table
+from giantlike.missions.orion.return_plan import Image, Leg, Plan
+from giantlike.missions.replay import ReplaySettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

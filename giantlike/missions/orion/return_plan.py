@@ -7,20 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from giantlike.cislunar import BodyErrorModel, BodyObservation, FilterModel
+from giantlike.cislunar.covariance import reference_steps
+from giantlike.cislunar.filter import ATTITUDE, PARAMETERS, POSITION, STATES, Transition
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
+from giantlike.dynamics import cislunar, moon_position_km, sun_position_km
 from giantlike.missions.orion.constants import EARTH_KM, MOON_KM, earth_errors, focal_px, moon_errors, table
-from giantlike.navigation import (
-    BodyErrorModel,
-    BodyObservation,
-    FilterModel,
-    Transition,
-    cislunar,
-    moon_position_km,
-    reference_steps,
-    sun_position_km,
-)
-from giantlike.navigation.cislunar_filter import ATTITUDE, PARAMETERS, POSITION, STATES
 
 HOUR_S = 3600.0
 MOON, EARTH = "Moon", "Earth"

@@ -22,7 +22,9 @@ from giantlike.image import Image, ObserverState
 from giantlike.missions.osiris_rex.images import BEYOND_LIMIT, detector_model, sky_for
 from giantlike.missions.osiris_rex.setup import CameraSetup, Mission
 from giantlike.processing.detection.options import DetectionOptions
-from giantlike.simulation import Photometry, Shot, SimulationOptions, Sources, simulate_image
+from giantlike.simulation import Shot, Sources, simulate_image
+from giantlike.simulation.incident import SimulationOptions
+from giantlike.simulation.shot import Photometry
 from giantlike.stars import StarNavigation, StarOptions
 
 _FIRST_UTC = "2017-09-20T00:00:00"

@@ -13,6 +13,7 @@ import numpy as np
 import tomli_w
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.atomic import make_folder, write_text_atomic
 from giantlike.camera import Camera
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
@@ -21,7 +22,6 @@ from giantlike.campaign.store.results import RunResult
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.catalogs import StarCatalog, load_catalog
 from giantlike.core.arrays import Float
-from giantlike.core.atomic import make_folder, write_text_atomic
 from giantlike.core.frames import rotate, rotation_from_xyzw
 from giantlike.core.values import Value
 from giantlike.io import write_fits, write_geometry
@@ -31,8 +31,11 @@ from giantlike.missions.osiris_rex.setup import CampaignSetup
 from giantlike.missions.osiris_rex.trajectory import Visit
 from giantlike.shapes import TriangleMesh
 from giantlike.shapes.files.exchange import write_obj
-from giantlike.simulation import DetectorModel, Frame, SimulationOptions, Sources, simulate_image
+from giantlike.simulation import Sources, simulate_image
+from giantlike.simulation.approach import Frame
 from giantlike.simulation.compare import ObservationError, compare_run
+from giantlike.simulation.detector import DetectorModel
+from giantlike.simulation.incident import SimulationOptions
 from giantlike.simulation.write import (
     CAMPAIGN_FILE,
     TRUTH_COLUMNS,

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from giantlike.missions.osiris_rex.calibrations import CameraCalibration
 from giantlike.missions.osiris_rex.campaigns import CampaignResult
 from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
-from giantlike.plotting import Series, charts_figure, series_charts, star_residual_charts
+from giantlike.plotting import charts_figure, star_residual_charts
+from giantlike.plotting.residuals import Series, series_charts
 from giantlike.plotting.style import GRAY, MARKERS, SERIES, drawing, new_panels
 from giantlike.simulation.compare import ObservationError
 

@@ -26,10 +26,12 @@ from giantlike.missions.osiris_rex.trajectory import Visit, VisitedBody
 from giantlike.ray_tracing import reflectance_from_mapping
 from giantlike.scene import Scene, Target
 from giantlike.shapes import TriangleMesh
-from giantlike.simulation import DetectorModel, Frame, HotPixels, Photometry, Shot
+from giantlike.simulation import Shot
+from giantlike.simulation.approach import Frame
+from giantlike.simulation.detector import DetectorModel, HotPixels
 from giantlike.simulation.effects import FlatField
 from giantlike.simulation.incident import visible_peak
-from giantlike.simulation.shot import unexposed
+from giantlike.simulation.shot import Photometry, unexposed
 
 TARGET = "BENNU"
 DEEPEST_DEFAULT = 10.0

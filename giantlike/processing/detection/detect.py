@@ -21,10 +21,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from giantlike._system.processes import one_thread
 from giantlike.core.arrays import Float, Mask, require_number
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.processes import one_thread
 from giantlike.processing.detection.candidates import Candidates, find_candidates
 from giantlike.processing.detection.centroid import StarFits, fit_stars, neighbor_pairs, windowed_shape
 from giantlike.processing.detection.common_streak import (

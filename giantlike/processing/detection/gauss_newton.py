@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.compiled import compiled
 from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX
 
 _CONVERGED_PX = 1e-4  # last step: a hundredth of the best centroid error of a bright star

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.compiled import compiled
+from giantlike._system.compiled import compiled
 
 Indices = NDArray[np.int64]
 

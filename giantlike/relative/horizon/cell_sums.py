@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.compiled import compiled
 from giantlike.core.elimination import RIDGE, solve_normal, solve_symmetric
 from giantlike.relative.horizon.profile import Indices
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.compiled import compiled
 from giantlike.core.values import Value
 from giantlike.relative.horizon.blur import LEAST_RADIUS
 from giantlike.relative.horizon.profile import HorizonArc, Indices

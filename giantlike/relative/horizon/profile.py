@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
+from giantlike._system.compiled import compiled
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.compiled import compiled
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value, select_rows

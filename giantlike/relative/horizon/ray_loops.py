@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float
-from giantlike.core.compiled import compiled
 
 
 @compiled

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.compiled import compiled
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Air, Reflectance
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.compiled import compiled
 
 SHARED = 4
 """Images of the model beside that under another law: the light, the same with slopes along x and y, and a constant."""

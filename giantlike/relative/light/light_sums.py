@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float
-from giantlike.core.compiled import compiled
 
 
 @compiled

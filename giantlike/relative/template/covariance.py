@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.compiled import compiled
 from giantlike.core.statistics import excess, robust_sigma
 from giantlike.core.values import Value
 from giantlike.image_model.columns import Columns, Layout, Prior, Solution

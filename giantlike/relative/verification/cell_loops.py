@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float, Mask
-from giantlike.core.compiled import compiled
 
 EXACT = 1e-9
 """Share of the largest variance below which the sums of a window hold nothing but rounding."""

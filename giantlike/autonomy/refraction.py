@@ -1,0 +1,106 @@
+"""Refraction by the atmosphere, for cameras that look at the sky from the ground."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from giantlike.core.arrays import Float, as_finite, as_floats, require, require_number, unit
+
+LOWEST_ELEVATION_RAD = math.radians(10.0)
+"""Lowest elevation: ERFA's two constants are good to 0.1 arcsec above 15 degrees, some arcsec at 10 (refco.c)."""
+_STEPS = 6  # of the inverse: each gains a factor of the refraction's slope, below 0.01 above the lowest elevation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SiteAtmosphere:
+    """Air at the camera.
+
+    Parameters
+    ----------
+    pressure_hpa : float, hPa
+        At the site, not reduced to sea level; 0 is no air.
+    temperature_c : float, Celsius
+    humidity : float
+        Relative, 0 to 1.
+    wavelength_um : float, um
+        Effective wavelength of camera and source.
+    """
+
+    pressure_hpa: float = 1013.25
+    temperature_c: float = 15.0
+    humidity: float = 0.5
+    wavelength_um: float = 0.55
+
+    def __post_init__(self) -> None:
+        require_number(self.pressure_hpa, "pressure_hpa", least=0.0, most=1200.0)
+        require_number(self.temperature_c, "temperature_c", least=-100.0, most=60.0)
+        require_number(self.humidity, "humidity", least=0.0, most=1.0)
+        require_number(self.wavelength_um, "wavelength_um", above=0.1, most=100.0)
+
+    def constants_rad(self) -> tuple[float, float]:
+        """Constants A and B of ``A tan z + B tan^3 z`` with the observed zenith distance z.
+
+        Returns ``a_rad`` and ``b_rad``.
+        """
+        import erfa  # slow to import
+
+        a, b = erfa.refco(self.pressure_hpa, self.temperature_c, self.humidity, self.wavelength_um)
+        return float(a), float(b)
+
+
+def refracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
+    """Raise directions toward the zenith as the atmosphere does.
+
+    ``directions`` (..., 3), any axes; ``zenith`` (3,), the same axes; returns (..., 3).
+
+    References
+    ----------
+    .. [1] ERFA (liberfa) refco.c: constants of the refraction, and their limits.
+    """
+    vectors, up, length, true = _zenith_distances(directions, zenith)
+    a, b = atmosphere.constants_rad()
+    seen = true
+    for _ in range(_STEPS):
+        tangent = np.tan(seen)
+        seen = true - tangent * (a + b * tangent**2)
+    return _turned(vectors, up, length, seen)
+
+
+def unrefracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
+    """Take refraction out of directions measured on the ground.
+
+    ``directions`` (..., 3), any axes; ``zenith`` (3,), the same axes; returns (..., 3).
+    """
+    vectors, up, length, seen = _zenith_distances(directions, zenith)
+    a, b = atmosphere.constants_rad()
+    tangent = np.tan(seen)
+    return _turned(vectors, up, length, seen + tangent * (a + b * tangent**2))
+
+
+def _zenith_distances(directions: ArrayLike, zenith: ArrayLike) -> tuple[Float, Float, Float, Float]:
+    """Unit vectors, unit zenith, lengths and zenith distances."""
+    vectors = as_floats(directions, (3,), "directions")
+    up = unit(as_finite(zenith, (3,), "zenith"))
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    towards = vectors / length
+    distance = np.arctan2(np.linalg.norm(np.cross(towards, up), axis=-1), towards @ up)
+    lowest = float(np.pi / 2 - np.max(distance, initial=0.0))
+    require(
+        lowest >= LOWEST_ELEVATION_RAD,
+        f"refraction needs elevations of {math.degrees(LOWEST_ELEVATION_RAD):.0f} degrees and more, got"
+        f" {math.degrees(lowest):.2f}",
+    )
+    return towards, up, length, distance
+
+
+def _turned(towards: Float, up: Float, length: Float, distance: Float) -> Float:
+    """Vectors in the vertical planes of unit vectors, at other zenith distances."""
+    across = towards - (towards @ up)[..., None] * up
+    size = np.linalg.norm(across, axis=-1, keepdims=True)
+    flat = across / np.where(size > 0.0, size, 1.0)
+    result: Float = length * (np.cos(distance)[..., None] * up + np.sin(distance)[..., None] * flat)
+    return result

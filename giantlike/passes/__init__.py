@@ -1,0 +1,19 @@
+"""What all images of a pass share: altitude of the limb, pointing bias, errors of the clock."""
+
+from giantlike.passes.estimator import estimate_pass
+from giantlike.passes.fix import PassFix
+from giantlike.passes.images import LimbPoints, NavigationPass, PassImage
+from giantlike.passes.run import RunPass, pass_from_run
+from giantlike.passes.terms import PassOptions, PassTerm
+
+__all__ = [
+    "LimbPoints",
+    "NavigationPass",
+    "PassFix",
+    "PassImage",
+    "PassOptions",
+    "PassTerm",
+    "RunPass",
+    "estimate_pass",
+    "pass_from_run",
+]

@@ -1,0 +1,278 @@
+"""Result of a pass: parameters with covariance by cause, tests of each term, and undetermined combinations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from giantlike.core.arrays import Float, require
+from giantlike.core.errors import InputError
+from giantlike.core.values import Value
+
+SINGULAR = 1e-12
+"""Eigenvalue of a scaled information matrix below which it is zero but for rounding of sums of about ten thousand
+terms."""
+_SMALL_WEIGHT = 0.1
+"""Weights in a combination that are not named."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TermTest:
+    """Test of the hypothesis that the parameters of a term have their a priori values.
+
+    Parameters
+    ----------
+    term : str
+    statistic : float
+        Squared departure in units of its covariance under the hypothesis, correlations and considered errors included;
+        divided by ``count`` where the noise was scaled by the residuals.
+    count : int
+        Number of parameters.
+    freedom : int or None
+        Degrees of freedom of the noise: the statistic is F with ``(count, freedom)``, or chi-square of ``count`` where
+        None.
+    p_value : float
+        Probability of a statistic at least as large under the hypothesis.
+    """
+
+    term: str
+    statistic: float
+    count: int
+    freedom: int | None
+    p_value: float
+
+    def significant(self, level: float = 0.05) -> bool:
+        """True if the hypothesis is rejected at a level."""
+        return self.p_value < level
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WeakCombination:
+    """A combination of parameters that the measurements of a pass hardly determine.
+
+    Parameters
+    ----------
+    weights : mapping of str to float
+        Fraction of each parameter, in units of the standard deviation that it would have were all others known; the
+        largest first, small ones left out.
+    inflation : float
+        Ratio of the standard deviation of the combination by the measurements alone to the standard deviation of one of
+        its parameters with all others known; infinite where the measurements do not determine it.
+    """
+
+    weights: Mapping[str, float]
+    inflation: float
+
+    def __str__(self) -> str:
+        terms = " ".join(f"{weight:+.2f} {name}" for name, weight in self.weights.items())
+        if math.isinf(self.inflation):
+            return f"{terms} at all"
+        return f"{terms} (known {self.inflation:.3g} times worse than its parts alone)"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TimetagJitter(Value):
+    """Errors of the timetags in addition to their bias.
+
+    Parameters
+    ----------
+    sigma_s : float, s
+        Standard deviation of the errors.
+    sigma_of_log : float
+        Standard deviation of the natural logarithm of ``sigma_s``; 0 where it was given, not estimated.
+    p_value : float
+        Of the hypothesis of no jitter; 1 where it was given.
+    errors_s, sigmas_s : (n,) float64, s
+        Error of each tag as the image shows it, and its standard deviation.
+    """
+
+    sigma_s: float
+    sigma_of_log: float
+    p_value: float
+    errors_s: Float
+    sigmas_s: Float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PassFix(Value):
+    """Parameters that the images of a pass share, as they show them.
+
+    Parameters
+    ----------
+    names, units, terms : tuple of str
+        Of the k parameters that were estimated.
+    values : (k,) float64
+    covariance : (k, k) float64
+    parts : mapping of str to (k, k) float64
+        Covariance by cause: ``noise`` (scaled by the residuals where they are larger), ``a priori``, and
+        ``considered TERM``.
+    apriori, apriori_sigmas : (k,) float64
+        Values and standard deviations before; infinite where nothing was known.
+    learned : (k,) float64
+        Fraction of the a priori variance that the pass removed; 1 where nothing was known.
+    tests : tuple of TermTest
+    weak : tuple of WeakCombination
+    jitter : TimetagJitter or None
+    positions_camera_km : (n, 3) float64, km, camera axes
+        Position of the body in every image with all terms applied but the altitude and offsets of the limb.
+    residuals : tuple of (m,) float64, sigmas
+        Of every image: measured minus predicted, the jitter left in; NaN for excluded points.
+    chi2 : float
+        Squared residuals in units of their covariance.
+    freedom : int
+    noise_scale : float
+        Factor on the standard deviations of the noise, at least 1.
+    n_used, n_rejected, iterations : int
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    terms: tuple[str, ...]
+    values: Float
+    covariance: Float
+    parts: Mapping[str, Float]
+    apriori: Float
+    apriori_sigmas: Float
+    learned: Float
+    tests: tuple[TermTest, ...]
+    weak: tuple[WeakCombination, ...]
+    jitter: TimetagJitter | None
+    positions_camera_km: Float
+    residuals: tuple[Float, ...]
+    chi2: float
+    freedom: int
+    noise_scale: float
+    n_used: int
+    n_rejected: int
+    iterations: int
+
+    @property
+    def sigmas(self) -> Float:
+        """Standard deviations (k,) of the values."""
+        result: Float = np.sqrt(np.diagonal(self.covariance))
+        return result
+
+    @property
+    def correlation(self) -> Float:
+        """Correlations (k, k) of the values."""
+        result: Float = self.covariance / np.outer(self.sigmas, self.sigmas)
+        return result
+
+    def value(self, name: str) -> float:
+        """Value of a parameter.
+
+        Parameters
+        ----------
+        name : str
+            One of ``names``.
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        InputError
+            There is no such parameter.
+        """
+        return float(self.values[self._index(name)])
+
+    def sigma(self, name: str) -> float:
+        """Standard deviation of a parameter.
+
+        Parameters
+        ----------
+        name : str
+            One of ``names``.
+
+        Returns
+        -------
+        float
+
+        Raises
+        ------
+        InputError
+            There is no such parameter.
+        """
+        return float(self.sigmas[self._index(name)])
+
+    def test(self, term: str) -> TermTest:
+        """Test of a term.
+
+        Parameters
+        ----------
+        term : str
+            One of ``terms``.
+
+        Returns
+        -------
+        TermTest
+
+        Raises
+        ------
+        InputError
+            The term was not estimated.
+        """
+        for each in self.tests:
+            if each.term == term:
+                return each
+        raise InputError(f"no term {term!r} was estimated; there are {', '.join(each.term for each in self.tests)}")
+
+    def _index(self, name: str) -> int:
+        require(name in self.names, f"no parameter {name!r} was estimated; there are {', '.join(self.names)}")
+        return self.names.index(name)
+
+
+def term_test(term: str, departure: Float, covariance: Float, freedom: int | None) -> TermTest:
+    """Test a departure against its covariance under the hypothesis that there is none.
+
+    ``departure`` (k,); ``covariance`` (k, k).
+    """
+    scale = np.sqrt(np.diagonal(covariance))
+    used = scale > 0.0
+    scaled = departure[used] / scale[used]
+    correlation = covariance[np.ix_(used, used)] / np.outer(scale[used], scale[used])
+    squared, count = float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled), int(used.sum())
+    if freedom is None or count == 0:
+        return TermTest(
+            term=term,
+            statistic=squared,
+            count=count,
+            freedom=None,
+            p_value=float(stats.chi2.sf(squared, count)) if count else 1.0,
+        )
+    return TermTest(
+        term=term,
+        statistic=squared / count,
+        count=count,
+        freedom=freedom,
+        p_value=float(stats.f.sf(squared / count, count, freedom)),
+    )
+
+
+def weak_combinations(names: tuple[str, ...], information: Float, *, above: float) -> tuple[WeakCombination, ...]:
+    """Find combinations of parameters that measurements determine much worse than their parts.
+
+    ``information`` (k, k).
+    """
+    scale = np.sqrt(np.diagonal(information))
+    told = scale > 0.0
+    found = [
+        WeakCombination(weights={name: 1.0}, inflation=np.inf)
+        for name, known in zip(names, told, strict=True)
+        if not known
+    ]
+    if not told.any():
+        return tuple(found)
+    kept = [name for name, known in zip(names, told, strict=True) if known]
+    values, vectors = np.linalg.eigh(information[np.ix_(told, told)] / np.outer(scale[told], scale[told]))
+    for value, vector in zip(values, vectors.T, strict=True):
+        inflation = np.inf if value <= SINGULAR else float(1.0 / np.sqrt(value))
+        if inflation > above:
+            order = [k for k in np.argsort(-np.abs(vector)) if abs(vector[k]) > _SMALL_WEIGHT]
+            found.append(WeakCombination(weights={kept[k]: float(vector[k]) for k in order}, inflation=inflation))
+    return tuple(found)

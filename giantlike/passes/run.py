@@ -1,0 +1,208 @@
+"""A pass from the observables of a run folder."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.camera_models import CameraModel
+from giantlike.core.arrays import Float, as_floats, require, require_number, unit
+from giantlike.core.errors import DataError
+from giantlike.core.frames import rotate, rotation_from_xyzw
+from giantlike.io.observables_file import ObservableRow, read_observables
+from giantlike.passes.images import MeasuredPosition, NavigationPass, PassImage
+from giantlike.relative.place import apparent_radius_px
+
+OBSERVABLES = "observables.parquet"
+_NEW_PARTS = ("part_noise", "part_background")
+_SHARED_PARTS = ("part_psf", "part_edge", "part_camera", "part_reflectance", "part_albedo", "part_relief", "part_pole")
+_ATTITUDE_PARTS = ("part_attitude", "part_orientation")
+_FLOOR_KM = 1e-9
+"""Standard deviation below which a part of a covariance is rounding."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunPass:
+    """Choice of a pass among the rows of a run, and the values missing in the file.
+
+    Parameters
+    ----------
+    target : str
+    radius_km : float, km
+        Mean radius of the target without the altitude of its limb.
+    limb_altitude_km : float, km
+        Altitude of the limb that the run was processed with.
+    covariance_trajectory : (6, 6) array_like, optional
+        Of the position (km) and the velocity (km/s) of the spacecraft at the middle of the pass, ICRF axes; without it
+        the trajectory is taken as exact.
+    from_et_s, to_et_s : float, TDB s
+        First and last epoch of the pass.
+    """
+
+    target: str
+    radius_km: float
+    limb_altitude_km: float = 0.0
+    covariance_trajectory: Any = field(default=None)
+    from_et_s: float = -np.inf
+    to_et_s: float = np.inf
+
+    def __post_init__(self) -> None:
+        require_number(self.radius_km, "radius_km", above=0.0)
+        require_number(self.limb_altitude_km, "limb_altitude_km")
+        require(self.from_et_s <= self.to_et_s, f"from_et_s is after to_et_s: {self.from_et_s} > {self.to_et_s}")
+        if self.covariance_trajectory is not None:
+            as_floats(self.covariance_trajectory, (6, 6), "covariance_trajectory")
+
+
+def pass_from_run(folder: Path, choice: RunPass) -> NavigationPass:
+    """Read a pass from the observables of a run folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the run, or its ``observables.parquet``.
+    choice : RunPass
+
+    Returns
+    -------
+    NavigationPass
+        The preferred positions of the target, in order of time.
+
+    Raises
+    ------
+    DataError
+        The file cannot be read, or holds no position of the target with a covariance in the time of the pass.
+    """
+    path = folder if folder.suffix == ".parquet" else folder / OBSERVABLES
+    rows, metadata = read_observables(path)
+    try:
+        camera = Camera.from_mapping(json.loads(metadata["camera"]))
+    except (KeyError, json.JSONDecodeError) as error:
+        raise DataError(path, "its metadata hold no camera: run the campaign again") from error
+    given = pass_from_rows(rows, camera, choice)
+    if given is None:
+        targets = sorted({row.target for row in rows if row.kind == "body" and row.target is not None})
+        raise DataError(
+            path,
+            f"holds no preferred position of {choice.target} with epoch, prediction and covariance in the time of the "
+            f"pass; it has {', '.join(targets) or 'no body'}: positions need an estimator with a range, such as "
+            "ellipsoid_cra, and images.attitude_sigma_deg or stars",
+        )
+    return given
+
+
+def pass_from_rows(rows: Sequence[ObservableRow], camera: Camera, choice: RunPass) -> NavigationPass | None:
+    """Make a pass of rows of observables.
+
+    Returns None where no row is of use.
+
+    Notes
+    -----
+    A trajectory error moves all images along a straight line: valid for passes of hours. A late exposure moves the body
+    by its motion relative to the spacecraft, the camera held still in inertial axes.
+    """
+    chosen = sorted(
+        (row for row in rows if _usable(row) and row.target == choice.target and _during(row, choice)), key=_epoch
+    )
+    if not chosen:
+        return None
+    middle = 0.5 * (_epoch(chosen[0]) + _epoch(chosen[-1]))
+    attitudes = Counter(row.shared_attitude for row in chosen)
+    images = tuple(_image(row, camera, choice, middle, attitudes[row.shared_attitude] > 1) for row in chosen)
+    covariance = np.zeros((0, 0)) if choice.covariance_trajectory is None else choice.covariance_trajectory
+    return NavigationPass(
+        images=images,
+        limb_altitude_km=choice.limb_altitude_km,
+        covariance_trajectory=np.array(covariance, dtype=np.float64),
+        trajectory_names=() if choice.covariance_trajectory is None else ("x", "y", "z", "vx", "vy", "vz"),
+    )
+
+
+def _usable(row: ObservableRow) -> bool:
+    needed = (
+        row.epoch_et_s,
+        row.observed_apparent_range_km,
+        row.computed_pixel_px,
+        row.computed_apparent_range_km,
+        row.part_noise,
+        row.camera_from_icrf_xyzw,
+    )
+    return row.kind == "body" and row.preferred and row.status == "ok" and all(value is not None for value in needed)
+
+
+def _epoch(row: ObservableRow) -> float:
+    return 0.0 if row.epoch_et_s is None else row.epoch_et_s
+
+
+def _during(row: ObservableRow, choice: RunPass) -> bool:
+    return choice.from_et_s <= _epoch(row) <= choice.to_et_s
+
+
+def _image(row: ObservableRow, camera: Camera, choice: RunPass, middle_s: float, attitude_is_shared: bool) -> PassImage:
+    model = camera.model
+    turn = rotation_from_xyzw(np.array(row.camera_from_icrf_xyzw, dtype=np.float64))
+    measured = _place(model, row.observed_pixel_px, row.observed_line_px, row.observed_apparent_range_km)
+    by_place = np.linalg.inv(np.vstack([model.project_jacobian(measured), unit(measured)]))
+    own, shared = np.zeros((3, 3)), {}
+    for name in (*_NEW_PARTS, *_SHARED_PARTS, *_ATTITUDE_PARTS):
+        cells = getattr(row, name)
+        if cells is None:
+            continue
+        part = by_place @ np.nan_to_num(np.reshape(np.array(cells, dtype=np.float64), (3, 3))) @ by_place.T
+        cause = name.removeprefix("part_")
+        if name in _NEW_PARTS or (name in _ATTITUDE_PARTS and not attitude_is_shared):
+            own += part
+        else:
+            shared[f"{cause} {row.shared_attitude}" if name in _ATTITUDE_PARTS else cause] = _root(part)
+    time_s = _epoch(row) - middle_s
+    by_state = -turn.as_matrix() @ np.hstack([np.eye(3), time_s * np.eye(3)])
+    return PassImage(
+        name=row.file,
+        time_s=time_s,
+        position_camera_km=_place(model, row.computed_pixel_px, row.computed_line_px, row.computed_apparent_range_km),
+        rate_camera_km_s=_rate(row, turn),
+        exposure_s=np.nan if row.exposure_s is None else row.exposure_s,
+        sensor=row.attitude_source or "",
+        by_trajectory=np.zeros((3, 0)) if choice.covariance_trajectory is None else by_state,
+        observed=MeasuredPosition(
+            position_camera_km=measured,
+            covariance_camera_km2=(own + own.T) / 2.0,
+            radius_km=choice.radius_km,
+            apparent_radius_px=apparent_radius_px(
+                camera, model.project(measured), choice.radius_km, float(np.linalg.norm(measured))
+            ),
+            shared_km=shared,
+        ),
+    )
+
+
+def _place(model: CameraModel, pixel: float | None, line: float | None, range_km: float | None) -> Float:
+    """Vector (3,), km, camera axes, of a pixel and a range."""
+    place: Float = np.array(range_km, dtype=np.float64) * unit(
+        model.unproject(np.array([pixel, line], dtype=np.float64))
+    )
+    return place
+
+
+def _rate(row: ObservableRow, turn: Rotation) -> Float:
+    """Velocity (3,) of the target relative to the spacecraft, camera axes; zero where it is not known."""
+    if row.target_velocity_icrf_km_s is None or row.observer_velocity_icrf_km_s is None:
+        return np.zeros(3)
+    relative = np.array(row.target_velocity_icrf_km_s) - np.array(row.observer_velocity_icrf_km_s)
+    return rotate(turn, relative)
+
+
+def _root(covariance: Float) -> Float:
+    """Symmetric root (3, 3): the same shifts in all images whose part is the same."""
+    values, axes = np.linalg.eigh((covariance + covariance.T) / 2.0)
+    sigmas = np.sqrt(np.maximum(values, _FLOOR_KM**2))
+    root: Float = (axes * sigmas) @ axes.T
+    return root

@@ -1,0 +1,114 @@
+"""Terms that the images of a pass share: estimated ones, considered ones, and their a priori uncertainties."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from giantlike.core.arrays import require, require_number
+
+
+class PassTerm(StrEnum):
+    """Error that the images of a pass have in common; the values name parameters."""
+
+    LIMB_ALTITUDE = "limb_altitude"
+    """Altitude above the shape at which the limb is seen, km."""
+    RANGE_SCALE = "range_scale"
+    """Relative error of all predicted ranges: true is predicted times one plus this."""
+    LIMB_OFFSET = "limb_offset"
+    """Distance, px, by which edges are found outside the limb, in all images alike."""
+    EXPOSURE_STEPS = "exposure_steps"
+    """The same, px, for each exposure but the shortest, for which LIMB_OFFSET or LIMB_ALTITUDE accounts."""
+    EXPOSURE_LOG = "exposure_log"
+    """The same as a slope, px, by the natural logarithm of the exposure over the shortest."""
+    POINTING_BIAS = "pointing_bias"
+    """Small rotation about the camera axes, rad: true camera is ``Exp(e)`` times the predicted one."""
+    POINTING_DRIFT = "pointing_drift"
+    """Its rate about the middle of the pass, rad/s."""
+    INTERLOCK = "interlock"
+    """The same rotation, rad, for each attitude sensor but the first."""
+    TIMETAG_BIAS = "timetag_bias"
+    """Time, s, by which exposures are later than their tags."""
+
+
+TRAJECTORY = "trajectory"
+"""Name of the term whose parameters and covariance come with the pass."""
+
+
+class Treatment(StrEnum):
+    """Treatment of an error that all images share and whose covariance is known before."""
+
+    CONSIDER = "consider"
+    ESTIMATE = "estimate"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PassOptions:
+    """Options of :func:`~giantlike.passes.estimate_pass`.
+
+    Parameters
+    ----------
+    estimate : mapping of PassTerm to float
+        Terms to solve for, with the standard deviation of each of their parameters before, in its unit; infinite where
+        nothing is known.
+    consider : mapping of PassTerm to float
+        Terms that stay as they are while their standard deviation enters the covariance.
+    trajectory : Treatment
+        Of the trajectory, where the pass has its covariance.
+    limb_errors : Treatment
+        Of the errors that limbs share (blur, law, relief): estimated with their a priori covariance, which weights
+        the points as their full covariance would, or considered.
+    timetag_jitter_s : float, s
+        Standard deviation of the error of each tag in addition to the bias; the first guess where it is estimated.
+    estimate_jitter : bool
+        Find that standard deviation, by the restricted likelihood.
+    pointing_jitter_rad : float, rad
+        Standard deviation, about each axis, of an error of the attitude that is new in every image.
+    scale_noise : bool
+        Enlarge the part of the noise where residuals are larger than it explains.
+    outlier_sigmas : float
+        Points, or positions, with larger residuals are left out.
+    max_iterations : int
+    tolerance : float
+        The fit has converged when no parameter moves by more than this times its standard deviation.
+    """
+
+    estimate: Mapping[PassTerm, float] = field(
+        default_factory=lambda: {PassTerm.LIMB_ALTITUDE: math.inf, PassTerm.POINTING_BIAS: math.inf}
+    )
+    consider: Mapping[PassTerm, float] = field(default_factory=dict)
+    trajectory: Treatment = Treatment.CONSIDER
+    limb_errors: Treatment = Treatment.ESTIMATE
+    timetag_jitter_s: float = 0.0
+    estimate_jitter: bool = False
+    pointing_jitter_rad: float = 0.0
+    scale_noise: bool = True
+    outlier_sigmas: float = 6.0
+    max_iterations: int = 15
+    tolerance: float = 1e-3
+
+    def __post_init__(self) -> None:
+        for name in ("estimate", "consider"):
+            terms = {}
+            for term, sigma in getattr(self, name).items():
+                require(term in list(PassTerm), f"{name}: there is no term {term!r}; there are {', '.join(PassTerm)}")
+                known = sigma == math.inf and name == "estimate"
+                if not known:
+                    require_number(sigma, f"{name}[{str(term)!r}]", above=0.0)
+                terms[PassTerm(term)] = float(sigma)
+            object.__setattr__(self, name, terms)
+        both = set(self.estimate) & set(self.consider)
+        require(not both, f"estimate and consider both name {', '.join(sorted(both))}: choose one")
+        object.__setattr__(self, "trajectory", Treatment(self.trajectory))
+        object.__setattr__(self, "limb_errors", Treatment(self.limb_errors))
+        require_number(self.timetag_jitter_s, "timetag_jitter_s", least=0.0)
+        require_number(self.pointing_jitter_rad, "pointing_jitter_rad", least=0.0)
+        require_number(self.outlier_sigmas, "outlier_sigmas", above=0.0)
+        require_number(self.max_iterations, "max_iterations", least=1)
+        require_number(self.tolerance, "tolerance", above=0.0)
+        require(
+            not self.estimate_jitter or self.timetag_jitter_s > 0.0,
+            "estimate_jitter needs a first guess: give timetag_jitter_s > 0",
+        )

@@ -1,0 +1,87 @@
+"""Charts of one image, as SVG: residuals of its stars, residuals along a limb, correlation around a fix."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from giantlike.core.errors import InputError
+from giantlike.plotting import star_residual_charts
+from giantlike.plotting.charts import Axis, Chart, ChartSheet, charts_svg
+from giantlike.plotting.layers import Layer, Shape
+from giantlike.plotting.residual_map import residual_map_svg
+from giantlike.plotting.residuals import correlation_surface_figure
+from giantlike.plotting.style import GRAY, SERIES, svg_text
+from giantlike.processing.correlate import find_peak
+from giantlike.viewer.comparison import limb_residuals, match_of
+from giantlike.viewer.session import Session
+
+
+def star_chart(session: Session, file: str) -> str:
+    """Residuals of the stars of an image."""
+    seen = session.seen(file)
+    stars = seen.points.get(seen.record.of, {}).get("stars")
+    if stars is None or not len(stars["observed_px"]):
+        raise InputError(f"{file}: no star of it was identified")
+    observed, predicted = (np.asarray(stars[name], dtype=float) for name in ("observed_px", "predicted_px"))
+    sheet = star_residual_charts(
+        observed,
+        observed - predicted,
+        np.asarray(stars["magnitudes"], dtype=float),
+        np.asarray(stars["sigma_px"], dtype=float),
+        seen.record.columns,
+        seen.record.rows,
+    )
+    return charts_svg(sheet, "stars")
+
+
+def limb_chart(session: Session, file: str, target: str) -> str:
+    """Distances of the limb points of a target from the outlines at their fixes, by angle."""
+    seen = session.seen(file)
+    layers, crosses, values = list[Layer](), list[Layer](), [np.zeros(1)]
+    for fix in seen.observations:
+        if fix.target != target or not len(seen.points.get(fix.of, {}).get("limb_px", ())):
+            continue
+        found = limb_residuals(session, file, fix)
+        points = np.column_stack([found.angle_deg, found.distance_px])
+        color = SERIES[len(layers) % len(SERIES)]
+        layers.append(Layer(points=points, shape=Shape.DOT, color=color, size=4.5, label=fix.estimator))
+        values.append(found.distance_px)
+        if len(seen.points[fix.of].get("limb_rejected_px", ())):
+            others = limb_residuals(session, file, fix, rejected=True)
+            points = np.column_stack([others.angle_deg, others.distance_px])
+            crosses.append(Layer(points=points, shape=Shape.CROSS, color=color, size=4.0, label=""))
+            values.append(others.distance_px)
+    if not layers:
+        raise InputError(f"{file}: no fix of {target} has limb points")
+    zero = Layer(points=np.array([[-180.0, 0.0], [180.0, 0.0]]), shape=Shape.LINE, color=GRAY, width=0.9)
+    chart = Chart(
+        title=f"{target}: limb points off the outline; crosses: rejected",
+        x=Axis(label="angle from +x towards +y, deg", low=-180.0, high=180.0),
+        y=Axis.around("outward, px", np.concatenate(values)),
+        layers=[zero, *crosses, *layers],
+    )
+    return charts_svg(ChartSheet(charts=[chart], width_in=3.6, height_in=2.2), f"limb-{target}")
+
+
+def residual_chart(session: Session, file: str, target: str, estimator: str) -> str:
+    """Image minus template of a fix, as the estimator left it: means over cells."""
+    residuals = session.seen(file).points.get((target, estimator), {}).get("residuals")
+    if residuals is None or not residuals["cell_px"]:
+        raise InputError(f"{file}: {estimator} left no map of residuals of {target}")
+    return residual_map_svg(
+        np.asarray(residuals["at_px"], dtype=float).reshape(-1, 2),
+        100.0 * np.asarray(residuals["values"], dtype=float),
+        residuals["cell_px"],
+        f"{target}, {estimator}: image - template",
+        unit="% of its peak",
+    )
+
+
+def correlation_chart(session: Session, file: str, target: str, estimator: str | None = None) -> str:
+    """Correlation of the image with the template at a fix, for shifts around it, and its peak."""
+    match = match_of(session, file, target, estimator)
+    surface = match.correlation()
+    peak = find_peak(surface)
+    where = None if peak is None else peak.offset_px - (np.array(surface.shape[::-1]) - 1) / 2
+    title = f"{target}, {match.estimator or 'prediction'}: correlation by shift"
+    return svg_text(correlation_surface_figure(surface, where, title), f"correlation-{target}")

@@ -1,0 +1,353 @@
+"""A run with its inputs: records, images and, where the campaign file is available, scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.camera import Camera
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.run.image_loading import open_image, scene_of
+from giantlike.campaign.run.worker_context import Workbench
+from giantlike.campaign.store.edits import Edit, Edited, read_edits
+from giantlike.campaign.store.image_names import find_image
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, TargetRecord
+from giantlike.campaign.store.results import RunResult, camera_of_run, load_result
+from giantlike.campaign.store.run_folder import RunFolder
+from giantlike.core.arrays import Float, unit
+from giantlike.core.errors import DataError, InputError
+from giantlike.core.outcomes import Failure, Outcome
+from giantlike.image import AttitudeSource, Image
+from giantlike.scene import Scene, TargetGeometry
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeenImage:
+    """Results of a run for one image, after edits.
+
+    Parameters
+    ----------
+    record : AttitudeRecord
+    observations : tuple of ObservationRecord
+    points : mapping of (str, str) to mapping
+        Lists of points as :meth:`~giantlike.campaign.store.run_folder.RunFolder.points` returns them, by target and
+        estimator of an observation; the lists of the image itself by two empty names.
+    targets : tuple of TargetRecord
+        A priori geometry and outlines.
+    edits : tuple of Edit
+        Rejections in effect.
+    rejected_fixes : tuple of ObservationRecord
+        Fixes that were rejected, as they were before.
+    terminators : mapping of str to tuple of (n, 2) float64, px
+        By target, where :func:`~giantlike.viewer.planes.with_terminators` traced them.
+    """
+
+    record: AttitudeRecord
+    observations: tuple[ObservationRecord, ...]
+    points: Mapping[tuple[str, str], Mapping[str, Any]]
+    targets: tuple[TargetRecord, ...]
+    edits: tuple[Edit, ...]
+    rejected_fixes: tuple[ObservationRecord, ...] = ()
+    terminators: Mapping[str, tuple[Float, ...]] = field(default_factory=dict)
+
+    @property
+    def image_edit(self) -> Edit | None:
+        """The rejection of the image itself."""
+        return next((edit for edit in self.edits if edit.what is Edited.IMAGE), None)
+
+    @property
+    def star_edits(self) -> dict[int, Edit]:
+        """Rejections of stars, by number."""
+        return {edit.star: edit for edit in self.edits if edit.star is not None}
+
+    def edit_of(self, fix: ObservationRecord) -> Edit | None:
+        """The rejection of a fix, or that of the image."""
+        of = (fix.target, fix.estimator)
+        return next((edit for edit in self.edits if (edit.target, edit.estimator) == of), self.image_edit)
+
+
+def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]) -> str:
+    """Return the verdict on an image: the worst of its attitude and of the best fix of each target.
+
+    Parameters
+    ----------
+    record : AttitudeRecord
+    observations : iterable of ObservationRecord
+        Of the image.
+
+    Returns
+    -------
+    str
+        ``ok``, ``suspect``, ``failed`` or, of a rejected image, ``rejected``. What was rejected, does not suit a body
+        or is not in the field, does not count.
+    """
+    if record.outcome is Outcome.REJECTED:
+        return str(Outcome.REJECTED)
+    order = (Outcome.OK, Outcome.SUSPECT, Outcome.FAILED)
+    best: dict[str, Outcome] = {}
+    for one in observations:
+        if one.outcome.tried:
+            best[one.target] = min(best.get(one.target, Outcome.FAILED), one.outcome, key=order.index)
+    return str(max([record.outcome, *best.values()], key=order.index))
+
+
+class Session:
+    """A finished run, opened for inspection.
+
+    Parameters
+    ----------
+    folder : Path
+        The run folder.
+    campaign : Path, optional
+        Its campaign file; by default the one of the run, if it still exists. It is needed for data that the run does
+        not keep (shapes, backplanes, templates) and to solve again.
+
+    Raises
+    ------
+    DataError
+        It is not a run folder, or the run is not finished.
+    """
+
+    def __init__(self, folder: Path, campaign: Path | None = None) -> None:
+        self.folder = folder
+        self.result: RunResult = load_result(folder)
+        self._campaign_file = campaign
+        self._store = RunFolder.open(folder)
+
+    def reload(self) -> None:
+        """Read records and edits again, after a run or an edit."""
+        self.result = load_result(self.folder)
+
+    def reopen(self) -> None:
+        """Read the campaign file again too, after a run: it may have been edited."""
+        bench = self.__dict__.pop("workbench", None)
+        if bench is not None:
+            bench.close()
+        self.__dict__.pop("camera", None)
+        self.reload()
+
+    @property
+    def campaign_file(self) -> Path:
+        """The campaign file of the run.
+
+        Raises
+        ------
+        InputError
+            It is not where it was, and was not given.
+        """
+        named = self._store.provenance().get("environment", {}).get("campaign_file")
+        path = self._campaign_file or (None if named is None else (self.folder / named).resolve())
+        if path is None or not path.is_file():
+            raise InputError(f"{self.folder}: its campaign file is not at {path}: give it with --campaign FILE")
+        return path
+
+    @cached_property
+    def camera(self) -> Camera:
+        """Camera of the run: the calibrated one if the run calibrated."""
+        return camera_of_run(self.folder)
+
+    @cached_property
+    def workbench(self) -> Workbench:
+        """Catalog, shapes and kernels of the campaign, loaded once.
+
+        Raises
+        ------
+        InputError, DataError
+            The campaign file or one of its files is missing or wrong.
+        """
+        campaign = Campaign.load(self.campaign_file)
+        return Workbench.load(replace(campaign, camera=self.camera))
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of the images, in input order."""
+        return tuple(record.file for record in self.result.attitudes)
+
+    def find(self, name: str) -> str:
+        """Name of an image in the tables, from that name, a path that ends in it, or its start.
+
+        Parameters
+        ----------
+        name : str
+
+        Returns
+        -------
+        str
+
+        Raises
+        ------
+        InputError
+            There is none, or there are several.
+        """
+        return find_image(name, self.files, self.folder)
+
+    def seen(self, file: str) -> SeenImage:
+        """Return the results of the run for an image.
+
+        Parameters
+        ----------
+        file : str
+            One of :attr:`files`.
+
+        Returns
+        -------
+        SeenImage
+        """
+        record = next(each for each in self.result.attitudes if each.file == file)
+        observations = [one for image in self.result.bodies if image.file == file for one in image.observations]
+        names = dict.fromkeys(one.target for one in observations)
+        with self._store.reading():
+            targets = [self._store.load(TargetRecord, file, (name, "")) for name in names]
+            edits = tuple(edit for edit in read_edits(self.folder).standing if edit.file == file)
+            hidden = [self._store.load(ObservationRecord, file, one.of, light=True) for one in observations
+                      if one.outcome is Outcome.REJECTED]  # fmt: skip
+            rejected = tuple(one for one in hidden if one is not None and one.center_px is not None)
+            found = {one.of: one for one in (record, *observations)} | {one.of: one for one in rejected}
+            if record.outcome is Outcome.REJECTED:
+                found[record.of] = self._store.load(AttitudeRecord, file, light=True) or record
+            points = {of: self._store.points(one) for of, one in found.items()}
+        return SeenImage(
+            record=record,
+            observations=tuple(observations),
+            points=points,
+            targets=tuple(target for target in targets if target is not None),
+            edits=edits,
+            rejected_fixes=rejected,
+        )
+
+    def pixels(self, file: str) -> Image:
+        """The image as it is stored.
+
+        Parameters
+        ----------
+        file : str
+
+        Returns
+        -------
+        Image
+
+        Raises
+        ------
+        DataError
+            The file is gone or damaged.
+        """
+        record = next(each for each in self.result.attitudes if each.file == file)
+        return Image.open(self.folder / record.path, hdu=self.result.hdu, bottom_up=self.result.bottom_up)
+
+    def image(self, file: str) -> Image:
+        """The image as estimators saw it: calibrated pixels, and the attitude that was used.
+
+        Parameters
+        ----------
+        file : str
+
+        Returns
+        -------
+        Image
+
+        Raises
+        ------
+        InputError, DataError
+            The campaign or the image cannot be read.
+        """
+        bench = self.workbench
+        entry = next((each for each in bench.campaign.images if each.key == file), None)
+        if entry is None:
+            raise InputError(f"{bench.campaign.path}: there is no image {file!r} in it any more")
+        image = open_image(bench.campaign, entry, bench.frames).image
+        attitude = next(each for each in self.result.attitudes if each.file == file).attitude
+        if attitude is None:
+            return image
+        return image.with_attitude(
+            attitude.rotation,
+            source=AttitudeSource(attitude.source),
+            covariance_rad2=attitude.covariance_rad2,
+            errors=attitude.errors,
+        )
+
+    def geometry(self, file: str, *, image: Image | None = None) -> dict[str, TargetGeometry]:
+        """Geometry of the targets of an image with the attitude that was used.
+
+        Parameters
+        ----------
+        file : str
+        image : Image, optional
+            As :meth:`image` returns it.
+
+        Returns
+        -------
+        dict of str to TargetGeometry
+            By target; those without geometry are left out.
+
+        Raises
+        ------
+        InputError, DataError
+            The campaign or the image cannot be read.
+        """
+        image = self.image(file) if image is None else image
+        bench, known = self.workbench, {}
+        wanted = {one.target for bodies in self.result.bodies if bodies.file == file for one in bodies.observations}
+        for target in bench.campaign.targets:
+            if target.name not in wanted:
+                continue
+            scene = scene_of(bench.campaign, image, target, bench.shapes[target.name])
+            geometry = scene.geometry(image, target.name) if isinstance(scene, Scene) else scene
+            if not isinstance(geometry, Failure):
+                known[target.name] = geometry
+        return known
+
+    def position_camera_km(self, geometry: TargetGeometry, fix: ObservationRecord | None) -> Float:
+        """Position of a body by a fix of it; where a fix has no range, at the predicted one.
+
+        Parameters
+        ----------
+        geometry : TargetGeometry
+        fix : ObservationRecord or None
+            None: the prediction.
+
+        Returns
+        -------
+        (3,) float64, km, camera axes
+        """
+        if fix is None or fix.center_px is None:
+            return geometry.position_camera_km
+        if fix.position_camera_km is not None:
+            return np.array(fix.position_camera_km)
+        return geometry.range_km * unit(self.camera.model.unproject(np.array(fix.center_px)))
+
+    def require_attitude(self, file: str) -> Rotation:
+        """``camera_from_inertial`` of an image.
+
+        Raises
+        ------
+        DataError
+            It has none.
+        """
+        attitude = next(each for each in self.result.attitudes if each.file == file).attitude
+        if attitude is None:
+            raise DataError(self.folder, f"{file} has no attitude in this run")
+        return attitude.rotation
+
+
+def chosen_fix(seen: SeenImage, target: str, estimator: str | None = None) -> ObservationRecord | None:
+    """The fix of a target to show: of an estimator, or the best one.
+
+    Returns None where there is no such fix.
+    """
+    there = [one for one in seen.observations if one.target == target]
+    if estimator is not None and estimator not in {one.estimator for one in there}:
+        names = ", ".join(one.estimator for one in there)
+        raise InputError(f"{seen.record.file}: {target} has no observation by {estimator!r}; there are {names}")
+    fixes = [one for one in there if one.center_px is not None and estimator in (None, one.estimator)]
+    return min(fixes, key=_rank, default=None)
+
+
+def _rank(fix: ObservationRecord) -> tuple[bool, bool, float]:
+    size = np.inf if fix.covariance_px2 is None else float(np.trace(np.array(fix.covariance_px2)))
+    return fix.status != "ok", fix.estimator != "auto", size
