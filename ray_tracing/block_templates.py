@@ -18,7 +18,7 @@ from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.refined import RefinedTrace, refined
 from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.render import Template, unless_dark
-from giantlike.ray_tracing.sampling import Cells
+from giantlike.ray_tracing.sampling import AxisCells
 from giantlike.ray_tracing.spread import Spread
 from giantlike.ray_tracing.tracer import Indices
 
@@ -100,10 +100,10 @@ class _Rays:
     traced: RefinedTrace
 
     @property
-    def grid(self) -> tuple[Cells, Cells]:
+    def grid(self) -> tuple[AxisCells, AxisCells]:
         """Columns and rows of the grid, in pixels and not in blocks of them."""
         size = self.traced.factor
-        x, y = (Cells(size * each.first, size * each.count, each.per_px) for each in self.traced.cells)
+        x, y = (AxisCells(size * each.first, size * each.count, each.per_px) for each in self.traced.cells)
         return x, y
 
     def light(self, law: Reflectance) -> Float:
@@ -174,7 +174,7 @@ def _on_pixels(
     return tuple(templates)
 
 
-def _pixels_of(cells: Cells, halo_px: int, margin_px: int, count: int) -> tuple[int, int]:
+def _pixels_of(cells: AxisCells, halo_px: int, margin_px: int, count: int) -> tuple[int, int]:
     """First pixel that cells light, and number of these, within a frame of ``count`` and its margin."""
     first = max(cells.first // cells.per_px - halo_px, -margin_px)
     last = min((cells.first + cells.count - 1) // cells.per_px + halo_px, count - 1 + margin_px)

@@ -18,7 +18,7 @@ from giantlike.ray_tracing.footprint import FocalPlane, Footprint, footprint_of
 from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
 from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.render import Template, gathered, ray_grid, shade_tile, unless_dark
-from giantlike.ray_tracing.sampling import Cells, Tile
+from giantlike.ray_tracing.sampling import AxisCells, Tile
 from giantlike.ray_tracing.trace import TracedRays, View, in_order, sunlight, trace_rays, view_of
 
 
@@ -70,7 +70,7 @@ class Trace(Value):
         return unless_dark(gathered(self.view, footprint, shaded))
 
     @property
-    def cells(self) -> tuple[Cells, Cells]:
+    def cells(self) -> tuple[AxisCells, AxisCells]:
         """Columns and rows of the cells."""
         return self.footprint.cells
 
@@ -236,7 +236,7 @@ class Trace(Value):
         Daylight
         """
         light, (column, row) = self.at_middles()
-        cells = Cells(column, light.shape[1], 1), Cells(row, light.shape[0], 1)
+        cells = AxisCells(column, light.shape[1], 1), AxisCells(row, light.shape[0], 1)
         center_px = self.body.center_px(self.footprint.plane.model)
         return Daylight(cells=cells, lit=light.T > 0.0, center_px=center_px, traced_center_px=center_px, scale=1.0)
 

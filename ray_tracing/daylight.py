@@ -9,7 +9,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
-from giantlike.ray_tracing.sampling import Cells
+from giantlike.ray_tracing.sampling import AxisCells
 from giantlike.ray_tracing.tracer import Indices
 
 
@@ -34,14 +34,14 @@ class Daylight(Value):
         False where rays were sent through a part of the cells: none is known to be dark.
     """
 
-    cells: tuple[Cells, Cells]
+    cells: tuple[AxisCells, AxisCells]
     lit: Mask
     center_px: Float
     traced_center_px: Float
     scale: float
     whole: bool = True
 
-    def of(self, cells: tuple[Cells, Cells]) -> tuple[Mask, Mask]:
+    def of(self, cells: tuple[AxisCells, AxisCells]) -> tuple[Mask, Mask]:
         """Where a finer trace can do without rays.
 
         Returns ``dark``, ``lit`` (columns, rows).
@@ -55,7 +55,7 @@ class Daylight(Value):
         )
         return dark, lit
 
-    def _numbers(self, axis: int, fine: Cells) -> Indices:
+    def _numbers(self, axis: int, fine: AxisCells) -> Indices:
         """Numbers of the rough cells in which fine ones lie, -1 beyond them."""
         rough = self.cells[axis]
         places_px = self.traced_center_px[axis] + (fine.centers_px - self.center_px[axis]) / self.scale

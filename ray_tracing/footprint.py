@@ -16,7 +16,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.options import RenderOptions
-from giantlike.ray_tracing.sampling import PSF_REACH_SIGMA, Cells, Tile, finite_rows, span
+from giantlike.ray_tracing.sampling import PSF_REACH_SIGMA, AxisCells, Tile, finite_rows, span
 from giantlike.ray_tracing.spread import Spread
 
 _BOUND_MARGIN = 0.02
@@ -103,9 +103,9 @@ class VisibleBox(Value):
     outline_px: Float | None
     pad_px: float
 
-    def cells(self, per_px: int) -> tuple[Cells, Cells]:
+    def cells(self, per_px: int) -> tuple[AxisCells, AxisCells]:
         """Columns and rows of cells that cover the box, ``per_px`` along each side of a pixel."""
-        x, y = (Cells.covering(float(self.low_px[i]), float(self.high_px[i]), per_px) for i in range(2))
+        x, y = (AxisCells.covering(float(self.low_px[i]), float(self.high_px[i]), per_px) for i in range(2))
         return x, y
 
 
@@ -127,7 +127,7 @@ class Footprint(Value):
     """
 
     plane: FocalPlane
-    cells: tuple[Cells, Cells]
+    cells: tuple[AxisCells, AxisCells]
     tiles: tuple[Tile, ...]
     corner_px: NDArray[np.int64]
     size_px: tuple[int, int]
@@ -175,7 +175,7 @@ def footprint_of(body: Body, plane: FocalPlane, options: RenderOptions) -> Footp
     )
 
 
-def _tiles(x: Cells, y: Cells, box: VisibleBox) -> tuple[Tile, ...]:
+def _tiles(x: AxisCells, y: AxisCells, box: VisibleBox) -> tuple[Tile, ...]:
     """Strips of rows, each as wide as the outline of the body within it; strips that miss the body are left out."""
     step = max(_RAYS_PER_TILE // x.count, _ROWS_PER_TILE)
     starts = np.arange(0, y.count, step)

@@ -19,7 +19,7 @@ from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.footprint import FocalPlane, visible_box
 from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.reflectance import Reflectance
-from giantlike.ray_tracing.sampling import Cells
+from giantlike.ray_tracing.sampling import AxisCells
 from giantlike.ray_tracing.trace import View, trace_rays, view_of
 
 _SPLINE_PX = 2  # reach of the cubic B-spline that samples the image, from the nearest pixel
@@ -126,7 +126,7 @@ def render_near(
     for side in np.unique(per_side).tolist():
         which = per_side == side
         light = np.ascontiguousarray(one[:, which]) if side == 1 else _light(view, axes[which], side, laws)
-        share = Cells(0, side, side).spread(-reach, 2 * reach + 1, sigma_px).matrix()
+        share = AxisCells(0, side, side).spread(-reach, 2 * reach + 1, sigma_px).matrix()
         _spread(images, pixels[which] - first - reach, light, share)
     return NearRender(images=images, corner_px=first.astype(np.float64))
 

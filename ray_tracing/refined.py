@@ -11,7 +11,7 @@ from giantlike.core.arrays import Float, Mask, unit
 from giantlike.core.values import Value
 from giantlike.ray_tracing.cached_trace import Trace
 from giantlike.ray_tracing.reflectance import Reflectance
-from giantlike.ray_tracing.sampling import Cells
+from giantlike.ray_tracing.sampling import AxisCells
 from giantlike.ray_tracing.trace import TracedRays, trace_rays
 from giantlike.ray_tracing.tracer import Indices
 
@@ -41,15 +41,15 @@ class RefinedTrace(Value):
     rays: TracedRays = field(repr=False)
 
     @property
-    def cells(self) -> tuple[Cells, Cells]:
+    def cells(self) -> tuple[AxisCells, AxisCells]:
         """Columns and rows of all cells."""
         return self.trace.cells
 
     @property
-    def part_cells(self) -> tuple[Cells, Cells]:
+    def part_cells(self) -> tuple[AxisCells, AxisCells]:
         """Columns and rows of the parts of all cells."""
         x, y = (
-            Cells(self.factor * cells.first, self.factor * cells.count, self.factor * cells.per_px)
+            AxisCells(self.factor * cells.first, self.factor * cells.count, self.factor * cells.per_px)
             for cells in self.trace.cells
         )
         return x, y

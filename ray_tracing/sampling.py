@@ -19,7 +19,7 @@ _CHECK = np.array([-0.93, -0.41, 0.17, 0.66, 0.98])  # positions between the nod
 
 
 @dataclass(frozen=True, slots=True)
-class Cells:
+class AxisCells:
     """A row of equal cells along one axis of the image, ``per_px`` to a pixel and aligned with the pixels.
 
     Parameters
@@ -34,7 +34,7 @@ class Cells:
     per_px: int
 
     @classmethod
-    def covering(cls, low_px: float, high_px: float, per_px: int) -> Cells:
+    def covering(cls, low_px: float, high_px: float, per_px: int) -> AxisCells:
         """Return the cells that cover ``low_px`` to ``high_px``; at least one."""
         first = int(np.floor((low_px + 0.5) * per_px))
         return cls(first, max(int(np.ceil((high_px + 0.5) * per_px)) - first, 1), per_px)
@@ -109,7 +109,9 @@ class RayGrid:
     ``rotation`` (3, 3), applied to the directions: ``to_from_camera``.
     """
 
-    def __init__(self, model: CameraModel, x: Cells, y: Cells, rotation: Float, jitter_seed: int | None = None) -> None:
+    def __init__(
+        self, model: CameraModel, x: AxisCells, y: AxisCells, rotation: Float, jitter_seed: int | None = None
+    ) -> None:
         self._model, self._rotation, self._jitter_seed = model, rotation, jitter_seed
         centered = jitter_seed is None
         self._columns_px, self._rows_px = (x.centers_px, y.centers_px) if centered else (x.edges_px, y.edges_px)

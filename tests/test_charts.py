@@ -12,7 +12,7 @@ import pytest
 
 from giantlike.plotting import charts_figure
 from giantlike.plotting.charts import Axis, Chart, ChartSheet, charts_svg
-from giantlike.plotting.layers import Layer, Shape
+from giantlike.plotting.layers import Layer, MarkShape
 from giantlike.plotting.residual_map import residual_map_svg
 
 _SVG = "{http://www.w3.org/2000/svg}"
@@ -42,8 +42,8 @@ def test_a_line_runs_from_corner_to_corner_and_a_bar_stands_upright() -> None:
     corners, bar = np.array([[1.0, 10.0], [3.0, 30.0]]), np.array([[2.0, 15.0], [2.0, 25.0]])
     x, y = Axis(label="x", low=1.0, high=3.0), Axis(label="y", low=10.0, high=30.0)
     layers = [
-        Layer(points=corners, shape=Shape.LINE, color="red", label="<a>"),
-        Layer(points=bar, shape=Shape.BARS, color="blue"),
+        Layer(points=corners, shape=MarkShape.LINE, color="red", label="<a>"),
+        Layer(points=bar, shape=MarkShape.BARS, color="blue"),
     ]
     sheet = ChartSheet(charts=[Chart(title="", x=x, y=y, layers=layers)], width_in=1.0, height_in=2.0)
     drawn = ElementTree.fromstring(charts_svg(sheet, "a")).iter(f"{_SVG}path")
@@ -56,7 +56,7 @@ def test_a_line_runs_from_corner_to_corner_and_a_bar_stands_upright() -> None:
 def test_a_million_points_are_as_many_marks_as_there_is_room_for() -> None:
     points = np.random.default_rng(1).uniform(size=(1_000_000, 2))
     axis = Axis(label="either", low=0.0, high=1.0)
-    layer = Layer(points=points, shape=Shape.DOT, color="red", size=3.0)
+    layer = Layer(points=points, shape=MarkShape.DOT, color="red", size=3.0)
     sheet = ChartSheet(charts=[Chart(title="", x=axis, y=axis, layers=[layer])], width_in=1.0, height_in=1.0)
     assert len(charts_svg(sheet, "a")) < 111 * 111 * 10
 
@@ -64,7 +64,7 @@ def test_a_million_points_are_as_many_marks_as_there_is_room_for() -> None:
 def _labeled(stacked: bool) -> ChartSheet:
     axis = Axis(label="along", low=0.0, high=1.0)
     points = np.array([[0.2, 0.9], [0.8, 0.95]])
-    layers = [Layer(points=points, shape=Shape.DOT, color="red", size=3.0, label=f"kind {k}") for k in range(2)]
+    layers = [Layer(points=points, shape=MarkShape.DOT, color="red", size=3.0, label=f"kind {k}") for k in range(2)]
     charts = [Chart(title="", x=axis, y=axis, layers=layers) for _ in range(2)]
     return ChartSheet(charts=charts, width_in=3.0, height_in=1.5, stacked=stacked)
 

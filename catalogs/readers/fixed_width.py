@@ -21,7 +21,7 @@ _LARGEST = 2.0**53
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lines(Value):
+class FileLines(Value):
     """Lines of a file.
 
     Parameters
@@ -71,7 +71,7 @@ class Lines(Value):
         return f"line {row + 1}"
 
 
-def lines_of(path: Path, widths: tuple[int, ...]) -> Lines:
+def lines_of(path: Path, widths: tuple[int, ...]) -> FileLines:
     """Lines of a file, gzipped or not, whose first and longest line has one of the given widths."""
     lines = unzipped(path.read_bytes()).splitlines()
     width = len(lines[0]) if lines else 0
@@ -82,7 +82,7 @@ def lines_of(path: Path, widths: tuple[int, ...]) -> Lines:
         if len(line) > width:
             raise ValueError(f"line {number}: expected {width} bytes as in line 1, got {len(line)}")
     text = b"".join([line.ljust(width) for line in lines])
-    return Lines(np.frombuffer(text, dtype="S1").reshape(len(lines), width))
+    return FileLines(np.frombuffer(text, dtype="S1").reshape(len(lines), width))
 
 
 HIP_MAIN: Places = {

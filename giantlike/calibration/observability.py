@@ -17,7 +17,7 @@ _MOSTLY_PRIOR = 0.9  # ratio of sigma to a priori sigma: the observations contri
 _ENTANGLED = 0.99  # correlation: the sigma of the parameter alone is 7 times smaller
 
 
-class Verdict(StrEnum):
+class ParameterVerdict(StrEnum):
     """Verdict of the observations on a parameter."""
 
     SUPPORTED = "supported"
@@ -58,7 +58,7 @@ class ParameterSupport:
     sigma_effect_px: float
     partner: str
     correlation: float
-    verdict: Verdict
+    verdict: ParameterVerdict
 
 
 def parameter_support(
@@ -79,13 +79,13 @@ def parameter_support(
         is_scale = name.endswith("_px")
         change = values[k] - start[k] if is_scale else values[k]
         if sigma[k] > _MOSTLY_PRIOR * data.prior_sigma[k]:
-            verdict = Verdict.PRIOR_ONLY
+            verdict = ParameterVerdict.PRIOR_ONLY
         elif not is_scale and abs(values[k]) < _SIGNIFICANT * sigma[k]:
-            verdict = Verdict.NOT_SIGNIFICANT
+            verdict = ParameterVerdict.NOT_SIGNIFICANT
         elif abs(shared) > _ENTANGLED:
-            verdict = Verdict.ENTANGLED
+            verdict = ParameterVerdict.ENTANGLED
         else:
-            verdict = Verdict.SUPPORTED
+            verdict = ParameterVerdict.SUPPORTED
         found.append(
             ParameterSupport(
                 name=name,

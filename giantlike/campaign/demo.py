@@ -27,9 +27,9 @@ from giantlike.core.outcomes import Reason
 from giantlike.core.values import Value
 from giantlike.simulation import ApproachOptions, plan_approach, write_approach
 from giantlike.simulation.compare import (
-    Comparison,
+    ErrorSummary,
     ObservationError,
-    Score,
+    TruthComparison,
     compare_run,
     score_attitudes,
     score_observations,
@@ -112,16 +112,16 @@ class DemoReport(Value):
     """
 
     output: Path
-    comparison: Comparison
+    comparison: TruthComparison
     simulate_s: float
     run_s: float
 
-    def attitude_scores(self) -> dict[str, Score]:
+    def attitude_scores(self) -> dict[str, ErrorSummary]:
         """Attitude scores, by source of the attitude."""
         by_source = grouped(self.comparison.attitudes, lambda error: error.source)
         return {source or "none": score_attitudes(errors) for source, errors in by_source.items()}
 
-    def estimator_scores(self) -> dict[tuple[str, str], Score]:
+    def estimator_scores(self) -> dict[tuple[str, str], ErrorSummary]:
         """Scores by target and estimator."""
         by_pair = grouped(self.comparison.observations, lambda error: (error.target, error.estimator))
         return {pair: score_observations(errors) for pair, errors in by_pair.items()}
@@ -244,7 +244,7 @@ def _clear(output: Path) -> None:
         raise DataError(output, f"cannot be written: {error.strerror or error}") from error
 
 
-def _yield_goals(comparison: Comparison) -> Iterable[Goal]:
+def _yield_goals(comparison: TruthComparison) -> Iterable[Goal]:
     """Goals of the fraction of fixes that are ok among all that are observable by the truth, reported or not."""
     solved = {error.file for error in comparison.attitudes if error.status == "ok"}
     yield _share("attitude", [row.file in solved for row in comparison.truth], _ATTITUDE_SHARE)
@@ -268,7 +268,7 @@ def _share(text: str, hits: Sequence[bool], low: float) -> Goal:
     return Goal(text=f"{text}: share with a good fix ({sum(hits)} of {len(hits)})", value=share, low=low, high=1.0)
 
 
-def _accuracy_goals(comparison: Comparison) -> list[Goal]:
+def _accuracy_goals(comparison: TruthComparison) -> list[Goal]:
     of = grouped(comparison.observations, lambda error: error.estimator)
     attitudes = score_attitudes(comparison.attitudes)
     correlation = score_observations(of.get("cross_correlation", []))
@@ -313,7 +313,7 @@ def _observation_lines(errors: Sequence[ObservationError]) -> list[str]:
     return lines
 
 
-def _score_lines(title: str, scores: dict[str, Score]) -> list[str]:
+def _score_lines(title: str, scores: dict[str, ErrorSummary]) -> list[str]:
     width = max([len(title), *(len(key) for key in scores)]) + 2
     header = (
         f"{title:<{width}}{'fixes':>6}{'error x':>9}{'y':>7}{'sigma x':>9}{'y':>7} px"
@@ -334,7 +334,7 @@ def _score_lines(title: str, scores: dict[str, Score]) -> list[str]:
     return lines
 
 
-def _failure_lines(scores: dict[tuple[str, str], Score]) -> list[str]:
+def _failure_lines(scores: dict[tuple[str, str], ErrorSummary]) -> list[str]:
     """Counts of failures by reason; empty if there are none."""
     lines = []
     for (target, estimator), score in scores.items():
@@ -354,7 +354,7 @@ def _goal_line(goal: Goal) -> str:
     )
 
 
-def _score_table(score: Score) -> dict[str, Any]:
+def _score_table(score: ErrorSummary) -> dict[str, Any]:
     return {
         "images": score.n_images,
         "fixes": score.n_fixes,

@@ -33,7 +33,7 @@ _SHOWN = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class DetectedImage:
     """Detections of one image, and its point spread function if requested."""
 
     detections: Detections
@@ -88,7 +88,7 @@ class DetectRequest:
         """Detector of the camera, or one with default properties."""
         return Detector() if self.camera is None else self.camera.detector
 
-    def search(self, image: Image, pattern: FixedPattern | Failure | None = None) -> Found | Failure:
+    def search(self, image: Image, pattern: FixedPattern | Failure | None = None) -> DetectedImage | Failure:
         """Sources of one image, after the pattern of its sequence is removed, and its point spread function."""
         camera = self.camera
         if camera is not None:
@@ -101,13 +101,13 @@ class DetectRequest:
             image.pixels, detector=detector, psf_sigma_px=sigma, mask=image.mask, options=self.options
         )
         if isinstance(found, Failure) or self.psf is None:
-            return found if isinstance(found, Failure) else Found(found)
+            return found if isinstance(found, Failure) else DetectedImage(found)
         psf = estimate_psf(
             image.pixels, found, detector=detector, kind=self.psf, degree=self.psf_degree, mask=image.mask
         )
         if isinstance(psf, PsfEstimate):
             found = remeasure(image.pixels, found, psf, detector=detector, mask=image.mask)
-        return Found(found, psf)
+        return DetectedImage(found, psf)
 
 
 def detect(
@@ -163,19 +163,22 @@ def _all_searched(images: list[Path], wanted: DetectRequest) -> list[dict[str, A
     pattern = sequence_pattern(images, hdu=wanted.hdu, detector=wanted.detector) if wanted.sequence else None
     outcomes = [_searched(path, wanted, pattern) for path in with_progress("detecting", images)]
     if wanted.sequence:
-        compared = iter(compare_sequence([found.detections for found in outcomes if isinstance(found, Found)]))
-        outcomes = [Found(next(compared), found.psf) if isinstance(found, Found) else found for found in outcomes]
+        compared = iter(compare_sequence([found.detections for found in outcomes if isinstance(found, DetectedImage)]))
+        outcomes = [
+            DetectedImage(next(compared), found.psf) if isinstance(found, DetectedImage) else found
+            for found in outcomes
+        ]
     return [_result(path, outcome, wanted) for path, outcome in zip(images, outcomes, strict=True)]
 
 
-def _searched(path: Path, wanted: DetectRequest, pattern: FixedPattern | Failure | None) -> Found | Failure:
+def _searched(path: Path, wanted: DetectRequest, pattern: FixedPattern | Failure | None) -> DetectedImage | Failure:
     try:
         return wanted.search(wanted.reader.open(path, wanted.detector), pattern)
     except OpNavError as error:
         return Failure(Reason.UNREADABLE_IMAGE, str(error))
 
 
-def _result(path: Path, outcome: Found | Failure, wanted: DetectRequest) -> dict[str, Any]:
+def _result(path: Path, outcome: DetectedImage | Failure, wanted: DetectRequest) -> dict[str, Any]:
     """One object of the JSON list; unknown values are None."""
     values: dict[str, Any] = {"file": str(path), "status": "failed", "reason": None, "detail": ""}
     values |= {"psf_sigma_px": None, "noise_dn": None, "detections": []}

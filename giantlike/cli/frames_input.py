@@ -9,13 +9,13 @@ from typing import Any
 
 from giantlike.campaign.file.frame_files import FrameFiles, frames_of
 from giantlike.campaign.file.schema import CalibrationFramesSection
-from giantlike.campaign.file.toml_file import Section, read_toml
+from giantlike.campaign.file.toml_file import TomlSection, read_toml
 from giantlike.core.detector import Detector
 from giantlike.image import Image
 from giantlike.processing.calibration_frames import CalibrationFrames
 
 
-class _FramesFile(Section):
+class _FramesFile(TomlSection):
     """A TOML file with a table ``[calibration_frames]``."""
 
     calibration_frames: CalibrationFramesSection

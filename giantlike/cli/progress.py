@@ -23,7 +23,7 @@ _MOST_LINES, _FEWEST_IMAGES = 20, 10
 def progress_bar(*, lines: bool = False) -> Iterator[Callable[[str, int, int], None]]:
     """Show a progress bar inside a ``with`` block."""
     if not sys.stderr.isatty() or _in_a_notebook():
-        yield _Lines() if lines else _nothing
+        yield _ProgressLines() if lines else _nothing
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
@@ -57,7 +57,7 @@ def _in_a_notebook() -> bool:
     return "JPY_PARENT_PID" in os.environ or "inline" in os.environ.get("MPLBACKEND", "")
 
 
-class _Lines:
+class _ProgressLines:
     """A line per N images: 10, 20, 50, 100, ..., so that a step has at most about 20."""
 
     def __init__(self) -> None:

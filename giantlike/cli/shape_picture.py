@@ -31,7 +31,7 @@ _LARGEST_PX = 8192  # 64 megapixels; bounds the memory of a picture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class View:
+class PictureView:
     """Viewing and illumination geometry of a picture of a shape.
 
     Parameters
@@ -77,7 +77,7 @@ def render_shape(
 ) -> ExitCode:
     """Make a picture of a shape, body north up, seen from a hundred radii away."""
     longitude, latitude = sub_observer
-    view = View(phase_deg=phase, longitude_deg=longitude, latitude_deg=latitude, size_px=size, law=reflectance)
+    view = PictureView(phase_deg=phase, longitude_deg=longitude, latitude_deg=latitude, size_px=size, law=reflectance)
     require(target.suffix.lower() == ".png", f"{target}: pictures end in .png")
     require(overwrite or not target.exists(), f"{target} exists: name another file, or give --overwrite")
     with units_said():
@@ -87,7 +87,7 @@ def render_shape(
     return show_result(summary, f"wrote {target}: {view.size_px} x {view.size_px} px", json=json)
 
 
-def picture(mesh: TriangleMesh, view: View) -> NDArray[np.uint8]:
+def picture(mesh: TriangleMesh, view: PictureView) -> NDArray[np.uint8]:
     """Gray levels (size, size) of a view; the brightest parts are white."""
     distance_km = _DISTANCE_RADII * mesh.circumscribing_radius_km
     focal_px = 0.5 * _FILL * view.size_px * math.sqrt(_DISTANCE_RADII**2 - 1.0)
@@ -114,7 +114,7 @@ def picture(mesh: TriangleMesh, view: View) -> NDArray[np.uint8]:
     return np.rint(255.0 * np.clip(brightness / white, 0.0, 1.0)).astype(np.uint8)
 
 
-def _camera_from_body(view: View) -> Rotation:
+def _camera_from_body(view: PictureView) -> Rotation:
     """Attitude of a camera over a point of the body that looks at its center, north up (image -y)."""
     east, north = east_north(view.longitude_deg, view.latitude_deg)
     outward = direction_from_radec(view.longitude_deg, view.latitude_deg)

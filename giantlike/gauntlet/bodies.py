@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 from giantlike.independent import Body, EllipsoidBody, ReliefBody, SphereField, bumps, craters
-from giantlike.independent.bodies import Hits
+from giantlike.independent.bodies import RayHits
 from giantlike.ray_tracing import Hapke, Lambert, LommelSeeliger, McEwen, Minnaert, Reflectance
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh
 
@@ -106,7 +106,7 @@ class EclipsedBody(Value):
         """Radius of a sphere that holds the body, km."""
         return self.body.bounding_radius_km
 
-    def intersect(self, origin_km: Float, directions: Float) -> Hits:
+    def intersect(self, origin_km: Float, directions: Float) -> RayHits:
         """Meet rays (n, 3) from one origin (3,), body-fixed, km."""
         return self.body.intersect(origin_km, directions)
 

@@ -28,7 +28,7 @@ _LISTED = (Verdict.SILENT_WRONG, Verdict.NEEDLESS_REFUSAL, Verdict.MISLEADING)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Card:
+class WallCard:
     """An image on the wall.
 
     Parameters
@@ -79,9 +79,9 @@ def _summary(kind: str) -> str:
     return KINDS[kind].summary if kind in KINDS else "a real image that does not show the target"
 
 
-def _card(result: ImageResult) -> Card:
+def _card(result: ImageResult) -> WallCard:
     verdicts = [Verdict(row.verdict) for row in result.rows]
-    return Card(
+    return WallCard(
         index=result.index,
         kind=result.kind,
         summary=_summary(result.kind),

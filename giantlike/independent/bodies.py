@@ -23,7 +23,7 @@ SHADOW_START = 2e-5
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class RayHits:
     """Where rays meet a body.
 
     Parameters
@@ -49,7 +49,7 @@ class Body(Protocol):
         """Radius of a sphere around the origin that holds the body, km."""
         ...
 
-    def intersect(self, origin_km: Float, directions: Float) -> Hits:
+    def intersect(self, origin_km: Float, directions: Float) -> RayHits:
         """Meet rays (n, 3) of any length from one origin (3,), body-fixed."""
         ...
 
@@ -97,7 +97,7 @@ class EllipsoidBody:
         """Largest half axis, km."""
         return float(self._radii.max())
 
-    def intersect(self, origin_km: Float, directions: Float) -> Hits:
+    def intersect(self, origin_km: Float, directions: Float) -> RayHits:
         """Meet rays (n, 3) from one origin (3,), body-fixed, km."""
         origin, scaled = origin_km / self._radii, directions / self._radii
         entry, _ = _unit_sphere_hits(origin, scaled)
@@ -105,7 +105,7 @@ class EllipsoidBody:
         on_sphere = origin + entry[hit, None] * scaled[hit]
         normals = on_sphere / self._radii
         normals /= np.sqrt(np.einsum("ij,ij->i", normals, normals))[:, None]
-        return Hits(hit=hit, points=on_sphere * self._radii, normals=normals)
+        return RayHits(hit=hit, points=on_sphere * self._radii, normals=normals)
 
     def shadowed(self, points_km: Float, sun: Float) -> NDArray[np.bool_]:
         """Return False for all points: a convex body casts no shadow on what faces the Sun."""
@@ -162,7 +162,7 @@ class ReliefBody:
         """Height (n,) of points of the scaled space over the ground, along the radius."""
         return np.asarray(np.sqrt(np.einsum("ij,ij->i", points, points)) - 1.0 - self.relief(points), dtype=float)
 
-    def intersect(self, origin_km: Float, directions: Float) -> Hits:
+    def intersect(self, origin_km: Float, directions: Float) -> RayHits:
         """Meet rays (n, 3) from one origin (3,), body-fixed, km."""
         origin, scaled = origin_km / self._radii, directions / self._radii
         length = np.sqrt(np.einsum("ij,ij->i", scaled, scaled))
@@ -173,7 +173,7 @@ class ReliefBody:
         hit = np.zeros(len(directions), dtype=bool)
         hit[candidates[found]] = True
         points = origin + place[found, None] * scaled[hit]
-        return Hits(hit=hit, points=points * self._radii, normals=self._normals(points))
+        return RayHits(hit=hit, points=points * self._radii, normals=self._normals(points))
 
     def _march(self, origin: Float, rays: Float, start: Float, end: Float) -> tuple[NDArray[np.bool_], Float]:
         """March along unit rays between two places each: (crossed the ground, place of it)."""

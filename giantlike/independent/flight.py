@@ -22,7 +22,7 @@ STEP_OF_PERIOD = 0.01
 
 
 @dataclass(frozen=True)
-class Sky:
+class PullingBodies:
     """The bodies that pull.
 
     Parameters
@@ -64,7 +64,7 @@ class Processes:
 
 
 def fly_spacecraft(
-    craft: Array, start: float, end: float, sky: Sky, processes: Processes, rng: np.random.Generator
+    craft: Array, start: float, end: float, sky: PullingBodies, processes: Processes, rng: np.random.Generator
 ) -> Array:
     """Numbers (runs, 21) of spacecraft at a later time."""
     craft, time = craft.copy(), start

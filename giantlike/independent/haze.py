@@ -28,7 +28,7 @@ HEIGHTS, COSINES, TO_SUN = 81, 241, 200
 
 
 @dataclass(frozen=True)
-class Sunlight:
+class HazeSunlight:
     """Share of sunlight that reaches places in haze, tabulated over height and cosine of incidence.
 
     Parameters
@@ -47,7 +47,7 @@ class Sunlight:
     table: Float
 
     @classmethod
-    def through(cls, radius_km: float, haze: Haze, high_km: float) -> Sunlight:
+    def through(cls, radius_km: float, haze: Haze, high_km: float) -> HazeSunlight:
         """Sum the haze up along straight rays to the Sun; 0 where they meet the sphere."""
         width = float(np.sqrt(2.0 * haze.scale_height_km / radius_km))
         end = float(np.arcsinh(1.0 / width))
@@ -142,7 +142,7 @@ def _brightness(radius_km: float, haze: Haze, rays: Float, pose: Pose, law: str)
     points = (middle[:, None] + along)[..., None] * rays[:, None] - center
     incidence = points @ sun / np.linalg.norm(points, axis=-1)
     above = haze.vertical_depth * np.exp(-np.maximum(height, 0.0) / haze.scale_height_km)
-    sunlight = Sunlight.through(radius_km, haze, high) if haze.twilight else None
+    sunlight = HazeSunlight.through(radius_km, haze, high) if haze.twilight else None
     if sunlight is None:
         lit = np.where(incidence > 0.0, np.exp(-above / np.maximum(incidence, 0.03)), 0.0)
     else:

@@ -33,7 +33,7 @@ _N_COMMENTS = 3
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 
 
-class PsfKind(StrEnum):
+class PictureObject(StrEnum):
     """Kind of object in a picture."""
 
     PLANET = "PLAN"
@@ -80,7 +80,7 @@ class PsfImage(Value):
         Of a star: its catalog position at the epoch, without aberration.
     """
 
-    kind: PsfKind
+    kind: PictureObject
     name: str
     number: int
     observed_px: Float

@@ -19,7 +19,7 @@ from giantlike.core.light import aberrate
 from giantlike.core.time import time_from_et
 from giantlike.io.ccsds_tdm import ABERRATION_REMOVED, TdmPoint, TdmSegment
 from giantlike.io.observables_file import ObservableBlock, ObservableRow
-from giantlike.io.picture_sequence import PsfCamera, PsfImage, PsfKind, PsfPicture
+from giantlike.io.picture_sequence import PictureObject, PsfCamera, PsfImage, PsfPicture
 from giantlike.io.spc_sumfile import Sumfile
 
 _PIXELS_PER_MM = 100.0
@@ -173,7 +173,7 @@ def _psf_images(camera: Camera, attitude: Rotation, rows: Sequence[ObservableRow
     for row, place, correction in zip(rows, observed, corrections, strict=True):
         star = row.kind == "star"
         name = (row.feature if star else row.target) or ""
-        kind, number = (PsfKind.STAR, int(name) if name.isdecimal() else 0) if star else _psf_body(name)
+        kind, number = (PictureObject.STAR, int(name) if name.isdecimal() else 0) if star else _psf_body(name)
         images.append(
             PsfImage(
                 kind=kind,
@@ -197,15 +197,15 @@ def _star_places(camera: Camera, attitude: Rotation, stars: Sequence[ObservableR
         yield from zip(ra.tolist(), dec.tolist(), strict=True)
 
 
-def _psf_body(target: str) -> tuple[PsfKind, int]:
+def _psf_body(target: str) -> tuple[PictureObject, int]:
     """Kind and NAIF code of a body, 0 of one that SPICE does not know."""
     try:
         code = int(spiceypy.bodn2c(target))
     except spiceypy.utils.exceptions.NotFoundError:
-        return PsfKind.SMALL_BODY, 0
+        return PictureObject.SMALL_BODY, 0
     if not 100 < code < 1000:
-        return PsfKind.SMALL_BODY, code
-    return (PsfKind.PLANET if code % 100 == 99 else PsfKind.SATELLITE), code
+        return PictureObject.SMALL_BODY, code
+    return (PictureObject.PLANET if code % 100 == 99 else PictureObject.SATELLITE), code
 
 
 def _vector(values: object) -> Float:

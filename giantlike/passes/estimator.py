@@ -15,7 +15,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.passes.fix import PassFix, TimetagJitter, WeakCombination, term_test, weak_combinations
 from giantlike.passes.images import DISPLACEMENT, ROTATION, NavigationPass
-from giantlike.passes.layout import Layout
+from giantlike.passes.layout import PassLayout
 from giantlike.passes.normal import (
     ImageSums,
     Normal,
@@ -39,7 +39,7 @@ _LOG_STEP = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _State(Value):
+class _PassState(Value):
     """The converged fit: departure (k,) of all parameters, with residuals and normal equations."""
 
     departure: Float
@@ -116,7 +116,7 @@ def estimate_pass(given: NavigationPass, options: PassOptions | None = None) -> 
     """
     options = options or PassOptions()
     with one_thread():
-        layout = Layout.of(given, options)
+        layout = PassLayout.of(given, options)
         state = _settled(given, layout, options, options.timetag_jitter_s, np.zeros(len(layout.names)))
         jitter = (options.timetag_jitter_s, 0.0, 1.0)
         if options.estimate_jitter and not isinstance(state, Failure):
@@ -128,8 +128,8 @@ def estimate_pass(given: NavigationPass, options: PassOptions | None = None) -> 
 
 
 def _settled(
-    given: NavigationPass, layout: Layout, options: PassOptions, jitter_s: float, start: Float
-) -> _State | Failure:
+    given: NavigationPass, layout: PassLayout, options: PassOptions, jitter_s: float, start: Float
+) -> _PassState | Failure:
     """Gauss-Newton steps until the parameters rest."""
     departure, prior, which = start, layout.information, layout.estimated
     keeps: list[Mask] | None = None
@@ -151,7 +151,7 @@ def _settled(
         step = covariance @ (normal.pull - prior @ departure)[which]
         small = bool(np.all(np.abs(step) <= options.tolerance * np.sqrt(np.diagonal(covariance))))
         if small and keeps is not None:
-            return _State(
+            return _PassState(
                 departure=departure,
                 residuals=tuple(residuals for residuals, _ in measured),
                 keeps=tuple(used),
@@ -174,7 +174,7 @@ def _settled(
     )
 
 
-def _sensible(given: NavigationPass, layout: Layout, departure: Float) -> bool:
+def _sensible(given: NavigationPass, layout: PassLayout, departure: Float) -> bool:
     """True while every body stays before the camera and outside of it."""
     for image, moves in zip(given.images, layout.maps, strict=True):
         errors = moves @ departure
@@ -186,13 +186,13 @@ def _sensible(given: NavigationPass, layout: Layout, departure: Float) -> bool:
     return bool(np.all(np.abs(altitude) < 0.5 * radius_km))
 
 
-def _weak(layout: Layout, normal: Normal) -> tuple[WeakCombination, ...]:
+def _weak(layout: PassLayout, normal: Normal) -> tuple[WeakCombination, ...]:
     which = np.flatnonzero(layout.estimated)
     names = tuple(layout.names[k] for k in which)
     return weak_combinations(names, normal.information[np.ix_(which, which)], above=WEAK)
 
 
-def _untold(layout: Layout, normal: Normal) -> Failure | None:
+def _untold(layout: PassLayout, normal: Normal) -> Failure | None:
     """The failure of a pass that does not determine parameters without a priori information."""
     if normal.count == 0:
         return Failure(Reason.TOO_FEW_DETECTIONS, "no point or position of the pass agrees with the others")
@@ -209,7 +209,7 @@ def _untold(layout: Layout, normal: Normal) -> Failure | None:
 
 
 def _likely_jitter(
-    given: NavigationPass, layout: Layout, options: PassOptions, state: _State
+    given: NavigationPass, layout: PassLayout, options: PassOptions, state: _PassState
 ) -> tuple[float, float, float]:
     """Standard deviation of the timetags, standard deviation of its logarithm, and p-value of no jitter."""
     variance = noise_variance(list(state.sums)) if options.scale_noise else 1.0
@@ -239,7 +239,11 @@ def _likely_jitter(
 
 
 def _result(
-    given: NavigationPass, layout: Layout, options: PassOptions, state: _State, jitter: tuple[float, float, float]
+    given: NavigationPass,
+    layout: PassLayout,
+    options: PassOptions,
+    state: _PassState,
+    jitter: tuple[float, float, float],
 ) -> PassFix:
     """Covariance by cause, tests and weak combinations of the fit where it rests."""
     which, normal, prior = np.flatnonzero(layout.estimated), state.normal, layout.information
@@ -294,7 +298,7 @@ def _result(
 
 
 def _tags(
-    given: NavigationPass, layout: Layout, state: _State, jitter: tuple[float, float, float], inverse: Float
+    given: NavigationPass, layout: PassLayout, state: _PassState, jitter: tuple[float, float, float], inverse: Float
 ) -> TimetagJitter:
     """Error of every timetag, with the error of the parameters in its standard deviation."""
     errors, sigmas = np.zeros(len(given.images)), np.zeros(len(given.images))
@@ -308,7 +312,7 @@ def _tags(
     return TimetagJitter(sigma_s=jitter[0], sigma_of_log=jitter[1], p_value=jitter[2], errors_s=errors, sigmas_s=sigmas)
 
 
-def _positions(given: NavigationPass, layout: Layout, departure: Float) -> Float:
+def _positions(given: NavigationPass, layout: PassLayout, departure: Float) -> Float:
     """Positions (n, 3) of the body in every image with the estimate applied."""
     errors = [moves @ departure for moves in layout.maps]
     turned = [

@@ -39,7 +39,7 @@ LIMB_ERRORS = "limb errors"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Layout(Value):
+class PassLayout(Value):
     """Parameters of a pass, k in all.
 
     Parameters
@@ -67,7 +67,7 @@ class Layout(Value):
     maps: tuple[Float, ...]
 
     @classmethod
-    def of(cls, given: NavigationPass, options: PassOptions) -> Layout:
+    def of(cls, given: NavigationPass, options: PassOptions) -> PassLayout:
         """Lay out the parameters of a pass."""
         columns: list[_Column] = []
         for treatment, terms in ((True, options.estimate), (False, options.consider)):

@@ -11,7 +11,7 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value
 from giantlike.passes.images import DISPLACEMENT, ROTATION, MeasuredPosition, NavigationPass, PassImage
-from giantlike.passes.layout import Layout
+from giantlike.passes.layout import PassLayout
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -115,7 +115,7 @@ def new_in_image(image: PassImage, size: int, jitter_s: float, pointing_rad: flo
     return np.stack(columns, axis=1) if columns else np.zeros((size, 0))
 
 
-def evaluate(given: NavigationPass, layout: Layout, departure: Float) -> list[tuple[Float, Float]]:
+def evaluate(given: NavigationPass, layout: PassLayout, departure: Float) -> list[tuple[Float, Float]]:
     """Residuals and designs of all images at a departure (k,) of the parameters from their a priori values."""
     altitude = given.limb_altitude_km
     return [
@@ -136,7 +136,7 @@ def sums_of(residuals: Float, design: Float, keep: Mask, random: Float) -> Image
     )
 
 
-def normal_of(layout: Layout, sums: list[ImageSums]) -> Normal:
+def normal_of(layout: PassLayout, sums: list[ImageSums]) -> Normal:
     """Add up the images of a pass."""
     size = len(layout.names)
     information, pull = np.zeros((size, size)), np.zeros(size)
@@ -189,7 +189,7 @@ def noise_variance(sums: list[ImageSums]) -> float:
     return max(sum(squares for squares, _ in scatter) / freedom, 1.0) if freedom > 0 else 1.0
 
 
-def restricted_cost(layout: Layout, sums: list[ImageSums], departure: Float) -> float:
+def restricted_cost(layout: PassLayout, sums: list[ImageSums], departure: Float) -> float:
     """Minus twice the logarithm of the restricted likelihood of the residuals, up to a constant."""
     normal, prior = normal_of(layout, sums), layout.information
     total, pull = normal.information + prior, normal.pull - prior @ departure

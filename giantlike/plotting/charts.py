@@ -12,7 +12,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
-from giantlike.plotting.layers import UNITS_PER_POINT, Layer, Shape, layer_svg
+from giantlike.plotting.layers import UNITS_PER_POINT, Layer, MarkShape, layer_svg
 from giantlike.plotting.style import GRAY, GRID, INK, drawing, new_panels
 
 if TYPE_CHECKING:
@@ -230,7 +230,9 @@ def _entry_width(layer: Layer) -> float:
 
 def _entry(layer: Layer, name: str, left: float, y: float) -> list[str]:
     """A sample of a layer and its label."""
-    ends = [[left + 4.0, y], [left + 24.0, y]] if layer.shape in (Shape.LINE, Shape.DASHES) else [[left + 14.0, y]]
+    ends = (
+        [[left + 4.0, y], [left + 24.0, y]] if layer.shape in (MarkShape.LINE, MarkShape.DASHES) else [[left + 14.0, y]]
+    )
     text = f'<text x="{left + 30:.1f}" y="{y + 4:.1f}">{html.escape(layer.label)}</text>'
     return [layer_svg(layer, name, np.array(ends)), text]
 
@@ -269,9 +271,9 @@ def charts_figure(sheet: ChartSheet) -> Figure:
 
 def _draw(axis: Axes, layer: Layer) -> None:
     x, y = layer.points.T
-    if layer.shape is Shape.BARS:
+    if layer.shape is MarkShape.BARS:
         axis.vlines(x[::2], y[::2], y[1::2], color=layer.color, linewidth=layer.width)
-    elif layer.shape is Shape.ARROWS:
+    elif layer.shape is MarkShape.ARROWS:
         shifts = layer.points[1::2] - layer.points[::2]
         axis.quiver(x[::2], y[::2], *shifts.T, angles="xy", scale_units="xy", scale=1.0, color=layer.color, width=0.003)
     else:
@@ -281,10 +283,10 @@ def _draw(axis: Axes, layer: Layer) -> None:
 def draw_layer(axis: Axes, layer: Layer) -> None:
     """Draw a layer of markers or lines with matplotlib."""
     markers = {
-        Shape.RING: "o", Shape.CROSS: "x", Shape.PLUS: "+", Shape.DOT: ".", Shape.SQUARE: "s", Shape.TRIANGLE: "^",
-        Shape.DIAMOND: "D",
+        MarkShape.RING: "o", MarkShape.CROSS: "x", MarkShape.PLUS: "+", MarkShape.DOT: ".", MarkShape.SQUARE: "s",
+        MarkShape.TRIANGLE: "^", MarkShape.DIAMOND: "D",
     }  # fmt: skip
-    line = {Shape.LINE: "-", Shape.DASHES: "--"}.get(layer.shape, "none")
+    line = {MarkShape.LINE: "-", MarkShape.DASHES: "--"}.get(layer.shape, "none")
     axis.plot(
         *layer.points.T, marker=markers.get(layer.shape), linestyle=line, color=layer.color, markersize=layer.size,
         markeredgewidth=layer.width, linewidth=layer.width, markerfacecolor=layer.fill, label=layer.label or None,

@@ -19,7 +19,7 @@ _HEAD, _HEAD_SLOPE = 4.0, 0.5
 """Length of the head of an arrow, SVG units, and its half width over the length."""
 
 
-class Shape(StrEnum):
+class MarkShape(StrEnum):
     """Style of the points of a layer."""
 
     RING = "ring"
@@ -38,13 +38,13 @@ class Shape(StrEnum):
 
 
 _MARKERS = {
-    Shape.RING: '<circle cx="5" cy="5" r="4"/>',
-    Shape.DOT: '<circle cx="5" cy="5" r="2" fill="{color}" stroke="none"/>',
-    Shape.CROSS: '<path d="M1 1L9 9M9 1L1 9"/>',
-    Shape.PLUS: '<path d="M5 1V9M1 5H9"/>',
-    Shape.SQUARE: '<path d="M1.5 1.5H8.5V8.5H1.5z"/>',
-    Shape.TRIANGLE: '<path d="M5 1L9 8.5H1z"/>',
-    Shape.DIAMOND: '<path d="M5 .5L9.5 5L5 9.5L.5 5z"/>',
+    MarkShape.RING: '<circle cx="5" cy="5" r="4"/>',
+    MarkShape.DOT: '<circle cx="5" cy="5" r="2" fill="{color}" stroke="none"/>',
+    MarkShape.CROSS: '<path d="M1 1L9 9M9 1L1 9"/>',
+    MarkShape.PLUS: '<path d="M5 1V9M1 5H9"/>',
+    MarkShape.SQUARE: '<path d="M1.5 1.5H8.5V8.5H1.5z"/>',
+    MarkShape.TRIANGLE: '<path d="M5 1L9 8.5H1z"/>',
+    MarkShape.DIAMOND: '<path d="M5 .5L9.5 5L5 9.5L.5 5z"/>',
 }
 """Markers in a box of 10 x 10, the shape itself 8 wide."""
 
@@ -70,7 +70,7 @@ class Layer(Value):
     """
 
     points: Float
-    shape: Shape
+    shape: MarkShape
     color: str
     size: float = 0.0
     width: float = 1.0
@@ -81,9 +81,9 @@ class Layer(Value):
 def layer_svg(layer: Layer, name: str, points: Float) -> str:
     """One path for all points of a layer: strokes, or invisible with a marker at each vertex."""
     width = layer.width * UNITS_PER_POINT
-    if layer.shape in (Shape.LINE, Shape.DASHES, Shape.BARS, Shape.ARROWS):
-        dashes = ' stroke-dasharray="5 3"' if layer.shape is Shape.DASHES else ""
-        path = {Shape.BARS: _bars, Shape.ARROWS: _arrows}.get(layer.shape, _line)(points)
+    if layer.shape in (MarkShape.LINE, MarkShape.DASHES, MarkShape.BARS, MarkShape.ARROWS):
+        dashes = ' stroke-dasharray="5 3"' if layer.shape is MarkShape.DASHES else ""
+        path = {MarkShape.BARS: _bars, MarkShape.ARROWS: _arrows}.get(layer.shape, _line)(points)
         return f'<path d="{path}" fill="none" stroke="{layer.color}" stroke-width="{width:.1f}"{dashes}/>'
     if len(points) > MANY_POINTS:
         points = np.unique(np.rint(points), axis=0)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
 from giantlike.plotting.charts import draw_layer
-from giantlike.plotting.layers import Layer, Shape
+from giantlike.plotting.layers import Layer, MarkShape
 from giantlike.plotting.style import drawing
 
 if TYPE_CHECKING:
@@ -266,18 +266,18 @@ def _star_layers(stars: StarMarks) -> list[Layer]:
     other = stars.detected_px[[tuple(point) not in used for point in stars.detected_px.tolist()]]
     size = float(np.clip(80.0 / np.sqrt(max(len(used), 1)), 3.5, 9.0))
     layers = [
-        Layer(points=other, shape=Shape.RING, color=other_color, size=0.6 * size, width=0.7),
-        Layer(points=stars.matched_px, shape=Shape.RING, color=matched_color, size=size, width=0.7),
-        Layer(points=stars.rejected_px, shape=Shape.CROSS, color=rejected_color, size=0.8 * size, width=0.9),
-        Layer(points=stars.predicted_px, shape=Shape.PLUS, color=predicted_color, size=0.5 * size, width=0.6),
+        Layer(points=other, shape=MarkShape.RING, color=other_color, size=0.6 * size, width=0.7),
+        Layer(points=stars.matched_px, shape=MarkShape.RING, color=matched_color, size=size, width=0.7),
+        Layer(points=stars.rejected_px, shape=MarkShape.CROSS, color=rejected_color, size=0.8 * size, width=0.9),
+        Layer(points=stars.predicted_px, shape=MarkShape.PLUS, color=predicted_color, size=0.5 * size, width=0.6),
     ]
     return [layer for layer in layers if len(layer.points)]
 
 
 def _outline_layers(body: BodyMarks) -> list[Layer]:
-    layers = [Layer(points=body.predicted_px[None], shape=Shape.PLUS, color=_OUTLINE, size=9.0, width=1.2)]
+    layers = [Layer(points=body.predicted_px[None], shape=MarkShape.PLUS, color=_OUTLINE, size=9.0, width=1.2)]
     if len(body.outline_px):
-        layers.insert(0, Layer(points=_closed(body.outline_px), shape=Shape.DASHES, color=_OUTLINE, width=0.9))
+        layers.insert(0, Layer(points=_closed(body.outline_px), shape=MarkShape.DASHES, color=_OUTLINE, width=0.9))
     return layers
 
 
@@ -290,15 +290,15 @@ def _close_up(pixels: NDArray[np.generic], body: BodyMarks, middle_px: Float, ha
     layers = _outline_layers(body)
     for mark in body.centers:
         if len(mark.limb_px):
-            layers.append(Layer(points=mark.limb_rejected_px, shape=Shape.DOT, color=_LIMB_REJECTED, size=2.2))
-            layers.append(Layer(points=mark.limb_px, shape=Shape.DOT, color=_LIMB, size=2.2))
+            layers.append(Layer(points=mark.limb_rejected_px, shape=MarkShape.DOT, color=_LIMB_REJECTED, size=2.2))
+            layers.append(Layer(points=mark.limb_px, shape=MarkShape.DOT, color=_LIMB, size=2.2))
         elif len(mark.outline_px) or len(body.outline_px):
             moved = body.outline_px + (mark.center_px - body.predicted_px)
             found = mark.outline_px if len(mark.outline_px) else moved
-            layers.append(Layer(points=_closed(found), shape=Shape.LINE, color=mark.color, width=0.7))
-        layers.append(Layer(points=mark.center_px[None], shape=Shape.CROSS, color=mark.color, size=8.0, width=1.6))
+            layers.append(Layer(points=_closed(found), shape=MarkShape.LINE, color=mark.color, width=0.7))
+        layers.append(Layer(points=mark.center_px[None], shape=MarkShape.CROSS, color=mark.color, size=8.0, width=1.6))
         if np.isfinite(mark.covariance_px2).all():
-            layers.append(Layer(points=_three_sigma(mark), shape=Shape.LINE, color=mark.color))
+            layers.append(Layer(points=_three_sigma(mark), shape=MarkShape.LINE, color=mark.color))
     return OverlayPanel(
         title=f"{body.name}, close-up",
         gray=stretched(cut) if cut.size else np.zeros((0, 0), np.uint8),

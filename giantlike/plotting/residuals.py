@@ -13,7 +13,7 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.statistics import MAD_TO_SIGMA
 from giantlike.core.values import Value
 from giantlike.plotting.charts import Axis, Chart, ChartSheet
-from giantlike.plotting.layers import MANY_POINTS, Layer, Shape
+from giantlike.plotting.layers import MANY_POINTS, Layer, MarkShape
 from giantlike.plotting.style import BLUE, GRAY, INK, RED, SERIES, drawing, new_panels
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _SMALLEST_PX = 1e-6  # a logarithmic axis has no zero
 _MAGNITUDE_BINS = 24  # a third of a magnitude each over the usual eight
 _RESIDUAL_BINS = 48  # over six sigma to each side
 _RAYLEIGH_MEDIAN = math.sqrt(2.0 * math.log(2.0))  # of the length of a vector with two unit Gaussian components
-_MARKERS = (Shape.RING, Shape.SQUARE, Shape.TRIANGLE, Shape.DIAMOND)
+_MARKERS = (MarkShape.RING, MarkShape.SQUARE, MarkShape.TRIANGLE, MarkShape.DIAMOND)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,7 +60,7 @@ def series_charts(series: Sequence[Series], panels: Sequence[str], at_label: str
     for quantity in shown:
         ends = [np.zeros(1)]  # the zero line is always seen
         layers = [
-            Layer(points=np.array([[along.low, 0.0], [along.high, 0.0]]), shape=Shape.LINE, color=GRAY, width=0.9)
+            Layer(points=np.array([[along.low, 0.0], [along.high, 0.0]]), shape=MarkShape.LINE, color=GRAY, width=0.9)
         ]
         for number, part in enumerate(series):
             looks = (SERIES[number % len(SERIES)], _MARKERS[number % len(_MARKERS)])
@@ -72,14 +72,14 @@ def series_charts(series: Sequence[Series], panels: Sequence[str], at_label: str
     return ChartSheet(charts=charts, width_in=7.5, height_in=1.6, stacked=True)
 
 
-def _layers_of(part: Series, quantity: int, color: str, marker: Shape, *, label: str) -> list[Layer]:
+def _layers_of(part: Series, quantity: int, color: str, marker: MarkShape, *, label: str) -> list[Layer]:
     """Error bars and markers of a series: full for good values, hollow for suspect ones."""
     known = np.isfinite(part.values[:, quantity])
     sigma = np.nan_to_num(part.sigma[:, quantity])
     at, value = part.at[known], part.values[known, quantity]
     ends = np.stack([value - sigma[known], value + sigma[known]], axis=1)
     bars = np.column_stack([np.repeat(at, 2), ends.ravel()])
-    layers = [Layer(points=bars, shape=Shape.BARS, color=color)]
+    layers = [Layer(points=bars, shape=MarkShape.BARS, color=color)]
     for which, fill, text in ((~part.suspect[known], color, label), (part.suspect[known], "white", "")):
         points = np.column_stack([at[which], value[which]])
         layers.append(Layer(points=points, shape=marker, color=color, size=4.5, fill=fill, label=text))
@@ -130,7 +130,7 @@ def _field(points_px: Float, residuals_px: Float, columns: int, rows: int) -> Ch
         title=f"Over the field (median {typical:.2g} px)",
         x=Axis(label="x, px", low=-0.5, high=columns - 0.5),
         y=Axis(label="y, px", low=rows - 0.5, high=-0.5),
-        layers=[Layer(points=ends, shape=Shape.ARROWS, color=BLUE, width=0.8)],
+        layers=[Layer(points=ends, shape=MarkShape.ARROWS, color=BLUE, width=0.8)],
         equal=True,
     )
 
@@ -143,7 +143,7 @@ def _distribution(residuals_px: Float) -> Chart:
         counts, edges = np.histogram(clipped[:, k], bins=_RESIDUAL_BINS, range=(-half, half))
         steps = np.column_stack([np.repeat(edges, 2)[1:-1], np.repeat(counts, 2)])
         label = f"{name}: {float(np.std(residuals_px[:, k])):.3f} px"
-        layers.append(Layer(points=steps, shape=Shape.LINE, color=color, width=1.2, label=label))
+        layers.append(Layer(points=steps, shape=MarkShape.LINE, color=color, width=1.2, label=label))
         most = max(most, int(counts.max()))
     return Chart(
         title="Distribution (standard deviation)",
@@ -158,9 +158,9 @@ def _against(magnitudes: Float, size: Float, sigma_px: Float, label: str, title:
     points = np.column_stack([magnitudes, size])[::step]
     expected = _binned(magnitudes, _RAYLEIGH_MEDIAN * sigma_px)
     layers = [
-        Layer(points=points, shape=Shape.DOT, color=BLUE, size=3.5),
-        Layer(points=expected, shape=Shape.LINE, color=RED, width=1.4, label="expected, median"),
-        Layer(points=_binned(magnitudes, size), shape=Shape.LINE, color=INK, label="residual, median"),
+        Layer(points=points, shape=MarkShape.DOT, color=BLUE, size=3.5),
+        Layer(points=expected, shape=MarkShape.LINE, color=RED, width=1.4, label="expected, median"),
+        Layer(points=_binned(magnitudes, size), shape=MarkShape.LINE, color=INK, label="residual, median"),
     ]
     y = Axis.around("radial residual, px", size, logarithmic=True)
     return Chart(title=title, x=Axis.around(label, magnitudes), y=y, layers=layers)

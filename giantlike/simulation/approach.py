@@ -1,7 +1,7 @@
 """A simulated approach to a small irregular body after a flyby of a round moon, with its truth.
 
-The truth and the a priori knowledge of navigation are kept apart: a :class:`Frame` holds both, and only the latter is
-written where a campaign reads it.
+The truth and the a priori knowledge of navigation are kept apart: an :class:`ApproachFrame` holds both, and only the
+latter is written where a campaign reads it.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ class ApproachOptions:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Frame(Value):
+class ApproachFrame(Value):
     """An image to be taken: its truth and its a priori knowledge.
 
     Parameters
@@ -213,10 +213,10 @@ class Approach(Value):
     photometry: Photometry
     detector: DetectorModel
     targets: tuple[Target, ...]
-    frames: tuple[Frame, ...]
+    frames: tuple[ApproachFrame, ...]
     options: ApproachOptions
 
-    def take(self, frame: Frame, catalog: StarCatalog) -> SimulatedImage:
+    def take(self, frame: ApproachFrame, catalog: StarCatalog) -> SimulatedImage:
         """Simulate the image of a frame; equal frames give equal images."""
         return simulate_image(
             frame.shot,
@@ -279,7 +279,7 @@ def plan_approach(options: ApproachOptions = ApproachOptions()) -> Approach:
     rng = np.random.default_rng([options.seed, 0])
     hot = HotPixels.scattered(40, camera.columns, camera.rows, rng, median_e_s=400.0)
     planner = _Planner(camera=camera, photometry=photometry, options=options, rng=rng)
-    frames: list[Frame] = []
+    frames: list[ApproachFrame] = []
     targets: list[Target] = []
     for name, shape, path, visits in (
         ("MOON", moon, moon_orbit, options.moon),
@@ -350,7 +350,7 @@ class _Planner(Value):
     options: ApproachOptions
     rng: np.random.Generator
 
-    def frames(self, encounter: _Encounter, visits: Sequence[Visit]) -> Iterator[Frame]:
+    def frames(self, encounter: _Encounter, visits: Sequence[Visit]) -> Iterator[ApproachFrame]:
         """Yield a long, a short and a long exposure of each visit."""
         gap = self.options.pair_gap_s
         for number, visit in enumerate(visits):
@@ -373,7 +373,7 @@ class _Planner(Value):
         attitude: Rotation,
         misalignment: Rotation | None,
         error_km: Float,
-    ) -> Frame:
+    ) -> ApproachFrame:
         star_image = "long" in name
         observer = encounter.observer(et)
         shot = Shot(
@@ -388,7 +388,7 @@ class _Planner(Value):
         apparent = encounter.scene.apparent(unexposed(shot, self.camera), encounter.target)
         assert isinstance(apparent, ApparentGeometry)
         emission = light_path(encounter.orbit, et, observer.position_km)[1]
-        return Frame(
+        return ApproachFrame(
             shot=shot,
             scene=encounter.scene,
             target=encounter.target.name,

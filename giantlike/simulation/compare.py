@@ -82,7 +82,7 @@ class ObservationError(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Comparison(Value):
+class TruthComparison(Value):
     """Errors of a whole run: one entry per row of its tables, and the truth that they are counted from.
 
     Parameters
@@ -99,7 +99,7 @@ class Comparison(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Score(Value):
+class ErrorSummary(Value):
     """Errors of many fixes and their reported sigmas.
 
     Parameters
@@ -136,10 +136,10 @@ class Score(Value):
     n_ranges: int
 
 
-def compare_run(run: Path, truth: Path, camera: Camera) -> Comparison:
+def compare_run(run: Path, truth: Path, camera: Camera) -> TruthComparison:
     """Read the tables of a run folder and compare them with a truth table."""
     true_rows = {row.file: row for row in read_rows(truth, TruthRow)}
-    return Comparison(
+    return TruthComparison(
         truth=tuple(true_rows.values()),
         attitudes=tuple(
             _attitude_error(row, _true_row(true_rows, row.file, truth), camera)
@@ -152,7 +152,7 @@ def compare_run(run: Path, truth: Path, camera: Camera) -> Comparison:
     )
 
 
-def score_attitudes(errors: Sequence[AttitudeError]) -> Score:
+def score_attitudes(errors: Sequence[AttitudeError]) -> ErrorSummary:
     """Summarize attitudes; normalized errors count one by one, about three axes."""
     good = [error for error in errors if error.status == "ok" and error.error_px is not None]
     normalized = np.array([error.normalized for error in good if error.normalized is not None])
@@ -166,7 +166,7 @@ def score_attitudes(errors: Sequence[AttitudeError]) -> Score:
     )
 
 
-def score_observations(errors: Sequence[ObservationError]) -> Score:
+def score_observations(errors: Sequence[ObservationError]) -> ErrorSummary:
     """Summarize centers and ranges."""
     good = [error for error in errors if error.status == "ok" and error.error_px is not None]
     ranges = [[error.range_error, error.range_sigma] for error in good if error.range_error is not None]
@@ -188,9 +188,9 @@ def _score(
     chi2: float,
     dof: int,
     ranges: Float,
-) -> Score:
+) -> ErrorSummary:
     failures = Counter(error.reason for error in errors if error.status == "failed")
-    return Score(
+    return ErrorSummary(
         n_images=len(errors),
         n_fixes=len(error_px),
         n_suspect=sum(error.status == "suspect" for error in errors),

@@ -15,7 +15,7 @@ from giantlike.scene import TargetGeometry
 from giantlike.simulation.detector import DetectorModel, Readout, Seed, Stream, expose
 from giantlike.simulation.incident import SimulationOptions, Sources, incident_light
 from giantlike.simulation.shot import Shot, unexposed
-from giantlike.simulation.stars import StarField
+from giantlike.simulation.stars import DetectorStars
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,7 +46,7 @@ class SimulatedImage(Value):
     shot: Shot
     bodies: Mapping[str, TargetGeometry]
     templates: Mapping[str, Template]
-    stars: StarField = field(repr=False)
+    stars: DetectorStars = field(repr=False)
     star_electrons: Float = field(repr=False)
     readout: Readout = field(repr=False)
     seed: Seed

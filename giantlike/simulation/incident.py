@@ -20,7 +20,7 @@ from giantlike.image import Image
 from giantlike.ray_tracing import RenderOptions, SceneRender, Template, render_scene
 from giantlike.scene import Scene, TargetGeometry
 from giantlike.simulation.shot import Photometry, Shot, instants, unexposed
-from giantlike.simulation.stars import StarField, point_sources, star_field
+from giantlike.simulation.stars import DetectorStars, point_sources, star_field
 
 _SMEAR_STEPS = np.linspace(-0.5, 0.5, 5)  # fractions of the exposure at which the motion of the image is sampled
 _HIDES = 0.5  # fraction of a pixel that bodies cover, above which they hide a star in it: the nearer answer
@@ -98,7 +98,7 @@ class IncidentLight(Value):
     electrons: Float
     bodies: Mapping[str, TargetGeometry]
     templates: Mapping[str, Template]
-    stars: StarField
+    stars: DetectorStars
     star_electrons: Float
 
 

@@ -23,7 +23,7 @@ _CONE_MARGIN_RAD = 1e-3  # rad, added to the cone of stars: aberration (v/c, 1e-
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StarField(Value):
+class DetectorStars(Value):
     """Stars on a detector, in the order of the catalog: brightest first.
 
     Parameters
@@ -43,7 +43,7 @@ class StarField(Value):
     magnitudes: Float
     directions_inertial: Float
 
-    def select(self, index: ArrayLike) -> StarField:
+    def select(self, index: ArrayLike) -> DetectorStars:
         """Return some of the stars.
 
         ``index`` (n,) or (k,).
@@ -58,11 +58,11 @@ def star_field(
     *,
     max_magnitude: float | None = None,
     smear_px: float = 0.0,
-) -> StarField:
+) -> DetectorStars:
     """Project the stars of a catalog into an image."""
     if catalog is None:
         empty = np.zeros((0, 3))
-        return StarField(
+        return DetectorStars(
             ids=np.zeros(0, np.int64), points_px=empty[:, :2], magnitudes=empty[:, 0], directions_inertial=empty
         )
     axis = rotate(shot.camera_from_inertial.inv(), camera.model.unproject(camera.center_px))
@@ -78,7 +78,7 @@ def star_field(
         observer_velocity_km_s=None if observer is None else observer.velocity_km_s,
     )
     points = camera.model.project(rotate(shot.camera_from_inertial, directions))
-    return StarField(
+    return DetectorStars(
         ids=stars.ids, points_px=points, magnitudes=stars.magnitude, directions_inertial=directions
     ).select(camera.contains(points, margin_px=-margin_px))
 

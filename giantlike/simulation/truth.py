@@ -43,7 +43,7 @@ from giantlike.io.geometry_table import GeometryRow
 from giantlike.ray_tracing import trace_backplanes
 from giantlike.scene import TargetGeometry
 from giantlike.simulation.images import SimulatedImage
-from giantlike.simulation.stars import StarField
+from giantlike.simulation.stars import DetectorStars
 
 _AXES = ("X", "Y", "Z")
 _HASH_DIGITS = 16  # of the SHA-256 of a shape: 64 bits tell shapes apart and fit a keyword
@@ -177,7 +177,7 @@ def _rotation(prefix: str, rotation: Rotation, comment: str) -> dict[str, Card]:
     return {f"{prefix}{axis}": Card(number, comment) for axis, number in zip((*_AXES, "W"), numbers, strict=True)}
 
 
-def _star_table(stars: StarField, electrons: Float) -> NDArray[Any]:
+def _star_table(stars: DetectorStars, electrons: Float) -> NDArray[Any]:
     table = np.zeros(len(electrons), dtype=_STAR_COLUMNS)
     table["id"], table["magnitude"], table["electrons"] = stars.ids, stars.magnitudes, electrons
     table["x_px"], table["y_px"] = stars.points_px.T

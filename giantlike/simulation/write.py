@@ -22,7 +22,7 @@ from giantlike.io.geometry_table import GeometryRow
 from giantlike.io.tables import column, columns_of
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh
 from giantlike.shapes.files.exchange import write_obj
-from giantlike.simulation.approach import Approach, Frame
+from giantlike.simulation.approach import Approach, ApproachFrame
 from giantlike.simulation.images import SimulatedImage
 
 CAMPAIGN_FILE, TRUTH_FILE = "campaign.toml", "truth.csv"
@@ -104,7 +104,7 @@ def write_approach(
         (folder / name).mkdir(parents=True, exist_ok=True)
     truth: list[TruthRow] = []
 
-    def make(frame: Frame) -> TruthRow:
+    def make(frame: ApproachFrame) -> TruthRow:
         taken = approach.take(frame, catalog)
         write_fits(folder / "images" / frame.shot.name, taken.image.pixels, header=frame_header(frame))
         return truth_row(frame, taken, approach.camera)
@@ -123,7 +123,7 @@ def write_approach(
     return campaign
 
 
-def frame_header(frame: Frame) -> dict[str, HeaderValue]:
+def frame_header(frame: ApproachFrame) -> dict[str, HeaderValue]:
     """Header of the image of a frame: a priori values for navigation, without the truth."""
     return navigation_header(
         epoch=frame.shot.epoch,
@@ -160,7 +160,7 @@ def _target_table(folder: Path, name: str, shape: Shape) -> dict[str, Any]:
     return table | {"shape": file, "units": "km"}
 
 
-def geometry_row(frame: Frame) -> GeometryRow:
+def geometry_row(frame: ApproachFrame) -> GeometryRow:
     """Row of the geometry table of a frame: its a priori knowledge."""
     geometry = frame.apriori_geometry
     return GeometryRow(
@@ -174,7 +174,7 @@ def geometry_row(frame: Frame) -> GeometryRow:
     )
 
 
-def truth_row(frame: Frame, taken: SimulatedImage, camera: Camera) -> TruthRow:
+def truth_row(frame: ApproachFrame, taken: SimulatedImage, camera: Camera) -> TruthRow:
     """Row of the truth of a frame."""
     body, model = taken.bodies[frame.target], camera.model
     vectors = {

@@ -20,7 +20,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.statistics import error_floor, error_terms, squared_residuals, whitened
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
-from giantlike.stars.smooth_errors import MOST_WEIGHED, Residuals, unmodeled_errors
+from giantlike.stars.smooth_errors import MOST_WEIGHED, AttitudeResiduals, unmodeled_errors
 
 _MAX_STEPS = 20  # of Gauss-Newton, which converges quadratically: more mean that it does not converge
 _STEP_RAD = 1e-6
@@ -155,7 +155,7 @@ def fit_attitude(
     if isinstance(start, Failure):
         return start
     stars = _Stars(directions_inertial, points_px, covariance_px2)
-    kept = _without_outliers(_State(start[0], model), stars, seen, scale, outlier_sigma, fit)
+    kept = _without_outliers(_AttitudeState(start[0], model), stars, seen, scale, outlier_sigma, fit)
     if isinstance(kept, Failure):
         return kept
     state, used = kept
@@ -193,12 +193,12 @@ class _Stars(Value):
         covariance[best] *= weights[best] / (_MOST_WEIGHT * others)
         return replace(self, covariance_px2=covariance)
 
-    def residuals(self, state: _State) -> Float:
+    def residuals(self, state: _AttitudeState) -> Float:
         return self.points_px - state.predict(self.directions)
 
 
 @dataclass(frozen=True, slots=True)
-class _State:
+class _AttitudeState:
     rotation: Rotation
     model: CameraModel
 
@@ -225,7 +225,7 @@ class _State:
             columns.append(self.model.parameter_jacobian(vectors)[..., chosen])
         return np.concatenate(columns, axis=-1)
 
-    def moved(self, step: Float) -> _State:
+    def moved(self, step: Float) -> _AttitudeState:
         model = self.model
         if step.size > 3:
             values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
@@ -235,21 +235,23 @@ class _State:
             if step.size > 4:
                 values["k1"] += float(step[4])
             model = model.with_parameters(list(values.values()))
-        return _State(Rotation.from_rotvec(step[:3]) * self.rotation, model)
+        return _AttitudeState(Rotation.from_rotvec(step[:3]) * self.rotation, model)
 
 
-Fitter: TypeAlias = Callable[[_State, _Stars, Scale], tuple[_State, Float] | Failure]
+Fitter: TypeAlias = Callable[[_AttitudeState, _Stars, Scale], tuple[_AttitudeState, Float] | Failure]
 
 
-def _wahba(method: WahbaMethod, state: _State, stars: _Stars, _: Scale) -> tuple[_State, Float] | Failure:
+def _wahba(
+    method: WahbaMethod, state: _AttitudeState, stars: _Stars, _: Scale
+) -> tuple[_AttitudeState, Float] | Failure:
     """Solution of Wahba's problem: the state and the covariance (3, 3) of its rotation."""
     jacobian = state.model.unproject_jacobian(stars.points_px)
     variances = np.einsum("nij,njk,nik->n", jacobian, stars.covariance_px2, jacobian) / 2.0
     solved = solve_wahba(stars.directions, state.model.unproject(stars.points_px), np.sqrt(variances), method=method)
-    return solved if isinstance(solved, Failure) else (_State(solved[0], state.model), solved[1])
+    return solved if isinstance(solved, Failure) else (_AttitudeState(solved[0], state.model), solved[1])
 
 
-def _gauss_newton(state: _State, stars: _Stars, scale: Scale) -> tuple[_State, Float] | Failure:
+def _gauss_newton(state: _AttitudeState, stars: _Stars, scale: Scale) -> tuple[_AttitudeState, Float] | Failure:
     """Weighted least squares: the state and the covariance (3 + scale, 3 + scale) of its parameters."""
     for _ in range(_MAX_STEPS):
         residuals = stars.residuals(state)
@@ -271,8 +273,8 @@ def _gauss_newton(state: _State, stars: _Stars, scale: Scale) -> tuple[_State, F
 
 
 def _without_outliers(
-    state: _State, stars: _Stars, used: Mask, scale: Scale, outlier_sigma: float, fit: Fitter
-) -> tuple[_State, Mask] | Failure:
+    state: _AttitudeState, stars: _Stars, used: Mask, scale: Scale, outlier_sigma: float, fit: Fitter
+) -> tuple[_AttitudeState, Mask] | Failure:
     """Fit and reject outliers in rounds, until the selection no longer changes."""
     for _ in range(_MAX_ROUNDS):
         chosen = stars.select(used)
@@ -292,7 +294,7 @@ def _without_outliers(
 
 
 def _solution(
-    state: _State, stars: _Stars, used: Mask, scale: Scale, fit: Fitter, uncertain: Sequence[str]
+    state: _AttitudeState, stars: _Stars, used: Mask, scale: Scale, fit: Fitter, uncertain: Sequence[str]
 ) -> AttitudeSolution | Failure:
     """Last fit, of the stars kept: with their own covariances if chi-square allows, else with larger ones."""
     chosen = stars.select(used)
@@ -343,9 +345,11 @@ def _solution(
     )
 
 
-def _residuals(state: _State, stars: _Stars, by_pixels: Float, scale: Scale, uncertain: Sequence[str]) -> Residuals:
+def _residuals(
+    state: _AttitudeState, stars: _Stars, by_pixels: Float, scale: Scale, uncertain: Sequence[str]
+) -> AttitudeResiduals:
     """Residuals of these stars, with their derivatives by the parameters and by the scale."""
-    return Residuals(
+    return AttitudeResiduals(
         points_px=stars.points_px,
         residuals_px=stars.residuals(state),
         covariance_px2=stars.covariance_px2,
@@ -361,7 +365,7 @@ def _propagated(by_pixels: Float, stars: _Stars) -> Float:
     return covariance
 
 
-def _by_pixels(state: _State, stars: _Stars, scale: Scale) -> Float:
+def _by_pixels(state: _AttitudeState, stars: _Stars, scale: Scale) -> Float:
     """Derivative (3, n, 2) of the rotation by the centroids: ``(H^T W H)^-1 H^T W``, rad/px."""
     jacobian = state.jacobian(stars.directions, scale)
     (a, b), (_, d) = np.moveaxis(stars.covariance_px2, 0, -1)

@@ -31,7 +31,7 @@ from giantlike.stars.matching import (
     predicted_in_frame,
 )
 from giantlike.stars.options import StarOptions
-from giantlike.stars.pattern_search import Candidates, Hypothesis, Scope, find_candidates, hypotheses, searches
+from giantlike.stars.pattern_search import Hypothesis, PatternCandidates, Scope, find_candidates, hypotheses, searches
 from giantlike.stars.refine import (
     SMALLEST_GATE_PX,
     RefinedAttitude,
@@ -77,7 +77,7 @@ def identify_lost_in_space(
     .. [1] The ODIN paper (004 of the specification), Star Identification.
     """
     until_s = time.thread_time() + options.time_limit_s if until_s is None else until_s
-    return _solved_or_explained(_Problem(points_px, covariance_px2, camera, sky, options, until_s))
+    return _solved_or_explained(_IdentificationProblem(points_px, covariance_px2, camera, sky, options, until_s))
 
 
 def identify_in_cone(
@@ -97,12 +97,12 @@ def identify_in_cone(
     ``points_px`` (m, 2), detections, brightest first; ``covariance_px2`` (m, 2, 2); ``until_s`` as there.
     """
     until_s = time.thread_time() + options.time_limit_s if until_s is None else until_s
-    problem = _Problem(points_px, covariance_px2, camera, sky, options, until_s, camera_from_inertial)
+    problem = _IdentificationProblem(points_px, covariance_px2, camera, sky, options, until_s, camera_from_inertial)
     return _solved_or_explained(problem)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Problem(Value):
+class _IdentificationProblem(Value):
     """Search for the attitude of one image, on the whole sky or around an a priori attitude."""
 
     points_px: Float
@@ -205,7 +205,7 @@ class _Problem(Value):
         vectors = self.vectors(scope)
         pattern = Pattern.QUAD if self.options.estimate_scale else Pattern.TRIAD
         least = 2 if brief or pattern is Pattern.TRIAD else 1  # a triad alone has three stars
-        gathered: Candidates | None = None
+        gathered: PatternCandidates | None = None
         radius = -1.0
         for number, search in enumerate(searches(vectors[len(vectors) // 2], self.half_fov_rad(), pattern)):
             if (brief and number >= _BRIEF[pattern]) or self.is_late():
@@ -298,7 +298,7 @@ class _Problem(Value):
         return attitudes_within_angle(radius_px, self.camera, angle, scale_error=error)
 
 
-def _solved_or_explained(problem: _Problem) -> RefinedAttitude | Failure:
+def _solved_or_explained(problem: _IdentificationProblem) -> RefinedAttitude | Failure:
     """Attitude of the image, or a failure with its cause where that can be diagnosed."""
     count, needed = len(problem.points_px), max(problem.options.min_matches, 4)
     if count < needed:
@@ -322,7 +322,7 @@ def _solved_or_explained(problem: _Problem) -> RefinedAttitude | Failure:
     return outcome if cause is None else cause
 
 
-def _diagnosis(problem: _Problem) -> Failure | None:
+def _diagnosis(problem: _IdentificationProblem) -> Failure | None:
     """Diagnosis of a failed search: a mirrored image or another focal length; None for neither."""
     if problem.apriori is None:
         flip = np.array([-1.0, 1.0])
@@ -340,7 +340,7 @@ def _diagnosis(problem: _Problem) -> Failure | None:
     return None if problem.options.estimate_scale else _other_camera(problem)
 
 
-def _other_camera(problem: _Problem) -> Failure | None:
+def _other_camera(problem: _IdentificationProblem) -> Failure | None:
     """Failure of an image whose stars fit another focal length or distortion; None if they do not."""
     camera = problem.camera
     free = dataclasses.replace(problem.options, estimate_scale=True, scale_error=_OTHER_SCALE)

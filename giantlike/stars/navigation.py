@@ -64,7 +64,7 @@ gauntlet (seed 7) the smaller of the two is at most 0.04 where nothing is wrong,
 _LARGE_FLOOR_PX = 1.0  # error floor, px, above which they are; real calibrated cameras leave 0.1 to 0.2 px
 
 
-class _Solved(NamedTuple):
+class _SolvedAttitude(NamedTuple):
     """An attitude and the solution that it was made of."""
 
     fix: AttitudeFix
@@ -151,11 +151,11 @@ class StarNavigation:
             if isinstance(detections, Failure):
                 return detections, detections
             outcome, left = self._solve(image, detections, until_s), detections.left_out
-            if left is None or (isinstance(outcome, _Solved) and _enough(detections, outcome, left)):
+            if left is None or (isinstance(outcome, _SolvedAttitude) and _enough(detections, outcome, left)):
                 break
             if _is_final(outcome):
                 break
-        return detections, outcome.fix if isinstance(outcome, _Solved) else outcome
+        return detections, outcome.fix if isinstance(outcome, _SolvedAttitude) else outcome
 
     @one_thread()
     def detect(self, image: Image, options: DetectionOptions | None = None) -> Detections | Failure:
@@ -212,9 +212,9 @@ class StarNavigation:
         AttitudeFix or Failure
         """
         outcome = self._solve(image, detections, time.thread_time() + self.options.time_limit_s)
-        return outcome.fix if isinstance(outcome, _Solved) else outcome
+        return outcome.fix if isinstance(outcome, _SolvedAttitude) else outcome
 
-    def _solve(self, image: Image, detections: Detections, until_s: float) -> _Solved | Failure:
+    def _solve(self, image: Image, detections: Detections, until_s: float) -> _SolvedAttitude | Failure:
         """Attitude from detections, with the solution it was made of; a computation that breaks down is a failure."""
         try:
             return self._solve_detections(image, detections, until_s)
@@ -222,21 +222,21 @@ class StarNavigation:
             _LOG.debug("%s: the attitude broke down", image.name, exc_info=True)
             return Failure(Reason.INTERNAL_ERROR, f"the computation broke down: {breakdown_text(error)}")
 
-    def _solve_detections(self, image: Image, detections: Detections, until_s: float) -> _Solved | Failure:
+    def _solve_detections(self, image: Image, detections: Detections, until_s: float) -> _SolvedAttitude | Failure:
         """Attitude from clean detections, or from all that are not extended."""
         measured = np.isfinite(detections.covariance_px2).all(axis=(1, 2))
         clean = measured & detections.clean
         outcome = self._solve_usable(image, detections, np.flatnonzero(clean), until_s)
         rest = measured & ((detections.flags & np.uint16(DetectionFlag.EXTENDED)) == 0)
-        solved = isinstance(outcome, _Solved)
+        solved = isinstance(outcome, _SolvedAttitude)
         if solved or _is_final(outcome) or int(rest.sum()) == int(clean.sum()):
             return outcome
         again = self._solve_usable(image, detections, np.flatnonzero(rest), until_s)
-        return again if isinstance(again, _Solved) else outcome
+        return again if isinstance(again, _SolvedAttitude) else outcome
 
     def _solve_usable(
         self, image: Image, detections: Detections, usable: NDArray[np.intp], until_s: float
-    ) -> _Solved | Failure:
+    ) -> _SolvedAttitude | Failure:
         """Attitude from the detections of indices ``usable`` (k,)."""
         usable = usable[bright_enough(detections.snr[usable], self.options.min_snr)]
         needed = self.options.min_matches
@@ -266,7 +266,7 @@ class StarNavigation:
             return outcome
         fix = self._fix(image, detections, usable, outcome, method)
         _LOG.info("%s: attitude from %d of %d sources (%s)", image.name, fix.n_used, len(detections), method)
-        return _Solved(fix, outcome.solution)
+        return _SolvedAttitude(fix, outcome.solution)
 
     def _from_apriori(
         self, camera_from_inertial: Rotation, points_px: Float, covariance_px2: Float, sky: Sky, until_s: float
@@ -394,12 +394,12 @@ class StarNavigation:
         }
 
 
-def _is_final(outcome: _Solved | Failure) -> bool:
+def _is_final(outcome: _SolvedAttitude | Failure) -> bool:
     """True for a failure after which other detections are not tried: stars of a mirrored image, or no time left."""
     return isinstance(outcome, Failure) and outcome.reason in (Reason.MIRRORED_IMAGE, Reason.TIME_LIMIT)
 
 
-def _enough(detections: Detections, solved: _Solved, left: UnmeasuredSources) -> bool:
+def _enough(detections: Detections, solved: _SolvedAttitude, left: UnmeasuredSources) -> bool:
     """True if the sources left out would shrink the covariance of an attitude by less than 5 %.
 
     The same fraction of them as of the measured ones is assumed to be catalog stars, with the errors beyond the

@@ -66,7 +66,7 @@ class Hypothesis(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidates(Value):
+class PatternCandidates(Value):
     """Patterns of the image and patterns of the index that match, and the attitude of each match.
 
     ``detections`` and ``stars`` are (k, size); ``matrices`` (k, 3, 3) camera_from_inertial; ``scales`` (k,).
@@ -80,9 +80,9 @@ class Candidates(Value):
     def __len__(self) -> int:
         return len(self.matrices)
 
-    def joined(self, other: Candidates) -> Candidates:
+    def joined(self, other: PatternCandidates) -> PatternCandidates:
         """Union with other candidates, each once."""
-        both = Candidates(
+        both = PatternCandidates(
             np.concatenate([self.detections, other.detections]),
             np.concatenate([self.stars, other.stars]),
             np.concatenate([self.matrices, other.matrices]),
@@ -91,12 +91,12 @@ class Candidates(Value):
         number = scattered(np.concatenate([both.detections, both.stars], axis=1))
         return both.select(np.sort(np.unique(number, return_index=True)[1]))
 
-    def select(self, chosen: Mask | NDArray[np.intp]) -> Candidates:
+    def select(self, chosen: Mask | NDArray[np.intp]) -> PatternCandidates:
         """Candidates of a mask (k,) or of indices."""
         return select_rows(self, chosen)
 
 
-def find_candidates(index: StarIndex, vectors: Float, chosen: NDArray[np.intp], scope: Scope) -> Candidates:
+def find_candidates(index: StarIndex, vectors: Float, chosen: NDArray[np.intp], scope: Scope) -> PatternCandidates:
     """Match patterns of detections with patterns of the index.
 
     ``vectors`` (s, m, 3), camera axes; ``chosen`` (k,).
@@ -107,7 +107,7 @@ def find_candidates(index: StarIndex, vectors: Float, chosen: NDArray[np.intp], 
     return _triads(index, vectors[len(vectors) // 2], sets, scope)
 
 
-def _triads(index: StarIndex, vectors: Float, triads: NDArray[np.intp], scope: Scope) -> Candidates:
+def _triads(index: StarIndex, vectors: Float, triads: NDArray[np.intp], scope: Scope) -> PatternCandidates:
     tolerance = scope.tolerance_rad
     sides, ordered, right_handed = describe_triads(vectors, triads)
     fits = (sides[:, 0] <= index.widest + tolerance) & (sides[:, 0] >= _NARROWEST * index.widest)
@@ -123,10 +123,10 @@ def _triads(index: StarIndex, vectors: Float, triads: NDArray[np.intp], scope: S
     matrices = _from_pairs(
         vectors[first], vectors[second], index.directions[stars[:, 1]], index.directions[stars[:, 2]]
     )
-    return Candidates(detections, stars, matrices, np.ones(len(stars)))
+    return PatternCandidates(detections, stars, matrices, np.ones(len(stars)))
 
 
-def _quads(index: StarIndex, vectors: Float, quads: NDArray[np.intp], scope: Scope) -> Candidates:
+def _quads(index: StarIndex, vectors: Float, quads: NDArray[np.intp], scope: Scope) -> PatternCandidates:
     middle = vectors[len(vectors) // 2]
     codes, ordered, _ = describe_quads(middle, quads)
     base = np.linalg.norm(middle[ordered[:, 0]] - middle[ordered[:, 1]], axis=1)
@@ -149,7 +149,7 @@ def _quads(index: StarIndex, vectors: Float, quads: NDArray[np.intp], scope: Sco
     node = np.abs(scope.scales[None] - scale[:, None]).argmin(axis=1)
     seen = vectors[node[:, None], detections[:, :2]]
     matrices = _from_pairs(seen[:, 0], seen[:, 1], *np.swapaxes(index.directions[stars[:, :2]], 0, 1))
-    return Candidates(detections, stars, matrices, scale)
+    return PatternCandidates(detections, stars, matrices, scale)
 
 
 def _from_pairs(b1: Float, b2: Float, a1: Float, a2: Float) -> Float:
@@ -162,7 +162,7 @@ def _from_pairs(b1: Float, b2: Float, a1: Float, a2: Float) -> Float:
 
 
 def hypotheses(
-    candidates: Candidates, index: StarIndex, vectors: Float, scope: Scope, *, least: int
+    candidates: PatternCandidates, index: StarIndex, vectors: Float, scope: Scope, *, least: int
 ) -> Iterator[Hypothesis]:
     """Attitudes shared by candidates, most candidates first, lazily, each with four stars or more.
 
@@ -191,7 +191,7 @@ def hypotheses(
 
 
 def _shared(
-    candidates: Candidates, members: NDArray[np.intp], index: StarIndex, vectors: Float, scope: Scope
+    candidates: PatternCandidates, members: NDArray[np.intp], index: StarIndex, vectors: Float, scope: Scope
 ) -> Hypothesis:
     """One-to-one pairs of stars and detections from candidates that agree, and the attitude of all pairs."""
     n = len(index.ids)

@@ -84,7 +84,7 @@ class UnmodeledErrors(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Residuals(Value):
+class AttitudeResiduals(Value):
     """Residuals of a fit of n stars, and their derivatives.
 
     Parameters
@@ -117,7 +117,7 @@ class Residuals(Value):
         correlation = float(np.mean(normalized * normalized[nearest])) / max(float(np.mean(normalized**2)), 1e-12)
         return correlation > _SIGNIFICANT * math.sqrt((1.0 + _MUTUAL) / normalized.size)
 
-    def gathered(self) -> Residuals:
+    def gathered(self) -> AttitudeResiduals:
         """Means of the stars in each cell of the field, by their weights; shared errors are preserved."""
         low, high = self.points_px.min(axis=0), self.points_px.max(axis=0)
         cells = np.minimum(_CELLS * (self.points_px - low) / np.maximum(high - low, 1.0), _CELLS - 1).astype(np.intp)
@@ -126,7 +126,7 @@ class Residuals(Value):
         weights = 2.0 / np.trace(self.covariance_px2, axis1=1, axis2=2)
         sums = inside @ weights
         means = inside * weights / sums[:, None]
-        return Residuals(
+        return AttitudeResiduals(
             points_px=means @ self.points_px,
             residuals_px=means @ self.residuals_px,
             covariance_px2=np.eye(2) / sums[:, None, None],
@@ -136,7 +136,7 @@ class Residuals(Value):
         )
 
 
-def unmodeled_errors(left: Residuals, *, own_told: bool = False) -> UnmodeledErrors:
+def unmodeled_errors(left: AttitudeResiduals, *, own_told: bool = False) -> UnmodeledErrors:
     """Weigh errors of all sizes and lengths by the residuals of a fit, into :class:`UnmodeledErrors`.
 
     Notes

@@ -105,7 +105,7 @@ class TriangulatedPosition(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Lines:
+class _SightlineArrays:
     """Lines as arrays: positions and directions (n, 3), axes across (n, 3, 2), and the causes of their errors.
 
     ``by_range`` holds covariances (2n, 2n), rad^2, of errors that grow with range (noise, attitude); ``by_place``,
@@ -277,7 +277,7 @@ def position_at_emission(ephemeris: Ephemeris, et: float, observer_km: ArrayLike
     return position
 
 
-def _lines(sightlines: Sequence[Sightline], places: Float, ephemerides: Mapping[str, ArrayLike]) -> _Lines:
+def _lines(sightlines: Sequence[Sightline], places: Float, ephemerides: Mapping[str, ArrayLike]) -> _SightlineArrays:
     """Arrays of lines, with the covariances (2n, 2n) of their errors by cause."""
     unknown = sorted(set(ephemerides) - {line.target for line in sightlines})
     require(not unknown, f"ephemeris covariances of targets that no line goes to: {', '.join(unknown)}")
@@ -299,7 +299,7 @@ def _lines(sightlines: Sequence[Sightline], places: Float, ephemerides: Mapping[
                 attitude[i, :, j] = turns[i] @ of_image[first.image] @ turns[j].T
             if first.target == second.target and first.target in of_target:
                 ephemeris[i, :, j] = across[i].T @ of_target[first.target] @ across[j]
-    return _Lines(
+    return _SightlineArrays(
         positions_km=places,
         directions=directions,
         across=across,
@@ -316,7 +316,7 @@ def _across(directions: Float) -> Float:
     return np.stack([first, np.cross(directions, first)], axis=-1)
 
 
-def _ranges_of_pairs(lines: _Lines) -> Float | Failure:
+def _ranges_of_pairs(lines: _SightlineArrays) -> Float | Failure:
     """Ranges (n,) by the law of sines in the triangle with the line that makes the largest angle with each."""
     u = lines.directions
     sines = np.linalg.norm(np.cross(u[:, None], u[None, :]), axis=-1)
@@ -339,7 +339,7 @@ def _ranges_of_pairs(lines: _Lines) -> Float | Failure:
     return np.asarray(np.maximum(ranges, 1e-9 * longest))
 
 
-def _weighted(lines: _Lines, ranges_km: Float) -> tuple[Float, Float]:
+def _weighted(lines: _SightlineArrays, ranges_km: Float) -> tuple[Float, Float]:
     """Position (3,) of the weighted linear system, and its gain (3, 2n)."""
     rows = np.swapaxes(lines.across, 1, 2).reshape(-1, 3)
     seen = np.einsum("nik,ni->nk", lines.across, lines.positions_km).ravel()
@@ -355,7 +355,7 @@ def _gain(rows: Float, covariance: Float | int) -> Float:
     return np.asarray(np.linalg.pinv(white / scale) @ np.linalg.inv(factor) / scale[:, None])
 
 
-def _angles(lines: _Lines, position_km: Float) -> tuple[Float, Float, Float]:
+def _angles(lines: _SightlineArrays, position_km: Float) -> tuple[Float, Float, Float]:
     """Residuals (2n,) in rad, their derivative (2n, 3) by the position, and ranges (n,) along the lines."""
     vectors = lines.positions_km - position_km
     ranges = np.einsum("ni,ni->n", vectors, lines.directions)
@@ -366,7 +366,7 @@ def _angles(lines: _Lines, position_km: Float) -> tuple[Float, Float, Float]:
     return -tangents.ravel(), by_vector.reshape(-1, 3), ranges
 
 
-def _likeliest(lines: _Lines, start_km: Float, max_steps: int) -> tuple[Float, int] | Failure:
+def _likeliest(lines: _SightlineArrays, start_km: Float, max_steps: int) -> tuple[Float, int] | Failure:
     """Position (3,) of maximum likelihood by Gauss-Newton steps, and their number."""
     position = start_km
     for step in range(1, max_steps + 1):
@@ -390,7 +390,7 @@ def _behind() -> Failure:
 
 
 def _judged(
-    lines: _Lines, position: Float, steps: int, options: TriangulationOptions
+    lines: _SightlineArrays, position: Float, steps: int, options: TriangulationOptions
 ) -> TriangulatedPosition | Failure:
     """Covariance, residuals and quality of a position."""
     from scipy.stats import chi2  # slow to import

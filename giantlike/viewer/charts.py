@@ -7,7 +7,7 @@ import numpy as np
 from giantlike.core.errors import InputError
 from giantlike.plotting import star_residual_charts
 from giantlike.plotting.charts import Axis, Chart, ChartSheet, charts_svg
-from giantlike.plotting.layers import Layer, Shape
+from giantlike.plotting.layers import Layer, MarkShape
 from giantlike.plotting.residual_map import residual_map_svg
 from giantlike.plotting.residuals import correlation_surface_figure
 from giantlike.plotting.style import GRAY, SERIES, svg_text
@@ -44,16 +44,16 @@ def limb_chart(session: Session, file: str, target: str) -> str:
         found = limb_residuals(session, file, fix)
         points = np.column_stack([found.angle_deg, found.distance_px])
         color = SERIES[len(layers) % len(SERIES)]
-        layers.append(Layer(points=points, shape=Shape.DOT, color=color, size=4.5, label=fix.estimator))
+        layers.append(Layer(points=points, shape=MarkShape.DOT, color=color, size=4.5, label=fix.estimator))
         values.append(found.distance_px)
         if len(seen.points[fix.of].get("limb_rejected_px", ())):
             others = limb_residuals(session, file, fix, rejected=True)
             points = np.column_stack([others.angle_deg, others.distance_px])
-            crosses.append(Layer(points=points, shape=Shape.CROSS, color=color, size=4.0, label=""))
+            crosses.append(Layer(points=points, shape=MarkShape.CROSS, color=color, size=4.0, label=""))
             values.append(others.distance_px)
     if not layers:
         raise InputError(f"{file}: no fix of {target} has limb points")
-    zero = Layer(points=np.array([[-180.0, 0.0], [180.0, 0.0]]), shape=Shape.LINE, color=GRAY, width=0.9)
+    zero = Layer(points=np.array([[-180.0, 0.0], [180.0, 0.0]]), shape=MarkShape.LINE, color=GRAY, width=0.9)
     chart = Chart(
         title=f"{target}: limb points off the outline; crosses: rejected",
         x=Axis(label="angle from +x towards +y, deg", low=-180.0, high=180.0),

@@ -23,7 +23,7 @@ _OUTLINE_ANGLES = 720
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TemplateMatch(Value):
+class RenderedMatch(Value):
     """A body rendered at a fix of it, in the units of the image.
 
     Parameters
@@ -85,7 +85,7 @@ class LimbResiduals(Value):
     distance_px: Float
 
 
-def match_of(session: Session, file: str, target: str, estimator: str | None = None) -> TemplateMatch:
+def match_of(session: Session, file: str, target: str, estimator: str | None = None) -> RenderedMatch:
     """Render a body where a fix has it, and scale it to the image."""
     image = session.image(file)
     fix = chosen_fix(session.seen(file), target, estimator)
@@ -95,7 +95,7 @@ def match_of(session: Session, file: str, target: str, estimator: str | None = N
     region = _region(template, image)
     design = np.stack([light[region], np.ones(int(region.sum()))], axis=1)
     (gain, background), *_ = np.linalg.lstsq(design, pixels[region], rcond=None)
-    return TemplateMatch(
+    return RenderedMatch(
         target=target,
         estimator="" if fix is None else fix.estimator,
         model_dn=gain * light + background,

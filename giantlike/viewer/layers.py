@@ -14,7 +14,7 @@ from giantlike.campaign.store.edits import Edit
 from giantlike.campaign.store.records import ObservationRecord
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
-from giantlike.plotting.layers import Layer, Shape
+from giantlike.plotting.layers import Layer, MarkShape
 from giantlike.plotting.overlays import CENTERS, MARKS
 from giantlike.viewer.session import SeenImage
 
@@ -112,7 +112,7 @@ def center_colors(seen: SeenImage) -> dict[str, str]:
 def _detections(seen: SeenImage) -> list[MarkLayer]:
     layer = Layer(
         points=_points(_stars_of(seen).get("detected_px", [])),
-        shape=Shape.RING, color=MARKS["detected, not used"], size=5.0, width=0.8,
+        shape=MarkShape.RING, color=MARKS["detected, not used"], size=5.0, width=0.8,
     )  # fmt: skip
     return [MarkLayer(name="detections", title="detections", layer=layer)]
 
@@ -126,7 +126,7 @@ def _catalog(seen: SeenImage) -> list[MarkLayer]:
     ids, magnitudes = (np.asarray(stars[name])[order].tolist() for name in ("star_ids", "magnitudes"))
     layer = Layer(
         points=_points(stars["predicted_px"])[order],
-        shape=Shape.PLUS, color=MARKS["where the solution puts catalog stars"], size=6.0, width=0.8,
+        shape=MarkShape.PLUS, color=MARKS["where the solution puts catalog stars"], size=6.0, width=0.8,
     )  # fmt: skip
     known = list(zip(names, ids, magnitudes, strict=True))
     return [
@@ -146,7 +146,7 @@ def _matches(seen: SeenImage) -> list[MarkLayer]:
     if stars is None:
         return []
     layer = Layer(
-        points=_points(stars["observed_px"]), shape=Shape.RING, color=MARKS["matched star"], size=8.0, width=0.9
+        points=_points(stars["observed_px"]), shape=MarkShape.RING, color=MARKS["matched star"], size=8.0, width=0.9
     )
     residuals = np.linalg.norm(_points(stars["observed_px"]) - _points(stars["predicted_px"]), axis=1)
     rows = zip(_names_of(stars), _list(stars["star_ids"]), residuals.tolist(), _list(stars["sigma_px"]), strict=True)
@@ -187,7 +187,7 @@ def _rejected_stars(seen: SeenImage) -> list[MarkLayer]:
 def _rejected(seen: SeenImage) -> list[MarkLayer]:
     stars = _stars_of(seen).get("stars")
     points = [] if stars is None else stars["rejected_px"]
-    layer = Layer(points=_points(points), shape=Shape.CROSS, color=MARKS["match thrown out"], size=7.0, width=1.1)
+    layer = Layer(points=_points(points), shape=MarkShape.CROSS, color=MARKS["match thrown out"], size=7.0, width=1.1)
     return [MarkLayer(name="rejected", title="rejected matches", layer=layer)]
 
 
@@ -199,9 +199,9 @@ def _predicted(seen: SeenImage) -> list[MarkLayer]:
         if view is None:
             continue
         outline = _points(view.outline_px)
-        shape = Shape.DASHES
+        shape = MarkShape.DASHES
         if not len(outline):
-            outline, shape = np.array([view.predicted_px]), Shape.PLUS
+            outline, shape = np.array([view.predicted_px]), MarkShape.PLUS
         layer = Layer(points=_closed(outline), shape=shape, color=color, size=9.0, width=0.9)
         made.append(MarkLayer(name="predicted", title=f"{target.target}: predicted outline", layer=layer))
     return made
@@ -224,7 +224,7 @@ def _fitted(seen: SeenImage) -> list[MarkLayer]:
             points = _closed(moved)
         else:
             continue
-        layer = Layer(points=points, shape=Shape.LINE, color=colors[fix.estimator], width=0.9)
+        layer = Layer(points=points, shape=MarkShape.LINE, color=colors[fix.estimator], width=0.9)
         made.append(MarkLayer(name="fitted", title=f"{fix.target}: outline by {fix.estimator}", layer=layer))
     return made
 
@@ -234,13 +234,13 @@ def _centers(seen: SeenImage) -> list[MarkLayer]:
     for fix in _fixes(seen):
         center, color = np.array(fix.center_px), colors[fix.estimator]
         title = f"{fix.target}: {fix.estimator} ({fix.status})"
-        cross = Layer(points=center[None], shape=Shape.CROSS, color=color, size=9.0, width=1.6)
+        cross = Layer(points=center[None], shape=MarkShape.CROSS, color=color, size=9.0, width=1.6)
         made.append(MarkLayer(name="centers", title=title, layer=cross, labels=[title]))
         if fix.covariance_px2 is not None and np.isfinite(fix.covariance_px2).all():
             values, vectors = np.linalg.eigh(np.array(fix.covariance_px2))
             circle = np.stack([np.cos(_ELLIPSE_RAD), np.sin(_ELLIPSE_RAD)])
             ellipse = center + (_THREE_SIGMA * (vectors * np.sqrt(np.maximum(values, 0.0))) @ circle).T
-            line = Layer(points=ellipse, shape=Shape.LINE, color=color, width=1.0)
+            line = Layer(points=ellipse, shape=MarkShape.LINE, color=color, width=1.0)
             made.append(MarkLayer(name="centers", title=f"{title}, 3 sigma", layer=line))
     return made
 
@@ -260,7 +260,7 @@ def _limb_points(seen: SeenImage, name: str, kept_as: str, meaning: str) -> list
             title=f"{fix.target}: {meaning} by {fix.estimator}",
             layer=Layer(
                 points=_points(seen.points.get(fix.of, {}).get(kept_as, [])),
-                shape=Shape.DOT,
+                shape=MarkShape.DOT,
                 color=MARKS[meaning],
                 size=2.6,
                 width=1.0,
@@ -275,7 +275,7 @@ def _terminator(seen: SeenImage) -> list[MarkLayer]:
         MarkLayer(
             name="terminator",
             title=f"{target}: terminator",
-            layer=Layer(points=line, shape=Shape.LINE, color=TERMINATOR, width=0.9),
+            layer=Layer(points=line, shape=MarkShape.LINE, color=TERMINATOR, width=0.9),
         )
         for target, lines in seen.terminators.items()
         for line in lines
@@ -291,7 +291,7 @@ def _landmarks(seen: SeenImage) -> list[MarkLayer]:
             MarkLayer(
                 name="landmarks",
                 title=f"{fix.target}: landmarks of {fix.estimator}",
-                layer=Layer(points=observed, shape=Shape.RING, color=LANDMARK, size=7.0, width=1.0),
+                layer=Layer(points=observed, shape=MarkShape.RING, color=LANDMARK, size=7.0, width=1.0),
                 labels=[
                     f"{name}: {off:.3f} px off its place by the fix" for name, off in zip(names, off_px, strict=True)
                 ],
@@ -309,7 +309,9 @@ def _landmarks_rejected(seen: SeenImage) -> list[MarkLayer]:
             MarkLayer(
                 name="landmarks-rejected",
                 title=f"{fix.target}: landmarks not used by {fix.estimator}, where its fix puts them",
-                layer=Layer(points=_points(points), shape=Shape.CROSS, color=LANDMARK_REJECTED, size=6.0, width=1.0),
+                layer=Layer(
+                    points=_points(points), shape=MarkShape.CROSS, color=LANDMARK_REJECTED, size=6.0, width=1.0
+                ),
                 labels=[f"{name}: {why}" for name, why in zip(_list(names), _list(because), strict=True)],
                 names=_list(names),
             )

@@ -19,7 +19,7 @@ from giantlike.calibration.alignment import AlignmentResult, align, interlock
 from giantlike.calibration.bundle_adjustment import Data, State, linearized, normal_equations, predict
 from giantlike.calibration.criteria import CalibrationCriteria
 from giantlike.calibration.field_map import map_difference
-from giantlike.calibration.observability import Verdict
+from giantlike.calibration.observability import ParameterVerdict
 from giantlike.calibration.observations import collimator_directions
 from giantlike.calibration.options import Loss
 from giantlike.calibration.statistics import residual_statistics
@@ -280,8 +280,8 @@ def test_a_narrow_field_cannot_tell_principal_point_from_attitude_and_says_so() 
         **settings,
     )
     verdicts = {one.name: one.verdict for one in held.support}
-    assert verdicts["cx_px"] is verdicts["cy_px"] is Verdict.PRIOR_ONLY
-    assert verdicts["fx_px"] is Verdict.SUPPORTED
+    assert verdicts["cx_px"] is verdicts["cy_px"] is ParameterVerdict.PRIOR_ONLY
+    assert verdicts["fx_px"] is ParameterVerdict.SUPPORTED
     fixed = calibrated(observations, estimate=("fx_px", "fy_px"), **settings)
     assert fixed.model.parameters[2:4].tolist() == [511.5, 511.5]
 
@@ -299,7 +299,7 @@ def test_high_order_distortion_of_a_narrow_field_is_reported_as_not_supported() 
         assert by_name["k2"].partner == "k3"
         assert by_name["k2"].correlation < -0.95
         assert by_name["k3"].sigma_effect_px > 3 * fix.map_sigma_px.max()
-        assert by_name["fx_px"].verdict is Verdict.SUPPORTED
+        assert by_name["fx_px"].verdict is ParameterVerdict.SUPPORTED
     k3 = [fix.model.parameters[fix.model.parameter_names.index("k3")] for fix in fixes]
     reach = {one.name: one.sigma_effect_px / one.sigma for one in fixes[0].support}["k3"]
     spread_px = float(np.std(k3)) * reach

@@ -13,7 +13,7 @@ import spiceypy
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner, Result
 
-from giantlike.campaign.compare.differences import Comparison
+from giantlike.campaign.compare.differences import ResultComparison
 from giantlike.campaign.compare.external import ExternalOptions, compare_external
 from giantlike.campaign.compare.runs import compare_runs
 from giantlike.campaign.export import ExportFormat, ExportOptions, export_run
@@ -91,7 +91,7 @@ def place(k: int) -> Float:
     return CAMERA.model.project(rotate(_attitude(START_ET + 600.0 * k), position_inertial(k)))
 
 
-def rows(comparison: Comparison) -> dict[tuple[str, str], dict[str, Any]]:
+def rows(comparison: ResultComparison) -> dict[tuple[str, str], dict[str, Any]]:
     return {(row["what"], row["axis"]): row for row in comparison.summary()["differences"]}
 
 

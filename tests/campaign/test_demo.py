@@ -32,8 +32,8 @@ from giantlike.io.tables import columns_of
 from giantlike.simulation import ApproachOptions, Visit, plan_approach
 from giantlike.simulation.compare import (
     AttitudeError,
-    Comparison,
     ObservationError,
+    TruthComparison,
     compare_run,
     score_attitudes,
     score_observations,
@@ -164,7 +164,7 @@ def test_a_goal_is_missed_beyond_its_limits_and_where_nothing_was_measured() -> 
 def report_of(
     errors: list[ObservationError], attitudes: list[AttitudeError] | None = None, truth: list[TruthRow] | None = None
 ) -> DemoReport:
-    comparison = Comparison(truth=tuple(truth or ()), attitudes=tuple(attitudes or ()), observations=tuple(errors))
+    comparison = TruthComparison(truth=tuple(truth or ()), attitudes=tuple(attitudes or ()), observations=tuple(errors))
     return DemoReport(output=Path("demo"), comparison=comparison, simulate_s=1.0, run_s=2.0)
 
 

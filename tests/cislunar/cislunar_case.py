@@ -24,7 +24,7 @@ from giantlike.cislunar.filter import Innovations
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 from giantlike.dynamics import GM_EARTH_KM3_S2, GM_MOON_KM3_S2, GM_SUN_KM3_S2, PointMasses, ThirdBody, fly
-from giantlike.independent.flight import Processes, Sky, fly_spacecraft, sighted
+from giantlike.independent.flight import Processes, PullingBodies, fly_spacecraft, sighted
 
 START_ET = 629_868_960.0
 START = np.array([-318090.516, 116693.901, 80282.4906, 0.171139216, -0.115181303, 0.176852145])
@@ -49,7 +49,7 @@ def mean_places() -> tuple[Callable[[float], Float], Callable[[float], Float]]:
 
 
 MOON_KM, SUN_KM = mean_places()
-SKY = Sky(GM_EARTH_KM3_S2, GM_MOON_KM3_S2, GM_SUN_KM3_S2, MOON_KM, SUN_KM)
+SKY = PullingBodies(GM_EARTH_KM3_S2, GM_MOON_KM3_S2, GM_SUN_KM3_S2, MOON_KM, SUN_KM)
 MODEL = FilterModel(
     dynamics=PointMasses(GM_EARTH_KM3_S2, (ThirdBody(GM_MOON_KM3_S2, MOON_KM), ThirdBody(GM_SUN_KM3_S2, SUN_KM))),
     sigmas=SIGMAS,

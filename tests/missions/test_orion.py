@@ -13,7 +13,7 @@ from giantlike.dynamics import fly
 from giantlike.missions import ComparisonKind, Replay, ReplaySettings, run_replay, save_replay
 from giantlike.missions.orion.gimbal import gimbal_angles, pinhole_error_px
 from giantlike.missions.orion.return_leg import analyzed, angle_slope, entry_angle_deg
-from giantlike.missions.orion.return_plan import Plan, make_plan, without_close_pass
+from giantlike.missions.orion.return_plan import ReturnPlan, make_plan, without_close_pass
 from tests.numerical import numerical_jacobian
 from tests.tolerances import FLOAT64_SUM
 
@@ -35,7 +35,7 @@ def _replay(settings: ReplaySettings) -> Replay:
 
 
 @pytest.fixture(scope="module", name="plan")
-def _plan() -> Plan:
+def _plan() -> ReturnPlan:
     return without_close_pass(make_plan(7200.0, 3600.0))
 
 
@@ -68,7 +68,7 @@ def test_the_report_is_written(replay: Replay, settings: ReplaySettings) -> None
     assert (Path(settings.output) / "report.html").read_text(encoding="utf-8").count("<svg") >= 12
 
 
-def test_the_reference_arrives_at_the_entry_interface(plan: Plan) -> None:
+def test_the_reference_arrives_at_the_entry_interface(plan: ReturnPlan) -> None:
     end = plan.legs[-1].steps[-1].mean
     assert_allclose(np.linalg.norm(end[:3]), 6378.137 + 121.92, atol=0.1)  # km; the file has nine digits
     assert_allclose(entry_angle_deg(end[:6]), -6.0, atol=1e-4)
@@ -77,7 +77,7 @@ def test_the_reference_arrives_at_the_entry_interface(plan: Plan) -> None:
     assert_allclose(slope, numeric, rtol=1e-3)
 
 
-def test_corrections_bring_the_place_at_entry_back(plan: Plan) -> None:
+def test_corrections_bring_the_place_at_entry_back(plan: ReturnPlan) -> None:
     last = [leg for leg in plan.legs if leg.guidance is not None][-1]
     guidance, at = last.guidance, last.steps[-1].mean[:6]
     assert guidance is not None
@@ -89,7 +89,7 @@ def test_corrections_bring_the_place_at_entry_back(plan: Plan) -> None:
     assert np.linalg.norm(arrived) < 0.01 * np.linalg.norm(drifted)  # to first order
 
 
-def test_a_world_as_the_filter_believes_it_has_the_covariance_of_the_filter(plan: Plan) -> None:
+def test_a_world_as_the_filter_believes_it_has_the_covariance_of_the_filter(plan: ReturnPlan) -> None:
     at = analyzed(plan, as_believed=True)[2]
     sigma = at.state.factors.sigmas()
     difference = at.joint.navigation_error()[1] - at.state.factors.composed()

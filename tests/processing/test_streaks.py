@@ -16,7 +16,7 @@ from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure
 from giantlike.processing import DetectionFlag, DetectionOptions, Detections, detect_sources
 from giantlike.processing.detection.patches import cut_patches
-from giantlike.processing.detection.streak import Lines, fit_lines, line_shares
+from giantlike.processing.detection.streak import StreakGuesses, fit_lines, line_shares
 from tests.numerical import numerical_jacobian
 from tests.processing.test_detection import (
     BIAS_STANDARD_ERRORS,
@@ -80,7 +80,7 @@ def test_middle_and_ends_of_streaks_have_honest_covariances() -> None:
     n = len(points)
     detector = Detector(gain_e_per_dn=GAIN)
     patches = cut_patches(image, None, np.rint(points).astype(np.int64), 10, detector=detector, noise_dn=NOISE_DN)
-    start = Lines(points + 0.3, np.tile(half * 0.8, (n, 1)), flux * 0.8, np.full(n, 100.0))
+    start = StreakGuesses(points + 0.3, np.tile(half * 0.8, (n, 1)), flux * 0.8, np.full(n, 100.0))
     fits = fit_lines(patches, start, SIGMA_PX)
     assert fits.converged.all()
     low, high = nees_band(n, 1.0 - FALSE_ALARM)
@@ -106,7 +106,9 @@ def test_a_background_that_rises_across_the_image_moves_no_streak() -> None:
     patches = cut_patches(
         image, None, np.rint(points).astype(np.int64), 10, detector=Detector(gain_e_per_dn=GAIN), noise_dn=NOISE_DN
     )
-    fits = fit_lines(patches, Lines(points, np.tile(half, (n, 1)), np.full(n, 4000.0), np.full(n, 100.0)), SIGMA_PX)
+    fits = fit_lines(
+        patches, StreakGuesses(points, np.tile(half, (n, 1)), np.full(n, 4000.0), np.full(n, 100.0)), SIGMA_PX
+    )
     error = (fits.centers_px - points)[fits.converged]
     assert np.abs(error.mean(axis=0) / error.std(axis=0) * np.sqrt(len(error))).max() < BIAS_STANDARD_ERRORS
 
@@ -174,7 +176,7 @@ def test_a_line_fitted_to_a_body_stays_within_reach_of_its_patch() -> None:
     half = 24
     patches = cut_patches(bright_side, None, peaks, half, detector=Detector(), noise_dn=5.0)
     halves, flux = np.tile([12.0, 3.0], (5, 1)), np.full(5, 1e5)
-    start = Lines(centers_px=peaks.astype(float), halves_px=halves, flux_dn=flux, background_dn=np.zeros(5))
+    start = StreakGuesses(centers_px=peaks.astype(float), halves_px=halves, flux_dn=flux, background_dn=np.zeros(5))
     fits = fit_lines(patches, start, SIGMA_PX)
     assert np.isfinite(fits.halves_px).all()
     assert (fits.lengths_px <= 4.0 * half).all()  # thousands of px, and minutes, before lengths were bounded

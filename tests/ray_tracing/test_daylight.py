@@ -11,7 +11,7 @@ from giantlike.core.arrays import Float, Mask, unit
 from giantlike.ray_tracing import Body, Lambert, RenderOptions, Trace, trace_body
 from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.embree import Float32
-from giantlike.ray_tracing.sampling import Cells
+from giantlike.ray_tracing.sampling import AxisCells
 from giantlike.ray_tracing.tracer import MeshTracer, Sight
 from giantlike.shapes import irregular_body
 
@@ -82,10 +82,10 @@ def test_told_rays_bring_the_light_of_all_and_are_fewer(sun: str, monkeypatch: p
 
 def test_beyond_a_rough_trace_nothing_is_told() -> None:
     here = np.zeros(2)
-    rough = Cells(first=0, count=4, per_px=1), Cells(first=0, count=4, per_px=1)
+    rough = AxisCells(first=0, count=4, per_px=1), AxisCells(first=0, count=4, per_px=1)
     for lit in (True, False):
         daylight = Daylight(cells=rough, lit=np.full((4, 4), lit), center_px=here, traced_center_px=here, scale=1.0)
-        dark, bright = daylight.of((Cells(first=-2, count=8, per_px=1), Cells(first=0, count=4, per_px=1)))
+        dark, bright = daylight.of((AxisCells(first=-2, count=8, per_px=1), AxisCells(first=0, count=4, per_px=1)))
         told_there = bright if lit else dark
         assert told_there[2:6].all()
         assert not (dark & bright).any()
@@ -96,7 +96,7 @@ def test_beyond_a_rough_trace_nothing_is_told() -> None:
 def test_a_rough_trace_of_a_part_tells_nothing_dark() -> None:
     lit = np.zeros((8, 8), dtype=bool)
     lit[:, :5] = True
-    rough = Cells(first=0, count=8, per_px=1), Cells(first=0, count=8, per_px=1)
+    rough = AxisCells(first=0, count=8, per_px=1), AxisCells(first=0, count=8, per_px=1)
     here = np.zeros(2)
     dark, bright = Daylight(cells=rough, lit=lit, center_px=here, traced_center_px=here, scale=1.0, whole=False).of(
         rough

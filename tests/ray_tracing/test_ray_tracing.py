@@ -30,7 +30,7 @@ from giantlike.ray_tracing import (
     render,
     trace_silhouette,
 )
-from giantlike.ray_tracing.sampling import Cells, RayGrid, Tile
+from giantlike.ray_tracing.sampling import AxisCells, RayGrid, Tile
 from giantlike.ray_tracing.tracer import tracer_for
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, mesh_from_ellipsoid, sphere
 from tests.tolerances import FIVE_DIGITS, FLOAT32, FLOAT32_SUM, FLOAT64, FLOAT64_CHAIN, FLOAT64_SUM, SAMPLED
@@ -418,7 +418,7 @@ def test_misuse_is_refused_with_what_was_needed() -> None:
 
 @pytest.mark.parametrize("sigma_px", [0.0, 0.3, 1.2])
 def test_light_of_a_cell_spreads_over_pixels_as_cell_psf_and_pixel_say(sigma_px: float) -> None:
-    cells = Cells.covering(9.6, 11.4, 3)
+    cells = AxisCells.covering(9.6, 11.4, 3)
     weights = cells.spread(0, 21, sigma_px).matrix() * 3.0  # a cell is a third of a pixel wide
     assert_allclose(weights.sum(axis=0), 1.0, rtol=0, atol=2e-6)  # five sigma of the PSF
     center, pixel = cells.centers_px[0], 10
@@ -430,7 +430,7 @@ def test_light_of_a_cell_spreads_over_pixels_as_cell_psf_and_pixel_say(sigma_px:
 
 
 def test_light_beyond_the_pixels_is_lost_and_the_rest_falls_where_it_did() -> None:
-    cells, light = Cells.covering(-3.0, 8.0, 2), np.random.default_rng(4).uniform(size=(24, 3))
+    cells, light = AxisCells.covering(-3.0, 8.0, 2), np.random.default_rng(4).uniform(size=(24, 3))
     whole = cells.spread(-20, 60, 0.8).of(light[: cells.count])
     assert_allclose(whole.sum(axis=0), 0.5 * light[: cells.count].sum(axis=0), rtol=0, atol=2e-5)  # half a pixel each
     assert np.array_equal(cells.spread(1, 5, 0.8).of(light[: cells.count]), whole[21:26])
@@ -439,7 +439,7 @@ def test_light_beyond_the_pixels_is_lost_and_the_rest_falls_where_it_did() -> No
 @pytest.mark.parametrize("k1", [-0.05, -0.4], ids=["everywhere", "up to a fold"])
 def test_ray_directions_are_those_of_the_camera_model_also_where_it_ends(k1: float) -> None:
     model = BrownModel(fx_px=500.0, fy_px=500.0, cx_px=640.0, cy_px=500.0, k1=k1, p1=1e-3)
-    x, y = Cells.covering(0.0, 640.0, 1), Cells.covering(400.0, 500.0, 1)
+    x, y = AxisCells.covering(0.0, 640.0, 1), AxisCells.covering(400.0, 500.0, 1)
     exact = model.unproject(np.stack(np.meshgrid(x.centers_px, y.centers_px), axis=-1)) @ TILTED.as_matrix()
     assert np.isnan(exact).any() == (k1 == -0.4)
     assert np.isfinite(exact).any()
@@ -450,7 +450,7 @@ def test_ray_directions_are_those_of_the_camera_model_also_where_it_ends(k1: flo
 
 
 def test_jittered_rays_stay_in_their_cells_and_fill_them() -> None:
-    x, y = Cells.covering(100.0, 140.0, 3), Cells.covering(80.0, 100.0, 3)
+    x, y = AxisCells.covering(100.0, 140.0, 3), AxisCells.covering(80.0, 100.0, 3)
     rays = RayGrid(BROWN, x, y, np.eye(3), jitter_seed=1).directions(Tile(0, y.count, 0, x.count))[:, :3]
     pixels = np.swapaxes(BROWN.project(rays).reshape(x.count, y.count, 2), 0, 1)
     within = 3.0 * (pixels - np.stack(np.meshgrid(x.edges_px[:-1], y.edges_px[:-1]), axis=-1))

@@ -353,13 +353,13 @@ def test_focal_length_and_distortion_are_recovered_with_honest_attitude(draws: i
 
 
 def test_the_jacobian_of_the_fit_is_the_derivative() -> None:
-    from giantlike.stars.attitude import _State
+    from giantlike.stars.attitude import _AttitudeState
 
     model = BrownModel(fx_px=900.0, fy_px=950.0, cx_px=511.5, cy_px=500.0, k1=-0.2, p1=1e-3)
     attitude = Rotation.random(rng=np.random.default_rng(11))
     places = np.random.default_rng(12).uniform(0, 1023, (5, 2))
     directions = rotate(attitude.inv(), model.unproject(places))
-    state = _State(attitude, model)
+    state = _AttitudeState(attitude, model)
 
     def predict(step: Float) -> Float:
         return state.moved(step).predict(directions)

@@ -9,7 +9,7 @@ import numpy as np
 
 from giantlike._system.atomic import write_text_atomic
 from giantlike.calibration.field_map import field_grid
-from giantlike.calibration.observability import Verdict
+from giantlike.calibration.observability import ParameterVerdict
 from giantlike.calibration.result import CalibrationResult
 from giantlike.calibration.star_images import StarCalibration
 from giantlike.calibration.statistics import residual_statistics
@@ -37,10 +37,10 @@ _TRENDS = {
     "temperature_c": "temperature, C",
 }
 _MEANING = {
-    Verdict.SUPPORTED: "supported by the data",
-    Verdict.NOT_SIGNIFICANT: "cannot be told from zero: the data would do without it",
-    Verdict.ENTANGLED: "known in combination with others only; its own value fluctuates",
-    Verdict.PRIOR_ONLY: "the a priori value; the data add nothing",
+    ParameterVerdict.SUPPORTED: "supported by the data",
+    ParameterVerdict.NOT_SIGNIFICANT: "cannot be told from zero: the data would do without it",
+    ParameterVerdict.ENTANGLED: "known in combination with others only; its own value fluctuates",
+    ParameterVerdict.PRIOR_ONLY: "the a priori value; the data add nothing",
 }
 
 

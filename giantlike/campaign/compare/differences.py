@@ -50,7 +50,7 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
+class ResultComparison:
     """Two sets of results, compared.
 
     Parameters

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike._system.reading import reads
 from giantlike.camera import Camera
-from giantlike.campaign.compare.differences import Comparison, Difference, differences_of
+from giantlike.campaign.compare.differences import Difference, ResultComparison, differences_of
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import RunResult, camera_of_run, load_result
 from giantlike.core.arrays import Float, require
@@ -100,7 +100,7 @@ class _Run:
         return {record.file: record.et for record in self.result.attitudes if record.et is not None}
 
 
-def compare_external(folder: Path, other: Path, options: ExternalOptions = ExternalOptions()) -> Comparison:
+def compare_external(folder: Path, other: Path, options: ExternalOptions = ExternalOptions()) -> ResultComparison:
     """Compare a run with a file of another team."""
     result = load_result(folder)
     run = _Run(result, camera_of_run(folder))
@@ -120,7 +120,7 @@ def compare_external(folder: Path, other: Path, options: ExternalOptions = Exter
             f"{folder} and {other}: nothing to compare: no result of the run has a counterpart of the same image, or "
             f"within {_SAME_TIME_S} s of its epoch"
         )
-    return Comparison(
+    return ResultComparison(
         first=str(folder),
         second=str(other),
         differences=tuple(differences),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from giantlike.campaign.compare.differences import Comparison, Difference, differences_of
+from giantlike.campaign.compare.differences import Difference, ResultComparison, differences_of
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import RunResult, load_result
 from giantlike.campaign.store.run_folder import RunFolder
@@ -28,7 +28,7 @@ _OF_HEADER = (Cause.ABERRATION, Cause.EPOCH)
 """Causes that two attitudes have in common because time and velocity of the spacecraft come from one source."""
 
 
-def compare_runs(first: Path, second: Path) -> Comparison:
+def compare_runs(first: Path, second: Path) -> ResultComparison:
     """Compare two runs, image by image.
 
     Images are matched by name. A fix is compared with the fix of the same estimator on the same target. The covariance
@@ -48,7 +48,7 @@ def compare_runs(first: Path, second: Path) -> Comparison:
     for key in fixes:
         if key in others and key[0] in right:
             differences += _fix(fixes[key], others[key], shared, left[key[0]].sha256 == right[key[0]].sha256)
-    return Comparison(
+    return ResultComparison(
         first=str(first),
         second=str(second),
         differences=tuple(differences),

@@ -17,7 +17,7 @@ from giantlike.calibration import CalibrationOptions
 from giantlike.calibration.criteria import CalibrationCriteria
 from giantlike.calibration.star_images import DEFAULT_MIN_SNR
 from giantlike.campaign.file.options import options_validator
-from giantlike.campaign.file.toml_file import Section
+from giantlike.campaign.file.toml_file import TomlSection
 from giantlike.core.errors import InputError
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.rings import Rings
@@ -86,7 +86,7 @@ def _checked_atmosphere(value: object) -> Atmosphere | None:
     return Atmosphere(**table)
 
 
-class CampaignSection(Section):
+class CampaignSection(TomlSection):
     """``[campaign]``: the name and the run folder."""
 
     name: str = Field(min_length=1)
@@ -95,7 +95,7 @@ class CampaignSection(Section):
     """Run folder; a run goes on with the results that it holds ([runs](runs.md))."""
 
 
-class MissionSection(Section):
+class MissionSection(TomlSection):
     """``[mission]``: a mission whose camera, frames, labels and kernels the package knows ([list](missions.md)).
 
     It completes `[camera]`, `[images]` and `[spice]`; existing keys take precedence.
@@ -108,7 +108,7 @@ class MissionSection(Section):
     mission file are loaded. `spice.kernels` wins over it."""
 
 
-class ImagesSection(Section):
+class ImagesSection(TomlSection):
     """``[images]``: the image files and their a priori geometry."""
 
     files: list[str] = Field(min_length=1)
@@ -127,7 +127,7 @@ class ImagesSection(Section):
     it they hold no uncertainty of the attitude."""
 
 
-class ClockSection(Section):
+class ClockSection(TomlSection):
     """A count of the spacecraft clock in labels, for the epoch of images whose labels have no time of the exposure."""
 
     item: str
@@ -142,7 +142,7 @@ class ClockSection(Section):
     """Time from the closing of the shutter to that count, s."""
 
 
-class CalibrationFramesSection(Section):
+class CalibrationFramesSection(TomlSection):
     """``[calibration_frames]``: exposures that take bias, dark current and response of the pixels off every image.
 
     `(raw - bias - dark * exposure / dark exposure) / flat`. Each is one file or several, which are averaged without
@@ -167,7 +167,7 @@ class CalibrationFramesSection(Section):
     """FITS extension of all of these; default: the first with an image. Rows are ordered as in the images."""
 
 
-class SpiceSection(Section):
+class SpiceSection(TomlSection):
     """``[spice]``: kernels, the spacecraft and the frame of the camera."""
 
     kernels: list[str] = Field(min_length=1)
@@ -185,7 +185,7 @@ class SpiceSection(Section):
     clock: ClockSection | None = None
 
 
-class StarsSection(Section):
+class StarsSection(TomlSection):
     """``[stars]``: star identification, and the transfer of attitudes to short exposures.
 
     Without this section no stars are processed and the a priori attitudes are used.
@@ -220,7 +220,7 @@ class StarsSection(Section):
     """Options of the detection of stars."""
 
 
-class CalibrationSection(Section):
+class CalibrationSection(TomlSection):
     """``[calibration]``: parameters of the camera to estimate from the stars of the campaign.
 
     With this section the camera is calibrated first, and everything else uses the calibrated camera.
@@ -242,7 +242,7 @@ class CalibrationSection(Section):
     """Limits that a calibration must meet to be used."""
 
 
-class BodySection(Section):
+class BodySection(TomlSection):
     """A body: its name, shape, brightness law and name in SPICE."""
 
     name: str = Field(min_length=1)
@@ -260,7 +260,7 @@ class BodySection(Section):
     """Body-fixed SPICE frame, where it is not the body's default."""
 
 
-class UncertaintySection(Section):
+class UncertaintySection(TomlSection):
     """One sigma of the a priori data of a target, for the covariances of fixes; 0 for exact values."""
 
     scale: float = Field(default=0.0, ge=0, le=0.3)
@@ -302,14 +302,14 @@ class TargetSection(BodySection):
     `{ inner_km, outer_km }` ([terrain](terrain.md))."""
 
 
-class ReportSection(Section):
+class ReportSection(TomlSection):
     """``[report]``: the contents of ``report.html``."""
 
     max_overlays: int = Field(default=24, ge=0)
     """Number of images shown with their results."""
 
 
-class CampaignFile(Section):
+class CampaignFile(TomlSection):
     """A whole campaign file."""
 
     campaign: CampaignSection

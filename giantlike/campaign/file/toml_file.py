@@ -18,7 +18,7 @@ from giantlike.core.errors import DataError, InputError
 Content = TypeVar("Content", bound=BaseModel)
 
 
-class Section(BaseModel):
+class TomlSection(BaseModel):
     """Base of the tables of a file: types are strict, unknown keys are refused, values are immutable.
 
     The text below a field describes its key.

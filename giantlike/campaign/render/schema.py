@@ -11,7 +11,7 @@ from pydantic import ConfigDict, Field
 
 from giantlike.campaign.file.options import options_validator
 from giantlike.campaign.file.schema import BodySection, SpiceSection
-from giantlike.campaign.file.toml_file import Section
+from giantlike.campaign.file.toml_file import TomlSection
 from giantlike.simulation.cosmic_rays import CosmicRays
 from giantlike.simulation.effects import DarkCurrent, FrameTransfer, FullWell, StrayLight
 
@@ -19,7 +19,7 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 
-class SceneSection(Section):
+class SceneSection(TomlSection):
     """Base of the tables of a scene file: numbers must be finite."""
 
     model_config = ConfigDict(allow_inf_nan=False)

@@ -19,7 +19,7 @@ from giantlike.core.outcomes import Quality, Reason
 from giantlike.image import Image
 from giantlike.plotting import StarMarks, overlay_panels
 from giantlike.plotting.charts import Axis, Chart, ChartSheet, charts_svg
-from giantlike.plotting.layers import Layer, Shape
+from giantlike.plotting.layers import Layer, MarkShape
 from giantlike.plotting.overlay_svg import overlay_svg
 from giantlike.plotting.overlays import CENTERS, MARKS, BodyMarks, CenterMark
 from giantlike.plotting.residual_map import residual_map_svg
@@ -59,7 +59,7 @@ class FixLine:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Card:
+class ImageCard:
     """One image of the report, with its results.
 
     Parameters
@@ -115,7 +115,7 @@ def fix_line(record: ObservationRecord) -> FixLine:
     )
 
 
-def card(result: RunResult, record: AttitudeRecord, colors: Mapping[str, str]) -> Card:
+def card(result: RunResult, record: AttitudeRecord, colors: Mapping[str, str]) -> ImageCard:
     """One image with its results."""
     folder = RunFolder(result.folder)
     observations = [one for image in result.bodies if image.file == record.file for one in image.observations]
@@ -137,7 +137,7 @@ def card(result: RunResult, record: AttitudeRecord, colors: Mapping[str, str]) -
     fixes = [fix_line(one) for one in observations]
     found_words = [fix.words for fix in fixes if fix.center]
     common = [each for each in found_words[0] if all(each in words for words in found_words)] if found_words else []
-    return Card(
+    return ImageCard(
         record=record,
         words=[*_words(record.problem, record.flags), *common],
         fixes=[replace(fix, words=[each for each in fix.words if each not in common]) for fix in fixes],
@@ -235,7 +235,7 @@ def _star_residuals(record: AttitudeRecord, points: Mapping[str, Any]) -> Iterat
         title=f"Stars off their places, median {typical:.2g} px",
         x=Axis(label="x, px", low=-0.5, high=record.columns - 0.5),
         y=Axis(label="y, px", low=record.rows - 0.5, high=-0.5),
-        layers=[Layer(points=ends, shape=Shape.ARROWS, color=BLUE, width=0.8)],
+        layers=[Layer(points=ends, shape=MarkShape.ARROWS, color=BLUE, width=0.8)],
         equal=True,
     )
     yield charts_svg(ChartSheet(charts=[chart], width_in=2.2, height_in=2.2), f"residuals-{record.index}")
@@ -255,14 +255,16 @@ def _fix_residuals(record: AttitudeRecord, one: ObservationRecord, points: Mappi
     arms = at_px - np.array(one.center_px)
     angle = np.degrees(np.arctan2(arms[:, 1], arms[:, 0]))
     layers = [
-        Layer(points=np.array([[-180.0, 0.0], [180.0, 0.0]]), shape=Shape.LINE, color=GRAY, width=0.9),
-        Layer(points=np.column_stack([angle, values]), shape=Shape.DOT, color=BLUE, size=2.6),
+        Layer(points=np.array([[-180.0, 0.0], [180.0, 0.0]]), shape=MarkShape.LINE, color=GRAY, width=0.9),
+        Layer(points=np.column_stack([angle, values]), shape=MarkShape.DOT, color=BLUE, size=2.6),
     ]
     rejected = points_of(points.get("limb_rejected_px", []))
     if len(rejected):
         arms = rejected - np.array(one.center_px)
         ticks = np.column_stack([np.degrees(np.arctan2(arms[:, 1], arms[:, 0])), np.zeros(len(arms))])
-        layers.append(Layer(points=ticks, shape=Shape.CROSS, color=MARKS["limb points rejected"], size=3.5, width=0.6))
+        layers.append(
+            Layer(points=ticks, shape=MarkShape.CROSS, color=MARKS["limb points rejected"], size=3.5, width=0.6)
+        )
     chart = Chart(
         title=f"{name}: limb points, outward",
         x=Axis(label="angle from +x towards +y, deg", low=-180.0, high=180.0),

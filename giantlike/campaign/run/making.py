@@ -58,7 +58,7 @@ _FIRST_STARS, _ATTITUDES, _TARGETS = "calibration", "attitudes", "geometry"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
+class RunExecutor:
     """The steps of a run.
 
     Parameters
@@ -94,7 +94,7 @@ class Run:
 
     # --- calibration -------------------------------------------------------------------------------------------------
 
-    def calibrate(self, pool: Pool) -> tuple[Run, dict[str, Any] | None]:
+    def calibrate(self, pool: Pool) -> tuple[RunExecutor, dict[str, Any] | None]:
         """Identify the stars of all star images and calibrate.
 
         Returns ``run`` and ``summary``.
@@ -320,7 +320,7 @@ class _Plan:
     unsolved: list[ImageEntry]
 
     @classmethod
-    def of(cls, run: Run) -> _Plan:
+    def of(cls, run: RunExecutor) -> _Plan:
         campaign, folder = run.campaign, run.folder
         keys = folder.keys(ObservationRecord) | folder.keys(TargetRecord)
         plan = cls(Steps(run.bench), keys, frozenset(run.edits.rejected_images()), {}, {}, [])

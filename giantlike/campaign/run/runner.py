@@ -11,7 +11,7 @@ from giantlike._system.processes import available_cpus, process_count
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.report.run_page import write_report
 from giantlike.campaign.run.identities import Identities
-from giantlike.campaign.run.making import Announce, Progress, Run
+from giantlike.campaign.run.making import Announce, Progress, RunExecutor
 from giantlike.campaign.run.pool import Pool, WorkerPool
 from giantlike.campaign.run.provenance import environment_of, inputs_of
 from giantlike.campaign.run.steps import digest
@@ -19,7 +19,7 @@ from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.changes import changes
 from giantlike.campaign.store.edits import EDITS_FILE, read_edits
 from giantlike.campaign.store.lock import locked
-from giantlike.campaign.store.log import RunLog
+from giantlike.campaign.store.log import RunLogHandler
 from giantlike.campaign.store.observables import (
     OBSERVABLES_FILE,
     ImageRecords,
@@ -91,7 +91,7 @@ def run_campaign(
 
     try:
         make_folder(campaign.output)
-        with locked(campaign.output) as dead, RunLog(campaign.output):
+        with locked(campaign.output) as dead, RunLogHandler(campaign.output):
             folder = RunFolder(campaign.output)
             before = _provenance(folder)
             inputs = inputs_of(campaign, bench)
@@ -105,7 +105,7 @@ def run_campaign(
             with folder.writing():
                 _require_same_images(campaign, folder)
                 folder.set_images([(entry.key, campaign.path_from_output(entry.path)) for entry in campaign.images])
-                run = Run(
+                run = RunExecutor(
                     bench=bench,
                     folder=folder,
                     progress=progress or silent,
@@ -164,7 +164,7 @@ def _what_changed(campaign: Campaign, changed: list[str], dead: str | None) -> s
     return text if dead is None else f"{text}; taken over from {dead}, which died"
 
 
-def _as_before(before: dict[str, Any], inputs: dict[str, Any], folder: RunFolder, run: Run) -> bool:
+def _as_before(before: dict[str, Any], inputs: dict[str, Any], folder: RunFolder, run: RunExecutor) -> bool:
     """True if tables and report of the last run still hold."""
     return (
         not any(count.redone for count in run.counts.values())

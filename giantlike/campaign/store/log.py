@@ -23,7 +23,7 @@ def log_event(folder: Path, event: str, *, level: int = logging.INFO, **values: 
     LOGGER.log(level, "%s: %s", event, text, extra=extra)
 
 
-class RunLog(logging.Handler):
+class RunLogHandler(logging.Handler):
     """Writes the events of one run to its ``log.jsonl``; attached inside a ``with`` block.
 
     Other handlers are not affected: events below the level that the program chose for the logger go to the file only.

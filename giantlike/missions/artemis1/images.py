@@ -26,7 +26,7 @@ _RAYS = ((100.0, 4), (250.0, 3), (math.inf, 2))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Shot(Value):
+class ImageWindow(Value):
     """One image: the window around the body, and its truth.
 
     Parameters
@@ -60,7 +60,7 @@ def detected_altitude_km(setting: Setting, exposure_us: float, wavelength_nm: fl
 
 def moon_shot(
     setting: Setting, position_km: Float, sun: Float, heights_km: Float, rng: np.random.Generator | None
-) -> Shot:
+) -> ImageWindow:
     """Take an image of the Moon whose limb stands at heights (n,) at evenly spaced position angles."""
     figure, moon = setting.figure("moon"), setting.data["moon"]
 
@@ -76,7 +76,7 @@ def moon_shot(
 
 def earth_shot(
     setting: Setting, position_km: Float, sun: Float, exposure_us: float, rng: np.random.Generator | None
-) -> Shot:
+) -> ImageWindow:
     """Take an image of the Earth in its atmosphere: clouds below, molecules above the limb."""
     level_dn = setting.detector.saturation_dn * exposure_us / setting.data["earth"]["saturating_exposure_us"]
     return _shot(setting, setting.figure("earth"), position_km, sun, None, (level_dn, 1.0), rng)
@@ -90,7 +90,7 @@ def _shot(
     reshaped: Callable[[Float, Float], Float] | None,
     level: tuple[float, float],
     rng: np.random.Generator | None,
-) -> Shot:
+) -> ImageWindow:
     """Render, blur and record the window around a body."""
     model, radius = setting.model, float(figure.radii_km.max())
     distance = float(np.linalg.norm(position_km))
@@ -106,7 +106,7 @@ def _shot(
     window = PinholeModel(
         fx_px=model.fx_px, fy_px=model.fy_px, cx_px=model.cx_px - float(low[0]), cy_px=model.cy_px - float(low[1])
     )
-    return Shot(
+    return ImageWindow(
         pixels_dn=pixels if rng is None else recorded(pixels, setting.detector, rng),
         model=window,
         corner_px=low.astype(np.float64),
@@ -188,7 +188,7 @@ def recorded(signal_dn: Float, detector: Detector, rng: np.random.Generator) -> 
     return pixels
 
 
-def saturated(shot: Shot, detector: Detector) -> Mask:
+def saturated(shot: ImageWindow, detector: Detector) -> Mask:
     """Clipped pixels of an image."""
     result: Mask = shot.pixels_dn >= detector.saturation_dn
     return result

@@ -10,7 +10,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure
 from giantlike.core.statistics import robust_sigma
-from giantlike.missions.artemis1.images import Shot, saturated
+from giantlike.missions.artemis1.images import ImageWindow, saturated
 from giantlike.missions.artemis1.passes import Setting
 from giantlike.processing.limb.edges import EdgePoints, scan_edges
 from giantlike.processing.limb.view import LimbView
@@ -34,7 +34,7 @@ _OUTLIERS = 4.0  # robust sigmas
 _ROUNDS = 3
 
 
-def edges_of(setting: Setting, shot: Shot, sun: Float) -> EdgePoints:
+def edges_of(setting: Setting, shot: ImageWindow, sun: Float) -> EdgePoints:
     """Lit limb of an image: pixels by a scan along the sunlight, refined by the moments of Zernike."""
     detector = setting.detector
     dark_dn = math.sqrt(float(detector.variance_dn2(np.zeros(1))[0]))
@@ -54,7 +54,7 @@ def edges_of(setting: Setting, shot: Shot, sun: Float) -> EdgePoints:
     )
 
 
-def non_iterative(setting: Setting, shot: Shot, sun: Float, figure: Figure) -> tuple[Float, Float] | Failure:
+def non_iterative(setting: Setting, shot: ImageWindow, sun: Float, figure: Figure) -> tuple[Float, Float] | Failure:
     """Christian-Robinson algorithm on edges by moments.
 
     Returns ``position_camera_km`` and ``points_px`` (n, 2).
@@ -75,7 +75,7 @@ def non_iterative(setting: Setting, shot: Shot, sun: Float, figure: Figure) -> t
     return position, points + shot.corner_px
 
 
-def iterative(setting: Setting, shot: Shot, sun: Float, figure: Figure, start_km: Float) -> Float | Failure:
+def iterative(setting: Setting, shot: ImageWindow, sun: Float, figure: Figure, start_km: Float) -> Float | Failure:
     """Fit of an ellipsoidal sigmoid to the light along the limb, from the solution of the other algorithm."""
     detector = setting.detector
     clipped = saturated(shot, detector)

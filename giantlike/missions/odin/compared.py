@@ -10,7 +10,7 @@ from giantlike.autonomy.body_photometry import chandrasekhar_sphere
 from giantlike.autonomy.camera_sources import trigger_plan
 from giantlike.core.arrays import Float
 from giantlike.missions.odin.figures import camera_residuals_km
-from giantlike.missions.odin.modes import Flight, cycle_s
+from giantlike.missions.odin.modes import ModeRun, cycle_s
 from giantlike.missions.odin.narrow import InterlockStudy, LensStudy, MoonPair
 from giantlike.missions.odin.paper import narrow_focal_px, paper
 from giantlike.missions.odin.wide import (
@@ -302,7 +302,7 @@ def of_moon(pairs: Sequence[MoonPair], failed: int) -> tuple[Comparison, ...]:
     )
 
 
-def of_modes(flight: Flight, pairs: Sequence[MoonPair]) -> tuple[Comparison, ...]:
+def of_modes(flight: ModeRun, pairs: Sequence[MoonPair]) -> tuple[Comparison, ...]:
     """Modes, trigger and processing time."""
     slowest = max(pair.cpu_s for pair in pairs)
     refused = [each for each in flight.telemetry if not each.done]

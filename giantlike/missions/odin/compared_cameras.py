@@ -9,7 +9,7 @@ import numpy as np
 from giantlike.missions.odin.optics import (
     MOON_DISTANCE_KM,
     MOON_RADIUS_KM,
-    Choice,
+    SensorChoice,
     diameters_px,
     dominated,
     field_of_wide_deg,
@@ -24,7 +24,7 @@ DERIVED, INDEPENDENT = ComparisonKind.DERIVED, ComparisonKind.INDEPENDENT
 ROUNDING = 0.02  # relative: the paper gives two or three digits
 
 
-def of_optics(choices: Sequence[Choice], covered: float) -> tuple[Comparison, ...]:
+def of_optics(choices: Sequence[SensorChoice], covered: float) -> tuple[Comparison, ...]:
     """Table 1, Table 2, Fig. 5, Fig. 9 and eq. 7."""
     narrow, wide, fisheye = paper()["narrow"], paper()["wide"], paper()["fisheye"]
     focal_px = narrow["focal_mm"] * 1e3 / narrow["pixel_um"]
@@ -136,7 +136,7 @@ def _sizes() -> tuple[Comparison, ...]:
     )
 
 
-def _trade(choices: Sequence[Choice]) -> tuple[Comparison, ...]:
+def _trade(choices: Sequence[SensorChoice]) -> tuple[Comparison, ...]:
     taken = next(each for each in choices if each.sensor == "IMX264" and each.focal_mm == paper()["narrow"]["focal_mm"])
     fits = [c for c in choices if c.range_sigma <= 1e-3 and c.nearest_earth_km <= 50_000.0]
     names = ", ".join(f"{each.sensor} with {each.focal_mm:g} mm" for each in fits)

@@ -11,7 +11,13 @@ from giantlike.autonomy.body_photometry import chandrasekhar_sphere
 from giantlike.core.arrays import Float
 from giantlike.core.frames import rotate
 from giantlike.missions.odin.narrow import InterlockStudy, LensStudy, MoonPair
-from giantlike.missions.odin.optics import EARTH_RADIUS_KM, MOON_RADIUS_KM, Choice, diameters_px, shrinkage_along_radius
+from giantlike.missions.odin.optics import (
+    EARTH_RADIUS_KM,
+    MOON_RADIUS_KM,
+    SensorChoice,
+    diameters_px,
+    shrinkage_along_radius,
+)
 from giantlike.missions.odin.paper import narrow_camera, paper
 from giantlike.missions.odin.wide import (
     GEOMETRIC_ALBEDO,
@@ -64,7 +70,7 @@ def phase_figure() -> Figure:
     return figure
 
 
-def trade_figure(choices: Sequence[Choice]) -> Figure:
+def trade_figure(choices: Sequence[SensorChoice]) -> Figure:
     """Fig. 9: resolution over field of view of sensors and lenses."""
     with drawing():
         figure, panels = new_panels(8.6, 3.6, 1, 2)

@@ -47,7 +47,7 @@ MOON_PEAK = 0.6  # of the full well
 
 
 @dataclass(frozen=True, eq=False)
-class Sky(Value):
+class GroundStates(Value):
     """States at an epoch, ICRF axes, barycentric, and the vertical of the site."""
 
     et: float
@@ -61,7 +61,7 @@ class Sky(Value):
         return float(np.arcsin(np.clip(unit(direction) @ self.zenith, -1.0, 1.0)))
 
 
-def sky_at(et: float) -> Sky:
+def sky_at(et: float) -> GroundStates:
     """Site, Moon and Sun by the series of ERFA that need no kernel."""
     import erfa  # slow to import
 
@@ -86,7 +86,7 @@ def sky_at(et: float) -> Sky:
         vector = (np.asarray(moon["p"]) + earth_then) * AU_KM - observer.position_km
         light_time = float(np.linalg.norm(vector)) / SPEED_OF_LIGHT_KM_S
     sun = -np.asarray(helio["p"]) * AU_KM - site - vector
-    return Sky(
+    return GroundStates(
         et=et,
         observer=observer,
         zenith=zenith,
@@ -147,7 +147,7 @@ class RefractedView(PinholeView):
         return self._moved(np.asarray(super().directions(np.asarray(pixels, dtype=float)), dtype=float), 1.0)
 
 
-def ground_view(sky: Sky, camera_from_inertial: Rotation, *, air: bool) -> PinholeView:
+def ground_view(sky: GroundStates, camera_from_inertial: Rotation, *, air: bool) -> PinholeView:
     """Narrow camera at the site, with the atmosphere or without it."""
     view = narrow_view()
     if not air:
@@ -163,7 +163,12 @@ def catalog() -> MemoryCatalog:
 
 
 def star_frame(
-    sky: Sky, camera_from_inertial: Rotation, rng: np.random.Generator, *, air: bool = True, name: str = "stars"
+    sky: GroundStates,
+    camera_from_inertial: Rotation,
+    rng: np.random.Generator,
+    *,
+    air: bool = True,
+    name: str = "stars",
 ) -> Image:
     """Image of the stars by a narrow camera."""
     moved = camera_from_inertial
@@ -190,7 +195,7 @@ def _moon() -> EllipsoidBody:
 
 
 def moon_frame(
-    sky: Sky, camera_from_inertial: Rotation, rng: np.random.Generator, *, air: bool = True, name: str = "moon"
+    sky: GroundStates, camera_from_inertial: Rotation, rng: np.random.Generator, *, air: bool = True, name: str = "moon"
 ) -> Image:
     """Image of the Moon by a narrow camera: a smooth sphere with maria, lunar-Lambert, by the independent renderer."""
     moved = camera_from_inertial
@@ -225,7 +230,7 @@ def moon_frame(
     return _recorded(frame, sky, rng, name, EXPOSURE_MOON_S)
 
 
-def _recorded(electrons: Float, sky: Sky, rng: np.random.Generator, name: str, exposure_s: float) -> Image:
+def _recorded(electrons: Float, sky: GroundStates, rng: np.random.Generator, name: str, exposure_s: float) -> Image:
     """Read out: noise, converter, saturation."""
     detector = narrow_camera().detector
     light = electrons.astype(np.float32)

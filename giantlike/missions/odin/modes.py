@@ -21,7 +21,7 @@ from giantlike.core.frames import rotate
 from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.image import Image
-from giantlike.missions.odin.ground import Sky, catalog, moon_frame, sky_at, star_frame
+from giantlike.missions.odin.ground import GroundStates, catalog, moon_frame, sky_at, star_frame
 from giantlike.missions.odin.narrow import (
     ESTIMATED,
     MOON_APRIORI_KM,
@@ -32,7 +32,7 @@ from giantlike.missions.odin.narrow import (
     true_interlock,
 )
 from giantlike.missions.odin.paper import paper, rough_narrow_camera
-from giantlike.missions.odin.wide import EXPOSURES_S, CislunarScene, Found, search, wide_image
+from giantlike.missions.odin.wide import EXPOSURES_S, CislunarScene, FoundBody, search, wide_image
 from giantlike.relative import EllipsoidCRA
 from giantlike.stars import StarNavigation, StarOptions
 
@@ -45,7 +45,7 @@ STAR_EXPOSURE_S, BODY_EXPOSURE_S = 0.5, 2e-4
 class Vehicle:
     """A simulated vehicle: it slews on command, and its cameras see the scene there."""
 
-    sky: Sky
+    sky: GroundStates
     scene: CislunarScene
     instrument_from_inertial: Rotation
     rng: np.random.Generator
@@ -83,7 +83,9 @@ def vehicle_in_space(rng: np.random.Generator) -> Vehicle:
     observer = ObserverState(
         position_km=ground.observer.position_km - earth, velocity_km_s=ground.observer.velocity_km_s
     )
-    sky = Sky(et=NIGHT_ET, observer=observer, zenith=ground.zenith, moon_km=moon, sun_from_moon=ground.sun_from_moon)
+    sky = GroundStates(
+        et=NIGHT_ET, observer=observer, zenith=ground.zenith, moon_km=moon, sun_from_moon=ground.sun_from_moon
+    )
     places = {"MOON": moon, "EARTH": earth, "SUN": moon + 1.496e8 * ground.sun_from_moon}
     scene = CislunarScene(bodies_km=places, albedo={"EARTH": 1.1, "MOON": 0.97})
     toward = unit(moon)
@@ -157,7 +159,7 @@ def determination_task(
                 return image
             images.append(image)
     found = search(images, told_sun)
-    named: dict[str, Found] = {each.name: each for each in found if each.name is not None}
+    named: dict[str, FoundBody] = {each.name: each for each in found if each.name is not None}
     for target in ("MOON", "EARTH"):
         if target in named:
             boresight = rotate((true_interlock() * NARROW_FROM_INSTRUMENT).inv(), [0.0, 0.0, 1.0])
@@ -193,7 +195,7 @@ def processing_task(
 
 
 @dataclass(frozen=True, eq=False)
-class Flight:
+class ModeRun:
     """A run of the modes: telemetry in order, last state, and the vehicle as it ended."""
 
     telemetry: tuple[Telemetry, ...]
@@ -210,7 +212,7 @@ class Flight:
         return float(np.sqrt(error @ np.linalg.solve(pose.covariance_inertial_km2, error)))
 
 
-def fly(rng: np.random.Generator, *, images: int) -> Flight:
+def fly(rng: np.random.Generator, *, images: int) -> ModeRun:
     """Command the modes one after the other, after commands that a state must refuse."""
     vehicle = vehicle_in_space(rng)
     narrow, wide = sources_of(vehicle)
@@ -233,7 +235,7 @@ def fly(rng: np.random.Generator, *, images: int) -> Flight:
         log.append(told)
         if mode is Mode.TARGET_DETERMINATION and state.slew is not None:
             vehicle.instrument_from_inertial = state.slew.new_from_old * vehicle.instrument_from_inertial
-    return Flight(telemetry=tuple(log), state=state, vehicle=vehicle)
+    return ModeRun(telemetry=tuple(log), state=state, vehicle=vehicle)
 
 
 def cycle_s() -> float:

@@ -22,7 +22,7 @@ from giantlike.core.units import RAD_PER_ARCSEC
 from giantlike.core.values import Value
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
-from giantlike.missions.odin.ground import MOON_RADIUS_KM, Sky, catalog, moon_frame, sky_at, star_frame
+from giantlike.missions.odin.ground import MOON_RADIUS_KM, GroundStates, catalog, moon_frame, sky_at, star_frame
 from giantlike.missions.odin.paper import narrow_camera, rough_narrow_camera
 from giantlike.relative import EllipsoidCRA
 from giantlike.scene import Scene, Target
@@ -66,7 +66,7 @@ def calibrate_lens(count: int, rng: np.random.Generator) -> LensStudy | Failure:
     return LensStudy(result=calibration.result, truth=narrow_camera(), identified=len(found), images=count)
 
 
-def pointing_above(sky: Sky, rng: np.random.Generator, least_rad: float) -> Rotation:
+def pointing_above(sky: GroundStates, rng: np.random.Generator, least_rad: float) -> Rotation:
     """Attitude of a camera that looks higher than an elevation."""
     while True:
         direction = unit(rng.normal(size=3))
@@ -80,7 +80,7 @@ def true_interlock() -> Rotation:
     return Rotation.from_rotvec(np.radians([0.31, -0.22, 0.17])) * Rotation.from_euler("y", -90.0, degrees=True)
 
 
-def rig_above(sky: Sky, rng: np.random.Generator) -> Rotation:
+def rig_above(sky: GroundStates, rng: np.random.Generator) -> Rotation:
     """Attitude of the first camera with both cameras above the least elevation."""
     while True:
         turn = pointing_above(sky, rng, LEAST_ELEVATION_RAD)
@@ -89,7 +89,7 @@ def rig_above(sky: Sky, rng: np.random.Generator) -> Rotation:
             return turn
 
 
-def without_refraction(fix: AttitudeFix, camera: Camera, sky: Sky) -> Rotation:
+def without_refraction(fix: AttitudeFix, camera: Camera, sky: GroundStates) -> Rotation:
     """Attitude from the stars of a fix with refraction taken out of their measured directions."""
     stars = catalog().cone(rotate(fix.camera_from_inertial.inv(), [0.0, 0.0, 1.0]), np.radians(14.0))
     order = {int(key): k for k, key in enumerate(stars.ids)}
@@ -199,7 +199,7 @@ def scatter_by_air(sets: int, orientations: int, rng: np.random.Generator) -> Fl
 class MoonPair(Value):
     """A pair of images of the stars and the Moon: truth, poses as the stars show them and with refraction taken out."""
 
-    sky: Sky
+    sky: GroundStates
     elevation_rad: float
     fix: PositionFix
     image: Image
@@ -224,7 +224,7 @@ class MoonPair(Value):
         return float(np.linalg.norm(self.expected_px(self.corrected) - measured))
 
 
-def moon_scene(sky: Sky, error_km: Float) -> Scene:
+def moon_scene(sky: GroundStates, error_km: Float) -> Scene:
     """Scene with the Moon where it is expected."""
     target = Target(
         name="MOON",
@@ -236,7 +236,9 @@ def moon_scene(sky: Sky, error_km: Float) -> Scene:
     return Scene(targets=(target,))
 
 
-def moon_pair(sky: Sky, interlocks: tuple[Interlock, Interlock], rng: np.random.Generator) -> MoonPair | Failure:
+def moon_pair(
+    sky: GroundStates, interlocks: tuple[Interlock, Interlock], rng: np.random.Generator
+) -> MoonPair | Failure:
     """Photograph stars with the first camera and the Moon with the second, and find attitude and position."""
     import time
 
@@ -283,7 +285,7 @@ def _moved(fix: PositionFix, position: Float, turn: Float) -> PositionFix:
     )
 
 
-def _moon_attitude(sky: Sky, rng: np.random.Generator) -> Rotation:
+def _moon_attitude(sky: GroundStates, rng: np.random.Generator) -> Rotation:
     """Attitude of the second camera: the Moon within 2 degrees of its center, the first camera on clear sky."""
     ra, dec = radec_from_direction(sky.moon_km)
     for _ in range(10_000):

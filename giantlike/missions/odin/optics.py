@@ -25,7 +25,7 @@ LENSES_MM = (6.0, 8.5, 12.0, 16.0, 25.0, 35.0, 50.0)  # the series of the paper'
 
 
 @dataclass(frozen=True)
-class Choice:
+class SensorChoice:
     """A sensor with a lens: its field of view and resolution."""
 
     sensor: str
@@ -38,7 +38,7 @@ class Choice:
     nearest_earth_km: float
 
 
-def choices() -> tuple[Choice, ...]:
+def choices() -> tuple[SensorChoice, ...]:
     """Every sensor with every lens whose image circle (11 mm, of 2/3 inch sensors) covers it."""
     result = []
     for sensor, (columns, rows, pixel_um) in SENSORS.items():
@@ -48,7 +48,7 @@ def choices() -> tuple[Choice, ...]:
             focal_px = focal_mm * 1e3 / pixel_um
             wide, high = (float(2.0 * np.degrees(np.arctan(n / 2.0 / focal_px))) for n in (columns, rows))
             result.append(
-                Choice(
+                SensorChoice(
                     sensor=sensor,
                     focal_mm=focal_mm,
                     fov_deg=wide,
@@ -80,7 +80,7 @@ def range_sigma(focal_px: float, radius_km: float, range_km: float) -> float:
     return float(np.sqrt(covariance[2, 2]) / range_km)
 
 
-def dominated(choice: Choice, others: tuple[Choice, ...]) -> bool:
+def dominated(choice: SensorChoice, others: tuple[SensorChoice, ...]) -> bool:
     """True if another choice sees as wide, ranges the Moon as well and has no more pixels, and one of them better."""
     mine = (choice.range_sigma, -choice.least_fov_deg, choice.megapixels)
     for other in others:

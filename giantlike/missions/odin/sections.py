@@ -23,7 +23,7 @@ from giantlike.missions.odin.narrow import (
     moon_pair,
     scatter_by_air,
 )
-from giantlike.missions.odin.optics import Choice, choices, coverage
+from giantlike.missions.odin.optics import SensorChoice, choices, coverage
 from giantlike.missions.odin.paper import paper
 from giantlike.missions.odin.wide import WideStudy, wide_study
 from giantlike.missions.replay import Replay, ReplayFigure, ReplaySettings, Section
@@ -67,7 +67,7 @@ def whole_replay(settings: ReplaySettings) -> Replay:
     )
 
 
-def _cameras(every: tuple[Choice, ...], covered: float) -> Section:
+def _cameras(every: tuple[SensorChoice, ...], covered: float) -> Section:
     trade = figures.trade_figure(every)
     return Section(
         title="Cameras",

@@ -236,7 +236,7 @@ def models(*, measured: bool) -> tuple[BodyLight, BodyLight]:
 
 
 @dataclass(frozen=True, eq=False)
-class Found(Value):
+class FoundBody(Value):
     """A body that the search found: its name, the direction in instrument axes, or why it has no name."""
 
     name: str | None
@@ -245,7 +245,7 @@ class Found(Value):
     why: str = ""
 
 
-def search(images: Sequence[Image], sun_direction: Float | None, *, measured: bool = True) -> tuple[Found, ...]:
+def search(images: Sequence[Image], sun_direction: Float | None, *, measured: bool = True) -> tuple[FoundBody, ...]:
     """Search wide images and identify bodies by their brightness.
 
     ``sun_direction`` in instrument axes; ``measured`` as in :func:`models`.
@@ -259,12 +259,12 @@ def search(images: Sequence[Image], sun_direction: Float | None, *, measured: bo
     suns = sorted((each for each in seen if each[0].saturated), key=lambda each: -each[0].dn / each[2])
     if sun_direction is None and not suns:
         why = "the direction of the Sun is not known"
-        return tuple(Found(None, direction, patch, why) for patch, direction, _ in seen)
+        return tuple(FoundBody(None, direction, patch, why) for patch, direction, _ in seen)
     sun = suns[0][1] if sun_direction is None else sun_direction
     found = []
     for patch, direction, exposure_s in _told_once(seen):
         if float(direction @ sun) > np.cos(np.radians(1.0)):
-            found.append(Found("SUN", direction, patch))
+            found.append(FoundBody("SUN", direction, patch))
         else:
             found.append(named(patch, direction, sun, exposure_s, measured=measured))
     return tuple(found)
@@ -285,7 +285,7 @@ def _reach(first: SeenPatch, second: SeenPatch) -> float:
     return max(float(np.sqrt(max(np.trace(patch.second_moment_rad2), 0.0))) for patch in (first, second))
 
 
-def named(patch: SeenPatch, direction: Float, sun: Float, exposure_s: float, *, measured: bool) -> Found:
+def named(patch: SeenPatch, direction: Float, sun: Float, exposure_s: float, *, measured: bool) -> FoundBody:
     """Name of one patch, and the direction of its center by the offset of the center of light."""
     axes = wide_axes(patch, direction)
     half_angle = patch.half_angle_rad(rotate(axes, sun))
@@ -299,7 +299,7 @@ def named(patch: SeenPatch, direction: Float, sun: Float, exposure_s: float, *, 
     angle = float(np.arccos(np.clip(patch.direction_camera[2], -1.0, 1.0)))
     why = why or "too far from the boresight" * bool(angle > STEEPEST_RAD)
     if why:
-        return Found(None, direction, patch, why)
+        return FoundBody(None, direction, patch, why)
     light = PatchOfLight(
         dn=patch.dn,
         relative_sigma=float(np.hypot(CALIBRATION_SIGMA, patch.sigma_dn / patch.dn)),
@@ -311,8 +311,8 @@ def named(patch: SeenPatch, direction: Float, sun: Float, exposure_s: float, *, 
     )
     answer = identify_body(light, models(measured=measured), photometric_camera())
     if isinstance(answer, Failure):
-        return Found(None, direction, patch, answer.detail)
-    return Found(answer.name, direction, patch)
+        return FoundBody(None, direction, patch, answer.detail)
+    return FoundBody(answer.name, direction, patch)
 
 
 def wide_axes(patch: SeenPatch, direction: Float) -> Rotation:
@@ -385,7 +385,7 @@ def wide_study(scenes: int, rng: np.random.Generator, progress: Callable[[int], 
     )
 
 
-def near_to(found: tuple[Found, ...], direction: Float, diameter_px: float) -> Found | None:
+def near_to(found: tuple[FoundBody, ...], direction: Float, diameter_px: float) -> FoundBody | None:
     """Brightest body found near a true direction, the Sun apart."""
     reach = np.cos(max(0.02, 0.75 * diameter_px / wide_camera().model.focal_length_px))
     near = [each for each in found if each.name != "SUN" and float(each.direction @ direction) > reach]

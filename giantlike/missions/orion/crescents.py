@@ -6,7 +6,7 @@ import numpy as np
 
 from giantlike.cislunar.body_measurements import angular_diameter
 from giantlike.missions.orion.constants import MOON_KM, focal_px, moon_errors, table
-from giantlike.missions.orion.images import Measured, Photograph, View, measured, photograph
+from giantlike.missions.orion.images import EstimatorErrors, ImagedScene, Photograph, measured, photograph
 from giantlike.missions.orion.judging import bounded, stated
 from giantlike.missions.replay import Comparison, ComparisonKind, ReplaySettings
 
@@ -21,19 +21,19 @@ def shown(settings: ReplaySettings) -> dict[str, Photograph]:
     """The three images of Fig. 10; the Moon is smooth in a small run."""
     relief_km = 0.0 if settings.small else 2.0
     views = {
-        "Fig. 10a": View(body="Earth", range_km=3e5, phase_deg=70.0, seed=3),
-        "Fig. 10b": View(body="Moon", range_km=8e4, phase_deg=60.0, relief_km=relief_km, seed=4),
-        "Fig. 10c": View(body="Moon", range_km=8e4, phase_deg=160.0, relief_km=relief_km, seed=5),
+        "Fig. 10a": ImagedScene(body="Earth", range_km=3e5, phase_deg=70.0, seed=3),
+        "Fig. 10b": ImagedScene(body="Moon", range_km=8e4, phase_deg=60.0, relief_km=relief_km, seed=4),
+        "Fig. 10c": ImagedScene(body="Moon", range_km=8e4, phase_deg=160.0, relief_km=relief_km, seed=5),
     }
     return {name: photograph(view) for name, view in views.items()}
 
 
-def crescents(settings: ReplaySettings) -> list[Measured]:
+def crescents(settings: ReplaySettings) -> list[EstimatorErrors]:
     """Every estimator on crescents of several phases."""
     draws = 1 if settings.small else 3
     phases = PHASES_DEG[1::2] if settings.small else PHASES_DEG
     views = [
-        View(body="Moon", range_km=CRESCENT_KM, phase_deg=phase, seed=settings.seed + 10 * k)
+        ImagedScene(body="Moon", range_km=CRESCENT_KM, phase_deg=phase, seed=settings.seed + 10 * k)
         for phase in phases
         for k in range(draws)
     ]
@@ -45,7 +45,7 @@ def crescents(settings: ReplaySettings) -> list[Measured]:
     return found
 
 
-def crescent_comparisons(found: list[Measured]) -> list[Comparison]:
+def crescent_comparisons(found: list[EstimatorErrors]) -> list[Comparison]:
     """Errors on a thin crescent, of estimators of the flight software's kind and of the others."""
     kind, sigmas = ComparisonKind.INDEPENDENT, moon_errors().sigmas_px(CRESCENT_KM)
     rows = []

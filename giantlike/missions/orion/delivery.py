@@ -12,7 +12,7 @@ from giantlike.core.values import Value
 from giantlike.missions.orion.constants import earth_errors, table
 from giantlike.missions.orion.judging import ANALYSIS, bounded, near, stated
 from giantlike.missions.orion.return_leg import Delivery, Flown, History, analyzed, flown
-from giantlike.missions.orion.return_plan import Plan, make_plan, with_earth, without_close_pass
+from giantlike.missions.orion.return_plan import ReturnPlan, make_plan, with_earth, without_close_pass
 from giantlike.missions.replay import Comparison, ComparisonKind, ReplaySettings
 
 RUNS, SMALL_RUNS = 500, 40
@@ -27,7 +27,7 @@ SEVERE_SIGMAS = 3.0
 class Study(Value):
     """The plan, its analysis and its variants, and flown runs."""
 
-    plan: Plan
+    plan: ReturnPlan
     history: History
     delivery: Delivery
     runs: Flown

@@ -17,7 +17,7 @@ from giantlike.missions.orion.constants import EARTH_KM, earth_errors, focal_px,
 from giantlike.missions.orion.crescents import CRESCENT_KM
 from giantlike.missions.orion.delivery import Study
 from giantlike.missions.orion.gimbal import Grid, lens
-from giantlike.missions.orion.images import Measured, Photograph
+from giantlike.missions.orion.images import EstimatorErrors, Photograph
 from giantlike.missions.orion.models import AXES, spread_px
 from giantlike.missions.orion.return_plan import hours_before_entry
 from giantlike.missions.replay import ReplayFigure
@@ -117,7 +117,7 @@ def diameter_figure() -> ReplayFigure:
     )
 
 
-def errors_figure(found: Mapping[str, Sequence[Measured]]) -> ReplayFigure:
+def errors_figure(found: Mapping[str, Sequence[EstimatorErrors]]) -> ReplayFigure:
     """Eqs. 28 to 38 with errors on made-up images."""
     ranges = np.geomspace(2e4, 4e5, 80)
     models = {"Moon": (moon_errors(), INK), "Earth": (earth_errors(as_moon=False), GREEN)}
@@ -268,7 +268,7 @@ def picture(reference: str, taken: Photograph, title: str) -> ReplayFigure:
     )
 
 
-def crescent_figure(found: Sequence[Measured]) -> ReplayFigure:
+def crescent_figure(found: Sequence[EstimatorErrors]) -> ReplayFigure:
     """Errors of thin crescents by phase."""
     with drawing():
         figure, panels = _axes((9.6, 3.4), columns=3)

@@ -48,7 +48,7 @@ FIELDS = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class View:
+class ImagedScene:
     """Scene of a simulated image.
 
     ``relief_km`` is the root mean square of heights; the estimator assumes a sphere in any case.
@@ -75,7 +75,7 @@ class View:
 class Photograph(Value):
     """An image with its truth."""
 
-    view: View
+    view: ImagedScene
     image: Image
     camera: Camera
     scene: Scene
@@ -83,7 +83,7 @@ class Photograph(Value):
     sun_direction_image: Float
 
 
-def photograph(view: View) -> Photograph:
+def photograph(view: ImagedScene) -> Photograph:
     """Take an image by the independent renderer: attitude, Sun, place, noise and prediction by the seed."""
     rng = np.random.default_rng([view.seed, round(view.range_km), round(view.phase_deg)])
     camera = _camera(view.radius_px)
@@ -128,32 +128,32 @@ def photograph(view: View) -> Photograph:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Measured(Value):
+class EstimatorErrors(Value):
     """Result of an estimator on an image: errors along and across the Sun and of the radius, px; NaN where it refuses.
 
     ``suspect`` is True where a fix is flagged, or refused.
     """
 
-    view: View
+    view: ImagedScene
     estimator: str
     errors_px: Float
     sigmas_px: Float
     suspect: bool
 
 
-def measured(taken: Photograph, estimator: str) -> Measured:
+def measured(taken: Photograph, estimator: str) -> EstimatorErrors:
     """Estimate the center and the range of the body, and compare with the truth."""
     fix = ESTIMATORS[estimator]().estimate(taken.image, taken.camera, taken.scene)
     nothing = np.full(3, np.nan)
     if isinstance(fix, Failure) or not isinstance(fix, PositionFix):
-        return Measured(view=taken.view, estimator=estimator, errors_px=nothing, sigmas_px=nothing, suspect=True)
+        return EstimatorErrors(view=taken.view, estimator=estimator, errors_px=nothing, sigmas_px=nothing, suspect=True)
     along = taken.sun_direction_image
     axes = np.array([along, [-along[1], along[0]]])
     center = axes @ (fix.center_px - taken.camera.model.project(taken.position_camera_km))
     found = focal_px() * disk_diameter(float(np.linalg.norm(fix.position_camera_km)), taken.view.radius_km) / 2.0
     radius_sigma = taken.view.radius_px * math.sqrt(_range_variance(fix)) / fix.range_km
     spread = np.sqrt(np.diag(axes @ fix.covariance_px2 @ axes.T))
-    return Measured(
+    return EstimatorErrors(
         view=taken.view,
         estimator=estimator,
         errors_px=np.array([*center, found - taken.view.radius_px]),

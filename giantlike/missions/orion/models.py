@@ -18,7 +18,7 @@ from giantlike.missions.orion.constants import (
     moon_errors,
     table,
 )
-from giantlike.missions.orion.images import Measured, View, measured, photograph
+from giantlike.missions.orion.images import EstimatorErrors, ImagedScene, measured, photograph
 from giantlike.missions.orion.judging import MODEL, ROUNDING, bounded, near, stated
 from giantlike.missions.replay import Comparison, ComparisonKind, ReplaySettings
 
@@ -34,7 +34,7 @@ RELIEF_KM = 2.0
 """Root mean square of the made-up relief: the paper's variation of the terrain across the surface."""
 
 
-def images_of_bodies(settings: ReplaySettings) -> dict[str, list[Measured]]:
+def images_of_bodies(settings: ReplaySettings) -> dict[str, list[EstimatorErrors]]:
     """Errors of centers and radii of a smooth Moon, of one with relief, and of the Earth."""
     plan = {
         "smooth Moon": ("Moon", MOON_RANGES_KM[2:] if settings.small else MOON_RANGES_KM, 0.0),
@@ -44,20 +44,22 @@ def images_of_bodies(settings: ReplaySettings) -> dict[str, list[Measured]]:
     views = [
         (
             name,
-            View(body=body, range_km=distance, phase_deg=PHASES_DEG[k % 4], relief_km=relief, seed=settings.seed + k),
+            ImagedScene(
+                body=body, range_km=distance, phase_deg=PHASES_DEG[k % 4], relief_km=relief, seed=settings.seed + k
+            ),
         )
         for name, (body, ranges, relief) in plan.items()
         for distance in ranges
         for k in range(SMALL_DRAWS if settings.small else DRAWS[name])
     ]
-    found: dict[str, list[Measured]] = {name: [] for name in plan}
+    found: dict[str, list[EstimatorErrors]] = {name: [] for name in plan}
     for done, (name, view) in enumerate(views):
         settings.progress("images of Moon and Earth", done, len(views))
         found[name].append(measured(photograph(view), FAMILY))
     return found
 
 
-def spread_px(results: Sequence[Measured], range_km: float | None = None) -> Float:
+def spread_px(results: Sequence[EstimatorErrors], range_km: float | None = None) -> Float:
     """Root mean square errors (3,), px, of fixes that are not suspect."""
     errors = [
         each.errors_px for each in results if not each.suspect and (range_km is None or each.view.range_km == range_km)
@@ -183,7 +185,7 @@ def range_errors(settings: ReplaySettings) -> list[Comparison]:
     return found
 
 
-def image_comparisons(found: dict[str, list[Measured]]) -> list[Comparison]:
+def image_comparisons(found: dict[str, list[EstimatorErrors]]) -> list[Comparison]:
     """Eqs. 28 to 36 compared with errors of the package's estimator on images of the independent renderer."""
     paper, kind = table("paper"), ComparisonKind.INDEPENDENT
     rows = []

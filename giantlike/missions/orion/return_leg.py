@@ -21,9 +21,9 @@ from giantlike.cislunar.udu import UduFactors
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 from giantlike.dynamics import GM_EARTH_KM3_S2, GM_MOON_KM3_S2, GM_SUN_KM3_S2
-from giantlike.independent.flight import Processes, Sky, burned, fly_spacecraft, sighted
+from giantlike.independent.flight import Processes, PullingBodies, burned, fly_spacecraft, sighted
 from giantlike.missions.orion.constants import EARTH_KM, table
-from giantlike.missions.orion.return_plan import Image, Leg, Plan
+from giantlike.missions.orion.return_plan import Leg, PlannedImage, ReturnPlan
 from giantlike.missions.replay import ReplaySettings
 
 
@@ -51,7 +51,9 @@ class Delivery(Value):
     angle_sigma_deg: float
 
 
-def analyzed(plan: Plan, *, with_images: bool = True, as_believed: bool = False) -> tuple[History, Delivery, Dispersed]:
+def analyzed(
+    plan: ReturnPlan, *, with_images: bool = True, as_believed: bool = False
+) -> tuple[History, Delivery, Dispersed]:
     """Linear covariance of a plan; ``as_believed`` is a world with the noise that the filter believes and no biases."""
     numbers = table("return_leg")
     start, burns = numbers["start"], numbers["burns"]
@@ -116,7 +118,7 @@ class Flown(Value):
     speeds_km_s: Float
 
 
-def flown(plan: Plan, settings: ReplaySettings, runs: int) -> Flown:
+def flown(plan: ReturnPlan, settings: ReplaySettings, runs: int) -> Flown:
     """The same plan flown: independent truths, each with its filter."""
     numbers, rng = table("return_leg"), np.random.default_rng(settings.seed)
     start = numbers["start"]
@@ -128,7 +130,7 @@ def flown(plan: Plan, settings: ReplaySettings, runs: int) -> Flown:
     factors = UduFactors(np.tile(np.eye(STATES), (runs, 1, 1)), np.tile(sigmas**2, (runs, 1)))
     state = FilterState(numbers["trajectory"]["start_et"], mean, factors)
     moon, sun = (each.position_km for each in plan.model.dynamics.third_bodies)
-    sky = Sky(GM_EARTH_KM3_S2, GM_MOON_KM3_S2, GM_SUN_KM3_S2, moon, sun)
+    sky = PullingBodies(GM_EARTH_KM3_S2, GM_MOON_KM3_S2, GM_SUN_KM3_S2, moon, sun)
     processes = Processes(plan.model.sigmas, plan.model.time_constants_s)
     rows = []
     for done, leg in enumerate(plan.legs):
@@ -151,7 +153,7 @@ def flown(plan: Plan, settings: ReplaySettings, runs: int) -> Flown:
     return Flown(history=history, delivery=delivery, angles_deg=angles, speeds_km_s=speeds)
 
 
-def _seen(image: Image, truth: Float, rng: np.random.Generator) -> BodyObservation:
+def _seen(image: PlannedImage, truth: Float, rng: np.random.Generator) -> BodyObservation:
     """The image as many spacecraft take it, each with the world's noise and bias."""
     plan = image.observation
     exact = sighted(truth, plan.camera_from_inertial, plan.body_position_km, plan.radius_km, np.zeros((len(truth), 3)))

@@ -20,7 +20,7 @@ MOON, EARTH = "Moon", "Earth"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Image(Value):
+class PlannedImage(Value):
     """An image of the plan, with the errors of the world."""
 
     observation: BodyObservation
@@ -35,7 +35,7 @@ class Leg(Value):
     """A piece of the plan: flight, then one image or one correction."""
 
     steps: tuple[Transition, ...]
-    image: Image | None
+    image: PlannedImage | None
     guidance: Float | None
     told: Float
 
@@ -46,7 +46,7 @@ class Leg(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Plan(Value):
+class ReturnPlan(Value):
     """The whole leg: passes, corrections, and the way to entry."""
 
     model: FilterModel
@@ -78,7 +78,7 @@ def filter_model(longest_step_s: float) -> FilterModel:
     )
 
 
-def make_plan(longest_step_s: float, image_every_s: float) -> Plan:
+def make_plan(longest_step_s: float, image_every_s: float) -> ReturnPlan:
     """Fly the reference and record its events, the pass near the Moon that the paper leaves out included."""
     numbers = table("return_leg")
     trajectory, schedule, paper = numbers["trajectory"], numbers["schedule"], table("paper")["passes"]
@@ -97,10 +97,10 @@ def make_plan(longest_step_s: float, image_every_s: float) -> Plan:
     events.append((trajectory["entry_et"], "entry"))
     reference = np.concatenate([trajectory["state_km_km_s"], np.zeros(PARAMETERS)])
     legs = list(_legs(model, trajectory["start_et"], reference, events))
-    return Plan(model=model, reference=reference, legs=_guided(legs), passes_h=tuple(passes))
+    return ReturnPlan(model=model, reference=reference, legs=_guided(legs), passes_h=tuple(passes))
 
 
-def without_close_pass(plan: Plan) -> Plan:
+def without_close_pass(plan: ReturnPlan) -> ReturnPlan:
     """The plan of the paper: legs to images of the close pass are flown without them."""
     legs: list[Leg] = []
     before: tuple[Transition, ...] = ()
@@ -113,7 +113,7 @@ def without_close_pass(plan: Plan) -> Plan:
     return replace(plan, legs=tuple(legs), passes_h=plan.passes_h[1:])
 
 
-def with_earth(plan: Plan, errors: BodyErrorModel) -> Plan:
+def with_earth(plan: ReturnPlan, errors: BodyErrorModel) -> ReturnPlan:
     """A plan in a world with other errors in images of the Earth."""
     legs = [
         leg if leg.image is None or leg.image.body != EARTH else replace(leg, image=_in_world(leg.image, errors))
@@ -122,7 +122,7 @@ def with_earth(plan: Plan, errors: BodyErrorModel) -> Plan:
     return replace(plan, legs=tuple(legs))
 
 
-def _in_world(image: Image, errors: BodyErrorModel) -> Image:
+def _in_world(image: PlannedImage, errors: BodyErrorModel) -> PlannedImage:
     """An image with the errors of a model."""
     radius_km = image.observation.radius_km
     return replace(
@@ -155,7 +155,7 @@ def _legs(model: FilterModel, et: float, mean: Float, events: list[tuple[float, 
                 body_position_km=place,
                 radius_km=radius_km,
             )
-            bare = Image(observation=observation, body=what, range_km=distance)
+            bare = PlannedImage(observation=observation, body=what, range_km=distance)
             image = _in_world(bare, errors[what])
         guidance = np.zeros((3, 6)) if what == "correction" else None
         yield Leg(steps=tuple(steps), image=image, guidance=guidance, told=told)

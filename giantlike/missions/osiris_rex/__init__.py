@@ -22,7 +22,7 @@ def replay(settings: ReplaySettings) -> Replay:
     from giantlike.missions.osiris_rex.assumptions import assumptions_of
     from giantlike.missions.osiris_rex.body import true_body
     from giantlike.missions.osiris_rex.calibrations import calibrate_cameras
-    from giantlike.missions.osiris_rex.phases import Stage
+    from giantlike.missions.osiris_rex.phases import PhaseInputs
     from giantlike.missions.osiris_rex.range_error import study_range_errors
     from giantlike.missions.osiris_rex.sections import calibration_section, phase_section, range_error_section
     from giantlike.missions.osiris_rex.setup import mission, user_inputs
@@ -38,7 +38,7 @@ def replay(settings: ReplaySettings) -> Replay:
     facets = orex.body.small_facets if settings.small else orex.body.facets
     truth = true_body(orex.body, inputs.shape, seed=settings.seed, facets=facets)
     calibrated = {each.key: each.camera for each in calibrations}
-    stage = Stage(mission=orex, truth=truth, calibrated=calibrated, kernels=inputs.kernels, settings=settings)
+    stage = PhaseInputs(mission=orex, truth=truth, calibrated=calibrated, kernels=inputs.kernels, settings=settings)
     for phase in orex.phases:
         results = stage.run(phase, _SMALL_CAMPAIGNS if settings.small else None)
         if results:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from giantlike.missions.osiris_rex.comparisons import LIMB_PX, UNRESOLVED_PX
-from giantlike.missions.osiris_rex.setup import Mission, UserInputs
+from giantlike.missions.osiris_rex.setup import MissionSetup, UserInputs
 from giantlike.missions.replay import ReplaySettings
 
 
-def assumptions_of(mission: Mission, inputs: UserInputs, settings: ReplaySettings) -> tuple[str, ...]:
+def assumptions_of(mission: MissionSetup, inputs: UserInputs, settings: ReplaySettings) -> tuple[str, ...]:
     """Return the assumptions of a replay, one sentence or two each."""
     shape = (
         "Bennu is made up: a spinning top of the published axes with lumps, craters and boulders."
@@ -58,7 +58,7 @@ _OPEN = (
 """Assumptions that do not depend on the inputs."""
 
 
-def _lines_of_inputs(mission: Mission) -> tuple[str, ...]:
+def _lines_of_inputs(mission: MissionSetup) -> tuple[str, ...]:
     """Assumptions with numbers of the mission file."""
     detector, pointing, body = mission.detector, mission.pointing, mission.body
     return (

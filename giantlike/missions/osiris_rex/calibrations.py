@@ -20,7 +20,7 @@ from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG, SECONDS_PER_DAY
 from giantlike.core.values import Value
 from giantlike.image import Image, ObserverState
 from giantlike.missions.osiris_rex.images import BEYOND_LIMIT, detector_model, sky_for
-from giantlike.missions.osiris_rex.setup import CameraSetup, Mission
+from giantlike.missions.osiris_rex.setup import CameraSetup, MissionSetup
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.simulation import Shot, Sources, simulate_image
 from giantlike.simulation.incident import SimulationOptions
@@ -88,7 +88,7 @@ class CameraCalibration(Value):
 
 
 def calibrate_cameras(
-    mission: Mission,
+    mission: MissionSetup,
     keys: Sequence[str],
     *,
     images: int | None = None,
@@ -105,7 +105,7 @@ def calibrate_cameras(
 
 
 def calibrate_camera(
-    mission: Mission, key: str, *, images: int, seed: int, progress: Callable[[str, int, int], None]
+    mission: MissionSetup, key: str, *, images: int, seed: int, progress: Callable[[str, int, int], None]
 ) -> CameraCalibration | Failure:
     """Take star images with a camera of Table 1 and calibrate it from them.
 
@@ -145,7 +145,7 @@ def calibrate_camera(
     )
 
 
-def _shot(mission: Mission, setup: CameraSetup, attitude: Rotation, seed: tuple[int, int]) -> Shot:
+def _shot(mission: MissionSetup, setup: CameraSetup, attitude: Rotation, seed: tuple[int, int]) -> Shot:
     """An exposure of stars in cruise, along the orbit of Bennu; ``seed`` ends with the number of the image."""
     et = et_from_time(time_from_utc(_FIRST_UTC)) + seed[1] * _DAYS * SECONDS_PER_DAY
     position, velocity = mission.orbit.state(et)
@@ -161,7 +161,12 @@ def _shot(mission: Mission, setup: CameraSetup, attitude: Rotation, seed: tuple[
 
 
 def _star_image(
-    mission: Mission, setup: CameraSetup, shot: Shot, temperature_c: float, catalog: StarCatalog, seed: tuple[int, int]
+    mission: MissionSetup,
+    setup: CameraSetup,
+    shot: Shot,
+    temperature_c: float,
+    catalog: StarCatalog,
+    seed: tuple[int, int],
 ) -> Image:
     """A star image at a temperature of the camera."""
     taken = simulate_image(

@@ -28,11 +28,11 @@ from giantlike.io import write_fits, write_geometry
 from giantlike.io.csv_rows import write_csv_rows
 from giantlike.missions.osiris_rex.images import BEYOND_LIMIT, TARGET, Planner, sky_for
 from giantlike.missions.osiris_rex.setup import CampaignSetup
-from giantlike.missions.osiris_rex.trajectory import Visit
+from giantlike.missions.osiris_rex.trajectory import BennuVisit
 from giantlike.shapes import TriangleMesh
 from giantlike.shapes.files.exchange import write_obj
 from giantlike.simulation import Sources, simulate_image
-from giantlike.simulation.approach import Frame
+from giantlike.simulation.approach import ApproachFrame
 from giantlike.simulation.compare import ObservationError, compare_run
 from giantlike.simulation.detector import DetectorModel
 from giantlike.simulation.incident import SimulationOptions
@@ -108,7 +108,7 @@ class CampaignResult(Value):
     phase: str
     camera: str
     label: str
-    visits: tuple[Visit, ...]
+    visits: tuple[BennuVisit, ...]
     diameter_km: float
     diameters_px: Float
     stars: StarResiduals
@@ -139,7 +139,7 @@ class CampaignJob(Value):
 
     planner: Planner
     setup: CampaignSetup
-    visits: tuple[Visit, ...]
+    visits: tuple[BennuVisit, ...]
     told: Camera
     model: TriangleMesh
     folder: Path
@@ -204,7 +204,7 @@ class CampaignJob(Value):
         write_text_atomic(self.folder / CAMPAIGN_FILE, tomli_w.dumps(self._table()))
         return self.folder / CAMPAIGN_FILE
 
-    def _catalog(self, frames: Sequence[Frame]) -> StarCatalog:
+    def _catalog(self, frames: Sequence[ApproachFrame]) -> StarCatalog:
         """Stars of the images; a made-up sky is written for the campaign, and read back so that both have the same."""
         planner = self.planner
         attitudes = [frame.shot.camera_from_inertial for frame in frames if frame.star_image]
@@ -216,7 +216,7 @@ class CampaignJob(Value):
         write_csv_rows(self.folder / _SKY_FILE, ("ra_deg", "dec_deg", "magnitude"), rows)
         return load_catalog(self.folder / _SKY_FILE)
 
-    def _take(self, frame: Frame, catalog: StarCatalog, detector: DetectorModel) -> TruthRow:
+    def _take(self, frame: ApproachFrame, catalog: StarCatalog, detector: DetectorModel) -> TruthRow:
         planner = self.planner
         taken = simulate_image(
             frame.shot,
@@ -229,7 +229,7 @@ class CampaignJob(Value):
         write_fits(self.folder / "images" / frame.shot.name, taken.image.pixels, header=frame_header(frame))
         return truth_row(frame, taken, planner.camera)
 
-    def _options(self, frame: Frame) -> SimulationOptions:
+    def _options(self, frame: ApproachFrame) -> SimulationOptions:
         planner = self.planner
         limit = planner.mission.max_magnitude(planner.setup.key) + BEYOND_LIMIT
         if frame.star_image:

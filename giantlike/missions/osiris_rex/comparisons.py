@@ -11,7 +11,7 @@ from giantlike.core.arrays import Float
 from giantlike.missions.osiris_rex.calibrations import CameraCalibration
 from giantlike.missions.osiris_rex.campaigns import CampaignResult
 from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
-from giantlike.missions.osiris_rex.setup import Mission, PhaseSetup
+from giantlike.missions.osiris_rex.setup import MissionSetup, PhaseSetup
 from giantlike.missions.replay import Comparison, ComparisonKind
 from giantlike.simulation.compare import ObservationError
 
@@ -102,7 +102,7 @@ def structure_comparison(calibrations: Sequence[CameraCalibration]) -> Compariso
     )
 
 
-def square_pixels_comparison(mission: Mission) -> Comparison:
+def square_pixels_comparison(mission: MissionSetup) -> Comparison:
     """MapCam V of Table 1 against the squareness of all other pixels of the table."""
     setups = mission.cameras.values()
     most = max(abs(each.model.fy_px / each.model.fx_px - 1.0) for each in setups if each.printed_fy_px is None)
@@ -270,7 +270,7 @@ def range_error_comparisons(study: RangeErrorStudy) -> tuple[Comparison, Compari
     )
 
 
-def approach_size_comparison(mission: Mission, results: Sequence[CampaignResult]) -> Comparison:
+def approach_size_comparison(mission: MissionSetup, results: Sequence[CampaignResult]) -> Comparison:
     """Bennu grows to more than 1,000 px in PolyCam by the end of Approach."""
     last = min((visit for result in results for visit in result.visits), key=lambda visit: visit.range_km)
     focal_px = mission.cameras["polycam"].model.focal_length_px
@@ -303,7 +303,7 @@ def survey_size_comparison(result: CampaignResult, phase: PhaseSetup, limits: tu
     )
 
 
-def orbit_size_comparison(mission: Mission, phase: PhaseSetup) -> Comparison:
+def orbit_size_comparison(mission: MissionSetup, phase: PhaseSetup) -> Comparison:
     """Apparent diameter in NavCam 1 from the radius of the orbit."""
     range_km = phase.campaigns[0].visits[0].range_km
     size = 2.0 * mission.body.mean_radius_km * mission.cameras["navcam1"].model.focal_length_px / range_km
@@ -321,7 +321,7 @@ def orbit_size_comparison(mission: Mission, phase: PhaseSetup) -> Comparison:
     )
 
 
-def mapcam_field_comparison(mission: Mission) -> Comparison:
+def mapcam_field_comparison(mission: MissionSetup) -> Comparison:
     """Compare the size of Bennu with the field of MapCam in Detailed Survey."""
     ratio = mission.cameras["mapcam"].model.focal_length_px / mission.cameras["navcam1"].model.focal_length_px
     low, high, side = 200.0 * ratio, 600.0 * ratio, float(mission.cameras["mapcam"].columns)

@@ -21,13 +21,13 @@ from giantlike.gauntlet.stage import catalog_of
 from giantlike.image import ObserverState
 from giantlike.independent import random_stars
 from giantlike.independent.sky import DECADE_PER_MAGNITUDE, StarField
-from giantlike.missions.osiris_rex.setup import CameraSetup, Mission, PhaseSetup
-from giantlike.missions.osiris_rex.trajectory import Visit, VisitedBody
+from giantlike.missions.osiris_rex.setup import CameraSetup, MissionSetup, PhaseSetup
+from giantlike.missions.osiris_rex.trajectory import BennuVisit, VisitedBody
 from giantlike.ray_tracing import reflectance_from_mapping
 from giantlike.scene import Scene, Target
 from giantlike.shapes import TriangleMesh
 from giantlike.simulation import Shot
-from giantlike.simulation.approach import Frame
+from giantlike.simulation.approach import ApproachFrame
 from giantlike.simulation.detector import DetectorModel, HotPixels
 from giantlike.simulation.effects import FlatField
 from giantlike.simulation.incident import visible_peak
@@ -69,7 +69,7 @@ class Planner(Value):
     seed : int
     """
 
-    mission: Mission
+    mission: MissionSetup
     setup: CameraSetup
     camera: Camera
     truth: TriangleMesh
@@ -87,12 +87,12 @@ class Planner(Value):
         """Detector with uneven response and hot pixels, the same in all images."""
         return detector_model(self.mission, self.setup, seed=self.seed)
 
-    def frames(self, visits: Sequence[Visit]) -> Iterator[Frame]:
+    def frames(self, visits: Sequence[BennuVisit]) -> Iterator[ApproachFrame]:
         """Yield a long and a short exposure of each visit."""
         for number, visit in enumerate(visits):
             yield from self._pair(number, visit, np.random.default_rng([self.seed, 10, number]))
 
-    def _pair(self, number: int, visit: Visit, rng: np.random.Generator) -> Iterator[Frame]:
+    def _pair(self, number: int, visit: BennuVisit, rng: np.random.Generator) -> Iterator[ApproachFrame]:
         mission, pointing = self.mission, self.mission.pointing
         body = VisitedBody(orbit=mission.orbit, visit=visit)
         law = reflectance_from_mapping(dict(mission.body.law))
@@ -117,7 +117,7 @@ class Planner(Value):
         for shot, turn in ((long, back * short.camera_from_inertial), (short, short.camera_from_inertial)):
             yield self._frame(shot, scene, wrong * turn, error_km, (self.seed, int(rng.integers(2**31))))
 
-    def _short(self, name: str, visit: Visit, body: VisitedBody, rate: Float) -> Shot:
+    def _short(self, name: str, visit: BennuVisit, body: VisitedBody, rate: Float) -> Shot:
         """The short exposure of a visit, before its attitude and its length are chosen."""
         return Shot(
             name=name,
@@ -128,14 +128,16 @@ class Planner(Value):
             angular_rate_camera_rad_s=rate,
         )
 
-    def _frame(self, shot: Shot, scene: Scene, apriori: Rotation, error_km: Float, seed: tuple[int, int]) -> Frame:
+    def _frame(
+        self, shot: Shot, scene: Scene, apriori: Rotation, error_km: Float, seed: tuple[int, int]
+    ) -> ApproachFrame:
         """An exposure with its declared values: position, attitude and prime meridian in error."""
         apparent, observer = apparent_of(scene, shot, self.camera), shot.observer
         body = scene.target(TARGET).ephemeris
         assert observer is not None
         assert isinstance(body, VisitedBody)
         meridian = Rotation.from_rotvec([0.0, 0.0, self.phase.model.meridian_deg * RAD_PER_DEG])
-        return Frame(
+        return ApproachFrame(
             shot=shot,
             scene=scene,
             target=TARGET,
@@ -180,7 +182,7 @@ class Planner(Value):
         return error
 
 
-def detector_model(mission: Mission, setup: CameraSetup, *, seed: int) -> DetectorModel:
+def detector_model(mission: MissionSetup, setup: CameraSetup, *, seed: int) -> DetectorModel:
     """Return the detector of a camera with its uneven response and hot pixels."""
     rng = np.random.default_rng([seed, 11, setup.columns])
     response = 1.0 + mission.detector.response_rms * rng.standard_normal((setup.rows, setup.columns))
@@ -197,13 +199,13 @@ def apparent_of(scene: Scene, shot: Shot, camera: Camera) -> ApparentGeometry:
     return apparent
 
 
-def _observer(visit: Visit, body: VisitedBody, et: float) -> ObserverState:
+def _observer(visit: BennuVisit, body: VisitedBody, et: float) -> ObserverState:
     position, velocity = body.state(et)
     away_km = visit.from_body_km + (et - visit.et) * visit.velocity_km_s
     return ObserverState(position_km=position + away_km, velocity_km_s=velocity + visit.velocity_km_s)
 
 
-def sky_for(mission: Mission, key: str, attitudes: Sequence[Rotation], *, seed: int) -> MemoryCatalog | None:
+def sky_for(mission: MissionSetup, key: str, attitudes: Sequence[Rotation], *, seed: int) -> MemoryCatalog | None:
     """Make up the stars that a camera sees where the default catalog is not deep enough.
 
     Returns None where the default catalog serves.

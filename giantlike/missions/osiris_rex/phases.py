@@ -13,14 +13,14 @@ from giantlike.core.values import Value
 from giantlike.missions.osiris_rex.body import model_of
 from giantlike.missions.osiris_rex.campaigns import CampaignJob, CampaignResult
 from giantlike.missions.osiris_rex.images import Planner
-from giantlike.missions.osiris_rex.setup import Mission, PhaseSetup
+from giantlike.missions.osiris_rex.setup import MissionSetup, PhaseSetup
 from giantlike.missions.osiris_rex.trajectory import visits_of
 from giantlike.missions.replay import ReplaySettings
 from giantlike.shapes import TriangleMesh
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Stage(Value):
+class PhaseInputs(Value):
     """Inputs common to all phases.
 
     Parameters
@@ -35,7 +35,7 @@ class Stage(Value):
     settings : ReplaySettings
     """
 
-    mission: Mission
+    mission: MissionSetup
     truth: TriangleMesh
     calibrated: Mapping[str, Camera]
     kernels: Path | None

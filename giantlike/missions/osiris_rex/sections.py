@@ -12,7 +12,7 @@ from giantlike.missions.osiris_rex import comparisons, figures
 from giantlike.missions.osiris_rex.calibrations import CameraCalibration
 from giantlike.missions.osiris_rex.campaigns import CampaignResult
 from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
-from giantlike.missions.osiris_rex.setup import Mission, PhaseSetup
+from giantlike.missions.osiris_rex.setup import MissionSetup, PhaseSetup
 from giantlike.missions.replay import Comparison, ReplayFigure, Section
 
 
@@ -67,7 +67,7 @@ def range_error_section(study: RangeErrorStudy) -> Section:
     )
 
 
-def calibration_section(mission: Mission, calibrations: Sequence[CameraCalibration]) -> Section:
+def calibration_section(mission: MissionSetup, calibrations: Sequence[CameraCalibration]) -> Section:
     """Table 1 and Figs. 2 to 6."""
     made, compared = [], [comparisons.table_comparison(each) for each in calibrations]
     compared.append(comparisons.square_pixels_comparison(mission))
@@ -110,7 +110,7 @@ class _Panel:
     comparison: Comparison
 
 
-def phase_section(mission: Mission, phase: PhaseSetup, results: Sequence[CampaignResult]) -> Section:
+def phase_section(mission: MissionSetup, phase: PhaseSetup, results: Sequence[CampaignResult]) -> Section:
     """A phase: its figures in the order of the paper, and the sizes that the paper states."""
     panels = [panel for result in results for panel in _panels(phase, result)]
     panels.sort(key=lambda panel: panel.number)
@@ -167,7 +167,7 @@ def _panels(phase: PhaseSetup, result: CampaignResult) -> tuple[_Panel, ...]:
     )
 
 
-def _sizes(mission: Mission, phase: PhaseSetup, results: Sequence[CampaignResult]) -> tuple[Comparison, ...]:
+def _sizes(mission: MissionSetup, phase: PhaseSetup, results: Sequence[CampaignResult]) -> tuple[Comparison, ...]:
     """Comparisons of apparent sizes that the paper states of a phase, where all its visits were made."""
     planned = {setup.camera: len(setup.visits) for setup in phase.campaigns}
     if {result.camera: len(result.visits) for result in results} != planned:

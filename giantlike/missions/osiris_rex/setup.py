@@ -138,7 +138,7 @@ class PhaseSetup:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Mission(Value):
+class MissionSetup(Value):
     """All of ``mission.toml``."""
 
     orbit: Orbit
@@ -226,14 +226,14 @@ def user_inputs(folder: Path | None) -> UserInputs:
 
 
 @lru_cache(maxsize=1)
-def mission() -> Mission:
+def mission() -> MissionSetup:
     """Read ``mission.toml``."""
     text = (files("giantlike.missions.osiris_rex") / "mission.toml").read_text(encoding="utf-8")
     table = tomllib.loads(text)
     cameras = {key: _camera_setup(key, each) for key, each in table["cameras"].items()}
     body = table["body"]
     diameter_km = 2.0 * body["mean_radius_km"]
-    return Mission(
+    return MissionSetup(
         orbit=Orbit(**table["orbit"]),
         body=BodySetup(**{**body, "axes_km": np.array(body["axes_km"]), "law": MappingProxyType(body["law"])}),
         cameras=MappingProxyType(cameras),

@@ -91,7 +91,7 @@ class Orbit:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Visit(Value):
+class BennuVisit(Value):
     """A moment at which Bennu is imaged.
 
     Parameters
@@ -125,7 +125,7 @@ class VisitedBody(Value):
     """Bennu around the time of a visit, as an ephemeris: its orbit, and its spin from the orientation of the visit."""
 
     orbit: Orbit
-    visit: Visit
+    visit: BennuVisit
     origin: str = field(default=BARYCENTER, init=False)
 
     def state(self, et: float) -> tuple[Float, Float]:
@@ -159,7 +159,7 @@ class PlannedVisit:
     turn_deg: float
 
 
-def visits_of(planned: Sequence[PlannedVisit], orbit: Orbit, kernels: Path | None) -> tuple[Visit, ...]:
+def visits_of(planned: Sequence[PlannedVisit], orbit: Orbit, kernels: Path | None) -> tuple[BennuVisit, ...]:
     """Place the spacecraft at the times of planned visits."""
     rebuilt = tuple(_rebuilt(each, orbit) for each in planned)
     if kernels is None:
@@ -168,14 +168,14 @@ def visits_of(planned: Sequence[PlannedVisit], orbit: Orbit, kernels: Path | Non
         return tuple(_covered(each) for each in rebuilt)
 
 
-def _covered(visit: Visit) -> Visit:
+def _covered(visit: BennuVisit) -> BennuVisit:
     """The visit by the loaded kernels, or as it is where they do not cover it."""
     times = visit.et + _STEP_S * np.array([-1.0, 0.0, 1.0])
     try:
         before_km, position_km, after_km = (spk_state(_SPACECRAFT, float(et), observer=_BENNU)[0] for et in times)
     except CoverageError:
         return visit
-    return Visit(
+    return BennuVisit(
         et=visit.et,
         from_body_km=position_km,
         velocity_km_s=(after_km - before_km) / (2.0 * _STEP_S),
@@ -184,14 +184,14 @@ def _covered(visit: Visit) -> Visit:
     )
 
 
-def _rebuilt(planned: PlannedVisit, orbit: Orbit) -> Visit:
+def _rebuilt(planned: PlannedVisit, orbit: Orbit) -> BennuVisit:
     et = et_from_time(time_from_utc(planned.utc))
     to_sun = unit(-orbit.state(et)[0])
     east = unit(np.cross([0.0, 0.0, 1.0], to_sun))
     north = np.cross(to_sun, east)
     phase, turn = planned.phase_deg * RAD_PER_DEG, planned.turn_deg * RAD_PER_DEG
     direction = math.cos(phase) * to_sun + math.sin(phase) * (math.cos(turn) * north + math.sin(turn) * east)
-    return Visit(
+    return BennuVisit(
         et=et,
         from_body_km=planned.range_km * direction,
         velocity_km_s=np.zeros(3),

@@ -93,7 +93,7 @@ def fit_stars(
     places = patches.centers_px if points_px is None else points_px
     level_dn = patches.border_level_dn()
     start = np.column_stack([places, flux_dn, level_dn, log_width, slopes])
-    problem = _Problem(patches, psf, width_prior)
+    problem = _StarFitProblem(patches, psf, width_prior)
     if isolated:
         return _finished(patches, problem.solve(start, _MAX_STEPS))
     solution = problem.solve(start, _STEPS_ALONE)
@@ -145,7 +145,7 @@ def neighbor_pairs(points_px: Float, reach_px: float) -> NDArray[np.int64]:
 
 
 @dataclass(slots=True)
-class _Solution:
+class _StarFitSolution:
     """Parameters (n, 7), their covariances (n, 7, 7), chi-squares (n,), pixels used (n,), converged near the peak (n,).
 
     Covariance and chi-square are from before the last step, a tenth of a sigma at most. ``unsettled`` (n,) marks stars
@@ -165,21 +165,21 @@ class _Solution:
         reduced: Float = self.chi2 / self.count.clip(1)
         return reduced
 
-    def replace(self, which: NDArray[np.integer], other: _Solution) -> None:
+    def replace(self, which: NDArray[np.integer], other: _StarFitSolution) -> None:
         """Copy the solution of the stars of these indices (k,)."""
         for field in fields(self):
             getattr(self, field.name)[which] = getattr(other, field.name)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Problem(Value):
+class _StarFitProblem(Value):
     """Least squares of all stars: parameters (n, 7) are x, y, flux, background, ln sigma, slopes along x and y."""
 
     patches: Patches
     psf_sigma_px: float
     width_prior: float
 
-    def without(self, parameters: Float, pairs: NDArray[np.int64], which: NDArray[np.int64]) -> _Problem:
+    def without(self, parameters: Float, pairs: NDArray[np.int64], which: NDArray[np.int64]) -> _StarFitProblem:
         """Stars ``which`` (k,), ascending, minus the fitted stars that each of them is paired with."""
         chosen = self.patches.select(which)
         of, neighbor = pairs[np.isin(pairs[:, 0], which)].T
@@ -187,7 +187,7 @@ class _Problem(Value):
         subtract(values, chosen.corner_px, np.searchsorted(which, of), parameters[neighbor])
         return replace(self, patches=replace(chosen, values_dn=values))
 
-    def solve(self, start: Float, steps: int) -> _Solution:
+    def solve(self, start: Float, steps: int) -> _StarFitSolution:
         """Gauss-Newton from ``start`` (n, 7)."""
         patches, psf = self.patches, self.psf_sigma_px
         parameters, covariance, chi2, count, settled = fitted(
@@ -205,10 +205,10 @@ class _Problem(Value):
         )
         away = np.hypot(*(parameters[:, :2] - patches.centers_px).T)
         good = settled & (away <= 1.0 + _MAX_SHIFT_WIDTHS * psf)
-        return _Solution(parameters, covariance, chi2, count, good, ~settled)
+        return _StarFitSolution(parameters, covariance, chi2, count, good, ~settled)
 
 
-def _finished(patches: Patches, solution: _Solution) -> StarFits:
+def _finished(patches: Patches, solution: _StarFitSolution) -> StarFits:
     """Covariances and quality of the solution."""
     parameters, covariance = solution.parameters, solution.covariance
     freedom = np.maximum(solution.count - _N_UNKNOWNS, 1)

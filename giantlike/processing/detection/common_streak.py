@@ -18,7 +18,7 @@ from giantlike.processing.detection.centroid import windowed_shape
 from giantlike.processing.detection.frame import Frame
 from giantlike.processing.detection.matched_filter import recorded_width_px
 from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, Patches
-from giantlike.processing.detection.streak import LineFits, Lines, fit_lines
+from giantlike.processing.detection.streak import LineFits, StreakGuesses, fit_lines
 
 _BRIGHTEST = 24  # sources fitted to find a common streak: bounds the time
 _LEAST_AGREEING, _AGREEING_SHARE = 4, 0.6  # number and fraction of these sources that must agree; not yet studied
@@ -79,7 +79,7 @@ def find_common_streak(
     return _agreed(fit_lines(patches, guess, sigma), len(peaks_px), sigma)
 
 
-def _best_width_px(patches: Patches, guess: Lines) -> float:
+def _best_width_px(patches: Patches, guess: StreakGuesses) -> float:
     """Width that explains lines best: vertex of the parabola through three values, in its logarithm."""
     left = [float(np.median(fit_lines(patches, guess, sigma).chi2)) for sigma in _WIDTHS]
     best = int(np.argmin(left))
@@ -96,7 +96,7 @@ def fit_streaks(patches: Patches, streak: CommonStreak, flux_dn: Float) -> LineF
     ``flux_dn`` (n,).
     """
     halves = np.tile(np.array(streak.half_px), (len(flux_dn), 1))
-    start = Lines(patches.centers_px.astype(np.float64), halves, flux_dn, _level_dn(patches))
+    start = StreakGuesses(patches.centers_px.astype(np.float64), halves, flux_dn, _level_dn(patches))
     return fit_lines(patches, start, streak.sigma_px)
 
 
@@ -128,7 +128,7 @@ def _level_dn(patches: Patches) -> Float:
     return np.nanmedian(values, axis=1)
 
 
-def _from_moments(patches: Patches) -> Lines:
+def _from_moments(patches: Patches) -> StreakGuesses:
     """Lines from the moments of the light connected with the middle of each patch."""
     n, half = len(patches.noise_dn), patches.half_px
     level = _level_dn(patches)
@@ -147,7 +147,7 @@ def _from_moments(patches: Patches) -> Lines:
         centers[k] = patches.corner_px[k] + mean
         halves[k] = math.sqrt(max(3.0 * (values[1] - values[0]), 0.0)) * vectors[:, 1]
         flux[k] = total
-    return Lines(centers, halves, flux, level)
+    return StreakGuesses(centers, halves, flux, level)
 
 
 def _agreed(fits: LineFits, n_sources: int, sigma_px: float) -> CommonStreak | None:

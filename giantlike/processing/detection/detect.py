@@ -337,7 +337,7 @@ def _measure(
         area_px=found.area_px,
         background_dn=fits.background_dn,
         width_px=fits.width_px,
-        flags=_flags(frame, found, _Fitted(patches, fits, core, moments), psf_sigma_px, usual_px),
+        flags=_flags(frame, found, _FittedStars(patches, fits, core, moments), psf_sigma_px, usual_px),
         psf_sigma_px=psf_sigma_px,
         noise_dn=noise_dn,
         moments=moments,
@@ -394,7 +394,7 @@ def _measure_lines(frame: Frame, found: Candidates, streak: CommonStreak, noise_
 
 
 @dataclass(frozen=True, slots=True)
-class _Fitted:
+class _FittedStars:
     """Patches without the slopes of their backgrounds, stars fitted to them, cores (n, w, w) and moments (n, 2)."""
 
     patches: Patches
@@ -404,7 +404,7 @@ class _Fitted:
 
 
 def _flags(
-    frame: Frame, found: Candidates, fitted: _Fitted, psf_sigma_px: float, usual_px: float | None
+    frame: Frame, found: Candidates, fitted: _FittedStars, psf_sigma_px: float, usual_px: float | None
 ) -> NDArray[np.uint16]:
     """Combine :class:`DetectionFlag` values (n,)."""
     patches, fits, core = fitted.patches, fitted.fits, fitted.core

@@ -41,7 +41,7 @@ measured. It bounds fits of bodies, which otherwise diverge to thousands of px."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lines(Value):
+class StreakGuesses(Value):
     """Lines of light, n of them: a first guess.
 
     Parameters
@@ -59,7 +59,7 @@ class Lines(Value):
     flux_dn: Float
     background_dn: Float
 
-    def select(self, which: NDArray[np.integer]) -> Lines:
+    def select(self, which: NDArray[np.integer]) -> StreakGuesses:
         """Lines of the given indices (k,)."""
         return select_rows(self, which)
 
@@ -145,23 +145,23 @@ def line_shares(patches: Patches, centers_px: Float, halves_px: Float, sigma_px:
     return shares, derivatives
 
 
-def fit_lines(patches: Patches, start: Lines, sigma_px: float) -> LineFits:
+def fit_lines(patches: Patches, start: StreakGuesses, sigma_px: float) -> LineFits:
     """Fit a line to each patch."""
-    problem = _Problem(patches, sigma_px)
+    problem = _StreakFitProblem(patches, sigma_px)
     slopes = np.zeros((len(start.flux_dn), 2))
     parameters = np.column_stack([start.centers_px, start.halves_px, start.flux_dn, start.background_dn, slopes])
     return problem.finish(*problem.solve(parameters))
 
 
 @dataclass(frozen=True, slots=True)
-class _Problem:
+class _StreakFitProblem:
     """Least squares of all lines: parameters (n, 8) are x, y, half x, half y, flux, background level, slopes."""
 
     patches: Patches
     sigma_px: float
 
-    def select(self, which: NDArray[np.integer]) -> _Problem:
-        return _Problem(self.patches.select(which), self.sigma_px)
+    def select(self, which: NDArray[np.integer]) -> _StreakFitProblem:
+        return _StreakFitProblem(self.patches.select(which), self.sigma_px)
 
     def linearize(self, parameters: Float) -> tuple[Float, Float, Float]:
         """Normal matrices (n, 8, 8), right sides (n, 8), and costs (n,): -2 ln likelihood up to a constant."""

@@ -129,13 +129,13 @@ def solve_pnp(
     require(bool((np.linalg.eigvalsh(spread) > 0.0).all()), "covariance_px2 must be positive definite")
     if len(points) < options.min_inliers:
         return Failure(Reason.TOO_FEW_MATCHES, f"needed {options.min_inliers} points, got {len(points)}")
-    problem = _Problem(points, pixels, spread, model, camera_from_body, options)
+    problem = _PoseProblem(points, pixels, spread, model, camera_from_body, options)
     start = _ransac(problem)
     return start if isinstance(start, Failure) else _refined(problem, *start)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Problem(Value):
+class _PoseProblem(Value):
     """Checked input of :func:`solve_pnp`."""
 
     points: Float
@@ -164,7 +164,7 @@ class _Problem(Value):
         return 0.0 < self.options.attitude_sigma_rad < math.inf
 
 
-def _ransac(problem: _Problem) -> tuple[Rotation, Float, Mask] | Failure:
+def _ransac(problem: _PoseProblem) -> tuple[Rotation, Float, Mask] | Failure:
     """Pose of the sample that most points agree with, and the mask of these points."""
     options, count = problem.options, len(problem.points)
     random = np.random.default_rng(options.seed)
@@ -211,7 +211,7 @@ def _positions(rays: Float, turned: Float) -> Float:
     return result
 
 
-def _refined(problem: _Problem, rotation: Rotation, position: Float, agree: Mask) -> PnpFix | Failure:
+def _refined(problem: _PoseProblem, rotation: Rotation, position: Float, agree: Mask) -> PnpFix | Failure:
     """Alternate fitting and selecting the points that agree until the selection no longer changes."""
     options, floor2 = problem.options, 0.0
     for _ in range(_ROUNDS):
@@ -246,7 +246,7 @@ def _refined(problem: _Problem, rotation: Rotation, position: Float, agree: Mask
 
 
 def _gauss_newton(
-    problem: _Problem, rotation: Rotation, position: Float, used: Mask, floor2: float
+    problem: _PoseProblem, rotation: Rotation, position: Float, used: Mask, floor2: float
 ) -> tuple[Rotation, Float] | Failure:
     """Best pose for some of the points."""
     options = problem.options
@@ -272,7 +272,7 @@ def _gauss_newton(
 
 
 def _normal_equations(
-    problem: _Problem, rotation: Rotation, position: Float, used: Mask, floor2: float
+    problem: _PoseProblem, rotation: Rotation, position: Float, used: Mask, floor2: float
 ) -> tuple[Float, Float]:
     """Information matrix (k, k) and gradient (k,) of position and, unless exact, rotation about camera axes."""
     turned = rotate(rotation, problem.points[used])

@@ -89,7 +89,7 @@ def scan_edges(
     along = as_finite(sunlight, (2,), "sunlight")
     length = float(np.linalg.norm(along))
     require(length > 0.0, "sunlight must have a direction in the image")
-    lines = _Lines.across(np.where(usable, pixels_dn, -np.inf), along / length)
+    lines = _ParallelLines.across(np.where(usable, pixels_dn, -np.inf), along / length)
     lit = lines.values > threshold_dn
     run = lit.shape[1] - _MIN_RUN + 1
     started = np.logical_and.reduce([lit[:, first : first + run] for first in range(_MIN_RUN)])
@@ -114,7 +114,7 @@ def _each_once(pixels_px: Pixels) -> Pixels:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Lines(Value):
+class _ParallelLines(Value):
     """Nearest pixels of an image on parallel lines one pixel apart.
 
     Parameters
@@ -129,7 +129,7 @@ class _Lines(Value):
     onto: Float
 
     @classmethod
-    def across(cls, image: Float, along: Float) -> _Lines:
+    def across(cls, image: Float, along: Float) -> _ParallelLines:
         """Lay lines in a direction (2,) over an image."""
         rows, columns = image.shape
         reach = math.ceil(0.5 * math.hypot(rows, columns)) + 1

@@ -154,7 +154,7 @@ def estimate_psf(
             f"{len(stars)} isolated stars have a signal to noise ratio of {_LEAST_SNR:g}, {3 * n_terms} are needed",
         )
     terms = field_terms(stars.points_px, array.shape[1], array.shape[0], degree)
-    problem = _Problem(patches, terms, kind.n_free)
+    problem = _PsfFitProblem(patches, terms, kind.n_free)
     local = _local_start(stars)
     start = np.zeros((kind.n_free, n_terms))
     start[0, 0] = math.log(stars.psf_sigma_px)
@@ -191,7 +191,7 @@ def remeasure(
     stars = detections.select(chosen)
     terms = field_terms(stars.points_px, psf.columns, psf.rows, psf.degree)
     patches = star_patches(pixels, stars, detector=detector, mask=mask)
-    problem = _Problem(patches, terms, psf.kind.n_free)
+    problem = _PsfFitProblem(patches, terms, psf.kind.n_free)
     local = _local_start(stars)
     for _ in range(_REMEASURE_STEPS):
         _, _, _, step = problem.normal(local, psf.coefficients)
@@ -234,22 +234,22 @@ def _local_start(stars: Detections) -> Float:
 
 
 @dataclass(frozen=True, slots=True)
-class _Solution:
+class _PsfFitSolution:
     local: Float
     shared: Float
     settled: bool
 
 
 @dataclass(frozen=True, slots=True)
-class _Problem:
+class _PsfFitProblem:
     """Stars (n): local parameters (n, 6) x, y, flux, level and slopes x, y of the background; shared ones (k, t)."""
 
     patches: Patches
     terms: Float
     n_free: int
 
-    def select(self, which: NDArray[np.integer[Any]]) -> _Problem:
-        return _Problem(self.patches.select(which), self.terms[which], self.n_free)
+    def select(self, which: NDArray[np.integer[Any]]) -> _PsfFitProblem:
+        return _PsfFitProblem(self.patches.select(which), self.terms[which], self.n_free)
 
     def shapes(self, shared: Float) -> Float:
         free = self.terms @ shared.T
@@ -315,7 +315,7 @@ class _Problem:
         side = np.sum(right_shared - np.einsum("nij,ni->nj", cross, gain[:, :, -1]), axis=0)
         return matrix, side, gain[:, :, :-1], gain[:, :, -1]
 
-    def solve(self, local: Float, shared: Float) -> _Solution:
+    def solve(self, local: Float, shared: Float) -> _PsfFitSolution:
         """Gauss-Newton with a line search on chi-square."""
         local, shared = local.copy(), shared.copy()
         cost = float(self.star_chi2(local, shared).sum())
@@ -335,16 +335,16 @@ class _Problem:
                     break
                 pace *= 0.4
             else:
-                return _Solution(local, shared, True)
+                return _PsfFitSolution(local, shared, True)
             gained = cost - new_cost
             local, shared, cost = new_local, new_shared, new_cost
             small = np.abs(step) <= _SETTLED * np.sqrt(np.maximum(np.diag(covariance), 0.0)) + 1e-9
             if bool(small.all()) or gained < _GAINED * cost:
-                return _Solution(local, shared, True)
-        return _Solution(local, shared, False)
+                return _PsfFitSolution(local, shared, True)
+        return _PsfFitSolution(local, shared, False)
 
     def estimate(
-        self, solution: _Solution, kind: PsfKind, degree: int, shape: tuple[int, ...], offered: int
+        self, solution: _PsfFitSolution, kind: PsfKind, degree: int, shape: tuple[int, ...], offered: int
     ) -> PsfEstimate:
         matrix, _, _, _ = self.normal(solution.local, solution.shared)
         left, weight, light = self.residuals(solution.local, solution.shared)

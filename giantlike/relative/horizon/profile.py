@@ -24,7 +24,7 @@ from giantlike.ray_tracing import Reflectance
 from giantlike.relative.horizon.blur import DepthBlur
 from giantlike.relative.horizon.geometry import Figure, PixelRays, ray_residuals
 from giantlike.relative.horizon.ray_loops import curvatures
-from giantlike.relative.horizon.surface import Surface, traced
+from giantlike.relative.horizon.surface import HorizonSurface, traced
 from giantlike.shapes import Ellipsoid
 from giantlike.shapes.limbs import limb_ellipse
 
@@ -318,11 +318,11 @@ def blur_width_px(psf_variance_px2: float) -> float:
     return math.sqrt(psf_variance_px2 + PIXEL_VARIANCE_PX2)
 
 
-def _surface(arc: HorizonArc, depths_px: Float, sun: Float) -> Surface:
+def _surface(arc: HorizonArc, depths_px: Float, sun: Float) -> HorizonSurface:
     """The surface at depths (q,) inside points of the horizon."""
     figure, position_km = arc.body.figure, arc.body.position_camera_km
     _, conic = figure.cone(position_km)
     meets, incidence, emission, phase_rad = traced(
         arc.directions, arc.inward, depths_px, position_km, figure.shape_matrix, conic, sun
     )
-    return Surface(meets=meets, incidence=incidence, emission=emission, phase_rad=phase_rad, air=figure.air)
+    return HorizonSurface(meets=meets, incidence=incidence, emission=emission, phase_rad=phase_rad, air=figure.air)

@@ -14,7 +14,7 @@ from giantlike.ray_tracing import Air, Reflectance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Surface(Value):
+class HorizonSurface(Value):
     """The surface at q depths inside k points of a horizon.
 
     Parameters
@@ -45,9 +45,9 @@ class Surface(Value):
         light = law(*angles) if self.air is None else self.air.brightness(law, *angles)
         return np.where(self.meets, light, 0.0)
 
-    def to_depth(self, count: int) -> Surface:
+    def to_depth(self, count: int) -> HorizonSurface:
         """Return the first so many of the depths."""
-        return Surface(
+        return HorizonSurface(
             meets=self.meets[:, :count],
             incidence=self.incidence[:, :count],
             emission=self.emission[:, :count],
@@ -72,7 +72,7 @@ def traced(
     ``position_km`` in camera axes; ``shape_matrix`` (3, 3) 1/km^2, camera axes, points of its surface about the center
     have ``x.A.x == 1``; ``conic`` (3, 3) 1/km^2, directions of its horizon have ``x.M.x == 0``, those that meet it
     more; ``sun`` in camera axes, unit vector from body to Sun; returns ``meets`` (k, q); ``incidence``, ``emission``,
-    ``phase_rad`` (k, q), as of :class:`Surface`.
+    ``phase_rad`` (k, q), as of :class:`HorizonSurface`.
     """
     shape = (len(directions), len(depths_px))
     meets, incidence = np.empty(shape, np.bool_), np.empty(shape)

@@ -16,7 +16,7 @@ from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Template
 from giantlike.relative.light.light_sums import mixed
-from giantlike.relative.light.separation import BodyLight, kept_center_of, seen_from
+from giantlike.relative.light.separation import SeparatedLight, kept_center_of, seen_from
 
 _SHARE_SIGMA = 1.0 / math.sqrt(6.0)
 """A priori standard deviation of each share: the difference of the true law and the assumed one.
@@ -147,7 +147,7 @@ class LawFit(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Blocks(Value):
+class _LawBlocks(Value):
     """Pixels (n,) of the body in row-major order, the block of each, and the positions (blocks, 2) of the blocks.
 
     ``places`` are flat indices of the pixels.
@@ -179,7 +179,7 @@ class _Blocks(Value):
         """Sums (blocks,) of the values (rows, columns) of an image."""
         return np.bincount(self.number, values.ravel().take(self.places)).astype(np.float64)
 
-    def photon(self, light: BodyLight) -> Float:
+    def photon(self, light: SeparatedLight) -> Float:
         """Variance (blocks,), DN^2, of the light of the blocks by the noise of the pixels."""
         signal = light.signal_dn[self.rows, self.columns]
         return np.bincount(self.number, light.variance_dn2(signal)).astype(np.float64)
@@ -189,7 +189,7 @@ class _Blocks(Value):
 class _Weighing(Value):
     """Light (blocks,) of the image, and its photon variance."""
 
-    blocks: _Blocks
+    blocks: _LawBlocks
     light_dn: Float
     photon_dn2: Float
 
@@ -240,7 +240,7 @@ def _settled(change: Float, covariance: Float) -> bool:
     return bool((np.abs(change) < _SETTLED * np.sqrt(np.diag(covariance))).all())
 
 
-def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
+def fit_law(light: SeparatedLight, laws: LawMixture, *, radius_px: float) -> LawFit:
     """Fit the shares of a mixture of laws to the brightness of blocks of the body.
 
     Notes
@@ -286,7 +286,7 @@ def fit_law(light: BodyLight, laws: LawMixture, *, radius_px: float) -> LawFit:
     )
 
 
-def _blocks_of(light: BodyLight, template: Template, center_px: Float, radius_px: float) -> _Blocks:
+def _blocks_of(light: SeparatedLight, template: Template, center_px: Float, radius_px: float) -> _LawBlocks:
     """Blocks of the bright pixels away from the limb, counted from the center of light; of all where those are few."""
     margin = _LIMB_PX + math.ceil(_LIMB * radius_px)
     disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
@@ -302,7 +302,7 @@ def _blocks_of(light: BodyLight, template: Template, center_px: Float, radius_px
     return _in_blocks(light.bright, center_px, side_px)
 
 
-def _in_blocks(pixels: Mask, center_px: Float, side_px: float) -> _Blocks:
+def _in_blocks(pixels: Mask, center_px: Float, side_px: float) -> _LawBlocks:
     """Blocks of some pixels (rows, columns) of an image."""
     places = np.flatnonzero(pixels)
     rows, columns = np.divmod(places, pixels.shape[1])
@@ -318,10 +318,10 @@ def _in_blocks(pixels: Mask, center_px: Float, side_px: float) -> _Blocks:
     present = np.flatnonzero(count)
     ranks = np.cumsum(count > 0) - 1
     cells, number = low + np.stack(np.divmod(present, height), axis=1), ranks[key]
-    return _Blocks(places=places, rows=rows, columns=columns, number=number, cells=cells)
+    return _LawBlocks(places=places, rows=rows, columns=columns, number=number, cells=cells)
 
 
-def _placed(light: BodyLight, template: Template, center_px: Float) -> tuple[Float, Float]:
+def _placed(light: SeparatedLight, template: Template, center_px: Float) -> tuple[Float, Float]:
     """Signal (rows, columns), DN, of a template laid on the center of light of the image, and its own center (2,)."""
     expected = light.expected_dn(template.brightness)
     place_px = kept_center_of(expected, light.threshold_dn)
@@ -356,7 +356,9 @@ def _through_six(places: Float, *, first: int) -> Float:
     return np.asarray(((places[:, None, None] - others) / (nodes[:, None] - others)).prod(axis=-1))
 
 
-def _unexplained(light: BodyLight, expected_dn: Float, center_px: Float, blocks: _Blocks) -> tuple[Float, float]:
+def _unexplained(
+    light: SeparatedLight, expected_dn: Float, center_px: Float, blocks: _LawBlocks
+) -> tuple[Float, float]:
     """Covariance (2, 2) of the center by the residuals of the blocks, each as one sigma, and their scatter.
 
     The brightness of the body is free. Blocks that share a marking count as one; with few of them the fitted parameters

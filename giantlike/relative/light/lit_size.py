@@ -9,7 +9,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float
 from giantlike.relative.light.law_mixture import LawFit, LawMixture
-from giantlike.relative.light.separation import LIGHT_SIGMAS, BodyLight
+from giantlike.relative.light.separation import LIGHT_SIGMAS, SeparatedLight
 
 _INCONSISTENT_SIGMAS = 4.0  # between predicted and measured size: once in 16,000 by chance
 _COUNT_PX = 0.5
@@ -49,7 +49,7 @@ class LitSize:
     excess: float
 
 
-def first_scale(light: BodyLight, laws: LawMixture, *, range_sigma: float, trace: float) -> float:
+def first_scale(light: SeparatedLight, laws: LawMixture, *, range_sigma: float, trace: float) -> float:
     """Ratio of measured to predicted size, under the assumed law, by the faintest level; 1 if inconsistent.
 
     ``range_sigma``: relative, of the prediction; ``trace``: faintest level as a fraction of the brightest pixel.
@@ -61,7 +61,7 @@ def first_scale(light: BodyLight, laws: LawMixture, *, range_sigma: float, trace
 
 
 def measured_size(
-    light: BodyLight,
+    light: SeparatedLight,
     laws: LawMixture,
     law: LawFit,
     *,
@@ -108,7 +108,7 @@ def measured_size(
     return LitSize(scale=math.exp(weight * log_size), sigma=sigma, area_ratio=ratio, excess=excess)
 
 
-def _faintest_dn(light: BodyLight, trace: float) -> float:
+def _faintest_dn(light: SeparatedLight, trace: float) -> float:
     """Fraction ``trace`` of the peak, or the limit by noise if larger, DN."""
     return max(LIGHT_SIGMAS * light.sky.sigma_dn, trace * float(light.signal_dn[light.region].max()))
 

@@ -31,7 +31,7 @@ from giantlike.relative.light.averaged import averaged, on_pixels
 from giantlike.relative.light.law_mixture import LawMixture, fit_law
 from giantlike.relative.light.lit_size import first_scale, measured_size
 from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
-from giantlike.relative.light.separation import MIN_AREA_PX, TRACE, BodyLight, Prediction, light_of
+from giantlike.relative.light.separation import MIN_AREA_PX, TRACE, Prediction, SeparatedLight, light_of
 from giantlike.relative.light.wings import WING_UNKNOWN, wing_share, with_wings
 from giantlike.relative.place import apparent_radius_px
 from giantlike.scene import TargetGeometry
@@ -172,7 +172,7 @@ def _found(inputs: EstimatorInputs, options: MomentOptions) -> CenterFix | Failu
     return light if isinstance(light, Failure) else _fix(inputs, laws, light, options)
 
 
-def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: MomentOptions) -> CenterFix:
+def _fix(inputs: EstimatorInputs, laws: LawMixture, light: SeparatedLight, options: MomentOptions) -> CenterFix:
     """Center of light and the correction, with their error budget."""
     psf_sigma_px = UNKNOWN_PSF_SIGMA_PX if inputs.psf_sigma_px is None else inputs.psf_sigma_px
     laws = laws.seen_from(light.corner_px)
@@ -235,7 +235,7 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: BodyLight, options: M
     )
 
 
-def _gain_error(light: BodyLight, template: Template, size_sigma: float) -> float:
+def _gain_error(light: SeparatedLight, template: Template, size_sigma: float) -> float:
     """Relative error of the brightness of a clipped body by the error of its size."""
     if math.isinf(light.ceiling_dn):
         return 0.0

@@ -92,7 +92,7 @@ def seen_from(template: Template, corner_px: NDArray[np.int64]) -> Template:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class BodyLight(Value):
+class SeparatedLight(Value):
     """The light of one body in a window of the image; positions are relative to the first pixel of the window.
 
     Parameters
@@ -137,7 +137,7 @@ class BodyLight(Value):
         """Pixels of the body above threshold."""
         return np.asarray(self.region & (self.signal_dn > self.threshold_dn))
 
-    def trimmed(self) -> BodyLight:
+    def trimmed(self) -> SeparatedLight:
         """Return the light in the smallest window that holds the region and some sky around it."""
         columns, rows = (np.flatnonzero(self.region.any(axis=axis)) for axis in (0, 1))
         low = np.array([columns[0], rows[0]], dtype=np.float64)
@@ -242,7 +242,7 @@ def kept_center_of(light: Float, threshold_dn: float) -> Float:
     return np.array([x, y]) if total > 0.0 else center_of(light)
 
 
-def light_of(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Prediction) -> BodyLight | Failure:
+def light_of(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Prediction) -> SeparatedLight | Failure:
     """Find the light of the body and separate it from the sky background and from other bodies."""
     sky = _sky(image, prediction)
     if isinstance(sky, Failure):
@@ -299,7 +299,7 @@ class _Window(Value):
         return any(bool(edge.any()) for edge, its in zip(edges, of_frame, strict=True) if its == (frame is not None))
 
 
-def _light_in(window: _Window, sky: SkyPlane, prediction: Prediction) -> BodyLight | Failure | None:
+def _light_in(window: _Window, sky: SkyPlane, prediction: Prediction) -> SeparatedLight | Failure | None:
     """Light of the body in a window, all in its coordinates; None where it reaches beyond it."""
     template, bad, saturated = prediction.template, window.bad, window.saturated
     signal = _filled(window.image.values_dn, bad) - sky.levels_dn(bad.shape)
@@ -314,7 +314,7 @@ def _light_in(window: _Window, sky: SkyPlane, prediction: Prediction) -> BodyLig
         if window.cuts(region) or not region.any():
             return None
         region = region & ~foreign
-        light = BodyLight(
+        light = SeparatedLight(
             corner_px=np.array(window.image.corner_px),
             signal_dn=signal,
             region=region,

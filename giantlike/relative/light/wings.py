@@ -10,7 +10,7 @@ import numpy as np
 from giantlike.core.arrays import Float
 from giantlike.ray_tracing import Template
 from giantlike.relative.light.law_mixture import LawMixture
-from giantlike.relative.light.separation import BodyLight
+from giantlike.relative.light.separation import SeparatedLight
 
 WING_UNKNOWN = 0.5
 """Share of the effect of the wings that is one sigma: wings half or twice as wide change it by a third to a half."""
@@ -26,7 +26,7 @@ _LEAST_PX, _LEAST_SIGMAS = 50, 5.0
 """Pixels that are needed, and standard errors of the share below which there are no wings."""
 
 
-def wing_share(light: BodyLight, template: Template, *, psf_sigma_px: float, radius_px: float) -> float:
+def wing_share(light: SeparatedLight, template: Template, *, psf_sigma_px: float, radius_px: float) -> float:
     """Share of the light of a body that lies in wings of the point spread function.
 
     Returns 0 where the sky around the body shows none.

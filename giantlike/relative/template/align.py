@@ -11,7 +11,7 @@ import numpy as np
 from giantlike.core.arrays import Float
 from giantlike.core.blocks import block_sums
 from giantlike.core.pixel_box import BoxPixels
-from giantlike.relative.template.linear import Problem
+from giantlike.relative.template.linear import LinearProblem
 from giantlike.relative.template.state import TemplateImages, TemplateState, warped
 
 _RADII_PX = (12.0, 40.0)
@@ -56,7 +56,7 @@ def align_template(
             if not float(moved[0].sum()) > 0.0:
                 break
             images = TemplateImages(light=moved[0], others=moved[1:])
-            problem = Problem(small, images, _reduced(state, pixels.corner_px, factor), None)
+            problem = LinearProblem(small, images, _reduced(state, pixels.corner_px, factor), None)
             tried.append((problem.misfit_dn2(), state))
             step = problem.plain_step(_STEP_PX)
             if problem.motion_px(step) < _STILL_PX:

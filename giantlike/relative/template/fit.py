@@ -27,7 +27,7 @@ from giantlike.image_model.columns import Block, Columns, Prior, Use, split_nois
 from giantlike.processing.limb.altitude import lifted
 from giantlike.relative.template.covariance import LinearFit, RobustFit
 from giantlike.relative.template.haze import haze_altitude, haze_block
-from giantlike.relative.template.linear import BEND_SIGMA, PIXEL_VARIANCE_PX2, SMEAR_SIGMA_PX2, Problem
+from giantlike.relative.template.linear import BEND_SIGMA, PIXEL_VARIANCE_PX2, SMEAR_SIGMA_PX2, LinearProblem
 from giantlike.relative.template.relief import relief_covariance
 from giantlike.relative.template.smear import smeared_renders
 from giantlike.relative.template.state import Synthesis, TemplateState
@@ -244,13 +244,13 @@ def fit_template(
     """
     synthesize = smeared_renders(synthesize)
     trial, fine = start, options.fine_at_once
-    last: _Solved | None = None
+    last: _SolvedStep | None = None
     for iteration in range(1, options.max_iterations + 1):
         images = synthesize(trial, fine)
         if isinstance(images, Failure):
             return images
         photometry = None if last is None else last["gain", "wings"]
-        problem = Problem(pixels, images, trial, photometry, options.response)
+        problem = LinearProblem(pixels, images, trial, photometry, options.response)
         markings = problem.markings(options.radius_px) if math.isfinite(options.radius_px) else None
         approach = markings is not None and not fine
         errors = None if last is None or last.approach > approach else last.solution.errors
@@ -273,7 +273,7 @@ def fit_template(
         solution = problem.solve(prior, options.clip_sigma, errors, markings=markings, approach=approach)
         if isinstance(solution, Failure):
             return solution
-        solved = _Solved(problem, trial, prior, solution, objective, approach)
+        solved = _SolvedStep(problem, trial, prior, solution, objective, approach)
         moved_px = solved.length_px
         _LOG.debug("template moved by %.3g px in render %d", moved_px, iteration)
         settled = fine and moved_px < options.tolerance_px
@@ -286,7 +286,7 @@ def fit_template(
     return Failure(Reason.NOT_CONVERGED, f"still moving by {moved_px:.2f} px after {options.max_iterations} renders")
 
 
-def _prior(state: TemplateState, start: TemplateState, problem: Problem, options: TemplateFitOptions) -> Prior:
+def _prior(state: TemplateState, start: TemplateState, problem: LinearProblem, options: TemplateFitOptions) -> Prior:
     """Return the prior of the step from ``state``; center and background have none."""
     mean: dict[str, float | Sequence[float]] = {
         "range": -state.log_range,
@@ -302,10 +302,10 @@ def _prior(state: TemplateState, start: TemplateState, problem: Problem, options
 
 
 @dataclass(frozen=True, slots=True)
-class _Solved:
+class _SolvedStep:
     """A linear problem at a state with its prior and solution, and the fraction of the solution to step."""
 
-    problem: Problem
+    problem: LinearProblem
     state: TemplateState
     prior: Prior
     solution: RobustFit
@@ -358,13 +358,13 @@ class _Solved:
         blurred_px2 = abs(float(np.clip(known + self._blur_step_px2, 0.0, _MAX_PSF_VARIANCE_PX2)) - known)
         return blurred_px2 if smear is None or smeared is None else max(blurred_px2, smeared.less(smear).size_px2)
 
-    def returns(self, last: _Solved) -> bool:
+    def returns(self, last: _SolvedStep) -> bool:
         """Return True if the step reverses most of the last one: renders flicker, or the step was too long."""
         scale = np.array([1.0, 1.0, self.problem.reach_px])
         one, two = scale * self._place, scale * last._place
         return float(one @ two) < -0.5 * float(two @ two)
 
-    def shortened(self, share: float) -> _Solved:
+    def shortened(self, share: float) -> _SolvedStep:
         """Return the problem with a shorter step."""
         return replace(self, share=share * self.share)
 

@@ -65,7 +65,7 @@ def layout_of(*, laws: int, wings: int, response: bool, smear: bool) -> Layout:
     )
 
 
-class Problem:
+class LinearProblem:
     """One linear step: derivatives of the model around a state, and the pixels to explain.
 
     The model is linear in its photometry: the light, a constant and a slope of the background, and the changes by other

@@ -15,7 +15,7 @@ from giantlike.core.values import Value
 from giantlike.ray_tracing import Reflectance, Trace
 from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.refined import RefinedTrace
-from giantlike.ray_tracing.sampling import Cells
+from giantlike.ray_tracing.sampling import AxisCells
 from giantlike.ray_tracing.tracer import Indices
 from giantlike.relative.template.spread_parts import banded, spread
 from giantlike.relative.template.state import TemplateState
@@ -49,7 +49,7 @@ class MovedBody(Value):
 
     From a place nearby the same rays meet the same surface: their light only falls elsewhere. It is even over the cell
     of the ray, blurred by a Gaussian and summed over the pixel, exactly as in a render
-    (:meth:`giantlike.ray_tracing.sampling.Cells.spread`), but with cells that lie anywhere and have any size.
+    (:meth:`giantlike.ray_tracing.sampling.AxisCells.spread`), but with cells that lie anywhere and have any size.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class MovedBody(Value):
         lights = np.ascontiguousarray(np.moveaxis(sum((grid.lights for grid in rest), first.lights), -1, 0))
         return lights, lambda weights: sum((grid.derivatives(weights) for grid in rest), first.derivatives(weights))
 
-    def _row(self, cells: Cells, axis: int, state: TemplateState) -> _Row:
+    def _row(self, cells: AxisCells, axis: int, state: TemplateState) -> _Row:
         """Cells along an axis, where they are at a state."""
         before = self.state
         scale = math.exp(before.log_range - state.log_range)

@@ -212,7 +212,7 @@ class _Design(Value):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Fitted(Value):
+class _FittedDesign(Value):
     """A design fitted to cells: the solution, the solution with free gain, gain and model errors (n, n).
 
     ``edge`` (n, n) are the cells whose errors are mostly errors of edges, ``least`` is the minimum scatter of the
@@ -327,7 +327,7 @@ def _lit(light: Float) -> Mask:
     return np.asarray(light > _LIT * float(light.max()))
 
 
-def _fitted(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: Float) -> _Fitted | None:
+def _fitted(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: Float) -> _FittedDesign | None:
     """Fit a design to cells, weighted by the gain and without isolated outliers.
 
     ``sigma`` (n, n) are the errors of the model relative to the gain, ``coverage`` (n, n) the fractions of cells that
@@ -351,7 +351,7 @@ def _fitted(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: F
         if change < _SETTLED and not isolated.any():
             break
     parts = float(coverage[used].sum()) / (BLOCK * cells.radius) ** 2
-    return _Fitted(
+    return _FittedDesign(
         cells=cells,
         design=design,
         solution=solution,
@@ -364,7 +364,7 @@ def _fitted(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: F
     )
 
 
-def _alternatives(fitted: _Fitted) -> dict[Alternative, float]:
+def _alternatives(fitted: _FittedDesign) -> dict[Alternative, float]:
     """Logarithms of the odds of other models of the cells."""
     by_x, by_y, growth = fitted.gain * fitted.solution.columns["place"]
     cells, light, scores = fitted.cells, fitted.gain * fitted.design.own, fitted.scores
@@ -378,7 +378,7 @@ def _alternatives(fitted: _Fitted) -> dict[Alternative, float]:
     }
 
 
-def _geometry(fitted: _Fitted) -> tuple[Estimate, Estimate, Estimate]:
+def _geometry(fitted: _FittedDesign) -> tuple[Estimate, Estimate, Estimate]:
     """Place, strain and blur."""
     solution, gain, cells = fitted.solution, fitted.gain, fitted.cells
     layout = solution.columns.layout.between("place", "blur")
@@ -401,7 +401,7 @@ def _geometry(fitted: _Fitted) -> tuple[Estimate, Estimate, Estimate]:
     )
 
 
-def _response(fitted: _Fitted, known: Response | None) -> tuple[Response, float, float]:
+def _response(fitted: _FittedDesign, known: Response | None) -> tuple[Response, float, float]:
     """The known or a linear response with the curvature that the residuals show, its standard deviation and odds."""
     solution = fitted.solution
     if known is None:
@@ -414,7 +414,7 @@ def _response(fitted: _Fitted, known: Response | None) -> tuple[Response, float,
     return replace(known, bend=bend), sigma, float(fitted.scores.log_odds(image, DISPLAY_BEND_SIGMA)[0])
 
 
-def _omitted(fitted: _Fitted, images: Float) -> Omitted:
+def _omitted(fitted: _FittedDesign, images: Float) -> Omitted:
     """Amplitudes of images (a, n, n) in the residuals."""
     influence, information = _influence(fitted.solution, "omitted", images)
     values = influence.reshape(len(images), -1) @ fitted.solution.residuals.ravel()
@@ -555,7 +555,7 @@ def _covariance(influence: Float, noise: Float, model_sigma: Float, cells: Cells
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
-def _by_figure(fitted: _Fitted, strain: Estimate) -> Float:
+def _by_figure(fitted: _FittedDesign, strain: Estimate) -> Float:
     """Covariance (2, 2), px^2, of the center of all light by an error of the shape.
 
     A strain (3,) about the center hardly moves light, but an error of the shape that strains the image also moves it:

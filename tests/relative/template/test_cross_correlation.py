@@ -31,7 +31,7 @@ from giantlike.relative.place import center_of_position
 from giantlike.relative.template.align import align_template
 from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
-from giantlike.relative.template.linear import Problem, unweighted
+from giantlike.relative.template.linear import LinearProblem, unweighted
 from giantlike.relative.template.state import TemplateImages, TemplateState
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape, TriangleMesh, irregular_body, load_shape, sphere
@@ -223,7 +223,7 @@ def test_a_failed_render_ends_the_fit_with_its_reason() -> None:
 
 def test_the_motion_of_an_image_is_that_of_its_pixels_by_their_slopes() -> None:
     images, step = blobs()(TRUE, True), np.array([0.3, -0.2, 0.01])
-    problem = Problem(boxed(1000.0 * images.light), images, TRUE, None)
+    problem = LinearProblem(boxed(1000.0 * images.light), images, TRUE, None)
     rows, columns = np.indices(SHAPE)
     slopes = np.sum(problem["center"] ** 2, axis=0)
     x, y = columns + CORNER[0] - TRUE.center_px[0], rows + CORNER[1] - TRUE.center_px[1]
