@@ -166,13 +166,7 @@ def footprint_of(body: Body, plane: FocalPlane, options: RenderOptions) -> Footp
     first = np.maximum(np.floor(box.low_px + 0.5).astype(np.int64) - plane.halo_px, -options.margin_px)
     last = np.minimum(np.ceil(box.high_px - 0.5) + plane.halo_px, size - 1 + options.margin_px).astype(np.int64)
     width, height = (int(n) for n in last - first + 1)
-    return Footprint(
-        plane=plane,
-        cells=(x, y),
-        tiles=_tiles(x, y, box),
-        corner_px=first,
-        size_px=(width, height),
-    )
+    return Footprint(plane=plane, cells=(x, y), tiles=_tiles(x, y, box), corner_px=first, size_px=(width, height))
 
 
 def _tiles(x: Cells, y: Cells, box: VisibleBox) -> tuple[Tile, ...]:

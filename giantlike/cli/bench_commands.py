@@ -7,15 +7,7 @@ from typing import Annotated
 
 import typer
 
-from giantlike.bench import (
-    LAYERS,
-    Session,
-    backplanes_of,
-    layers_of,
-    verdict_of,
-    with_terminators,
-    write_backplanes,
-)
+from giantlike.bench import LAYERS, Session, backplanes_of, layers_of, verdict_of, with_terminators, write_backplanes
 from giantlike.bench import explain as explained
 from giantlike.cli.arguments import Json, Run, RunOption
 from giantlike.cli.outcome import ExitCode, show_result

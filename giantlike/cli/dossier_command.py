@@ -26,8 +26,7 @@ def dossier(
         Path | None, typer.Option(help="Folder for the dossier; default: dossier in the run folder.", metavar="DIR")
     ] = None,
     campaign: Annotated[
-        Path | None,
-        typer.Option(help="Campaign file, if it is not where the run found it.", metavar="CAMPAIGN.toml"),
+        Path | None, typer.Option(help="Campaign file, if it is not where the run found it.", metavar="CAMPAIGN.toml")
     ] = None,
     check: Annotated[bool, typer.Option("--check", help="Say which input of a dossier changed since.")] = False,
     again: Annotated[

@@ -158,10 +158,7 @@ def thumbnail(image: Image) -> bytes:
 
 
 def run_gauntlet(
-    wanted: Gauntlet,
-    *,
-    finished: Sequence[ImageResult] = (),
-    progress: Callable[[int, int], None] | None = None,
+    wanted: Gauntlet, *, finished: Sequence[ImageResult] = (), progress: Callable[[int, int], None] | None = None
 ) -> Iterator[ImageResult]:
     """Run images, and yield the results of each in order of completion.
 

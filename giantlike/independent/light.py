@@ -79,10 +79,7 @@ def unaberrated(rays: Float, motion: Motion) -> Float:
 
 
 def apparent_geometry(
-    point_at: Callable[[float], ArrayLike],
-    observer_km: ArrayLike,
-    observer_velocity_km_s: ArrayLike,
-    seconds: float,
+    point_at: Callable[[float], ArrayLike], observer_km: ArrayLike, observer_velocity_km_s: ArrayLike, seconds: float
 ) -> tuple[Float, float]:
     """Find where a moving observer sees a moving point, by the event at which its light left.
 

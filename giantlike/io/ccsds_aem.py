@@ -47,12 +47,7 @@ class AemNames:
 
 
 def write_aem(
-    path: str | Path,
-    series: AttitudeSeries,
-    names: AemNames,
-    *,
-    max_gap_s: float = 600.0,
-    comments: Sequence[str] = (),
+    path: str | Path, series: AttitudeSeries, names: AemNames, *, max_gap_s: float = 600.0, comments: Sequence[str] = ()
 ) -> None:
     """Write attitudes as an AEM, version 2.0, times in UTC."""
     _require_lines(comments)

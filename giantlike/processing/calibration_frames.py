@@ -210,12 +210,7 @@ class CalibrationFrames(Value):
         Value.__post_init__(self)
 
     def apply(
-        self,
-        pixels: NDArray[Any],
-        detector: Detector,
-        *,
-        exposure_s: float | None = None,
-        mask: Mask | None = None,
+        self, pixels: NDArray[Any], detector: Detector, *, exposure_s: float | None = None, mask: Mask | None = None
     ) -> CalibratedPixels:
         """Correct the pixels of an image.
 

@@ -202,12 +202,7 @@ class Readout(Value):
 
 
 def expose(
-    light_e: Float,
-    exposure_s: float,
-    detector: Detector,
-    *,
-    seed: Seed,
-    model: DetectorModel | None = None,
+    light_e: Float, exposure_s: float, detector: Detector, *, seed: Seed, model: DetectorModel | None = None
 ) -> Readout:
     """Convert the light on a detector to the digital numbers of an image.
 

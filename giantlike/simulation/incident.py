@@ -203,11 +203,7 @@ def true_geometry(scene: Scene, frame: Image, target: str) -> TargetGeometry:
 
 
 def _seen_bodies(
-    shot: Shot,
-    camera: Camera,
-    sources: Sources,
-    options: SimulationOptions,
-    random: np.random.Generator,
+    shot: Shot, camera: Camera, sources: Sources, options: SimulationOptions, random: np.random.Generator
 ) -> _SeenBodies:
     """Every target that is seen in the frame at mid-exposure of a shot."""
     scene = sources.scene

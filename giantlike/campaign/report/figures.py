@@ -16,11 +16,7 @@ from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import Float
 from giantlike.core.frames import rotation_between
 from giantlike.core.units import ARCSEC_PER_RAD
-from giantlike.plotting import (
-    Series,
-    series_charts,
-    star_residual_charts,
-)
+from giantlike.plotting import Series, series_charts, star_residual_charts
 
 _BODY_PANELS = ("x, px", "y, px", "range, %")
 _MAX_STAR_IMAGES = 500

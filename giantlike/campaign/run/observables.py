@@ -9,14 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.campaign.store.record_values import (
-    Landmarks,
-    Residuals,
-    SightingRecord,
-    StarMatches,
-    Status,
-    TurnRecord,
-)
+from giantlike.campaign.store.record_values import Landmarks, Residuals, SightingRecord, StarMatches, Status, TurnRecord
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord
 from giantlike.core.arrays import Float, finite_or_none
 from giantlike.core.causes import Cause, summed

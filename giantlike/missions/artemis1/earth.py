@@ -20,15 +20,7 @@ from giantlike.missions.artemis1.passes import KM_PER_KFT, SUN_AZIMUTH_DEG, Sett
 from giantlike.missions.artemis1.report import DERIVED, GRAY, INDEPENDENT, INPUT, RED, Dots, holds, near, panel_figure
 from giantlike.missions.artemis1.simulate import VELOCITY_SIGMA_KM_S, FlownPass, positions_of, residuals_of
 from giantlike.missions.replay import Comparison, ReplayFigure, Section
-from giantlike.navigation import (
-    LimbPoints,
-    NavigationPass,
-    PassFix,
-    PassImage,
-    PassOptions,
-    PassTerm,
-    estimate_pass,
-)
+from giantlike.navigation import LimbPoints, NavigationPass, PassFix, PassImage, PassOptions, PassTerm, estimate_pass
 from giantlike.relative.horizon.geometry import Altitude
 
 _LIGHT_PX = 0.3
@@ -110,9 +102,7 @@ def altitude_of(setting: Setting, flown: FlownPass) -> AltitudeFound | Failure:
         if name in fix.names:
             weights[fix.names.index(name)] = share * km_per_px
     return AltitudeFound(
-        fix=fix,
-        mean_km=float(weights @ fix.values),
-        sigma_km=math.sqrt(float(weights @ fix.covariance @ weights)),
+        fix=fix, mean_km=float(weights @ fix.values), sigma_km=math.sqrt(float(weights @ fix.covariance @ weights))
     )
 
 
@@ -179,10 +169,7 @@ def _figures(flown: FlownPass, references: tuple[str, str]) -> list[ReplayFigure
             title=f"Earth pass {number}, center residuals in the illumination frame",
             caption="Spikes: images that were not taken at their tags.",
             figure=panel_figure(
-                [
-                    ("along the Sun, px", dots(0), float(bound[0])),
-                    ("across the Sun, px", dots(1), float(bound[1])),
-                ],
+                [("along the Sun, px", dots(0), float(bound[0])), ("across the Sun, px", dots(1), float(bound[1]))],
                 "hours",
             ),
         ),

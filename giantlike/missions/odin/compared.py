@@ -11,12 +11,7 @@ from giantlike.missions.odin.figures import camera_residuals_km
 from giantlike.missions.odin.modes import Flight, cycle_s
 from giantlike.missions.odin.narrow import InterlockStudy, LensStudy, MoonPair
 from giantlike.missions.odin.paper import narrow_focal_px, paper
-from giantlike.missions.odin.wide import (
-    GEOMETRIC_ALBEDO,
-    MOON_SCATTERING,
-    WideStudy,
-    moon_phase_law,
-)
+from giantlike.missions.odin.wide import GEOMETRIC_ALBEDO, MOON_SCATTERING, WideStudy, moon_phase_law
 from giantlike.missions.replay import Comparison, ComparisonKind
 from giantlike.navigation.body_photometry import chandrasekhar_sphere
 from giantlike.navigation.camera_sources import trigger_plan

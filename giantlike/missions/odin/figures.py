@@ -12,13 +12,7 @@ from giantlike.core.frames import rotate
 from giantlike.missions.odin.narrow import InterlockStudy, LensStudy, MoonPair
 from giantlike.missions.odin.optics import EARTH_RADIUS_KM, MOON_RADIUS_KM, Choice, diameters_px, shrinkage_along_radius
 from giantlike.missions.odin.paper import narrow_camera, paper
-from giantlike.missions.odin.wide import (
-    GEOMETRIC_ALBEDO,
-    MOON_SCATTERING,
-    WideStudy,
-    lambert_phase_law,
-    moon_phase_law,
-)
+from giantlike.missions.odin.wide import GEOMETRIC_ALBEDO, MOON_SCATTERING, WideStudy, lambert_phase_law, moon_phase_law
 from giantlike.navigation.body_photometry import chandrasekhar_sphere
 from giantlike.plotting.style import BLUE, GRAY, GREEN, INK, ORANGE, RED, drawing, new_panels
 

@@ -17,16 +17,7 @@ from giantlike.core.time import time_from_et
 from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, SECONDS_PER_DAY, SPEED_OF_LIGHT_KM_S
 from giantlike.core.values import Value
 from giantlike.image import Image
-from giantlike.independent import (
-    EllipsoidBody,
-    PinholeView,
-    Pose,
-    Psf,
-    StarField,
-    bumps,
-    render_body,
-    star_image,
-)
+from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, StarField, bumps, render_body, star_image
 from giantlike.missions.odin.paper import PSF_SIGMA_PX, narrow_camera, narrow_view
 
 MOON_RADIUS_KM = 1737.4  # IAU

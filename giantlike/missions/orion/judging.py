@@ -28,14 +28,7 @@ def bounded(what: str, paper: float, ours: float, *, kind: ComparisonKind, refer
 
 
 def stated(
-    what: str,
-    paper: str | float,
-    ours: str | float,
-    *,
-    holds: bool,
-    kind: ComparisonKind,
-    reference: str,
-    because: str,
+    what: str, paper: str | float, ours: str | float, *, holds: bool, kind: ComparisonKind, reference: str, because: str
 ) -> Comparison:
     """A statement of the paper, and whether the replay confirms it."""
     return Comparison(

@@ -8,15 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from giantlike.core.arrays import Float
-from giantlike.missions.orion.constants import (
-    EARTH_KM,
-    FOOT_KM,
-    MOON_KM,
-    earth_errors,
-    focal_px,
-    moon_errors,
-    table,
-)
+from giantlike.missions.orion.constants import EARTH_KM, FOOT_KM, MOON_KM, earth_errors, focal_px, moon_errors, table
 from giantlike.missions.orion.images import Measured, View, measured, photograph
 from giantlike.missions.orion.judging import MODEL, ROUNDING, bounded, near, stated
 from giantlike.missions.replay import Comparison, ComparisonKind, ReplaySettings

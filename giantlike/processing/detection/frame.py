@@ -56,10 +56,7 @@ class Frame(Value):
 
 
 def frame_of(
-    pixels: ArrayLike,
-    mask: ArrayLike | None,
-    detector: Detector,
-    options: DetectionOptions,
+    pixels: ArrayLike, mask: ArrayLike | None, detector: Detector, options: DetectionOptions
 ) -> Frame | Failure:
     """Check the pixels and mask of an image for detection.
 

@@ -188,11 +188,7 @@ class NoiseGrid:
         return cut.swapaxes(1, 2).reshape(self.rows, self.columns, self.height * self.breadth)
 
     def robust_sigma(
-        self,
-        response: Image32,
-        bad: Mask | None,
-        sources_px: NDArray[np.integer],
-        reach_px: int,
+        self, response: Image32, bad: Mask | None, sources_px: NDArray[np.integer], reach_px: int
     ) -> Image32:
         """Interquartile range of each box, normalized by that of a unit normal, smoothed by a 3 x 3 median.
 

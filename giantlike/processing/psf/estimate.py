@@ -173,12 +173,7 @@ def estimate_psf(
 
 
 def remeasure(
-    pixels: ArrayLike,
-    detections: Detections,
-    psf: PsfEstimate,
-    *,
-    detector: Detector,
-    mask: ArrayLike | None = None,
+    pixels: ArrayLike, detections: Detections, psf: PsfEstimate, *, detector: Detector, mask: ArrayLike | None = None
 ) -> Detections:
     """Fit centroids and fluxes again with an estimated point spread function.
 
