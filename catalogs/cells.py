@@ -38,18 +38,12 @@ Index = NDArray[np.intp]
 class SkyIndex(Value):
     """Directions and cells of the stars of a catalog in this order.
 
-    Parameters
-    ----------
-    directions : (3, n) float32, unitless, inertial
-        Unit vectors to the catalog positions.
-    rank : (n,) int32
-        Position of each star when all are sorted by magnitude, so that stars of equal magnitude have an order too.
-    starts : (cells + 1,) int64
-        First star of each cell; the last entry is where the fast stars begin.
-    slow_margin_rad : float, rad
-        Largest angle of the stars in cells from their catalog positions.
-    fast_margin_rad : (n_fast,) float64, rad
-        Largest angle of each fast star.
+    directions: (3, n), inertial axes; unit vectors to the catalog positions.
+    rank: (n,); position of each star when all are sorted by magnitude, so that stars of equal magnitude have an order
+        too.
+    starts: (cells + 1,); first star of each cell; the last entry is where the fast stars begin.
+    slow_margin_rad: largest angle of the stars in cells from their catalog positions.
+    fast_margin_rad: (n_fast,); largest angle of each fast star.
     """
 
     directions: NDArray[np.float32]

@@ -36,17 +36,10 @@ SIGMA_PM_GAIA_MAS_YR = 0.05
 class NearbyStar:
     """Better values of one star; None keeps the value of the catalog.
 
-    Parameters
-    ----------
-    name : str
-    star_id : int
-        Identifier in the default catalog: Gaia DR3, or minus the Hipparcos number.
-    radial_velocity_km_s : float, km/s
-    motion_mas_yr : (float, float), mas/yr, optional
-        Proper motion in right ascension (with cos(dec)) and declination.
-    parallax_mas : float, mas, optional
-    source : str
-        Letters of the list above.
+    star_id: identifier in the default catalog: Gaia DR3, or minus the Hipparcos number.
+    motion_mas_yr: mas/yr; proper motion in right ascension (with cos(dec)) and declination.
+    parallax_mas: mas.
+    source: letters of the list above.
     """
 
     name: str

@@ -35,13 +35,8 @@ of the law to nine rocks of 300 px by ``moment`` move their centers by half a si
 class BlockedPlane(Value):
     """A focal plane, and the same in blocks of its pixels.
 
-    Parameters
-    ----------
-    plane : FocalPlane
-    model : CameraModel
-        Of images whose pixels are the blocks.
-    size_px : int, px
-        Pixels along the side of a block; 2 at least.
+    model: of images whose pixels are the blocks.
+    size_px: pixels along the side of a block; 2 at least.
     """
 
     plane: FocalPlane

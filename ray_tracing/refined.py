@@ -23,15 +23,9 @@ UNEVEN = 0.1
 class RefinedTrace(Value):
     """A trace whose uneven cells are split into ``factor`` by ``factor``, one ray each; from :func:`refined`.
 
-    Parameters
-    ----------
-    trace : Trace
-        Of all cells.
-    factor : int
-    columns, rows : (n,) int64
-        Cells that are split.
-    rays : TracedRays
-        Of their parts, column after column in each cell.
+    trace: of all cells.
+    columns, rows: (n,); cells that are split.
+    rays: of their parts, column after column in each cell.
     """
 
     trace: Trace

@@ -33,13 +33,7 @@ Result = TypeVar("Result")
 class View(Value):
     """A body before a camera, the Sun and its neighbors: everything that rays meet.
 
-    Parameters
-    ----------
-    body : Body
-    sun_body : (4,) float64, unitless, body axes
-        Unit vector to the Sun and a zero: see ``Sight``.
-    neighbors : tuple of Neighbor
-    options : RenderOptions
+    sun_body: (4,); unit vector to the Sun and a zero: see ``Sight``.
     """
 
     body: Body
@@ -68,12 +62,9 @@ def view_of(
 class Sunlight(Value):
     """Points of the surface, or of the air over it, on which one point of the Sun shines.
 
-    Parameters
-    ----------
-    seen : (k,) int64
-        Numbers in the arrays of a ``Sight``.
-    cos_incidence : (k,) float32
-    phase_rad : (k,) float64, rad
+    seen: (k,); numbers in the arrays of a ``Sight``.
+    cos_incidence: (k,).
+    phase_rad: (k,).
     """
 
     seen: Indices
@@ -85,18 +76,11 @@ class Sunlight(Value):
 class TracedRays(Value):
     """Rays of a camera, traced to the body and on to the Sun.
 
-    Parameters
-    ----------
-    sight : Sight
-        Surface met by the rays.
-    directions : (n, 4) float64, unitless, body axes
-        Of all rays.
-    light : tuple of Sunlight
-        One for each point of the Sun that rays are bounced to.
-    albedo : (k,) float64, optional
-        Relative albedo at the points of ``sight``; None where it is 1 throughout.
-    air : Air, optional
-        Over the surface.
+    sight: surface met by the rays.
+    directions: (n, 4), body axes; of all rays.
+    light: one for each point of the Sun that rays are bounced to.
+    albedo: (k,); relative albedo at the points of ``sight``; None where it is 1 throughout.
+    air: over the surface.
     """
 
     sight: Sight

@@ -43,15 +43,10 @@ higher pass over low edges: 1e-5 moves the light of a rough body of 300 px by 0.
 class Hits(Value):
     """First intersections of rays with a surface.
 
-    Parameters
-    ----------
-    hit : (n,) bool
-    points_km : (n, 3) float64, km, body
-        NaN where nothing was hit.
-    facets : (n,) int64
-        Facet numbers, -1 where nothing was hit and 0 on an ellipsoid.
-    normals : (n, 3) float64, unitless, body
-        Outward, NaN where nothing was hit.
+    hit: (n,).
+    points_km: (n, 3), body axes; NaN where nothing was hit.
+    facets: (n,); facet numbers, -1 where nothing was hit and 0 on an ellipsoid.
+    normals: (n, 3), body axes; outward, NaN where nothing was hit.
     """
 
     hit: Mask
@@ -66,18 +61,11 @@ class Sight(Value):
 
     Vectors are float32 with a fourth column of zeros, so that their rows move fast: see ``embree.padded``.
 
-    Parameters
-    ----------
-    rays : (k,) int64
-        Numbers of those rays.
-    facets : (k,) int32
-        Facet numbers, 0 on an ellipsoid.
-    points_km : (k, 4) float32, km, body
-        Good to 1e-6 of the body's radius.
-    normals : (k, 4) float32, unitless, body
-        Outward.
-    cos_emission : (k,) float32
-        Cosine of the angle from the normal to the camera.
+    rays: (k,); numbers of those rays.
+    facets: (k,); facet numbers, 0 on an ellipsoid.
+    points_km: (k, 4), body axes; good to 1e-6 of the body's radius.
+    normals: (k, 4), body axes; outward.
+    cos_emission: (k,); cosine of the angle from the normal to the camera.
     """
 
     rays: Indices
@@ -103,10 +91,7 @@ class MeshTracer:
 
     It holds the arrays of the mesh and not the mesh, so that a cache can forget it.
 
-    Attributes
-    ----------
-    radius_km : float, km
-        Radius of a sphere about the origin that contains the body.
+    radius_km: radius of a sphere about the origin that contains the body.
     """
 
     def __init__(self, mesh: TriangleMesh) -> None:

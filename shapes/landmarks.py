@@ -32,13 +32,9 @@ _FORMAT, _VERSION = "giantlike landmarks", 1
 class Landmark(Value):
     """A landmark: a local map around a point on a body.
 
-    Parameters
-    ----------
-    map : LocalMap
-        Heights, and albedo if it is known; its z axis is the normal of the point.
-    texture : float
-        Contrast to match with: rms tilt of the surface, rad, about a uniform curvature, and rms relative albedo, added
-        in quadrature.
+    map: heights, and albedo if it is known; its z axis is the normal of the point.
+    texture: contrast to match with: rms tilt of the surface, rad, about a uniform curvature, and rms relative albedo,
+        added in quadrature.
     """
 
     map: LocalMap
@@ -92,13 +88,8 @@ class Landmark(Value):
 class LandmarkCatalog(Value):
     """Landmarks of one body.
 
-    Parameters
-    ----------
-    landmarks : tuple of Landmark
-    body_name : str
-        Name of the body; empty where it is not known.
-    shape_sha256 : str
-        Hash of the shape that they were taken from; empty for maps from elsewhere.
+    body_name: name of the body; empty where it is not known.
+    shape_sha256: hash of the shape that they were taken from; empty for maps from elsewhere.
     """
 
     landmarks: tuple[Landmark, ...]

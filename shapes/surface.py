@@ -19,16 +19,10 @@ from giantlike.shapes.mesh import Faces
 class Surface(Value):
     """Vertices and triangles that may be broken in any way, to be looked at or repaired.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Body axes, in the unit of the file or in km, as the function that returns it says.
-    faces : (m, 3) int64
-        Corners of each triangle, from 0; may point at vertices that do not exist.
-    in_km : bool
-        True if the vertices are known to be in km.
-    albedo : VertexAlbedo or FacetAlbedo, optional
-        Relative albedo, where the file has one.
+    vertices: (n, 3); body axes, in the unit of the file or in km, as the function that returns it says.
+    faces: (m, 3); corners of each triangle, from 0; may point at vertices that do not exist.
+    in_km: True if the vertices are known to be in km.
+    albedo: relative albedo, where the file has one.
     """
 
     vertices: Float

@@ -29,14 +29,10 @@ _SAME_LETTERS = frozenset({"pinhole", "brown", "opencv"})
 class Conversion(Value):
     """A camera model of another type, with its residuals against the original.
 
-    Parameters
-    ----------
-    model : AffineModel
-        The fitted model; temperature terms as in the original.
-    points_px : (rows, columns, 2) float64, px
-        Grid of pixels at which the two are compared.
-    residuals_px : (rows, columns, 2) float64, px
-        Pixel of the fitted model minus pixel of the original, for the same direction; NaN where one of them has none.
+    model: the fitted model; temperature terms as in the original.
+    points_px: (rows, columns, 2); grid of pixels at which the two are compared.
+    residuals_px: (rows, columns, 2); pixel of the fitted model minus pixel of the original, for the same direction; NaN
+        where one of them has none.
     """
 
     model: AffineModel

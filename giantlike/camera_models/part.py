@@ -31,14 +31,9 @@ class PartModel:
     ``pixel = (base pixel - (x0_px, y0_px)) / size_px``: directions go through the model, pixels through this map.
     :attr:`parameters` belong to the model.
 
-    Parameters
-    ----------
-    base : CameraModel
-        Of the whole image.
-    x0_px, y0_px : float, px
-        Pixel of the model at the center of the first pixel.
-    size_px : float, px
-        Pixels of the model along one side of a pixel.
+    base: of the whole image.
+    x0_px, y0_px: pixel of the model at the center of the first pixel.
+    size_px: pixels of the model along one side of a pixel.
     """
 
     type_name: ClassVar[str] = "part"

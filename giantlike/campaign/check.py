@@ -50,17 +50,10 @@ _ALONE: dict[str, Any] = {
 class Mistake:
     """Something that is wrong, or probably not meant.
 
-    Parameters
-    ----------
-    file : Path
-    line : int or None
-        Line of the campaign file; None where the problem concerns another file, or the whole file.
-    key : str
-        Of the campaign file; may be empty.
-    text : str
-        The finding, the expectation, the remedy.
-    fatal : bool
-        False where a run would continue.
+    line: line of the campaign file; None where the problem concerns another file, or the whole file.
+    key: of the campaign file; may be empty.
+    text: the finding, the expectation, the remedy.
+    fatal: False where a run would continue.
     """
 
     file: Path

@@ -75,14 +75,8 @@ _WHY = MappingProxyType(
 class Goal:
     """A requirement on the demonstration.
 
-    Parameters
-    ----------
-    text : str
-    value : float
-        Value reached; NaN if nothing could be measured.
-    low, high : float
-        Limits, inclusive.
-    unit : str
+    value: value reached; NaN if nothing could be measured.
+    low, high: limits, inclusive.
     """
 
     text: str
@@ -101,14 +95,9 @@ class Goal:
 class DemoReport(Value):
     """Result of the demonstration.
 
-    Parameters
-    ----------
-    output : Path
-        Folder with everything that was written.
-    comparison : Comparison
-        Every attitude and every observation against the truth.
-    simulate_s, run_s : float, s
-        Computing time of the images and of the campaign.
+    output: folder with everything that was written.
+    comparison: every attitude and every observation against the truth.
+    simulate_s, run_s: computing time of the images and of the campaign.
     """
 
     output: Path

@@ -21,16 +21,9 @@ _LOG_TAIL_BYTES = 20_000
 class StepStatus:
     """Results of a step that the run folder holds.
 
-    Parameters
-    ----------
-    done : int
-    expected : int or None
-        None where it follows from the images themselves.
-    statuses : mapping of str to int
-    reasons : mapping of str to int
-        Of failures.
-    example : mapping of str to str
-        Detail of the first failure, by reason.
+    expected: None where it follows from the images themselves.
+    reasons: of failures.
+    example: detail of the first failure, by reason.
     """
 
     done: int
@@ -44,20 +37,11 @@ class StepStatus:
 class RunStatus:
     """State of a run.
 
-    Parameters
-    ----------
-    folder : str
-    state : str
-        ``running``, ``finished`` or ``interrupted``.
-    holder : str or None
-        The process at work.
-    images : int
-        Of the campaign.
-    steps : mapping of str to StepStatus
-    edits : int
-        Rejections in effect.
-    last_event : str or None
-        Time of the last line of the log.
+    state: ``running``, ``finished`` or ``interrupted``.
+    holder: the process at work.
+    images: of the campaign.
+    edits: rejections in effect.
+    last_event: time of the last line of the log.
     """
 
     folder: str

@@ -31,17 +31,9 @@ _LISTED = (Verdict.SILENT_WRONG, Verdict.NEEDLESS_REFUSAL, Verdict.MISLEADING)
 class Card:
     """An image on the wall.
 
-    Parameters
-    ----------
-    index : int
-    kind : str
-    summary : str
-    picture : str
-        JPEG as base64.
-    worst : str
-        The worst verdict; empty where no estimator ran.
-    dots : tuple of (str, str)
-        Verdict of each estimator, and a line about it.
+    picture: JPEG as base64.
+    worst: the worst verdict; empty where no estimator ran.
+    dots: verdict of each estimator, and a line about it.
     """
 
     index: int

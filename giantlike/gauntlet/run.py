@@ -99,16 +99,9 @@ class Gauntlet(Value):
 class ImageResult:
     """Results of one image.
 
-    Parameters
-    ----------
-    index : int
-    kind : str
-    rows : tuple of TrialRow
-        One per estimator.
-    cpu_s : float, s
-        Of estimators, renderer and comparison.
-    thumbnail : bytes
-        JPEG.
+    rows: one per estimator.
+    cpu_s: of estimators, renderer and comparison.
+    thumbnail: JPEG.
     """
 
     index: int

@@ -45,12 +45,8 @@ class SphereField:
 
     The table is the function: a renderer and a mesh that both read it see one and the same body.
 
-    Parameters
-    ----------
-    values : (cells + 1, cells + 1)
-        Values at the nodes of the octahedral map.
-    gradients : (cells + 1, cells + 1, 3)
-        Derivatives along the sphere, per radian, at the nodes.
+    values: (cells + 1, cells + 1); values at the nodes of the octahedral map.
+    gradients: (cells + 1, cells + 1, 3); derivatives along the sphere, per radian, at the nodes.
     """
 
     values: Float

@@ -39,16 +39,10 @@ RAYS_AT_ONCE = 60_000
 class Pose:
     """Where a body is and from where it is lit.
 
-    Parameters
-    ----------
-    position_camera_km : (3,), km, camera
-        Center of the body.
-    camera_from_body : Rotation
-        Its orientation.
-    sun_direction_camera : (3,), camera
-        Unit vector from the body to the Sun.
-    motion : Motion, optional
-        Velocities, for aberration and light time ray by ray; the position is then the geometric one at the time of
+    position_camera_km: center of the body.
+    camera_from_body: its orientation.
+    sun_direction_camera: unit vector from the body to the Sun.
+    motion: velocities, for aberration and light time ray by ray; the position is then the geometric one at the time of
         reception.
     """
 
@@ -62,12 +56,8 @@ class Pose:
 class Sampling:
     """Rays by pixel.
 
-    Parameters
-    ----------
-    cells : int
-        Cells along the side of every pixel, one ray each; also the grid on which the optics blur.
-    edge_rays : int
-        Rays along the side of each cell in pixels with an edge: limb, shadow, terminator.
+    cells: cells along the side of every pixel, one ray each; also the grid on which the optics blur.
+    edge_rays: rays along the side of each cell in pixels with an edge: limb, shadow, terminator.
     """
 
     cells: int = 3

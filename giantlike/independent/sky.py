@@ -22,12 +22,8 @@ down to 10 mag in the Galaxy, where dust and the disk end the growth."""
 class StarField:
     """Catalog without motion and parallax.
 
-    Parameters
-    ----------
-    directions : (n, 3), ICRF
-        Unit vectors.
-    magnitudes : (n,), mag
-        Brightness.
+    directions: (n, 3), ICRF; unit vectors.
+    magnitudes: (n,) mag; brightness.
     """
 
     directions: Float

@@ -33,13 +33,8 @@ _UNIT_NORM = 1e-3  # unit vectors to this: some digits were rounded off; a large
 class CsvRow:
     """One row of a CSV file.
 
-    Parameters
-    ----------
-    path : Path
-    line : int
-        Line in the file; the header is line 1.
-    cells : dict of str to str
-        Text by column, without blanks around it.
+    line: line in the file; the header is line 1.
+    cells: text by column, without blanks around it.
     """
 
     path: Path

@@ -37,20 +37,13 @@ _BODY_AXES = {"partial_pole": slice(0, 2), "partial_spin": slice(2, 3)}
 class Pointing(Value):
     """Attitude of a camera from bodies, and from what was known of it before.
 
-    Parameters
-    ----------
-    camera_from_inertial : Rotation
-    covariance_rad2 : (3, 3) float64, rad^2, camera axes
-        Of the small rotation about the camera axes; the errors of ephemeris, size, pole and camera are in it.
-    targets : tuple of str
-        Bodies used.
-    n_used : int
-        Number of bodies and landmarks.
-    n_turns : int
-        Number of bodies whose turn about the line of sight was measured.
-    chi2 : float
-        Squared residuals over their covariance; of 2 n_used + n_turns degrees of freedom with an a priori attitude, of
-        3 less without.
+    covariance_rad2: in camera axes; of the small rotation about the camera axes; the errors of ephemeris, size, pole
+        and camera are in it.
+    targets: bodies used.
+    n_used: number of bodies and landmarks.
+    n_turns: number of bodies whose turn about the line of sight was measured.
+    chi2: squared residuals over their covariance; of 2 n_used + n_turns degrees of freedom with an a priori attitude,
+        of 3 less without.
     """
 
     camera_from_inertial: Rotation

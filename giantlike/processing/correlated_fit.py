@@ -34,16 +34,11 @@ _SINGULAR = 1e-12
 class CorrelatedFit(Value):
     """Parameters of a linear model and their covariance.
 
-    Parameters
-    ----------
-    solution : (k,) float64
-    covariance : (k, k) float64
-    noise_scale : float
-        Scatter of the independent part / given sigmas: 1 when noise explains it.
-    correlated_sigma : float
-        Standard deviation of the part correlated between neighbors, unit of the residuals.
-    correlation_length : float
-        Distance over which it falls to 1/e, unit of the points; most likely value.
+    solution: (k,).
+    covariance: (k, k).
+    noise_scale: scatter of the independent part / given sigmas: 1 when noise explains it.
+    correlated_sigma: standard deviation of the part correlated between neighbors, unit of the residuals.
+    correlation_length: distance over which it falls to 1/e, unit of the points; most likely value.
     """
 
     solution: Float

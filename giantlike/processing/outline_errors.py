@@ -60,18 +60,12 @@ With a smaller one, residuals that are smooth by chance are mistaken for relief 
 class OutlineErrors(Value):
     """Errors of points along an outline, averaged over spectra by their likelihoods.
 
-    Parameters
-    ----------
-    noise_scale2 : (g,) float64
-        Variance of the independent part / given variances, with each of g correlated errors: several kinds, each with
-        several variances.
-    shared_variance : (g,) float64
-        Variance of the part correlated between neighbors, unit of the residuals squared.
-    log_likelihood : (g,) float64
-    lengths : (s,) float64
-        Correlation lengths of the first s kinds, unit of the points; the others are kinds of relief.
-    radius : float
-        Of the outline, unit of the points.
+    noise_scale2: (g,); variance of the independent part / given variances, with each of g correlated errors: several
+        kinds, each with several variances.
+    shared_variance: (g,); variance of the part correlated between neighbors, unit of the residuals squared.
+    log_likelihood: (g,).
+    lengths: (s,); correlation lengths of the first s kinds, unit of the points; the others are kinds of relief.
+    radius: of the outline, unit of the points.
     """
 
     noise_scale2: Float
@@ -136,14 +130,9 @@ class OutlineErrors(Value):
 class PointCovariances(Value):
     """Covariances (n, n) of points along an outline, unit of the residuals squared.
 
-    Parameters
-    ----------
-    noise : (n, n) float64
-        Without relief: independent noise, and noise common to near neighbors.
-    relief : (n, n) float64
-        By relief.
-    for_weights : (n, n) float64
-        From which weights are made: without smooth relief.
+    noise: (n, n); without relief: independent noise, and noise common to near neighbors.
+    relief: (n, n).
+    for_weights: (n, n); from which weights are made: without smooth relief.
     """
 
     noise: Float

@@ -187,13 +187,9 @@ class DetectorModel(Value):
 class Readout(Value):
     """Digital numbers of an image, and the mean charge and cosmic-ray charge behind them.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) uint16, DN
-    expected_e : (rows, columns) float64, electron
-        Mean charge without any noise, before saturation.
-    cosmic_e : (rows, columns) float64, electron
-        Charge left by cosmic rays.
+    pixels: in DN.
+    expected_e: (rows, columns); mean charge without any noise, before saturation.
+    cosmic_e: (rows, columns); charge left by cosmic rays.
     """
 
     pixels: NDArray[np.uint16]

@@ -28,10 +28,8 @@ _DISTORTION = 0.05  # of the half size of the image: bound on the distortion tha
 class Matches(Value):
     """Pairs of a star and a detection, each in at most one pair.
 
-    Parameters
-    ----------
-    star_indices, detection_indices : (k,) int
-    distance_px : (k,) float64, px
+    star_indices, detection_indices: (k,).
+    distance_px: (k,).
     """
 
     star_indices: NDArray[np.intp]

@@ -64,16 +64,11 @@ count twice: 6 pi / (8 pi + 3 sqrt(3)), area of a disk / area of two through eac
 class UnmodeledErrors(Value):
     """Effect of unmodeled errors of stars on an attitude: the mean over sizes and correlation lengths.
 
-    Parameters
-    ----------
-    likely : bool
-        Whether errors of any kind are more likely than none.
-    covariance_rad2 : (3, 3) float64, rad^2
-        Of the attitude, for these errors alone.
-    own_px, scale_px, shared_px : float, px
-        Root mean square per axis, over all hypotheses, of errors of single stars, of scale errors, and of errors that
-        neighbors share (the part of smooth fields that differs from star to star). All are 0 where no
-        error is likely and no star decides alone.
+    likely: whether errors of any kind are more likely than none.
+    covariance_rad2: of the attitude, for these errors alone.
+    own_px, scale_px, shared_px: root mean square per axis, over all hypotheses, of errors of single stars, of scale
+        errors, and of errors that neighbors share (the part of smooth fields that differs from star to star). All are 0
+        where no error is likely and no star decides alone.
     """
 
     likely: bool
@@ -87,17 +82,11 @@ class UnmodeledErrors(Value):
 class Residuals(Value):
     """Residuals of a fit of n stars, and their derivatives.
 
-    Parameters
-    ----------
-    points_px, residuals_px : (n, 2) float64, px
-    covariance_px2 : (n, 2, 2) float64, px^2
-        Of the stars themselves.
-    jacobian : (n, 2, k) float64
-        Derivative of the positions by the parameters of the fit.
-    scaling_px : (n, 2) float64, px
-        Derivative of the positions by the logarithm of the focal length.
-    by_pixels : (3, n, 2) float64, rad/px
-        Derivative of the attitude by the image positions of the stars.
+    points_px, residuals_px: (n, 2).
+    covariance_px2: (n, 2, 2); of the stars themselves.
+    jacobian: (n, 2, k); derivative of the positions by the parameters of the fit.
+    scaling_px: (n, 2); derivative of the positions by the logarithm of the focal length.
+    by_pixels: (3, n, 2) rad/px; derivative of the attitude by the image positions of the stars.
     """
 
     points_px: Float

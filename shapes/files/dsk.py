@@ -35,14 +35,9 @@ _BYTES_PER_VERTEX, _BYTES_PER_PLATE = 24, 12  # three float64, three 32 bit inte
 class DskIdentity:
     """Identity that a DSK states besides its plates.
 
-    Parameters
-    ----------
-    center : int
-        NAIF number of the body, such as 2101955 for Bennu.
-    frame : str
-        Body-fixed frame that SPICE knows, built in or from kernels that are loaded, such as ``IAU_PHOBOS``.
-    surface : int
-        Number of the surface, which tells several shapes of one body apart.
+    center: NAIF number of the body, such as 2101955 for Bennu.
+    frame: body-fixed frame that SPICE knows, built in or from kernels that are loaded, such as ``IAU_PHOBOS``.
+    surface: number of the surface, which tells several shapes of one body apart.
     """
 
     center: int

@@ -52,17 +52,10 @@ _FEWEST_FOR_DRIFT = 4
 class CampaignCalibration(Value):
     """Result of the calibration of a campaign.
 
-    Parameters
-    ----------
-    outcome : StarCalibration or Failure
-    camera : Camera or None
-        The calibrated camera; None if calibration failed or was not accepted.
-    alignment : AlignmentResult or None
-        Alignment of the camera with respect to the a priori attitudes, if images have them.
-    lost : tuple of (str, str)
-        Images that did not take part, and the reasons.
-    targets : str
-        Word for the observed points: stars, or corners of a board.
+    camera: the calibrated camera; None if calibration failed or was not accepted.
+    alignment: alignment of the camera with respect to the a priori attitudes, if images have them.
+    lost: images that did not take part, and the reasons.
+    targets: word for the observed points: stars, or corners of a board.
     """
 
     outcome: StarCalibration | Failure
@@ -213,12 +206,8 @@ def write_calibration(folder: Path, result: CampaignCalibration, inputs: str = "
 class KeptCalibration:
     """A calibration as the run folder holds it.
 
-    Parameters
-    ----------
-    camera : Camera or None
-        None if it was not accepted.
-    summary : dict
-        Content of ``calibration.json``.
+    camera: None if it was not accepted.
+    summary: content of ``calibration.json``.
     """
 
     camera: Camera | None

@@ -40,16 +40,11 @@ _OBSERVABLES = (
 class ExternalOptions:
     """Options that SPICE files do not contain.
 
-    Parameters
-    ----------
-    kernels : tuple of str
-        Paths or patterns of the kernels that are needed in addition to the file: leap seconds, clock, frames, planets.
-    frame : str, optional
-        C-kernel: frame of the camera in them.
-    camera_from_frame_xyzw : (4,) tuple of float
-        From that frame to the camera axes, scalar last.
-    spacecraft, body : str, optional
-        Trajectory: NAIF names or codes; the body only where it is not the name of the target.
+    kernels: paths or patterns of the kernels that are needed in addition to the file: leap seconds, clock, frames,
+        planets.
+    frame: C-kernel: frame of the camera in them.
+    camera_from_frame_xyzw: from that frame to the camera axes, scalar last.
+    spacecraft, body: trajectory: NAIF names or codes; the body only where it is not the name of the target.
     """
 
     kernels: tuple[str, ...] = ()

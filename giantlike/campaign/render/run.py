@@ -31,19 +31,11 @@ _CAMPAIGN, _CAMERA, _GEOMETRY = "campaign.toml", "camera.toml", "geometry.csv"
 class RenderedImage:
     """Summary of one image.
 
-    Parameters
-    ----------
-    path : Path
-    targets : dict of str to list of float
-        Pixel (x, y) of the center of each target in view.
-    stars : int
-        Number of stars in view.
-    peak_dn, background_dn : float, DN
-        Brightest pixel and median.
-    saturated_px, cosmic_px : int
-        Number of pixels that are saturated, and hit by cosmic rays.
-    time_s : float, s
-        Computing time.
+    targets: pixel (x, y) of the center of each target in view.
+    stars: number of stars in view.
+    peak_dn, background_dn: brightest pixel and median.
+    saturated_px, cosmic_px: number of pixels that are saturated, and hit by cosmic rays.
+    time_s: computing time.
     """
 
     path: Path

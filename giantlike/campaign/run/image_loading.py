@@ -36,11 +36,7 @@ _SUN_COLUMNS = "sun_x, sun_y, sun_z"
 class PreparedImage(Value):
     """An image with its a priori epoch and pose.
 
-    Parameters
-    ----------
-    image : Image
-    notes : tuple of str
-        Requested data that could not be found.
+    notes: requested data that could not be found.
     """
 
     image: Image

@@ -35,18 +35,10 @@ class Edited(StrEnum):
 class Edit(BaseModel):
     """One edit.
 
-    Parameters
-    ----------
-    action : str
-        ``reject`` or ``restore``.
-    what : Edited
-    file : str
-        Name of the image in the tables.
-    star : int, optional
-        Number of the star in the catalog.
-    target, estimator : str, optional
-        Of the fix.
-    who, when_utc, why : str
+    action: ``reject`` or ``restore``.
+    file: name of the image in the tables.
+    star: number of the star in the catalog.
+    target, estimator: of the fix.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

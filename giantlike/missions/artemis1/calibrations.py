@@ -29,20 +29,13 @@ _EDGE_PX = 30.0  # stars nearer to the edge of the frame are not used
 class Calibrations(Value):
     """All calibrations: n iterations in all, k parameters.
 
-    Parameters
-    ----------
-    indices : (n,) float64
-        Of the iterations, three to a calibration.
-    values, sigmas : (n, k) float64
-    ground : (k,) float64
-    map_px : (n,) float64, px
-        Largest uncertainty of the map over the field.
-    interlock_arcsec : (2, n) float64, arcsec
-        Change of the angle of each star tracker from the ground; NaN where there is none.
-    struck_sigmas : float
-        Residual of a false star, sigmas of a centroid.
-    struck_accepted : bool
-        The calibration with it is accepted once it is rejected.
+    indices: (n,); of the iterations, three to a calibration.
+    values, sigmas: (n, k).
+    ground: (k,).
+    map_px: (n,); largest uncertainty of the map over the field.
+    interlock_arcsec: (2, n); change of the angle of each star tracker from the ground; NaN where there is none.
+    struck_sigmas: residual of a false star, sigmas of a centroid.
+    struck_accepted: the calibration with it is accepted once it is rejected.
     """
 
     indices: Float

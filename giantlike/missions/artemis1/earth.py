@@ -34,11 +34,7 @@ _SPIKE_SIGMAS = 4.0
 class AltitudeFound(Value):
     """Altitude of the limb by a whole pass.
 
-    Parameters
-    ----------
-    fix : PassFix
-    mean_km, sigma_km : float, km
-        Over the images of the pass, at all exposures.
+    mean_km, sigma_km: over the images of the pass, at all exposures.
     """
 
     fix: PassFix

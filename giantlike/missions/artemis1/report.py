@@ -45,11 +45,7 @@ def holds(
 class Dots(Value):
     """Points of a plot.
 
-    Parameters
-    ----------
-    x, y : (n,) float64
-    color : str
-    label : str
+    x, y: (n,).
     """
 
     x: Float

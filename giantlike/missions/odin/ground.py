@@ -110,9 +110,7 @@ def shell_refraction() -> tuple[Float, Float]:
 class RefractedView(PinholeView):
     """A camera on the ground: it sees every direction raised toward the zenith.
 
-    Parameters
-    ----------
-    zenith_camera : (3,) tuple, camera axes
+    zenith_camera: (3,) tuple.
     """
 
     zenith_camera: tuple[float, float, float] = (0.0, 0.0, 1.0)

@@ -25,27 +25,17 @@ _ROWS = 64  # of the image compared with its threshold at a time
 class Candidates(Value):
     """Peaks of the filtered image, most significant first.
 
-    Parameters
-    ----------
-    peaks_px : (n, 2) int64, px
-        Brightest pixel (x, y) of each.
-    points_px : (n, 2) float64, px
-        Maximum of the Gaussian through that pixel and its neighbors: the position of a star to about 0.03 px and noise.
-    flux_dn : (n,) float64, DN
-        Flux of a star with that maximum.
-    noise_dn : (n,) float64, DN
-    significance : (n,) float64
-        Peak / noise.
-    area_px : (n,) int64, px
-        Area of the component: connected pixels above the threshold.
-    extended : (n,) bool
-        True where the area is far larger than a star.
-    plateau : (n,) bool
-        True where a pixel of the peak or a neighbor is saturated.
-    alone : (n,) bool
-        True for the only peak of its component.
-    first : (n,) bool
-        True for its strongest peak.
+    peaks_px: (n, 2); brightest pixel (x, y) of each.
+    points_px: (n, 2); maximum of the Gaussian through that pixel and its neighbors: the position of a star to about
+        0.03 px and noise.
+    flux_dn: (n,); flux of a star with that maximum.
+    noise_dn: (n,).
+    significance: (n,); peak / noise.
+    area_px: (n,); area of the component: connected pixels above the threshold.
+    extended: (n,); True where the area is far larger than a star.
+    plateau: (n,); True where a pixel of the peak or a neighbor is saturated.
+    alone: (n,); True for the only peak of its component.
+    first: (n,); True for its strongest peak.
     """
 
     peaks_px: NDArray[np.int64]

@@ -37,12 +37,8 @@ _USUAL_WIDTH, _FOR_WIDTH = 1.0, 8  # first width, px, and number of streaks from
 class CommonStreak:
     """Streak common to the stars of an image.
 
-    Parameters
-    ----------
-    half_px : (float, float), px
-        Vector (x, y) from the middle to one end.
-    sigma_px : float, px
-        Width of the point spread function across it.
+    half_px: vector (x, y) from the middle to one end.
+    sigma_px: width of the point spread function across it.
     """
 
     half_px: tuple[float, float]

@@ -51,17 +51,11 @@ _WIDTHS_PX = np.geomspace(0.6, 4.0, 16)
 class Scans(Value):
     """Image values along lines.
 
-    Parameters
-    ----------
-    points_px : (n, 2) float64, px
-        Where the lines have their zero.
-    normals_px : (n, 2) float64, unitless
-        Their directions, outward.
-    offsets_px : (m,) float64, px
-        Places along every line, evenly spaced and symmetric about zero.
-    values_dn : (n, m) float64
-    usable : (n, m) bool
-        False where a pixel that the value is made from is bad or outside the image.
+    points_px: (n, 2); where the lines have their zero.
+    normals_px: (n, 2); their directions, outward.
+    offsets_px: (m,); places along every line, evenly spaced and symmetric about zero.
+    values_dn: (n, m).
+    usable: (n, m); False where a pixel that the value is made from is bad or outside the image.
     """
 
     points_px: Float
@@ -85,35 +79,21 @@ class Scans(Value):
 class ProfileMatch(Value):
     """Shift of the profile of each line from the expected one.
 
-    Parameters
-    ----------
-    complete : (n,) bool
-        Values about the limb and at least half of the others are usable, and the match is of these; the other arrays
-        are undefined elsewhere.
-    shift_px : (n,) float64, px
-        Positive outward.
-    sigma_px : (n,) float64, px
-        Standard deviation of the shift from pixel noise.
-    without_slope_px : (n,) float64, px
-        Outward change of the limb with the slope fixed: small where the expected brightness is correct.
-    gain_dn : (n,) float64, DN
-        Brightness of the image / that of the expected profile.
-    correlation : (n,) float64
-        Normalized correlation at the best shift.
-    unexplained : (n,) float64
-        RMS of the residuals of the match / height of the profile in the image.
-    shared_px : (n, c) float64, px
-        Shift for a unit of each of the c parameters common to all lines.
-    shared_gain : (n, c) float64
-        Relative change of gain for a unit of each.
-    information : (n, c, c) float64
-        Information of each line on these, its shift, gain, offset and slope left free.
-    pull : (n, c) float64
-        That information times the estimate.
-    at_border : (n,) bool
-        The best shift is at the limit of the search.
-    rivalled : (n,) bool
-        Another position on the line fits equally well.
+    complete: (n,); values about the limb and at least half of the others are usable, and the match is of these; the
+        other arrays are undefined elsewhere.
+    shift_px: (n,); positive outward.
+    sigma_px: (n,); standard deviation of the shift from pixel noise.
+    without_slope_px: (n,); outward change of the limb with the slope fixed: small where the expected brightness is
+        correct.
+    gain_dn: (n,); brightness of the image / that of the expected profile.
+    correlation: (n,); normalized correlation at the best shift.
+    unexplained: (n,); RMS of the residuals of the match / height of the profile in the image.
+    shared_px: (n, c); shift for a unit of each of the c parameters common to all lines.
+    shared_gain: (n, c); relative change of gain for a unit of each.
+    information: (n, c, c); information of each line on these, its shift, gain, offset and slope left free.
+    pull: (n, c); that information times the estimate.
+    at_border: (n,); the best shift is at the limit of the search.
+    rivalled: (n,); another position on the line fits equally well.
     """
 
     complete: Mask

@@ -42,14 +42,10 @@ _LIGHT_SIGMAS = 5.0  # of the noise of the sky, above which a pixel is bright
 class CoarseLimb(Value):
     """Shift and size of the best fit of a whole outline to an image.
 
-    Parameters
-    ----------
-    shift_px : (2,) float64, px
-        From prediction to image.
-    scale : float
-        Size in the image / predicted size.
-    contrast : float
-        Mean of (inside - outside) / (inside + outside) across the outline: 1 for a bright body before a black sky.
+    shift_px: from prediction to image.
+    scale: size in the image / predicted size.
+    contrast: mean of (inside - outside) / (inside + outside) across the outline: 1 for a bright body before a black
+        sky.
     """
 
     shift_px: Float

@@ -47,10 +47,8 @@ of 1.2 px assumed as 0.7 px to 5 %, on 8 views, squared errors per degree of fre
 class SharedEstimate(Value):
     """Estimate of the parameters common to all lines.
 
-    Parameters
-    ----------
-    values : (c,) float64
-    covariance : (c, c) float64
+    values: (c,).
+    covariance: (c, c).
     """
 
     values: Float

@@ -53,23 +53,14 @@ UNUSABLE = (
 class PsfEstimate(Value):
     """Point spread function estimated from stars.
 
-    Parameters
-    ----------
-    kind : PsfKind
-    coefficients : (k, t) float64
-        Coefficients of each free parameter of the shape (ln sigma, e1, e2, 1/beta) in the terms 1, x, y, x^2, x y, y^2,
-        ... of ``degree``, where x and y go from -1 to 1 over the image.
-    covariance : (k t, k t) float64
-        Of the coefficients, parameter by parameter; times the reduced chi-square if that is above 1.
-    degree : int
-        Degree of the polynomials.
-    columns, rows : int
-        Size of the image.
-    reduced_chi2 : float
-    residual_power : float
-        Squared residuals / squared signal, median of the stars, noise subtracted: 0 for a perfect shape.
-    n_used, n_rejected : int
-        Numbers of stars.
+    coefficients: (k, t); coefficients of each free parameter of the shape (ln sigma, e1, e2, 1/beta) in the terms 1, x,
+        y, x^2, x y, y^2, ... of ``degree``, where x and y go from -1 to 1 over the image.
+    covariance: (k t, k t); of the coefficients, parameter by parameter; times the reduced chi-square if that is above
+        1.
+    degree: degree of the polynomials.
+    columns, rows: size of the image.
+    residual_power: squared residuals / squared signal, median of the stars, noise subtracted: 0 for a perfect shape.
+    n_used, n_rejected: numbers of stars.
     """
 
     kind: PsfKind
