@@ -83,7 +83,7 @@ class EclipsedBody(Value):
     """A body with the round shadow of another one on it.
 
     sun: body-fixed; unit vector to the Sun.
-    through_km: body-fixed; A point on the axis of the shadow.
+    through_km: body-fixed; a point on the axis of the shadow.
     radius_km: of the shadow.
     penumbra_km: length over which light falls off.
     """

@@ -107,11 +107,12 @@ class Told(Value):
     ephemeris_sigma_km: 0 where it is not declared.
     scale_sigma: relative.
     attitude_error: ``told camera_from_inertial = attitude_error * true camera_from_inertial``.
-    attitude_sigma_deg: in deg Declared. focal_factor : float; ratio of the assumed to the true focal length.
+    attitude_sigma_deg: declared.
+    focal_factor: ratio of the assumed to the true focal length.
     center_shift_px: assumed minus true center.
     focal_sigma: declared, relative.
-    saturation_dn: in DN Declared. dn_scale : float; DN of the image for each DN of the detector: below 1 after
-        requantization.
+    saturation_dn: declared.
+    dn_scale: DN of the image for each DN of the detector: below 1 after requantization.
     mask: bad pixels that are declared: from the pixels that were read (rows, columns) to (rows, columns) bool.
     observer_known: False where the velocity of the observer is not declared.
     observer_factor: ratio of the assumed to the true velocity.

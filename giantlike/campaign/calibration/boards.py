@@ -31,7 +31,7 @@ class BoardSetup:
 
     across, down: inner corners of the board.
     fov_deg: in degrees; rough field of view along x.
-    model_type: A key of :data:`~giantlike.camera_models.MODELS`.
+    model_type: a key of :data:`~giantlike.camera_models.MODELS`.
     estimate: parameters; None: focal lengths, principal point and the lens terms that an ordinary series of boards
         supports (for a fisheye ``k1``, ``k2``).
     sigma_px: standard deviation of a corner per axis.

@@ -46,7 +46,7 @@ class Pass:
     target: ``earth`` or ``moon``.
     range_km: in the middle of the pass.
     range_rate_km_s: from the ranges of the same target a day before and after.
-    certification: A pass of two hours.
+    certification: a pass of two hours.
     """
 
     number: int

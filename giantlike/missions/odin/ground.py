@@ -110,7 +110,7 @@ def shell_refraction() -> tuple[Float, Float]:
 class RefractedView(PinholeView):
     """A camera on the ground: it sees every direction raised toward the zenith.
 
-    zenith_camera: (3,) tuple.
+    zenith_camera: (3,).
     """
 
     zenith_camera: tuple[float, float, float] = (0.0, 0.0, 1.0)

@@ -33,7 +33,7 @@ _SHAPE_PATTERNS = ("*ennu*.obj", "*ennu*.ply", "*ennu*.bds")
 class CameraSetup:
     """A camera of Table 1.
 
-    model: table 1 in our axes: rows run down, so that f_y is positive and p_1 has the other sign.
+    model: Table 1 in our axes: rows run down, so that f_y is positive and p_1 has the other sign.
     estimated: parameters that the paper's calibration estimates.
     zero_point_e_s: in electron/s; signal of a star of magnitude 0.
     temperatures_c: coldest and warmest calibration image.

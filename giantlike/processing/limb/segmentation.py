@@ -67,7 +67,7 @@ class Blobs(Value):
 class ExpectedBlob:
     """Expected position, size and brightness of a body.
 
-    center_px: (2,) sequence of; of its light.
+    center_px: of its light.
     area_px: illuminated part of its disk.
     flux_dn: its total flux, where the camera is calibrated; NaN if unknown.
     log_flux_sigma: standard deviation of the logarithm of ``flux_dn``.
