@@ -71,7 +71,8 @@ class TriangleMesh(Value):
 
     def __post_init__(self) -> None:
         vertices, faces = _checked(self.vertices_km, self.faces)
-        vectors = _area_vectors(vertices, faces)
+        a, b, c = (vertices[faces[:, i]] for i in range(3))
+        vectors = np.cross(b - a, c - a) / 2.0
         areas = np.linalg.norm(vectors, axis=1)
         closed = float(np.linalg.norm(vectors.sum(axis=0))) < _OPEN * float(areas.sum())
         if closed and _signed_volume(vertices, faces) < 0.0:
@@ -278,12 +279,6 @@ def _checked(vertices_km: ArrayLike, faces: ArrayLike) -> tuple[Float, Faces]:
         f"faces use vertex indices {low} to {high}, but there are {len(vertices)} vertices, numbered from 0",
     )
     return vertices, np.array(indices, dtype=np.int64, order="C")
-
-
-def _area_vectors(vertices_km: Float, faces: Faces) -> Float:
-    """Area times outward normal (m, 3), km^2."""
-    a, b, c = (vertices_km[faces[:, i]] for i in range(3))
-    return np.cross(b - a, c - a) / 2.0
 
 
 def _signed_volume(vertices_km: Float, faces: Faces) -> float:

@@ -113,7 +113,7 @@ def write_dsk(path: Path, mesh: TriangleMesh, identity: DskIdentity) -> None:
         handle = spiceypy.dskopn(str(path), "giantlike", 0)
         try:
             spiceypy.dskw02(
-                handle, identity.center, identity.surface, _data_class(mesh), identity.frame,
+                handle, identity.center, identity.surface, _SINGLE_VALUED if bool(np.all(mesh.plane_offsets_km > 0.0)) else _GENERAL, identity.frame,
                 _LATITUDINAL, parameters, -np.pi, np.pi, -np.pi / 2, np.pi / 2, low_km, high_km, -span_s, span_s,
                 vertices, plates, reals, integers,
             )  # fmt: skip
@@ -121,11 +121,6 @@ def write_dsk(path: Path, mesh: TriangleMesh, identity: DskIdentity) -> None:
             spiceypy.dskcls(handle, True)
     except SpiceyError as error:
         raise InputError(f"SPICE does not write this DSK: {library_message(error)}") from error
-
-
-def _data_class(mesh: TriangleMesh) -> int:
-    """Class 1 if each ray from the origin meets the surface once, which is when all facets face away from it."""
-    return _SINGLE_VALUED if bool(np.all(mesh.plane_offsets_km > 0.0)) else _GENERAL
 
 
 def _spatial_index(spice: Any, vertices: Float, plates: NDArray[np.int32]) -> tuple[Float, NDArray[np.int32]]:

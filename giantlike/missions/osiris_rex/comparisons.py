@@ -207,7 +207,7 @@ def range_comparison(
     paper = f"less than {limit_percent:g}"
     if not errors:
         return _nothing(what, paper, reference)
-    percent = 100.0 * _ranges(errors)
+    percent = 100.0 * np.array([error.range_error for error in errors], dtype=np.float64)
     share = float(np.mean(np.abs(percent) < limit_percent))
     reason = f"{_counted(errors)}; agrees where {TYPICAL_SHARE:.0%} are below {limit_percent:g} %."
     if phase.key != "approach":
@@ -353,10 +353,6 @@ def _whence(kernels: bool) -> str:
 def errors_px(errors: Sequence[ObservationError]) -> Float:
     """Residuals (n, 2) of centers, px."""
     return np.array([error.error_px for error in errors], dtype=np.float64)
-
-
-def _ranges(errors: Sequence[ObservationError]) -> Float:
-    return np.array([error.range_error for error in errors], dtype=np.float64)
 
 
 def _rms(values: Float) -> float:
