@@ -106,6 +106,7 @@ def write_dsk(path: Path, mesh: TriangleMesh, identity: DskIdentity) -> None:
 
     vertices, plates = mesh.vertices_km.copy(), (mesh.faces + 1).astype(np.int32)  # SPICE wants writeable arrays
     parameters = np.zeros(10)  # a latitudinal system has no parameters
+    data_class = _SINGLE_VALUED if bool(np.all(mesh.plane_offsets_km > 0.0)) else _GENERAL
     try:
         reals, integers = _spatial_index(spiceypy, vertices, plates)
         low_km, high_km = spiceypy.dskrb2(vertices, plates, _LATITUDINAL, parameters)
@@ -113,7 +114,7 @@ def write_dsk(path: Path, mesh: TriangleMesh, identity: DskIdentity) -> None:
         handle = spiceypy.dskopn(str(path), "giantlike", 0)
         try:
             spiceypy.dskw02(
-                handle, identity.center, identity.surface, _SINGLE_VALUED if bool(np.all(mesh.plane_offsets_km > 0.0)) else _GENERAL, identity.frame,
+                handle, identity.center, identity.surface, data_class, identity.frame,
                 _LATITUDINAL, parameters, -np.pi, np.pi, -np.pi / 2, np.pi / 2, low_km, high_km, -span_s, span_s,
                 vertices, plates, reals, integers,
             )  # fmt: skip
