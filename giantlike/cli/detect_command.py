@@ -239,6 +239,5 @@ def _psf_line(psf: Mapping[str, Any]) -> str:
     middle = ", ".join(f"{name} {values[0]:.4g}" for name, values in psf["coefficients"].items())
     return (
         f"[psf] sigma_px = {psf['sigma_px']:.4f}  # +- {psf['sigma_error_px']:.4f}, {psf['kind']} in the middle: "
-        f"{middle}; "
-        f"{psf['n_used']} stars, reduced chi-square {psf['reduced_chi2']:.3g}"
+        f"{middle}; {psf['n_used']} stars, reduced chi-square {psf['reduced_chi2']:.3g}"
     )

@@ -197,8 +197,7 @@ def calibration_section(setting: Setting, settings: ReplaySettings) -> Section:
     return Section(
         title="Calibration in flight (IV.A)",
         text=f"{rules['count']} calibrations of {rules['images']} images of stars and {rules['iterations']} "
-        f"iterations, on "
-        "simulated centroids; the principal point is held, as flown.",
+        "iterations, on simulated centroids; the principal point is held, as flown.",
         figures=(
             ReplayFigure(
                 reference="Fig. 4",

@@ -309,9 +309,8 @@ def _altitudes_compared(
                 math.hypot(half, 3.0 * found.sigma_km),
                 INDEPENDENT,
                 "IV.C.3",
-                f"{why}, and three sigma of {found.sigma_km:.2f} km; that of the simulated images is "
-                f"{truth_km:.2f} km, "
-                f"{off:.1f} sigma off",
+                f"{why}, and three sigma of {found.sigma_km:.2f} km; that of the simulated images is {truth_km:.2f} "
+                f"km, {off:.1f} sigma off",
             ),
             holds(
                 f"pass {number}: 35 km refused by a test of the altitude, p-value",

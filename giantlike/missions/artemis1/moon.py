@@ -58,9 +58,8 @@ def moon_section(setting: Setting, flown: dict[int, FlownPass], ground: Ground) 
         comparisons += _compared(setting, flown[number], references)
     return Section(
         title="Moon performance (IV.B)",
-        text="Limb points of every image of Table 1 on the limbs of a made-up Moon with 2 km of relief, "
-        "another side of it "
-        "in every pass, with the errors of edges that full images of the same pass show.",
+        text="Limb points of every image of Table 1 on the limbs of a made-up Moon with 2 km of relief, another side "
+        "of it in every pass, with the errors of edges that full images of the same pass show.",
         figures=tuple(figures),
         comparisons=tuple(comparisons),
     )
@@ -114,9 +113,8 @@ def _all_passes(setting: Setting, flown: dict[int, FlownPass]) -> list[Compariso
             shares[2] >= 0.95,
             INDEPENDENT,
             "Fig. 7",
-            "agrees where at least 95 % are inside. The relief of the simulated limbs is 2 km, as in the "
-            "model, but what a "
-            "fit through a lit arc makes of it was not fitted to anything",
+            "agrees where at least 95 % are inside. The relief of the simulated limbs is 2 km, as in the model, but "
+            "what a fit through a lit arc makes of it was not fitted to anything",
         ),
         holds(
             "scatter of radius residuals within passes over that of their means",
@@ -133,8 +131,7 @@ def _all_passes(setting: Setting, flown: dict[int, FlownPass]) -> list[Compariso
             INDEPENDENT,
             "Fig. 8",
             f"agrees where at least 95 % are inside; of the model alone {shares[0]:.0%} along the Sun and "
-            f"{shares[1]:.0%} "
-            "across, because the pointing of 36 arcsec is larger than the model",
+            f"{shares[1]:.0%} across, because the pointing of 36 arcsec is larger than the model",
         ),
         holds(
             "scatter of center residuals within passes over that of their means",
@@ -170,9 +167,8 @@ def _predicted(setting: Setting, flown: dict[int, FlownPass], ground: Ground) ->
         after < _SMALL_SHARE * before,
         INDEPENDENT,
         "Fig. 7",
-        "agrees where the map, which does not fly, halves it at least: limbs come from the ground itself, "
-        "the prediction from "
-        "a map of it by giantlike.terrain",
+        "agrees where the map, which does not fly, halves it at least: limbs come from the ground itself, the "
+        "prediction from a map of it by giantlike.terrain",
     )
 
 
@@ -236,9 +232,8 @@ def _compared(setting: Setting, each: FlownPass, references: tuple[str, str]) ->
             worst_px <= float(np.hypot(bound[0], 3.0 * pointing_px)),
             INDEPENDENT,
             references[1],
-            f"agrees up to three sigma of model and pointing together; of the model alone "
-            f"{inside[:, 0].mean():.0%} are "
-            f"inside along the Sun and {inside[:, 1].mean():.0%} across",
+            f"agrees up to three sigma of model and pointing together; of the model alone {inside[:, 0].mean():.0%} "
+            f"are inside along the Sun and {inside[:, 1].mean():.0%} across",
         ),
     ]
 
@@ -250,9 +245,8 @@ def pointing_numbers(setting: Setting) -> list[Comparison]:
     ifov = 206264.806 / setting.model.fx_px
     return [
         near("IFOV, arcsec", (28.2, ifov), 0.05, DERIVED, "IV.B.3", "rounding; 4.8 micrometers over 35.1 mm"),
-        near("36.4 arcsec of pointing, px", (1.27, 36.4 / ifov), 0.005, DERIVED, "IV.B.2", "rounding; 36.4 "
-            "over the 28.2 "
-             "arcsec of the paper itself are 1.29, so that its 1.27 belongs to a focal length of 7200 px"),
+        near("36.4 arcsec of pointing, px", (1.27, 36.4 / ifov), 0.005, DERIVED, "IV.B.2", "rounding; 36.4 over the "
+            "28.2 arcsec of the paper itself are 1.29, so that its 1.27 belongs to a focal length of 7200 px"),
         near("7.6 arcsec of pointing, px", (0.27, earth_px), 0.005, DERIVED, "IV.C.1", "rounding"),
         near("18 kft of range on pass 1 as radius, px", (0.01, radius_px * earth_km / setting.of(1).range_km), 0.005,
              DERIVED, "IV.C.1", "rounding"),

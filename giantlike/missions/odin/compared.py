@@ -74,9 +74,8 @@ def of_photometry(study: WideStudy) -> tuple[Comparison, ...]:
             kind=INDEPENDENT,
             agrees=bool(np.radians(worst) < half_field),
             reference="text, Camera Calibration",
-            reason=f"below half of the narrow field, {np.degrees(half_field):.1f} deg; all {len(study.true)} bodies,"
-            f" center of"
-            " light to center of figure by a Lambert sphere",
+            reason=f"below half of the narrow field, {np.degrees(half_field):.1f} deg; all {len(study.true)} bodies, "
+            "center of light to center of figure by a Lambert sphere",
         ),
     )
 
@@ -153,9 +152,8 @@ def of_lens(study: LensStudy) -> tuple[Comparison, ...]:
             kind=INDEPENDENT,
             agrees=sigma["p1"] < 0.5e-7,
             reference="Table 3",
-            reason="below half of the last digit. The stars support two digits of p1 and p2: they are correlated"
-            " with the"
-            " principal point, which Table 3 does not list",
+            reason="below half of the last digit. The stars support two digits of p1 and p2: they are correlated with "
+            "the principal point, which Table 3 does not list",
         ),
     )
 
@@ -185,9 +183,8 @@ def of_interlock(study: InterlockStudy, by_air: Float) -> tuple[Comparison, ...]
             kind=INDEPENDENT,
             agrees=low <= sigma <= high,
             reference="Fig. 16",
-            reason="the paper's value lies between the 16 and 84 % quantiles of random orientations above 25 deg."
-            " The paper"
-            " suspects sag; the air over a rig that is turned a couple of times does it without any",
+            reason="the paper's value lies between the 16 and 84 % quantiles of random orientations above 25 deg. The "
+            "paper suspects sag; the air over a rig that is turned a couple of times does it without any",
         ),
         Comparison(
             what=f"scatter of the angle in {len(study.orientation)} pairs, arcsec",
@@ -252,11 +249,10 @@ def of_moon(pairs: Sequence[MoonPair], failed: int) -> tuple[Comparison, ...]:
             kind=INDEPENDENT,
             agrees=bool(inside.any() and offsets.max() <= 1.5 * high),
             reference="Figs. 17, 18",
-            reason=f"ranges overlap, and no offset is half as large again; Moon {elevation.min():.0f} to"
-            f" {elevation.max():.0f} deg high, refraction in stars, Moon and interlock, nothing else. Offsets as the"
-            f" paper's:"
-            f" Moon {where} high; the Moon's refraction alone is {alone[0]:.1f} px at 16 deg and {alone[1]:.1f} px"
-            f" at 27",
+            reason=f"ranges overlap, and no offset is half as large again; Moon {elevation.min():.0f} to "
+            f"{elevation.max():.0f} deg high, refraction in stars, Moon and interlock, nothing else. Offsets as the "
+            f"paper's: Moon {where} high; the Moon's refraction alone is {alone[0]:.1f} px at 16 deg and "
+            f"{alone[1]:.1f} px at 27",
         ),
         Comparison(
             what="expected to measured Moon with refraction taken out, px, most",
@@ -332,9 +328,8 @@ def of_modes(flight: Flight, pairs: Sequence[MoonPair]) -> tuple[Comparison, ...
             kind=DERIVED,
             agrees=abs(middles[0] - middles[1]) < paper()["trigger"]["simultaneous_s"],
             reference="Figs. 14, 15",
-            reason="delay of half the difference of exposures of 0.5 s and 0.2 ms; below a microsecond by plan, the"
-            " wire's own"
-            " latency was not simulated",
+            reason="delay of half the difference of exposures of 0.5 s and 0.2 ms; below a microsecond by plan, the "
+            "wire's own latency was not simulated",
         ),
         Comparison(
             what="processing of a pair, s of the processor, slowest",
@@ -343,8 +338,7 @@ def of_modes(flight: Flight, pairs: Sequence[MoonPair]) -> tuple[Comparison, ...
             kind=INDEPENDENT,
             agrees=slowest < cycle_s(),
             reference="text, Flight Software",
-            reason="below the 30 s of a cycle of the flight code; on a workstation's core, lost in space,"
-            " 5-megapixel images:"
-            " a Raspberry Pi 5 takes two to four times as long",
+            reason="below the 30 s of a cycle of the flight code; on a workstation's core, lost in space, 5-megapixel "
+            "images: a Raspberry Pi 5 takes two to four times as long",
         ),
     )

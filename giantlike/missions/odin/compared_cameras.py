@@ -51,9 +51,8 @@ def of_optics(choices: Sequence[Choice], covered: float) -> tuple[Comparison, ..
             wide["fov_deg"],
             seen,
             "Tables 1, 2",
-            "angle that the polynomial of Table 2 has at half of the 1536 rows; 165 deg is 1536 px by the IFOV of"
-            " the middle"
-            " (equidistance), which the polynomial is not",
+            "angle that the polynomial of Table 2 has at half of the 1536 rows; 165 deg is 1536 px by the IFOV of the "
+            "middle (equidistance), which the polynomial is not",
         ),
         Comparison(
             what="projection of the wide camera",
@@ -148,9 +147,8 @@ def _trade(choices: Sequence[Choice]) -> tuple[Comparison, ...]:
             kind=INDEPENDENT,
             agrees=not dominated(taken, tuple(choices)),
             reference="Fig. 9",
-            reason=f"{len(choices)} pairs of sensor and lens; sigma of the Moon's range from Earth by eqs. 14-20"
-            f" with 0.1 px"
-            f" a limb point ({100 * taken.range_sigma:.3f} % for the one chosen), least field, number of pixels",
+            reason=f"{len(choices)} pairs of sensor and lens; sigma of the Moon's range from Earth by eqs. 14-20 with "
+            f"0.1 px a limb point ({100 * taken.range_sigma:.3f} % for the one chosen), least field, number of pixels",
         ),
         Comparison(
             what="pairs that range the Moon to 0.1 % from Earth and see all of the Earth from 50,000 km",

@@ -60,9 +60,8 @@ def crescent_comparisons(found: list[Measured]) -> list[Comparison]:
                 worst,
                 kind=kind,
                 reference="Fig. 10c",
-                because=f"{len(good)} of {len(mine)} fixes are not suspect. The paper shows the image as a "
-                f"stressing case "
-                "and gives no error; here the bound is three sigma of eq. 29.",
+                because=f"{len(good)} of {len(mine)} fixes are not suspect. The paper shows the image as a stressing "
+                "case and gives no error; here the bound is three sigma of eq. 29.",
             )
         )
     silent = [

@@ -104,9 +104,8 @@ def architecture_comparisons(study: Study) -> list[Comparison]:
             holds=study.dense_difference < 1e-6,
             kind=ComparisonKind.INDEPENDENT,
             reference="I.B",
-            because="Agrees below 1e-6: the errors of a world as the filter believes it, followed in 42 dimensions "
-            "by full "
-            "matrices in Joseph's form, lose digits that the factors keep.",
+            because="Agrees below 1e-6: the errors of a world as the filter believes it, followed in 42 dimensions by "
+            "full matrices in Joseph's form, lose digits that the factors keep.",
         ),
     ]
 
@@ -127,9 +126,8 @@ def delivery_comparisons(study: Study) -> list[Comparison]:
             reach(study.delivery),
             kind=kind,
             reference="Fig. 4",
-            because="Linear covariance of the plan. The paper says that the delivery satisfies the corridor and "
-            "draws it; its "
-            "text has no number, so that the half width is assumed.",
+            because="Linear covariance of the plan. The paper says that the delivery satisfies the corridor and draws "
+            "it; its text has no number, so that the half width is assumed.",
         ),
         stated(
             "the same without optical navigation",
@@ -155,8 +153,7 @@ def delivery_comparisons(study: Study) -> list[Comparison]:
             "noise of the Moon for images of the Earth",
             "more conservative",
             f"entry angle {study.delivery.angle_sigma_deg:.4f} deg with it, {study.edge_earth.angle_sigma_deg:.4f} "
-            f"with "
-            "eqs. 34 to 36",
+            "with eqs. 34 to 36",
             holds=study.edge_earth.angle_sigma_deg <= study.delivery.angle_sigma_deg,
             kind=kind,
             reference="II.C",

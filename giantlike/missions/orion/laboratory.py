@@ -60,9 +60,8 @@ def grid_comparisons(grid: Grid) -> list[Comparison]:
             kind=kind,
             within=0.0,
             reference="III.A",
-            because=f"The outer ring of the grid lies {outside[0]:.2f} and {outside[1]:.2f} degrees beyond the "
-            f"field that the "
-            "paper states: all 99 are seen only by a larger detector, or the field is that of another one.",
+            because=f"The outer ring of the grid lies {outside[0]:.2f} and {outside[1]:.2f} degrees beyond the field "
+            "that the paper states: all 99 are seen only by a larger detector, or the field is that of another one.",
         ),
         near(
             "a pixel of III.A, arcsec",
@@ -89,9 +88,8 @@ def grid_comparisons(grid: Grid) -> list[Comparison]:
             residual,
             kind=kind,
             reference="III.A, Fig. 5",
-            because="Distortions are mapped and eliminated, the paper says; a Brown model fitted to the centroids "
-            "of the grid "
-            f"leaves this. Before it eq. 39 finds up to {float(grid.eq39_px.max()):.1f} px.",
+            because="Distortions are mapped and eliminated, the paper says; a Brown model fitted to the centroids of "
+            f"the grid leaves this. Before it eq. 39 finds up to {float(grid.eq39_px.max()):.1f} px.",
         ),
     ]
 

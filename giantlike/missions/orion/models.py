@@ -134,8 +134,7 @@ def biases() -> list[Comparison]:
             within=ROUNDING,
             reference="eq. 38",
             because="The bias of the radius that shrinks with range is a limb 7.9 km below the 35 km that were "
-            "assumed; "
-            "Artemis I then found some 25 km (Inman et al.).",
+            "assumed; Artemis I then found some 25 km (Inman et al.).",
         ),
         stated(
             "noise of the Earth's limb against the Moon's",
@@ -218,10 +217,8 @@ def image_comparisons(found: dict[str, list[Measured]]) -> list[Comparison]:
                 kind=kind,
                 within=MODEL,
                 reference="eqs. 28-30",
-                because="Bumps of 2 km rms, estimator told a sphere. A limb averages "
-                "over many bumps where the model takes the whole relief as the error; the share that remains "
-                "depends on "
-                "how wide the bumps are.",
+                because="Bumps of 2 km rms, estimator told a sphere. A limb averages over many bumps where the model "
+                "takes the whole relief as the error; the share that remains depends on how wide the bumps are.",
             )
             for k, axis in enumerate(AXES)
         ]

@@ -61,12 +61,10 @@ def table_comparison(calibration: CameraCalibration) -> Comparison:
         kind=ComparisonKind.INPUT,
         agrees=distance < limit,
         reason=(
-            f"put in and found again from {len(calibration.result.images)} of {calibration.images} simulated "
-            f"images: squared "
-            f"distance {distance:.1f} for {size} parameters, agrees below {limit:.1f}; furthest off is {name}, "
-            f"by {(calibration.found - calibration.truth)[worst] / sigma[worst]:+.1f} sigma. Rows run down "
-            f"here, so f_y "
-            "and p_1 have the other sign than in the paper."
+            f"put in and found again from {len(calibration.result.images)} of {calibration.images} simulated images: "
+            f"squared distance {distance:.1f} for {size} parameters, agrees below {limit:.1f}; furthest off is {name}, "
+            f"by {(calibration.found - calibration.truth)[worst] / sigma[worst]:+.1f} sigma. Rows run down here, so "
+            "f_y and p_1 have the other sign than in the paper."
         ),
         reference="Table 1",
     )
@@ -116,9 +114,8 @@ def square_pixels_comparison(mission: Mission) -> Comparison:
         kind=ComparisonKind.DERIVED,
         agrees=abs(printed) <= 3.0 * most,
         reason=(
-            "agrees within three times the largest of the others. The same pixels under another filter "
-            "cannot be oblong by "
-            f"0.7 %: {odd.printed_fy_px} is taken for a slip of a digit, and {-odd.model.fy_px} "
+            "agrees within three times the largest of the others. The same pixels under another filter cannot be "
+            f"oblong by 0.7 %: {odd.printed_fy_px} is taken for a slip of a digit, and {-odd.model.fy_px} "
             f"({odd.model.fy_px / odd.model.fx_px - 1.0:.1e} from square) was put in."
         ),
         reference="Table 1",
@@ -214,10 +211,9 @@ def range_comparison(
         radius_px = 0.5 * float(np.median([error.diameter_px for error in errors]))
         reason += (
             f" 0.01 % is {1e-4 * radius_px:.3f} px of the radius, and 2.5 cm on Bennu. The scale of the shape model is "
-            f"uncertain by {100.0 * phase.model.scale:.3f} %, which a limb turns into range, as it does the mean "
-            f"of errors of height: mean {np.mean(percent):+.3f} %. Around it they scatter by "
-            f"{np.std(percent):.3f} %: errors "
-            f"of height of {phase.model.error_m:g} m, relief finer than facets of the model, noise of the limb. "
+            f"uncertain by {100.0 * phase.model.scale:.3f} %, which a limb turns into range, as it does the mean of "
+            f"errors of height: mean {np.mean(percent):+.3f} %. Around it they scatter by {np.std(percent):.3f} %: "
+            f"errors of height of {phase.model.error_m:g} m, relief finer than facets of the model, noise of the limb. "
             "Orbit determination that estimates the scale takes out the mean only."
         )
     return Comparison(
@@ -249,9 +245,8 @@ def range_error_comparisons(study: RangeErrorStudy) -> tuple[Comparison, Compari
             kind=ComparisonKind.INDEPENDENT,
             agrees=worst > own,
             reason=(
-                f"agrees where the shift exceeds the error without a range error, {own:.2f} px, which "
-                f"unlisted relief of "
-                "1 % and another law of reflection cause. The lit part of a body grows away from its center."
+                f"agrees where the shift exceeds the error without a range error, {own:.2f} px, which unlisted relief "
+                "of 1 % and another law of reflection cause. The lit part of a body grows away from its center."
             ),
             reference="Template Matching, ref. 22",
         ),
@@ -332,11 +327,9 @@ def mapcam_field_comparison(mission: Mission) -> Comparison:
         kind=ComparisonKind.DERIVED,
         agrees=low > side,
         reason=(
-            f"the paper's 200-600 px in NavCam 1 times {ratio:.2f}, the ratio of focal lengths of Table 1; "
-            f"agrees where even "
-            f"the smallest exceeds {side:.0f}. Below {side / ratio:.0f} px in NavCam 1 Bennu fits into "
-            f"MapCam: the sentence "
-            "holds for most of the phase, not for its farthest images."
+            f"the paper's 200-600 px in NavCam 1 times {ratio:.2f}, the ratio of focal lengths of Table 1; agrees "
+            f"where even the smallest exceeds {side:.0f}. Below {side / ratio:.0f} px in NavCam 1 Bennu fits into "
+            "MapCam: the sentence holds for most of the phase, not for its farthest images."
         ),
         reference="Detailed Survey",
     )
