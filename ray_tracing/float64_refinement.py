@@ -7,12 +7,9 @@ was wrong, the point on the plane of the facet lies off the facet, and on a face
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, unit
+from giantlike.core.arrays import Float, Indices, unit
 from giantlike.ray_tracing.embree import EmbreeSurface
-
-Indices = NDArray[np.int64]
 
 _INSIDE = -1e-9  # barycentric weights of points on an edge, rounded
 _RINGS = (3e-7, 2e-6)  # of the radius, distances from the ray at which facets are searched; float32 resolves 6e-8

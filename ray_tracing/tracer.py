@@ -15,14 +15,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.arrays import Float, Mask, as_floats, require, unit
+from giantlike.core.arrays import Float, Indices, Mask, as_floats, require, unit
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 from giantlike.ray_tracing.embree import EmbreeSurface, Float32, dot, moved, padded, rows_of
 from giantlike.ray_tracing.float64_refinement import facet_distances, facets_around
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, geodesic_directions
-
-Indices = NDArray[np.int64]
 
 _SPHERE_MARGIN = 1.0001  # radius of the sphere to which rays are moved, relative to the body's: margin for rounding
 _HULL_FACETS = 500  # directions of the points of a hull: they lie at most 1 % of the extent inside it

@@ -13,12 +13,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
+from giantlike.core.arrays import Float, Indices, Mask, as_finite, as_floats, require
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 
 Faces = NDArray[np.int64]
-Indices = NDArray[np.int64]
 
 _POLE_RAD = 1e-9  # an edge of a map this close to a pole, or to a full turn, is there: rounding of degrees to radians
 

@@ -10,15 +10,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require, unit
+from giantlike.core.arrays import Float, Indices, Mask, as_finite, as_floats, require, unit
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 from giantlike.shapes.base import Ellipsoid, Shape
 from giantlike.shapes.mesh import TriangleMesh
-
-Indices = NDArray[np.int64]
 
 _ALONG_AXIS = 1e-12  # sine of an angle below which float64 does not tell two directions apart in a cross product
 

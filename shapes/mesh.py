@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, as_floats, frozen, require
+from giantlike.core.arrays import Float, Indices, as_floats, frozen, require
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 from giantlike.shapes.albedo import Albedo, AlbedoMap, fitted_to_mesh, hash_with_albedo
 from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid
 
 Faces = NDArray[np.int64]
-Indices = NDArray[np.int64]
 Float32 = NDArray[np.float32]
 
 FLAT = 1e-20

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, Mask
+from giantlike.core.arrays import Float, Indices, Mask
 from giantlike.core.compiled import compiled
 
-Indices = NDArray[np.int64]
 Float32 = NDArray[np.float32]
 
 

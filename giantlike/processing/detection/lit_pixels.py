@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike.core.arrays import Indices
 from giantlike.core.compiled import compiled
-
-Indices = NDArray[np.int64]
 
 
 @compiled

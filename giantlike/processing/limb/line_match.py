@@ -8,13 +8,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, Mask
+from giantlike.core.arrays import Float, Indices, Mask
 from giantlike.core.compiled import compiled
 from giantlike.core.elimination import solve_normal
-
-Indices = NDArray[np.int64]
 
 _REFINEMENTS = 2
 """Linear steps before the last one, after the search in multiples of the sampling step.
