@@ -30,10 +30,7 @@ from giantlike.stars.options import StarOptions, bright_enough
 from giantlike.stars.refine import RefinedAttitude, depth_for, refine_attitude, scaled_model
 
 DEFAULT_MIN_SNR = 0.0
-"""Lowest signal to noise ratio of the stars that a camera is calibrated from: all, each by its weight.
-
-A limit of 20 leaves
-200 of 1,022 stars of the first real frames of ``benchmarks/calibration.py``."""
+"""Lowest signal to noise ratio of the stars that a camera is calibrated from: all, each by its weight."""
 _MAX_ROUNDS = 8  # of identification and calibration
 _MARGIN = 0.2  # of the image size: a rough camera may see a star of its solution so far outside the predicted field
 

@@ -56,11 +56,7 @@ _MADE_FOR_PX = MappingProxyType(
         "ellipsoid_cra": (60.0, math.inf),
     }
 )
-"""Minimum and maximum diameter, px, of the bodies that each estimator has to find.
-
-``unresolved`` allows a circumscribed sphere of up to 12 px, up to 1.5 times as wide as the sphere of equal volume.
-``limb_matching`` and ``ellipsoid_cra`` need an arc of limb: a body of 60 px has about 100 px of it.
-"""
+"""Minimum and maximum diameter, px, of the bodies that each estimator has to find."""
 _WHY = MappingProxyType(
     {
         Reason.NOT_UNRESOLVED: "the body is resolved: ",

@@ -20,10 +20,7 @@ from giantlike.io.observables_file import ObservableRow
 _STEPS = 10
 _SETTLED_RAD = 1e-12  # of a step: below the rounding of unit vectors times a focal length in px
 _WORST_CONDITION = 1e12
-"""Condition number of the information about the three angles beyond which one of them is not determined.
-
-Roll about a body 10 px from the middle, known to a thousandth of its lever, has some 1e8.
-"""
+"""Condition number of the information about the three angles beyond which one of them is not determined."""
 _ONE_BY_ONE = (
     Cause.NOISE, Cause.BACKGROUND, Cause.PSF, Cause.EDGE, Cause.REFLECTANCE, Cause.ALBEDO, Cause.RELIEF, Cause.ALTITUDE,
     Cause.ORIENTATION,

@@ -23,10 +23,7 @@ from giantlike.core.statistics import quartile_sigma
 from giantlike.core.values import Value
 
 _CLIP_SIGMA = 4.0
-"""Distance from the median, in noise of one exposure, beyond which a pixel of it is left out (a particle, a star).
-
-White noise reaches it once in 16,000 pixels, which changes the variance of the rest by 0.1 %.
-"""
+"""Distance from the median, in noise of one exposure, beyond which a pixel of it is left out (a particle, a star)."""
 _HOT_SIGMA = 8.0
 """Excess of a dark pixel over its neighbors, in noise of the frame, from which on it is bad: no white noise has it."""
 _DEAD_RESPONSE = 0.5

@@ -18,11 +18,7 @@ from giantlike.core.statistics import nearest_covariance
 from giantlike.core.values import Value
 
 _MOST_BINS = 24
-"""Maximum number of bins along an outline, in which residuals are averaged before spectra are compared.
-
-Long waves matter; with many bins the shortest ones dominate the likelihood. With 16 to 48, squared errors per degree of
-freedom differ by 0.2 on ellipsoids with relief of 1 %; with 64 they are a quarter larger.
-"""
+"""Maximum number of bins along an outline, in which residuals are averaged before spectra are compared."""
 _GAP = 3.0
 """Maximum distance between neighbors, in medians of all: longer gaps are not counted as limb."""
 _RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 1e8, 25)])
@@ -33,27 +29,15 @@ _SMOOTH_DEGREES = (3.0, 6.0, 12.0)
 """Degrees about which the power of smooth relief ends: bumps and old craters of 20, 10 and 5 deg (one sigma)."""
 _SMOOTH = len(_SMOOTH_DEGREES)
 _ROUGH_SHARE = 0.02
-"""Fraction of rough relief in the variance of smooth relief.
-
-With 0, power at degrees far above the end would imply ten times the visible relief. With 0.02, 0.05 and 0.1, squared
-errors per degree of freedom are 0.8, 0.9 and 1.0 (lines) and 1.0, 1.2 and 1.4 (cells) on ellipsoids of 120 px with
-relief of 1 %, and 1.9, 1.8 and 1.7 on half limbs of fields that follow Kaula's rule.
-"""
+"""Fraction of rough relief in the variance of smooth relief."""
 _LEAST_WAVES = 0.9
-"""Minimum number of waves, of the degree about which smooth relief ends, in the visible outline: longer ones are not
-observable.
-
-An arc of a third of the outline has one wave of degree 3, to a few percent.
-"""
+"""Minimum number of waves, of the degree about which smooth relief ends, in the visible outline."""
 _LEAST_LENGTH = 1.0 / 12.0
 """Correlation length / radius below which a sphere is treated as flat: errors are due to pixels and albedo."""
 _MOST_DEGREE, _ANGLES = 400, 1501
 """Highest degree of spectra, and angles at which their covariances are tabulated: both finer than 0.5 deg."""
 _LEAST_NOISE2 = 0.5
-"""Minimum ratio of the variance of the noise to the predicted one: neighbors with common pixels only increase it.
-
-With a smaller one, residuals that are smooth by chance are mistaken for relief of few, high waves.
-"""
+"""Minimum ratio of the variance of the noise to the predicted one: neighbors with common pixels only increase it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

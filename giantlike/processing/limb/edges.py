@@ -24,10 +24,7 @@ _MIN_RUN = 3
 _STEEPEST_WITHIN_PX = 3.0
 """Distance from the first light within which the steepest rise counts, px, besides the blur."""
 _SETTLED_PX, _FAR_PX = 0.65, 1.1
-"""Distance of an edge from the middle of its window, px: below the first it is not moved, above the second left out.
-
-More than half a pixel, so that windows do not move to and fro.
-"""
+"""Distance of an edge from the middle of its window, px: below the first it is not moved, above the second left out."""
 _MOVES = 3
 """Maximum moves of a window: seeds lie within two pixels of their edge."""
 _MOST_ROWS = 1 << 31

@@ -19,10 +19,7 @@ from giantlike.processing.limb.view import LimbView
 MIN_BRIGHTNESS = 0.1
 """Minimum brightness of used limb relative to the brightest; darker limb adds hardly any information."""
 GAIN_RANGE = (0.2, 5.0)
-"""Limits of brightness / expected brightness of good points, in medians of all; points outside lie on something else.
-
-The wider of the ranges that lines (0.3-3) and cells had; on images of Saturn they differ by 0.2-0.6 sigma.
-"""
+"""Limits of brightness / expected brightness of good points, in medians of all; others lie on something else."""
 UNSEEN = "masked, saturated or outside the frame"
 """Reason of points without usable pixels."""
 SATURATED_SHARE = 0.2

@@ -30,11 +30,7 @@ PIXEL_VARIANCE_PX2 = 1.0 / 12.0
 _SPLINE_NOISE = 0.479365  # sum of squares of a cubic B-spline over the pixels, mean over sub-pixel phases
 _SPLINE_NOISE_VARIANCE_PX2 = 2.0 / 3.0  # of its autocorrelation, along each axis
 _RIVAL_PX, _RIVAL_CORRELATION = 2.0, 0.98
-"""Minimum distance from the best shift, px, and correlation relative to the best, of a shift that makes a line
-ambiguous.
-
-Two pixels are the width of a usual profile; see ``benchmarks/sensitivity.py`` for the correlation.
-"""
+"""Distance from the best shift, px, and correlation relative to the best, from which another shift is a rival."""
 _MODEL_ERROR = 0.02
 """Relative error of the expected profile. It limits the weight of the dark side, where noise is lowest and stray light
 matters. Not yet studied."""
