@@ -53,10 +53,7 @@ class SkyIndex(Value):
     fast_margin_rad: Float
 
     def near(self, axis: Float, radius_rad: float) -> Index:
-        """Return the stars of a cone, the fast ones last.
-
-        ``axis`` in inertial axes, unit vector; returns (k,).
-        """
+        """Return the stars of a cone, the fast ones last. ``axis`` in inertial axes, unit vector; returns (k,)."""
         reach = radius_rad + self.slow_margin_rad + ABERRATION_RAD + _ROUNDING_RAD
         slow = int(self.starts[-1])
         limits_of_runs = [*_runs(axis, reach, self.starts).tolist(), [slow, slow + self.fast_margin_rad.size]]
@@ -76,10 +73,7 @@ class SkyIndex(Value):
 
 
 def sky_index(stars: StarTable) -> tuple[Index, SkyIndex]:
-    """Order of stars by cells, and their index.
-
-    Returns ``order`` (n,) and ``index``.
-    """
+    """Order of stars by cells, and their index. Returns ``order`` (n,) and ``index``."""
     margin = margins_rad(stars)
     is_fast = margin > FAST_RAD
     by_brightness = np.argsort(stars.magnitude, kind="stable")

@@ -90,10 +90,7 @@ NEARBY: Sequence[NearbyStar] = (
 
 
 def radial_velocities(ids: Sequence[int] | np.ndarray[tuple[int], np.dtype[np.int64]]) -> Float:
-    """Radial velocities of stars of the default catalog.
-
-    Returns (n,) km/s, 0 where :data:`NEARBY` has none.
-    """
+    """Radial velocities of stars of the default catalog. Returns (n,) km/s, 0 where :data:`NEARBY` has none."""
     known = {star.star_id: star.radial_velocity_km_s for star in NEARBY}
     return np.array([known.get(int(number), 0.0) for number in ids], dtype=np.float64)
 

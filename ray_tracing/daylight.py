@@ -35,10 +35,7 @@ class Daylight(Value):
     whole: bool = True
 
     def of(self, cells: tuple[Cells, Cells]) -> tuple[Mask, Mask]:
-        """Where a finer trace can do without rays.
-
-        Returns ``dark``, ``lit`` (columns, rows).
-        """
+        """Where a finer trace can do without rays. Returns ``dark``, ``lit`` (columns, rows)."""
         around, image = np.ones((3, 3), np.uint8), self.lit.astype(np.uint8)
         columns, rows = (self._numbers(axis, one) for axis, one in enumerate(cells))
         inside = (columns >= 0)[:, None] & (rows >= 0)

@@ -49,10 +49,7 @@ def view_of(
     options: RenderOptions,
     neighbors: tuple[Neighbor, ...] = (),
 ) -> View:
-    """View of a body through a camera model.
-
-    ``sun_direction_camera``: unit vector from body to Sun.
-    """
+    """View of a body through a camera model. ``sun_direction_camera``: unit vector from body to Sun."""
     body = body.seen_by(model)
     sun_body = np.append(sun_in_body(body, sun_direction_camera), 0.0)
     return View(body=body, sun_body=sun_body, neighbors=neighbors, options=options)
@@ -97,10 +94,7 @@ class TracedRays(Value):
         return int(np.unique(np.concatenate([light.seen for light in self.light])).size)
 
     def among(self, numbers: Indices, directions: Float) -> TracedRays:
-        """Return these rays as some of more.
-
-        ``numbers`` (n,); ``directions`` (m, 4), body axes, of all of them.
-        """
+        """Return these rays as some of more. ``numbers`` (n,); ``directions`` (m, 4), body axes, of all of them."""
         return replace(self, sight=replace(self.sight, rays=numbers.take(self.sight.rays)), directions=directions)
 
     def only(self, keep: Mask) -> TracedRays:

@@ -247,10 +247,7 @@ class AlbedoMap(Value):
 
 
 def fitted_to_mesh(albedo: Albedo, *, vertices: int, faces: Faces, kept: Mask) -> Albedo:
-    """Fit an albedo to the facets that a mesh keeps of those that it was made from.
-
-    ``faces`` (m, 3); ``kept`` (k,).
-    """
+    """Fit an albedo to the facets that a mesh keeps of those that it was made from. ``faces`` (m, 3); ``kept`` (k,)."""
     if isinstance(albedo, FacetAlbedo):
         count = len(albedo.values)
         require(count == len(kept), f"albedo by facet needs {len(kept)} values, one for each facet, got {count}")

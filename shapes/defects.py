@@ -50,10 +50,7 @@ class Defects:
         return self.boundary_edges == 0 and self.nonmanifold_edges == 0
 
     def text(self) -> str:
-        """List the kinds that are not zero.
-
-        The result is empty for a clean surface.
-        """
+        """List the kinds that are not zero. The result is empty for a clean surface."""
         counts = ((field.name.replace("_", " "), getattr(self, field.name)) for field in fields(self))
         return ", ".join(f"{count} {name}" for name, count in counts if count)
 

@@ -70,10 +70,7 @@ class Landmark(Value):
         return 2.0 * min(self.map.half_extent_km)
 
     def grid_body_km(self, count: int) -> Float:
-        """Points of the surface, spread over the map.
-
-        Returns (k, 3), body axes.
-        """
+        """Points of the surface, spread over the map. Returns (k, 3), body axes."""
         rows, columns = (
             np.unique(np.linspace(0, n - 1, min(count, n)).round().astype(np.int64)) for n in self.map.heights_km.shape
         )

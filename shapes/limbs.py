@@ -100,10 +100,7 @@ def limb(shape: Shape, camera_body_km: ArrayLike, directions_body: ArrayLike) ->
 
 
 def silhouette_edges(mesh: TriangleMesh, camera_body_km: Float) -> tuple[Indices, Indices]:
-    """Edges of a mesh that can be its outline.
-
-    Returns ``edges`` (e, 2) and ``facets`` (e,).
-    """
+    """Edges of a mesh that can be its outline. Returns ``edges`` (e, 2) and ``facets`` (e,)."""
     # A facet of an outline faces the camera C where n . (C - vertex) > 0, and a neighbor with a normal no farther away
     # than the bend does not, so that |n . (C - vertex)| is at most the bend times the distance.
     from giantlike.shapes.silhouette_loops import edges_between, near_silhouette

@@ -42,10 +42,7 @@ class Surface(Value):
         Value.__post_init__(self)
 
     def kept(self, vertices: Mask, faces: Mask) -> Surface:
-        """Return the surface of some of the vertices and facets, renumbered.
-
-        ``vertices`` (n,); ``faces`` (m,).
-        """
+        """Return the surface of some of the vertices and facets, renumbered. ``vertices`` (n,); ``faces`` (m,)."""
         number = np.cumsum(vertices) - 1
         chosen = vertices if isinstance(self.albedo, VertexAlbedo) else faces
         albedo = None if self.albedo is None else type(self.albedo)(self.albedo.values[chosen])
@@ -114,9 +111,6 @@ def close_names(vertices: Float, distance: float) -> Faces:
 
 
 def connected_labels(count: int, first: Faces, second: Faces) -> Faces:
-    """Label the connected components of a graph.
-
-    ``first``, ``second`` (p,); returns (count,).
-    """
+    """Label the connected components of a graph. ``first``, ``second`` (p,); returns (count,)."""
     graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)

@@ -77,10 +77,7 @@ def convert(model: CameraModel, type_name: str, *, columns: int, rows: int) -> C
 
 
 def frame_grid(columns: int, rows: int, *, nodes: int) -> Float:
-    """Return a regular grid of pixels over a frame, its outer edges included.
-
-    Returns (m, n, 2) px.
-    """
+    """Return a regular grid of pixels over a frame, its outer edges included. Returns (m, n, 2) px."""
     step = max(columns, rows) / (nodes - 1)
     x = np.linspace(-0.5, columns - 0.5, max(2, round(columns / step) + 1))
     y = np.linspace(-0.5, rows - 0.5, max(2, round(rows / step) + 1))

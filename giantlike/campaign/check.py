@@ -68,10 +68,7 @@ class Mistake:
 
 
 def check_campaign(path: Path, *, all_images: bool = False) -> list[Mistake]:
-    """Find errors in a campaign file and the files that it names.
-
-    The result is empty if there are none.
-    """
+    """Find errors in a campaign file and the files that it names. The result is empty if there are none."""
     check = _Check(path)
     try:
         table = toml_table(path, "campaign file")

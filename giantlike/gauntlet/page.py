@@ -45,10 +45,7 @@ class Card:
 
 
 def page_of(report: Mapping[str, Any], results: Sequence[ImageResult]) -> str:
-    """Return the page of a gauntlet.
-
-    ``report`` as :func:`~giantlike.gauntlet.run.summary_of` returns it.
-    """
+    """Return the page of a gauntlet. ``report`` as :func:`~giantlike.gauntlet.run.summary_of` returns it."""
     rows = [row for result in results for row in result.rows]
     return render_page(
         "gauntlet.html.j2",

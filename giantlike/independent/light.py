@@ -78,10 +78,7 @@ def unaberrated(rays: Float, motion: Motion) -> Float:
 def apparent_geometry(
     point_at: Callable[[float], ArrayLike], observer_km: ArrayLike, observer_velocity_km_s: ArrayLike, seconds: float
 ) -> tuple[Float, float]:
-    """Find where a moving observer sees a moving point, by the event at which its light left.
-
-    Returns (3,).
-    """
+    """Find where a moving observer sees a moving point, by the event at which its light left. Returns (3,)."""
     place = np.asarray(observer_km, dtype=float)
     left = seconds
     for _ in range(50):

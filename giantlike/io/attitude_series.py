@@ -61,10 +61,7 @@ class AttitudeSeries(Value):
         return quaternions
 
     def attitudes(self, index: slice | NDArray[np.intp] = slice(None)) -> FrameRotation:
-        """Return attitudes (all by default) with the names of their frames.
-
-        ``index`` slice or (k,).
-        """
+        """Return attitudes (all by default) with the names of their frames. ``index`` slice or (k,)."""
         return FrameRotation(rotation=self.camera_from_inertial[index], target=self.frame, source=INERTIAL_FRAME)
 
     def turned(self, turn: FrameRotation) -> AttitudeSeries:

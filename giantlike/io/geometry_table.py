@@ -116,10 +116,7 @@ class GeometryTable(Value):
     rows: tuple[GeometryRow, ...]
 
     def image(self, file: str) -> ImageGeometry | None:
-        """Geometry of one image.
-
-        Returns None when it is not there.
-        """
+        """Geometry of one image. Returns None when it is not there."""
         rows = [row for row in self.rows if row.file == file]
         return _merged(rows) if rows else None
 

@@ -279,10 +279,7 @@ def write_observables(path: Path, rows: Iterable[ObservableRow | ObservableBlock
 
 
 def read_observables(path: Path) -> tuple[list[ObservableRow], dict[str, str]]:
-    """Read observables back from a Parquet file.
-
-    Returns ``rows`` and ``metadata``.
-    """
+    """Read observables back from a Parquet file."""
     import pyarrow as pa
     from pyarrow import parquet
 

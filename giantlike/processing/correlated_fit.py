@@ -48,10 +48,7 @@ class CorrelatedFit(Value):
     correlation_length: float
 
     def residual_covariance(self, sigma: Float, points: Float) -> Float:
-        """Covariance of residuals.
-
-        ``sigma`` (n,); ``points`` (n, d); returns (n, n).
-        """
+        """Covariance of residuals. ``sigma`` (n,); ``points`` (n, d); returns (n, n)."""
         distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
         shared = self.correlated_sigma**2 * np.exp(-distances / self.correlation_length)
         result: Float = shared + np.diag((self.noise_scale * sigma) ** 2)

@@ -86,10 +86,7 @@ class Candidates(Value):
 
 
 def find_candidates(index: StarIndex, vectors: Float, chosen: NDArray[np.intp], scope: Scope) -> Candidates:
-    """Match patterns of detections with patterns of the index.
-
-    ``vectors`` (s, m, 3), camera axes; ``chosen`` (k,).
-    """
+    """Match patterns of detections with patterns of the index. ``vectors`` (s, m, 3), camera axes; ``chosen`` (k,)."""
     sets = chosen[subsets(len(chosen), index.pattern.stars)]
     if index.pattern is Pattern.QUAD:
         return _quads(index, vectors, sets, scope)

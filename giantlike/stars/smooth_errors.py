@@ -90,10 +90,7 @@ class Residuals(Value):
     by_pixels: Float
 
     def alike(self, sigma_px: Float) -> bool:
-        """Tell whether nearest neighbors have residuals in the same direction, significantly so.
-
-        ``sigma_px`` (n,).
-        """
+        """Tell whether nearest neighbors have residuals in the same direction, significantly so. ``sigma_px`` (n,)."""
         nearest = np.asarray(cKDTree(self.points_px).query(self.points_px, k=2)[1])[:, 1]
         normalized = self.residuals_px / sigma_px[:, None]
         correlation = float(np.mean(normalized * normalized[nearest])) / max(float(np.mean(normalized**2)), 1e-12)

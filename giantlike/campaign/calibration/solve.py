@@ -92,10 +92,7 @@ class CampaignCalibration(Value):
 
 
 def temperature_of(image: Image, keyword: str | None) -> float:
-    """Temperature in the header of an image.
-
-    Returned in Celsius, 0 without a keyword.
-    """
+    """Temperature in the header of an image. Returned in Celsius, 0 without a keyword."""
     if keyword is None:
         return 0.0
     value = image.metadata.get(keyword)
@@ -240,10 +237,7 @@ def _camera_hash(folder: Path) -> str:
 
 
 def calibration_summary(result: CampaignCalibration) -> dict[str, Any]:
-    """Results of a calibration except its single observations, as in JSON.
-
-    Unknown values are None.
-    """
+    """Results of a calibration except its single observations, as in JSON. Unknown values are None."""
     content: dict[str, Any] = {
         "status": "failed" if isinstance(result.outcome, Failure) else "ok" if result.camera else "not_accepted",
         "problem": result.problem,

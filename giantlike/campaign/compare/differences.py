@@ -84,10 +84,7 @@ class Comparison:
 def differences_of(
     file: str, what: str, axes: Sequence[str], values: Float, covariance: Float | None, unit: str
 ) -> Iterable[Difference]:
-    """Yield the components of a difference.
-
-    ``values`` (k,); ``covariance`` (k, k).
-    """
+    """Yield the components of a difference. ``values`` (k,); ``covariance`` (k, k)."""
     for k, axis in enumerate(axes):
         variance = math.nan if covariance is None else float(covariance[k, k])
         sigma = math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else None

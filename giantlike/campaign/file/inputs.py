@@ -55,10 +55,7 @@ class SpiceSetup:
     clock: LabelClock | None = None
 
     def camera_from_inertial(self, et: float) -> FrameRotation | None:
-        """Attitude of the camera by SPICE.
-
-        Returns None without a camera frame.
-        """
+        """Attitude of the camera by SPICE. Returns None without a camera frame."""
         turn = self.camera_from_frame
         if turn is None:
             return None
@@ -203,10 +200,7 @@ def spice_of(path: Path, section: SpiceSection | None) -> SpiceSetup | None:
 def targets_of(
     path: Path, sections: Sequence[BodySection], spice: SpiceSetup | None
 ) -> tuple[tuple[TargetSetup, ...], list[str]]:
-    """Bodies of the ``[[targets]]`` of a campaign or scene file.
-
-    Returns ``targets`` and ``remarks``.
-    """
+    """Bodies of the ``[[targets]]`` of a campaign or scene file."""
     decided, remarks = list[TargetSetup](), list[str]()
     for number, section in enumerate(sections):
         target = _target(path, f"targets[{number}]", section, spice)

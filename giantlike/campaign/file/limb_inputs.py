@@ -50,10 +50,7 @@ class LimbSetup:
         )
 
     def height_map(self) -> HeightMap | None:
-        """Open the height map, once in a process.
-
-        Returns None without one.
-        """
+        """Open the height map, once in a process. Returns None without one."""
         return None if self.terrain is None else _opened(self.terrain, self.terrain_sigma_km)
 
 

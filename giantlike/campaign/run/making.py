@@ -85,10 +85,7 @@ class Run:
     # --- calibration -------------------------------------------------------------------------------------------------
 
     def calibrate(self, pool: Pool) -> tuple[Run, dict[str, Any] | None]:
-        """Identify the stars of all star images and calibrate.
-
-        Returns ``run`` and ``summary``.
-        """
+        """Identify the stars of all star images and calibrate."""
         setup, navigation = self.campaign.calibration, self.bench.navigation
         if setup is None or navigation is None:
             return self, None

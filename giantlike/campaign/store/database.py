@@ -118,10 +118,7 @@ class Database:
             connection.execute(_PUT, (*unit, step, file, key, row.light, row.points, _crc(row.light), _crc(row.points)))
 
     def get(self, unit: Unit) -> Row | None:
-        """Return a record.
-
-        Returns None if there is none.
-        """
+        """Return a record; None if there is none."""
         with self._connected() as connection:
             found = connection.execute(
                 f"SELECT light, light_crc, points, points_crc FROM records WHERE {_IS_UNIT}", unit

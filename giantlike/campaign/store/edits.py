@@ -122,10 +122,7 @@ class EditList:
 
 
 def read_edits(folder: Path) -> EditList:
-    """Read the edit list of a run.
-
-    The result is empty if there is none.
-    """
+    """Read the edit list of a run. The result is empty if there is none."""
     path = folder / EDITS_FILE
     try:
         lines = path.read_text(encoding="utf-8").splitlines()

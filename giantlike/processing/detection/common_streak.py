@@ -87,10 +87,7 @@ def _best_width_px(patches: Patches, guess: Lines) -> float:
 
 
 def fit_streaks(patches: Patches, streak: CommonStreak, flux_dn: Float) -> LineFits:
-    """Fit a line to each patch, starting in its middle with the direction and length of the image.
-
-    ``flux_dn`` (n,).
-    """
+    """Fit a line to each patch, starting in its middle with the direction and length of the image. ``flux_dn`` (n,)."""
     halves = np.tile(np.array(streak.half_px), (len(flux_dn), 1))
     start = Lines(patches.centers_px.astype(np.float64), halves, flux_dn, _level_dn(patches))
     return fit_lines(patches, start, streak.sigma_px)

@@ -44,10 +44,7 @@ class SmoothError:
     along: tuple[float, float] | None = None
 
     def covariance_px2(self, points_px: Float) -> Float:
-        """Covariance of the error between points of a limb.
-
-        ``points_px`` (n, 2); returns (n, n).
-        """
+        """Covariance of the error between points of a limb. ``points_px`` (n, 2); returns (n, n)."""
         places = points_px if self.along is None else points_px @ np.array(self.along)[:, None]
         square = sum((place[:, None] - place) ** 2 for place in places.T)  # half the time of norms of rows of two
         result: Float = self.sigma_px**2 * np.exp(np.sqrt(square) / -self.length_px)
@@ -162,10 +159,7 @@ class LimbMeasurement(Value):
         return min(self.n_used * self.spacing_px / self.perimeter_px, 1.0)
 
     def select(self, which: NDArray[np.integer]) -> LimbMeasurement:
-        """Measurement with some of its points.
-
-        ``which`` (k,), indices of the points, in the order wanted.
-        """
+        """Measurement with some of its points. ``which`` (k,), indices of the points, in the order wanted."""
         return replace(
             self,
             predicted_px=self.predicted_px[which],

@@ -168,10 +168,7 @@ def _places(points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
 
 
 def step_profile(offsets_px: Float, width_px: float) -> Float:
-    """Profile of a bright half-line up to zero, blurred by a Gaussian.
-
-    ``offsets_px`` (m,); returns (m,).
-    """
+    """Profile of a bright half-line up to zero, blurred by a Gaussian. ``offsets_px`` (m,); returns (m,)."""
     result: Float = ndtr(-offsets_px / width_px)
     return result
 

@@ -91,10 +91,7 @@ class PsfEstimate(Value):
         }
 
     def shapes_at(self, points_px: ArrayLike) -> Float:
-        """Evaluate the shape at pixels.
-
-        ``points_px`` (n, 2); returns (n, 4), ln sigma (of px), e1, e2, 1/beta.
-        """
+        """Evaluate the shape at pixels. ``points_px`` (n, 2); returns (n, 4), ln sigma (of px), e1, e2, 1/beta."""
         points = np.atleast_2d(np.asarray(points_px, dtype=np.float64))
         free = field_terms(points, self.columns, self.rows, self.degree) @ self.coefficients.T
         return np.pad(free, ((0, 0), (0, N_SHAPE - free.shape[1])))
