@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Indices
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body
@@ -20,7 +20,6 @@ from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.render import Template, unless_dark
 from giantlike.ray_tracing.sampling import Cells
 from giantlike.ray_tracing.spread import Spread
-from giantlike.ray_tracing.tracer import Indices
 
 _UNEVEN = 0.3
 """As in ``refined``. Error of a photocenter at 300 px: blocks of 2 px leave 0.020 px with 0.3 and 0.024 px with 0.1,

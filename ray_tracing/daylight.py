@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from giantlike.core.arrays import Float, Mask
+from giantlike.core.arrays import Float, Indices, Mask
 from giantlike.core.values import Value
 from giantlike.ray_tracing.sampling import Cells
-from giantlike.ray_tracing.tracer import Indices
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

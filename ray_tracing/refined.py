@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from giantlike.core.arrays import Float, Mask, unit
+from giantlike.core.arrays import Float, Indices, Mask, unit
 from giantlike.core.values import Value
 from giantlike.ray_tracing.cached_trace import Trace
 from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.sampling import Cells
 from giantlike.ray_tracing.trace import TracedRays, trace_rays
-from giantlike.ray_tracing.tracer import Indices
 
 UNEVEN = 0.1
 """Range of the light of neighboring cells relative to the brightest, from which a cell is refined."""

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require, unit
+from giantlike.core.arrays import Float, Indices, Mask, as_finite, as_floats, require, unit
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body, sun_in_body
 from giantlike.ray_tracing.sampling import finite_rows
-from giantlike.ray_tracing.tracer import Hits, Indices
+from giantlike.ray_tracing.tracer import Hits
 from giantlike.shapes import Ellipsoid, TriangleMesh
 from giantlike.shapes.limbs import crossings, largest_of_each, limb_ellipse, silhouette_edges
 

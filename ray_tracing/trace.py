@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, Mask, unit
+from giantlike.core.arrays import Float, Indices, Mask, unit
 from giantlike.core.values import Value
 from giantlike.ray_tracing.air import Air
 from giantlike.ray_tracing.body import Body, sun_in_body
@@ -20,7 +20,7 @@ from giantlike.ray_tracing.embree import Float32, dot, rows_of
 from giantlike.ray_tracing.neighbors import Neighbor
 from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.reflectance import Reflectance
-from giantlike.ray_tracing.tracer import Indices, Sight
+from giantlike.ray_tracing.tracer import Sight
 from giantlike.shapes import Shape, TriangleMesh
 
 _GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))  # spreads points evenly over a disk, for any number

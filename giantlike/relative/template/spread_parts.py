@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Indices
 from giantlike.core.compiled import compiled
-from giantlike.ray_tracing.tracer import Indices
 
 
 @compiled
