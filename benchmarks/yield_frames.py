@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 import sys
 import tempfile
 import zlib
@@ -311,7 +312,7 @@ def _campaign(folder: Path) -> tuple[Image, Camera, Scene, dict[str, Estimator]]
         for path in folder.iterdir():
             if path.name != "campaign.toml":
                 (Path(copy) / path.name).symlink_to(path.resolve())
-        (Path(copy) / "campaign.toml").write_text(text.replace("STEERING/shared/data", data.as_posix()))
+        (Path(copy) / "campaign.toml").write_text(re.sub(r"[\w./-]*shared/data", data.as_posix(), text))
         campaign = Campaign.load(Path(copy) / "campaign.toml")
         bench = Workbench.load(campaign)
         image = open_image(campaign, campaign.images[0]).image

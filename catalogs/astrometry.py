@@ -10,13 +10,7 @@ from giantlike.core.arrays import Float, as_finite, require, unit
 from giantlike.core.frames import direction_from_radec, east_north
 from giantlike.core.light import aberrate
 from giantlike.core.time import time_from_et
-from giantlike.core.units import (
-    AU_KM,
-    RAD_PER_ARCSEC,
-    RAD_PER_MAS,
-    SECONDS_PER_JULIAN_YEAR,
-    SPEED_OF_LIGHT_KM_S,
-)
+from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, RAD_PER_MAS, SECONDS_PER_JULIAN_YEAR, SPEED_OF_LIGHT_KM_S
 
 SUN_SCHWARZSCHILD_AU = 1.97412574336e-8
 """2 G M / c^2 of the Sun, in au: the value that ERFA uses (``ERFA_SRS`` in erfam.h)."""

@@ -121,10 +121,7 @@ _OTHER_NAMES = MappingProxyType({"G": "Gaia G", "Johnson V": "V"})
 
 
 def band_between(have: str, need: str | Band) -> tuple[Band, ...]:
-    """Relations that lead from one band to another.
-
-    The result is empty where the bands are the same.
-    """
+    """Relations that lead from one band to another. The result is empty where the bands are the same."""
     if isinstance(need, Band):
         return (*band_between(have, need.base), need)
     wanted = _OTHER_NAMES.get(need, need)

@@ -38,18 +38,12 @@ Index = NDArray[np.intp]
 class SkyIndex(Value):
     """Directions and cells of the stars of a catalog in this order.
 
-    Parameters
-    ----------
-    directions : (3, n) float32, unitless, inertial
-        Unit vectors to the catalog positions.
-    rank : (n,) int32
-        Position of each star when all are sorted by magnitude, so that stars of equal magnitude have an order too.
-    starts : (cells + 1,) int64
-        First star of each cell; the last entry is where the fast stars begin.
-    slow_margin_rad : float, rad
-        Largest angle of the stars in cells from their catalog positions.
-    fast_margin_rad : (n_fast,) float64, rad
-        Largest angle of each fast star.
+    directions: (3, n), inertial axes; unit vectors to the catalog positions.
+    rank: (n,); position of each star when all are sorted by magnitude, so that stars of equal magnitude have an order
+        too.
+    starts: (cells + 1,); first star of each cell; the last entry is where the fast stars begin.
+    slow_margin_rad: largest angle of the stars in cells from their catalog positions.
+    fast_margin_rad: (n_fast,); largest angle of each fast star.
     """
 
     directions: NDArray[np.float32]
@@ -59,10 +53,7 @@ class SkyIndex(Value):
     fast_margin_rad: Float
 
     def near(self, axis: Float, radius_rad: float) -> Index:
-        """Return the stars of a cone, the fast ones last.
-
-        ``axis`` in inertial axes, unit vector; returns (k,).
-        """
+        """Return the stars of a cone, the fast ones last. ``axis`` in inertial axes, unit vector; returns (k,)."""
         reach = radius_rad + self.slow_margin_rad + ABERRATION_RAD + _ROUNDING_RAD
         slow = int(self.starts[-1])
         limits_of_runs = [*_runs(axis, reach, self.starts).tolist(), [slow, slow + self.fast_margin_rad.size]]
@@ -82,10 +73,7 @@ class SkyIndex(Value):
 
 
 def sky_index(stars: StarTable) -> tuple[Index, SkyIndex]:
-    """Order of stars by cells, and their index.
-
-    Returns ``order`` (n,) and ``index``.
-    """
+    """Order of stars by cells, and their index. Returns ``order`` (n,) and ``index``."""
     margin = margins_rad(stars)
     is_fast = margin > FAST_RAD
     by_brightness = np.argsort(stars.magnitude, kind="stable")

@@ -207,9 +207,7 @@ def _with_motion(gaia: StarTable, hipparcos: StarTable, pairs: NDArray[np.intp])
     where, partner = pairs[:, 0], hipparcos.select(pairs[:, 1])
     years = GAIA_EPOCH - HIPPARCOS_EPOCH
     matched = replace(
-        gaia.select(where),
-        parallax_mas=partner.parallax_mas,
-        radial_velocity_km_s=radial_velocities(gaia.ids[where]),
+        gaia.select(where), parallax_mas=partner.parallax_mas, radial_velocity_km_s=radial_velocities(gaia.ids[where])
     )
     pm = _motion_from(matched, direction_from_radec(partner.ra_deg, partner.dec_deg), HIPPARCOS_EPOCH)
     bending = np.linalg.norm(pm, axis=-1) * RAD_PER_MAS * partner.parallax_mas * RAD_PER_MAS

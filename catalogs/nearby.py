@@ -36,17 +36,10 @@ SIGMA_PM_GAIA_MAS_YR = 0.05
 class NearbyStar:
     """Better values of one star; None keeps the value of the catalog.
 
-    Parameters
-    ----------
-    name : str
-    star_id : int
-        Identifier in the default catalog: Gaia DR3, or minus the Hipparcos number.
-    radial_velocity_km_s : float, km/s
-    motion_mas_yr : (float, float), mas/yr, optional
-        Proper motion in right ascension (with cos(dec)) and declination.
-    parallax_mas : float, mas, optional
-    source : str
-        Letters of the list above.
+    star_id: identifier in the default catalog: Gaia DR3, or minus the Hipparcos number.
+    motion_mas_yr: mas/yr; proper motion in right ascension (with cos(dec)) and declination.
+    parallax_mas: mas.
+    source: letters of the list above.
     """
 
     name: str
@@ -97,10 +90,7 @@ NEARBY: Sequence[NearbyStar] = (
 
 
 def radial_velocities(ids: Sequence[int] | np.ndarray[tuple[int], np.dtype[np.int64]]) -> Float:
-    """Radial velocities of stars of the default catalog.
-
-    Returns (n,) km/s, 0 where :data:`NEARBY` has none.
-    """
+    """Radial velocities of stars of the default catalog. Returns (n,) km/s, 0 where :data:`NEARBY` has none."""
     known = {star.star_id: star.radial_velocity_km_s for star in NEARBY}
     return np.array([known.get(int(number), 0.0) for number in ids], dtype=np.float64)
 

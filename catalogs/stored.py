@@ -62,11 +62,7 @@ _REMEDY = "build the catalog again with `giantlike catalog build`"
 class Source:
     """One of the files that a catalog was made of.
 
-    Parameters
-    ----------
-    name : str
-        Its name, without folders.
-    sha256 : str
+    name: its name, without folders.
     """
 
     name: str

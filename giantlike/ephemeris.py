@@ -17,6 +17,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from giantlike.core.arrays import Float, as_finite, require
+from giantlike.core.documented import documented_by
 from giantlike.core.errors import InputError
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 from giantlike.core.values import Value
@@ -124,6 +125,7 @@ class SpiceEphemeris:
         return orientation(self.frame or self.body, et)
 
 
+@documented_by(Ephemeris)
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedEphemeris(Value):
     """A body at rest.
@@ -147,31 +149,9 @@ class FixedEphemeris(Value):
         Value.__post_init__(self)
 
     def state(self, et: float) -> tuple[Float, Float]:
-        """Position and velocity with respect to :attr:`origin`.
-
-        Parameters
-        ----------
-        et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        position_km : (3,) float64, km, ICRF axes
-        velocity_km_s : (3,) float64, km/s, ICRF axes
-        """
         return self.position_km.copy(), np.zeros(3)
 
     def inertial_from_body(self, et: float) -> Rotation:
-        """Orientation of the body-fixed axes.
-
-        Parameters
-        ----------
-        et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        scipy Rotation
-            ``inertial_from_body``.
-        """
         return self.orientation
 
 

@@ -108,16 +108,4 @@ class Black(SurfaceLaw):
     type_name: ClassVar[str] = "black"
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return 0.
-
-        Parameters
-        ----------
-        mu0, mu : (n,) float64
-            Cosines of incidence and emission, > 0.
-        phase_rad : (n,) float64, rad
-
-        Returns
-        -------
-        (n,) float64
-        """
         return np.zeros_like(mu0)

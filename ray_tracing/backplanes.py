@@ -62,12 +62,7 @@ class Backplanes(Value):
 
 
 def trace_backplanes(
-    bodies: Sequence[Body],
-    model: CameraModel,
-    *,
-    sun_direction_camera: ArrayLike,
-    columns: int,
-    rows: int,
+    bodies: Sequence[Body], model: CameraModel, *, sun_direction_camera: ArrayLike, columns: int, rows: int
 ) -> Backplanes:
     """Trace one ray through the center of every pixel, in float64 but for the choice of the facet.
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Indices
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body
@@ -20,28 +20,21 @@ from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.render import Template, unless_dark
 from giantlike.ray_tracing.sampling import AxisCells
 from giantlike.ray_tracing.spread import Spread
-from giantlike.ray_tracing.tracer import Indices
 
 _UNEVEN = 0.3
 """As in ``refined``. Error of a photocenter at 300 px: blocks of 2 px leave 0.020 px with 0.3 and 0.024 px with 0.1,
 0.029 px are left by a ray to every pixel and 0.075 px by one to every block (nine rocks)."""
 _CELL_VARIANCE = 1.0 / 12.0
-"""Of light that is even over a cell, in squares of its side: a ray says only in which cell the light is, so that the
-point spread function is taken to be as much narrower. Without that edges are too soft by 9 % of its variance, and fits
-of the law to nine rocks of 300 px by ``moment`` move their centers by half a sigma, and not by 0.28."""
+"""Variance of light that is even over a cell, in squares of its side: a ray says only in which cell the light is, so
+that the point spread function is taken to be as much narrower."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BlockedPlane(Value):
     """A focal plane, and the same in blocks of its pixels.
 
-    Parameters
-    ----------
-    plane : FocalPlane
-    model : CameraModel
-        Of images whose pixels are the blocks.
-    size_px : int, px
-        Pixels along the side of a block; 2 at least.
+    model: of images whose pixels are the blocks.
+    size_px: pixels along the side of a block; 2 at least.
     """
 
     plane: FocalPlane

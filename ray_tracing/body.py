@@ -177,10 +177,7 @@ class Body(Value):
 
 
 def suns_of(bodies: Sequence[Body], sun_direction_camera: ArrayLike) -> Float:
-    """Return one Sun direction for each body.
-
-    ``sun_direction_camera`` (3,) or (n, 3); returns (n, 3).
-    """
+    """Return one Sun direction for each body. ``sun_direction_camera`` (3,) or (n, 3); returns (n, 3)."""
     suns = as_floats(sun_direction_camera, (3,), "sun_direction_camera")
     fits = suns.shape in ((3,), (len(bodies), 3))
     require(fits, f"sun_direction_camera must be (3,) or one for each of {len(bodies)} bodies, got {suns.shape}")
@@ -188,10 +185,7 @@ def suns_of(bodies: Sequence[Body], sun_direction_camera: ArrayLike) -> Float:
 
 
 def sun_in_body(body: Body, sun_direction_camera: ArrayLike) -> Float:
-    """Return the unit vector from body to Sun in body axes.
-
-    Returns (3,), body axes.
-    """
+    """Return the unit vector from body to Sun in body axes. Returns (3,), body axes."""
     sun = as_finite(sun_direction_camera, (3,), "sun_direction_camera")
     norm = float(np.linalg.norm(sun))
     require(abs(norm - 1.0) < 1e-6, f"sun_direction_camera must be a unit vector, its norm is {norm:.6g}")

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from giantlike.core.arrays import Float, Mask
+from giantlike.core.arrays import Float, Indices, Mask
 from giantlike.core.values import Value
 from giantlike.ray_tracing.sampling import AxisCells
-from giantlike.ray_tracing.tracer import Indices
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -20,18 +19,11 @@ class Daylight(Value):
     A ray that ends in full shadow is dark, and one that ends in full illumination need not be
     followed to the Sun. Isolated bright spots and shadows narrower than a rough cell are lost.
 
-    Parameters
-    ----------
-    cells : (Cells, Cells)
-        Columns and rows of the rough trace.
-    lit : (columns, rows) bool
-        Cells whose ray ends on a point in sunlight.
-    center_px, traced_center_px : (2,) float64, px
-        Of the body, now and where it was traced roughly.
-    scale : float
-        Ratio of the current size of the body to the size in the rough trace.
-    whole : bool
-        False where rays were sent through a part of the cells: none is known to be dark.
+    cells: columns and rows of the rough trace.
+    lit: (columns, rows); cells whose ray ends on a point in sunlight.
+    center_px, traced_center_px: of the body, now and where it was traced roughly.
+    scale: ratio of the current size of the body to the size in the rough trace.
+    whole: False where rays were sent through a part of the cells: none is known to be dark.
     """
 
     cells: tuple[AxisCells, AxisCells]

@@ -86,15 +86,10 @@ class FocalPlane(Value):
 class VisibleBox(Value):
     """Part of the image that a body can touch.
 
-    Parameters
-    ----------
-    low_px, high_px : (2,) float64, px
-        Corners, cut at the edges of the detector and the margin that is sampled.
-    extent_px : float, px
-        Narrow side of the whole body.
-    outline_px : (k, 2) float64, px, optional
-        Points whose hull, widened by ``pad_px``, contains the body; None where the camera model images only part of it.
-    pad_px : float, px
+    low_px, high_px: (2,); corners, cut at the edges of the detector and the margin that is sampled.
+    extent_px: narrow side of the whole body.
+    outline_px: (k, 2); points whose hull, widened by ``pad_px``, contains the body; None where the camera model images
+        only part of it.
     """
 
     low_px: Float
@@ -113,17 +108,10 @@ class VisibleBox(Value):
 class Footprint(Value):
     """Cells over the part of a focal plane that a body can touch, and the pixels that their light reaches.
 
-    Parameters
-    ----------
-    plane : FocalPlane
-    cells : (Cells, Cells)
-        Along x and y.
-    tiles : tuple of Tile
-        Those parts of the cells that can meet the body.
-    corner_px : (2,) int64, px
-        First pixel (x, y).
-    size_px : (int, int), px
-        Width and height.
+    cells: along x and y.
+    tiles: those parts of the cells that can meet the body.
+    corner_px: first pixel (x, y).
+    size_px: width and height.
     """
 
     plane: FocalPlane
@@ -166,13 +154,7 @@ def footprint_of(body: Body, plane: FocalPlane, options: RenderOptions) -> Footp
     first = np.maximum(np.floor(box.low_px + 0.5).astype(np.int64) - plane.halo_px, -options.margin_px)
     last = np.minimum(np.ceil(box.high_px - 0.5) + plane.halo_px, size - 1 + options.margin_px).astype(np.int64)
     width, height = (int(n) for n in last - first + 1)
-    return Footprint(
-        plane=plane,
-        cells=(x, y),
-        tiles=_tiles(x, y, box),
-        corner_px=first,
-        size_px=(width, height),
-    )
+    return Footprint(plane=plane, cells=(x, y), tiles=_tiles(x, y, box), corner_px=first, size_px=(width, height))
 
 
 def _tiles(x: AxisCells, y: AxisCells, box: VisibleBox) -> tuple[Tile, ...]:

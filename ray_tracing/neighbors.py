@@ -19,14 +19,9 @@ from giantlike.ray_tracing.tracer import Tracer
 class Neighbor(Value):
     """Another body, reached from the axes of the body that is rendered.
 
-    Parameters
-    ----------
-    tracer : Tracer
-    neighbor_from_body : (3, 3) float64
-    offset_km : (3,) float64, km, axes of the neighbor
-        From the origin of the neighbor to the origin of the body.
-    hides, shades : bool
-        True if it can stand before the body, and between body and Sun.
+    neighbor_from_body: (3, 3).
+    offset_km: from the origin of the neighbor to the origin of the body.
+    hides, shades: True if it can stand before the body, and between body and Sun.
     """
 
     tracer: Tracer

@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from giantlike.core.arrays import Float, Mask, unit
+from giantlike.core.arrays import Float, Indices, Mask, unit
 from giantlike.core.values import Value
 from giantlike.ray_tracing.cached_trace import Trace
 from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.sampling import AxisCells
 from giantlike.ray_tracing.trace import TracedRays, trace_rays
-from giantlike.ray_tracing.tracer import Indices
 
 UNEVEN = 0.1
 """Range of the light of neighboring cells relative to the brightest, from which a cell is refined."""
@@ -23,15 +22,9 @@ UNEVEN = 0.1
 class RefinedTrace(Value):
     """A trace whose uneven cells are split into ``factor`` by ``factor``, one ray each; from :func:`refined`.
 
-    Parameters
-    ----------
-    trace : Trace
-        Of all cells.
-    factor : int
-    columns, rows : (n,) int64
-        Cells that are split.
-    rays : TracedRays
-        Of their parts, column after column in each cell.
+    trace: of all cells.
+    columns, rows: (n,); cells that are split.
+    rays: of their parts, column after column in each cell.
     """
 
     trace: Trace

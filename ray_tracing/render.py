@@ -288,19 +288,11 @@ def shortest_turn(start: Float, stop: Float) -> Rotation:
 class ShadedTile(Value):
     """Light and coverage of a tile of cells.
 
-    Parameters
-    ----------
-    tile : Tile
-    light : (w, rows) float64
-        By pixel columns of the template and rows of cells; blurred along x.
-    by_column : (columns,) float64
-        Brightness summed over the rows, for each column of cells of the tile.
-    by_row : (rows,) float64
-    cover : (height, columns) int64
-        Number of hits on the template's pixels, from row ``first_row`` on.
-    first_row : int
-    hits, lit : int
-        Number of rays that meet the body, and of those that see the Sun too.
+    light: (w, rows); by pixel columns of the template and rows of cells; blurred along x.
+    by_column: (columns,); brightness summed over the rows, for each column of cells of the tile.
+    by_row: (rows,).
+    cover: (height, columns); number of hits on the template's pixels, from row ``first_row`` on.
+    hits, lit: number of rays that meet the body, and of those that see the Sun too.
     """
 
     tile: Tile

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require, unit
+from giantlike.core.arrays import Float, Indices, Mask, as_finite, as_floats, require, unit
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 from giantlike.ray_tracing.body import Body, sun_in_body
 from giantlike.ray_tracing.sampling import finite_rows
-from giantlike.ray_tracing.tracer import Hits, Indices
+from giantlike.ray_tracing.tracer import Hits
 from giantlike.shapes import Ellipsoid, TriangleMesh
 from giantlike.shapes.limbs import crossings, largest_of_each, limb_ellipse, silhouette_edges
 
@@ -234,17 +234,11 @@ def _chord_normals(outline: EdgeOutline, center_px: Float, angles_rad: Float, ed
 class Crossings(Value):
     """Outermost intersections of lines in the image with a shape.
 
-    Parameters
-    ----------
-    radii_px : (k,) float64, px
-        From the start of each line; NaN where it meets no edge, as all that follows.
-    points_camera_km : (k, 3) float64, km, camera axes
-        On the shape.
-    normals_camera : (k, 3) float64, unitless, camera axes
-        Outward and perpendicular to the ray: of an ellipsoid, or of the plane through the camera and the edge of a
-        mesh.
-    facets : (k,) int64
-        Facet at the edge that faces the camera, 0 on an ellipsoid; -1 for none.
+    radii_px: (k,); from the start of each line; NaN where it meets no edge, as all that follows.
+    points_camera_km: (k, 3); on the shape.
+    normals_camera: (k, 3); outward and perpendicular to the ray: of an ellipsoid, or of the plane through the camera
+        and the edge of a mesh.
+    facets: (k,); facet at the edge that faces the camera, 0 on an ellipsoid; -1 for none.
     """
 
     radii_px: Float
@@ -257,15 +251,10 @@ class Crossings(Value):
 class EdgeOutline(Value):
     """Silhouette edges of a mesh in the image.
 
-    Parameters
-    ----------
-    model : CameraModel
-    starts_km, stops_km : (e, 3) float64, km, camera axes
-        Ends of the edges that the model images.
-    starts_px, stops_px : (e, 2) float64, px
-    facets : (e,) int64
-    complete : bool
-        The model images all edges, so that the outermost one along a line is the outline.
+    starts_km, stops_km: (e, 3), camera axes; ends of the edges that the model images.
+    starts_px, stops_px: (e, 2).
+    facets: (e,).
+    complete: the model images all edges, so that the outermost one along a line is the outline.
     """
 
     model: CameraModel
@@ -341,18 +330,11 @@ class EdgeOutline(Value):
 class EllipseOutline(Value):
     """The limb of an ellipsoid in the image: ``middle_km + cos(t) first_km + sin(t) second_km``.
 
-    Parameters
-    ----------
-    model : CameraModel
-    middle_km, first_km, second_km : (3,) float64, km, camera axes
-    center_km : (3,) float64, km, camera axes
-        Center of the ellipsoid.
-    shape_matrix : (3, 3) float64, 1/km^2, camera axes
-        Points of the surface about that center have ``x.A.x == 1``.
-    corners_px : (c, 2) float64, px
-        Points of the limb at even steps of t, NaN where the model has no image.
-    complete : bool
-        The model images all of them.
+    middle_km, first_km, second_km: in camera axes.
+    center_km: in camera axes; center of the ellipsoid.
+    shape_matrix: (3, 3) 1/km^2, camera axes; points of the surface about that center have ``x.A.x == 1``.
+    corners_px: (c, 2); points of the limb at even steps of t, NaN where the model has no image.
+    complete: the model images all of them.
     """
 
     model: CameraModel

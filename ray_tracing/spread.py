@@ -16,14 +16,9 @@ from giantlike.core.values import Value
 class Spread(Value):
     """Fractions of the light of cells, side by side, that fall on pixels.
 
-    Parameters
-    ----------
-    shares : (k, w) float64
-        Of a cell on w pixels, in k kinds that follow each other over and over.
-    first : (n,) int64
-        First of these pixels, for each of n cells; light on other pixels is lost.
-    count_px : int
-        Number of pixels.
+    shares: (k, w); of a cell on w pixels, in k kinds that follow each other over and over.
+    first: (n,); first of these pixels, for each of n cells; light on other pixels is lost.
+    count_px: number of pixels.
     """
 
     shares: Float

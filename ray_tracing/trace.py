@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.camera_models import CameraModel
-from giantlike.core.arrays import Float, Mask, unit
+from giantlike.core.arrays import Float, Indices, Mask, unit
 from giantlike.core.values import Value
 from giantlike.ray_tracing.air import Air
 from giantlike.ray_tracing.body import Body, sun_in_body
@@ -20,7 +20,7 @@ from giantlike.ray_tracing.embree import Float32, dot, rows_of
 from giantlike.ray_tracing.neighbors import Neighbor
 from giantlike.ray_tracing.options import RenderOptions
 from giantlike.ray_tracing.reflectance import Reflectance
-from giantlike.ray_tracing.tracer import Indices, Sight
+from giantlike.ray_tracing.tracer import Sight
 from giantlike.shapes import Shape, TriangleMesh
 
 _GOLDEN_ANGLE_RAD = math.pi * (3.0 - math.sqrt(5.0))  # spreads points evenly over a disk, for any number
@@ -33,13 +33,7 @@ Result = TypeVar("Result")
 class View(Value):
     """A body before a camera, the Sun and its neighbors: everything that rays meet.
 
-    Parameters
-    ----------
-    body : Body
-    sun_body : (4,) float64, unitless, body axes
-        Unit vector to the Sun and a zero: see ``Sight``.
-    neighbors : tuple of Neighbor
-    options : RenderOptions
+    sun_body: (4,); unit vector to the Sun and a zero: see ``Sight``.
     """
 
     body: Body
@@ -55,10 +49,7 @@ def view_of(
     options: RenderOptions,
     neighbors: tuple[Neighbor, ...] = (),
 ) -> View:
-    """View of a body through a camera model.
-
-    ``sun_direction_camera``: unit vector from body to Sun.
-    """
+    """View of a body through a camera model. ``sun_direction_camera``: unit vector from body to Sun."""
     body = body.seen_by(model)
     sun_body = np.append(sun_in_body(body, sun_direction_camera), 0.0)
     return View(body=body, sun_body=sun_body, neighbors=neighbors, options=options)
@@ -68,12 +59,9 @@ def view_of(
 class Sunlight(Value):
     """Points of the surface, or of the air over it, on which one point of the Sun shines.
 
-    Parameters
-    ----------
-    seen : (k,) int64
-        Numbers in the arrays of a ``Sight``.
-    cos_incidence : (k,) float32
-    phase_rad : (k,) float64, rad
+    seen: (k,); numbers in the arrays of a ``Sight``.
+    cos_incidence: (k,).
+    phase_rad: (k,).
     """
 
     seen: Indices
@@ -85,18 +73,11 @@ class Sunlight(Value):
 class TracedRays(Value):
     """Rays of a camera, traced to the body and on to the Sun.
 
-    Parameters
-    ----------
-    sight : Sight
-        Surface met by the rays.
-    directions : (n, 4) float64, unitless, body axes
-        Of all rays.
-    light : tuple of Sunlight
-        One for each point of the Sun that rays are bounced to.
-    albedo : (k,) float64, optional
-        Relative albedo at the points of ``sight``; None where it is 1 throughout.
-    air : Air, optional
-        Over the surface.
+    sight: surface met by the rays.
+    directions: (n, 4), body axes; of all rays.
+    light: one for each point of the Sun that rays are bounced to.
+    albedo: (k,); relative albedo at the points of ``sight``; None where it is 1 throughout.
+    air: over the surface.
     """
 
     sight: Sight
@@ -113,10 +94,7 @@ class TracedRays(Value):
         return int(np.unique(np.concatenate([light.seen for light in self.light])).size)
 
     def among(self, numbers: Indices, directions: Float) -> TracedRays:
-        """Return these rays as some of more.
-
-        ``numbers`` (n,); ``directions`` (m, 4), body axes, of all of them.
-        """
+        """Return these rays as some of more. ``numbers`` (n,); ``directions`` (m, 4), body axes, of all of them."""
         return replace(self, sight=replace(self.sight, rays=numbers.take(self.sight.rays)), directions=directions)
 
     def only(self, keep: Mask) -> TracedRays:

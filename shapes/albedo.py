@@ -13,12 +13,12 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
+from giantlike.core.arrays import Float, Indices, Mask, as_finite, as_floats, require
+from giantlike.core.documented import documented_by
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 
 Faces = NDArray[np.int64]
-Indices = NDArray[np.int64]
 
 _POLE_RAD = 1e-9  # an edge of a map this close to a pole, or to a full turn, is there: rounding of degrees to radians
 
@@ -51,6 +51,7 @@ class Albedo(Protocol):
         ...
 
 
+@documented_by(Albedo)
 @dataclass(frozen=True, slots=True, eq=False)
 class FacetAlbedo(Value):
     """One relative albedo for each facet of a mesh.
@@ -75,19 +76,6 @@ class FacetAlbedo(Value):
         Value.__post_init__(self)
 
     def at(self, points_body_km: Float, facets: Indices, barycentric: Float | None) -> Float:
-        """Relative albedo of the facets.
-
-        Parameters
-        ----------
-        points_body_km : (n, 3) float64, km, body
-        facets : (n,) int64
-        barycentric : (n, 3) float64, optional
-            As for :meth:`Albedo.at`.
-
-        Returns
-        -------
-        (n,) float64
-        """
         return np.asarray(self.values[facets])
 
 
@@ -142,6 +130,7 @@ class VertexAlbedo(Value):
         return np.asarray(np.einsum("nc,nc->n", barycentric, self.values[self.faces[facets]]))
 
 
+@documented_by(Albedo)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AlbedoMap(Value):
     """A map of relative albedo over longitude and planetocentric latitude, simple cylindrical.
@@ -200,19 +189,6 @@ class AlbedoMap(Value):
         Value.__post_init__(self)
 
     def at(self, points_body_km: Float, facets: Indices, barycentric: Float | None) -> Float:
-        """Relative albedo of the map under the points.
-
-        Parameters
-        ----------
-        points_body_km : (n, 3) float64, km, body
-        facets : (n,) int64
-        barycentric : (n, 3) float64, optional
-            As for :meth:`Albedo.at`.
-
-        Returns
-        -------
-        (n,) float64
-        """
         x, y, z = np.moveaxis(as_floats(points_body_km, (3,), "points_body_km") - self.center_body_km, -1, 0)
         row, column, inside = self._place(np.arctan2(y, x), np.arctan2(z, np.hypot(x, y)))
         rows, columns = self.values.shape
@@ -271,10 +247,7 @@ class AlbedoMap(Value):
 
 
 def fitted_to_mesh(albedo: Albedo, *, vertices: int, faces: Faces, kept: Mask) -> Albedo:
-    """Fit an albedo to the facets that a mesh keeps of those that it was made from.
-
-    ``faces`` (m, 3); ``kept`` (k,).
-    """
+    """Fit an albedo to the facets that a mesh keeps of those that it was made from. ``faces`` (m, 3); ``kept`` (k,)."""
     if isinstance(albedo, FacetAlbedo):
         count = len(albedo.values)
         require(count == len(kept), f"albedo by facet needs {len(kept)} values, one for each facet, got {count}")

@@ -24,13 +24,9 @@ _HASTES = (7, 6, 5, 8)
 class Deviation:
     """Distances between two surfaces of one body.
 
-    Parameters
-    ----------
-    rms_km, max_km : float, km
-        Distances of the vertices of each surface from the other one; the maximum over both is the Hausdorff distance
-        of the vertices.
-    volume_change : float
-        Volume of the second / volume of the first, minus 1.
+    rms_km, max_km: distances of the vertices of each surface from the other one; the maximum over both is the Hausdorff
+        distance of the vertices.
+    volume_change: volume of the second / volume of the first, minus 1.
     """
 
     rms_km: float

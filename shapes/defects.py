@@ -20,26 +20,15 @@ class Defects:
     Coincident vertices are merged before anything that has to do with edges is counted: they are the normal state
     of an STL file. Edges belong to the facets that remain without invalid, degenerate and duplicate ones.
 
-    Parameters
-    ----------
-    nonfinite_vertices : int
-        Vertices with a coordinate that is NaN or infinite.
-    unreferenced_vertices : int
-        Vertices that no facet uses.
-    invalid_facets : int
-        Facets with a vertex that does not exist or is not finite.
-    degenerate_facets : int
-        Facets without area.
-    duplicate_facets : int
-        Facets with the same corners as one before them, whichever way round.
-    boundary_edges : int
-        Edges of one facet only: the rims of holes.
-    holes : int
-        Connected rims.
-    nonmanifold_edges : int
-        Edges of more than two facets.
-    inconsistent_edges : int
-        Edges whose two facets are wound against each other.
+    nonfinite_vertices: vertices with a coordinate that is NaN or infinite.
+    unreferenced_vertices: vertices that no facet uses.
+    invalid_facets: facets with a vertex that does not exist or is not finite.
+    degenerate_facets: facets without area.
+    duplicate_facets: facets with the same corners as one before them, whichever way round.
+    boundary_edges: edges of one facet only: the rims of holes.
+    holes: connected rims.
+    nonmanifold_edges: edges of more than two facets.
+    inconsistent_edges: edges whose two facets are wound against each other.
     """
 
     nonfinite_vertices: int
@@ -61,10 +50,7 @@ class Defects:
         return self.boundary_edges == 0 and self.nonmanifold_edges == 0
 
     def text(self) -> str:
-        """List the kinds that are not zero.
-
-        The result is empty for a clean surface.
-        """
+        """List the kinds that are not zero. The result is empty for a clean surface."""
         counts = ((field.name.replace("_", " "), getattr(self, field.name)) for field in fields(self))
         return ", ".join(f"{count} {name}" for name, count in counts if count)
 
@@ -73,16 +59,10 @@ class Defects:
 class Edges(Value):
     """The edges of a surface, each once.
 
-    Parameters
-    ----------
-    ends : (e, 2) int64
-        Vertices, the smaller number first.
-    of_side : (3 m,) int64
-        The edge of each side of a facet; side k of facet i, from corner k to the next, is number 3 i + k.
-    forward : (3 m,) bool
-        True if a side runs from the smaller vertex number to the larger.
-    facets : (e,) int64
-        Number of facets at an edge.
+    ends: (e, 2); vertices, the smaller number first.
+    of_side: (3 m,); the edge of each side of a facet; side k of facet i, from corner k to the next, is number 3 i + k.
+    forward: (3 m,); True if a side runs from the smaller vertex number to the larger.
+    facets: (e,); number of facets at an edge.
     """
 
     ends: Faces

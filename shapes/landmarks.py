@@ -32,13 +32,9 @@ _FORMAT, _VERSION = "giantlike landmarks", 1
 class Landmark(Value):
     """A landmark: a local map around a point on a body.
 
-    Parameters
-    ----------
-    map : LocalMap
-        Heights, and albedo if it is known; its z axis is the normal of the point.
-    texture : float
-        Contrast to match with: rms tilt of the surface, rad, about a uniform curvature, and rms relative albedo, added
-        in quadrature.
+    map: heights, and albedo if it is known; its z axis is the normal of the point.
+    texture: contrast to match with: rms tilt of the surface, rad, about a uniform curvature, and rms relative albedo,
+        added in quadrature.
     """
 
     map: LocalMap
@@ -74,10 +70,7 @@ class Landmark(Value):
         return 2.0 * min(self.map.half_extent_km)
 
     def grid_body_km(self, count: int) -> Float:
-        """Points of the surface, spread over the map.
-
-        Returns (k, 3), body axes.
-        """
+        """Points of the surface, spread over the map. Returns (k, 3), body axes."""
         rows, columns = (
             np.unique(np.linspace(0, n - 1, min(count, n)).round().astype(np.int64)) for n in self.map.heights_km.shape
         )
@@ -92,13 +85,8 @@ class Landmark(Value):
 class LandmarkCatalog(Value):
     """Landmarks of one body.
 
-    Parameters
-    ----------
-    landmarks : tuple of Landmark
-    body_name : str
-        Name of the body; empty where it is not known.
-    shape_sha256 : str
-        Hash of the shape that they were taken from; empty for maps from elsewhere.
+    body_name: name of the body; empty where it is not known.
+    shape_sha256: hash of the shape that they were taken from; empty for maps from elsewhere.
     """
 
     landmarks: tuple[Landmark, ...]

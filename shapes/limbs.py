@@ -10,15 +10,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require, unit
+from giantlike.core.arrays import Float, Indices, Mask, as_finite, as_floats, require, unit
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 from giantlike.shapes.base import Ellipsoid, Shape
 from giantlike.shapes.mesh import TriangleMesh
-
-Indices = NDArray[np.int64]
 
 _ALONG_AXIS = 1e-12  # sine of an angle below which float64 does not tell two directions apart in a cross product
 
@@ -102,10 +100,7 @@ def limb(shape: Shape, camera_body_km: ArrayLike, directions_body: ArrayLike) ->
 
 
 def silhouette_edges(mesh: TriangleMesh, camera_body_km: Float) -> tuple[Indices, Indices]:
-    """Edges of a mesh that can be its outline.
-
-    Returns ``edges`` (e, 2) and ``facets`` (e,).
-    """
+    """Edges of a mesh that can be its outline. Returns ``edges`` (e, 2) and ``facets`` (e,)."""
     # A facet of an outline faces the camera C where n . (C - vertex) > 0, and a neighbor with a normal no farther away
     # than the bend does not, so that |n . (C - vertex)| is at most the bend times the distance.
     from giantlike.shapes.silhouette_loops import edges_between, near_silhouette

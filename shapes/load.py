@@ -104,10 +104,7 @@ def mesh_of(path: str | Path, surface: Surface) -> TriangleMesh:
 
 
 def guessed_units(path: Path, surface: Surface) -> tuple[str, str]:
-    """Guess the unit of a file from its largest finite radius.
-
-    Returns ``units`` and ``remark``.
-    """
+    """Guess the unit of a file from its largest finite radius."""
     radius = float(np.linalg.norm(surface.vertices[surface.finite_vertices], axis=1).max(initial=0.0))
     if _SURELY_KM < radius < _SURELY_M:
         raise DataError(path, f'a largest radius of {radius:.4g} can be km or m: state units = "km" or "m"')

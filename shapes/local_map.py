@@ -9,15 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
+from giantlike.core.arrays import Float, Indices, Mask, as_finite, as_floats, require
 from giantlike.core.values import Value
 from giantlike.shapes.albedo import FacetAlbedo, VertexAlbedo
 from giantlike.shapes.mesh import Faces, TriangleMesh
-
-Indices = NDArray[np.int64]
 
 _REACH = 0.1  # of the radius of the body: more than the relief, less than the distance of the far side
 

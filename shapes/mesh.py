@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float, as_floats, frozen, require
+from giantlike.core.arrays import Float, Indices, as_floats, frozen, require
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 from giantlike.shapes.albedo import Albedo, AlbedoMap, fitted_to_mesh, hash_with_albedo
 from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid
 
 Faces = NDArray[np.int64]
-Indices = NDArray[np.int64]
 Float32 = NDArray[np.float32]
 
 FLAT = 1e-20
@@ -71,7 +70,8 @@ class TriangleMesh(Value):
 
     def __post_init__(self) -> None:
         vertices, faces = _checked(self.vertices_km, self.faces)
-        vectors = _area_vectors(vertices, faces)
+        a, b, c = (vertices[faces[:, i]] for i in range(3))
+        vectors = np.cross(b - a, c - a) / 2.0
         areas = np.linalg.norm(vectors, axis=1)
         closed = float(np.linalg.norm(vectors.sum(axis=0))) < _OPEN * float(areas.sum())
         if closed and _signed_volume(vertices, faces) < 0.0:
@@ -278,12 +278,6 @@ def _checked(vertices_km: ArrayLike, faces: ArrayLike) -> tuple[Float, Faces]:
         f"faces use vertex indices {low} to {high}, but there are {len(vertices)} vertices, numbered from 0",
     )
     return vertices, np.array(indices, dtype=np.int64, order="C")
-
-
-def _area_vectors(vertices_km: Float, faces: Faces) -> Float:
-    """Area times outward normal (m, 3), km^2."""
-    a, b, c = (vertices_km[faces[:, i]] for i in range(3))
-    return np.cross(b - a, c - a) / 2.0
 
 
 def _signed_volume(vertices_km: Float, faces: Faces) -> float:

@@ -21,14 +21,8 @@ _SAME_PLACE = 1e-9
 class Repair(Value):
     """A repaired surface and the changes made.
 
-    Parameters
-    ----------
-    surface : Surface
-    before, after : Defects
-        Defects that were found, and those that remain.
-    facets_turned : int
-        Facets that were wound the other way.
-    holes_filled, facets_added : int
+    before, after: defects that were found, and those that remain.
+    facets_turned: facets that were wound the other way.
     """
 
     surface: Surface

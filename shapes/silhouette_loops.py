@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike._system.compiled import compiled
-from giantlike.core.arrays import Float, Mask
+from giantlike.core.arrays import Float, Indices, Mask
 
-Indices = NDArray[np.int64]
 Float32 = NDArray[np.float32]
 
 

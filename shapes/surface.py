@@ -19,16 +19,10 @@ from giantlike.shapes.mesh import Faces
 class Surface(Value):
     """Vertices and triangles that may be broken in any way, to be looked at or repaired.
 
-    Parameters
-    ----------
-    vertices : (n, 3) float64
-        Body axes, in the unit of the file or in km, as the function that returns it says.
-    faces : (m, 3) int64
-        Corners of each triangle, from 0; may point at vertices that do not exist.
-    in_km : bool
-        True if the vertices are known to be in km.
-    albedo : VertexAlbedo or FacetAlbedo, optional
-        Relative albedo, where the file has one.
+    vertices: (n, 3); body axes, in the unit of the file or in km, as the function that returns it says.
+    faces: (m, 3); corners of each triangle, from 0; may point at vertices that do not exist.
+    in_km: True if the vertices are known to be in km.
+    albedo: relative albedo, where the file has one.
     """
 
     vertices: Float
@@ -48,10 +42,7 @@ class Surface(Value):
         Value.__post_init__(self)
 
     def kept(self, vertices: Mask, faces: Mask) -> Surface:
-        """Return the surface of some of the vertices and facets, renumbered.
-
-        ``vertices`` (n,); ``faces`` (m,).
-        """
+        """Return the surface of some of the vertices and facets, renumbered. ``vertices`` (n,); ``faces`` (m,)."""
         number = np.cumsum(vertices) - 1
         chosen = vertices if isinstance(self.albedo, VertexAlbedo) else faces
         albedo = None if self.albedo is None else type(self.albedo)(self.albedo.values[chosen])
@@ -120,9 +111,6 @@ def close_names(vertices: Float, distance: float) -> Faces:
 
 
 def connected_labels(count: int, first: Faces, second: Faces) -> Faces:
-    """Label the connected components of a graph.
-
-    ``first``, ``second`` (p,); returns (count,).
-    """
+    """Label the connected components of a graph. ``first``, ``second`` (p,); returns (count,)."""
     graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)

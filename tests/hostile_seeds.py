@@ -39,6 +39,7 @@ from giantlike.io.camera_opencv import write_opencv_camera
 from giantlike.io.image_files import read_image_file
 from giantlike.io.observables_file import read_observables, write_observables
 from giantlike.io.spc_sumfile import read_sumfile, write_sumfile
+from giantlike.observables import row_of_body, row_of_landmark
 from giantlike.observables.exchange import sumfile_of
 from giantlike.shapes import Ellipsoid, load_shape, mesh_from_ellipsoid, save_shape
 from giantlike.shapes.files.dsk import DskIdentity
@@ -57,7 +58,7 @@ from tests.io import test_image_files as image_files
 from tests.io import test_planetary_files as planetary_files
 from tests.io import test_spice as kernel_files
 from tests.io.height_map_files import heights_km, write_geotiff, write_pds3
-from tests.observables import test_exchange as exchange
+from tests.observables import test_rows as exchange
 from tests.shapes.test_local_maps import _map
 
 EPOCHS = ("2020-01-01T00:00:00", "2020-01-01T00:01:00", "2020-01-01T00:02:00")
@@ -197,7 +198,7 @@ def _dossier(path: Path) -> None:
 
 
 def _observables(path: Path) -> None:
-    body = exchange.row_of_body(exchange.CONTEXT, exchange.SIGHTING, exchange.position_fix(), is_preferred=True)
+    body = row_of_body(exchange.CONTEXT, exchange.SIGHTING, exchange.position_fix(), is_preferred=True)
     write_observables(path, [body, body], {"camera": "c"})
 
 
@@ -217,8 +218,8 @@ def _read_index(path: Path) -> None:
 
 
 def _sumfile(path: Path) -> None:
-    body = exchange.row_of_body(exchange.CONTEXT, exchange.SIGHTING, exchange.position_fix(), is_preferred=True)
-    mark = exchange.row_of_landmark(exchange.CONTEXT, exchange.SIGHTING, exchange.position_fix(), exchange.LANDMARK)
+    body = row_of_body(exchange.CONTEXT, exchange.SIGHTING, exchange.position_fix(), is_preferred=True)
+    mark = row_of_landmark(exchange.CONTEXT, exchange.SIGHTING, exchange.position_fix(), exchange.LANDMARK)
     write_sumfile(path, sumfile_of(exchange.CAMERA, body, [mark]))
 
 

@@ -24,13 +24,19 @@ RIDDLES = ("How", "What", "Where", "Whether", "Which", "Who", "Why")
 
 
 def documented_names() -> list[str]:
-    """Every exported class and function, and the public methods and properties of the classes."""
+    """Every exported class and function, and the public methods and properties that have docstrings of their own."""
     names = []
     for name, value in exported_objects():
         names.append(name)
         if inspect.isclass(value):
-            names += [f"{name}.{method}" for method in public_methods(value)]
+            names += [f"{name}.{each}" for each in public_methods(value) if not _inherits_docstring(value, each)]
     return names
+
+
+def _inherits_docstring(cls: type, method: str) -> bool:
+    """True for an override without a docstring of its own, whose base class documents it."""
+    function = inspect.getattr_static(cls, method)
+    return function.__doc__ is None and bool(inspect.getdoc(getattr(cls, method)))
 
 
 def findings(name: str) -> list[str]:

@@ -24,10 +24,7 @@ _LARGEST = 2.0**53
 class FileLines(Value):
     """Lines of a file.
 
-    Parameters
-    ----------
-    text : (n, width) bytes
-        One byte in each element; short lines are padded with blanks.
+    text: (n, width) bytes; one byte in each element; short lines are padded with blanks.
     """
 
     text: NDArray[np.bytes_]

@@ -57,13 +57,8 @@ LIMITS: Mapping[str, tuple[float, float]] = MappingProxyType(
 class ReadStars:
     """Stars of one file.
 
-    Parameters
-    ----------
-    stars : StarTable
-    band : str
-        Photometric band of the magnitudes.
-    left_out : int
-        Number of entries without a position or a magnitude.
+    band: photometric band of the magnitudes.
+    left_out: number of entries without a position or a magnitude.
     """
 
     stars: StarTable

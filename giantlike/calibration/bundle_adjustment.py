@@ -40,26 +40,17 @@ _ROUNDING = 1e-12  # relative increase of the cost that is rounding and does not
 class Data(Value):
     """Observations of m images, n in all, with the unknowns and their a priori values.
 
-    Parameters
-    ----------
-    targets : (n, 3) float64
-        Unit vectors or points, reference axes.
-    points_px : (n, 2) float64, px
-    sigma_px : (n,) float64, px
-        Per axis.
-    offsets : (m + 1,) int
-        First observation of each image, and n.
-    temperatures_c : (m,) float64, Celsius
-    pose : int
-        Unknowns of an image: 3 (orientation) or 6 (orientation and position).
-    estimated : (k,) int
-        Indices of the estimated parameters of the model.
-    prior, prior_sigma : (k,) float64
-        A priori values and standard deviations, infinite for none, in the units of the parameters.
-    start : Rotation
-        A priori orientations of the m images.
-    attitude_weight : (m,) float64, 1/rad^2
-        Inverse variance per axis of the a priori orientations, 0 for none.
+    targets: (n, 3); unit vectors or points, reference axes.
+    points_px: (n, 2).
+    sigma_px: (n,); per axis.
+    offsets: (m + 1,); first observation of each image, and n.
+    temperatures_c: (m,).
+    pose: unknowns of an image: 3 (orientation) or 6 (orientation and position).
+    estimated: (k,); indices of the estimated parameters of the model.
+    prior, prior_sigma: (k,); a priori values and standard deviations, infinite for none, in the units of the
+        parameters.
+    start: a priori orientations of the m images.
+    attitude_weight: (m,) 1/rad^2; inverse variance per axis of the a priori orientations, 0 for none.
     """
 
     targets: Float

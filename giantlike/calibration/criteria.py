@@ -69,17 +69,12 @@ class CalibrationCriteria:
         needed = self.min_observations_per_parameter * len(result.estimated)
         if result.n_used < needed:
             missed.append(f"{result.n_used} observations for {len(result.estimated)} parameters, {needed:g} are needed")
-        covered = _covered(result)
+        points = result.observed_px[result.used]
+        edges = [np.linspace(-0.5, size - 0.5, _PARTS + 1) for size in (result.columns, result.rows)]
+        counts, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=edges)
+        covered = float(np.count_nonzero(counts)) / _PARTS**2
         if covered < self.min_covered:
             missed.append(
                 f"observations cover {100 * covered:.3g} % of the field, {100 * self.min_covered:g} % are needed"
             )
         return tuple(missed)
-
-
-def _covered(result: CalibrationResult) -> float:
-    """Fraction of the equal parts of the field in which something was observed."""
-    points = result.observed_px[result.used]
-    edges = [np.linspace(-0.5, size - 0.5, _PARTS + 1) for size in (result.columns, result.rows)]
-    counts, _, _ = np.histogram2d(points[:, 0], points[:, 1], bins=edges)
-    return float(np.count_nonzero(counts)) / _PARTS**2

@@ -97,13 +97,9 @@ def map_difference(
 class FieldSensitivity(Value):
     """Derivatives of pixels over the field by the parameters of a model.
 
-    Parameters
-    ----------
-    points_px : (n, 2) float64, px
-    by_parameter : (n, 2, p) float64
-        By every parameter of the model.
-    unrotated : (n, 2, p) float64
-        The same minus the part that is equivalent to a rotation of the camera.
+    points_px: (n, 2).
+    by_parameter: (n, 2, p); by every parameter of the model.
+    unrotated: (n, 2, p); the same minus the part that is equivalent to a rotation of the camera.
     """
 
     points_px: Float

@@ -33,21 +33,13 @@ class ParameterVerdict(StrEnum):
 class ParameterSupport:
     """Estimate, effect and classification of one parameter.
 
-    Parameters
-    ----------
-    name : str
-    value, start, sigma : float
-        In the unit of the parameter.
-    effect_px : float, px
-        Largest effect of the value over the field (for focal length and principal point: of its change from the start).
-    sigma_effect_px : float, px
-        Largest effect of one sigma of this parameter alone. Far above the uncertainty of the map if other parameters
-        compensate it.
-    partner : str
-        Parameter with the highest correlation; empty for a single parameter.
-    correlation : float
-        Correlation with the partner.
-    verdict : Verdict
+    value, start, sigma: in the unit of the parameter.
+    effect_px: largest effect of the value over the field (for focal length and principal point: of its change from the
+        start).
+    sigma_effect_px: largest effect of one sigma of this parameter alone. Far above the uncertainty of the map if other
+        parameters compensate it.
+    partner: parameter with the highest correlation; empty for a single parameter.
+    correlation: correlation with the partner.
     """
 
     name: str

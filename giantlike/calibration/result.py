@@ -22,24 +22,13 @@ from giantlike.core.values import Value
 class ImageCalibration(Value):
     """One image of a calibration.
 
-    Parameters
-    ----------
-    name : str
-    temperature_c : float, Celsius
-    camera_from_reference : Rotation
-    covariance_rad2 : (3, 3) float64, rad^2
-        Of the small rotation about the camera axes, the uncertainty of the camera included.
-    position_reference : (3,) float64
-        Vector from the camera to the board, camera axes, if the targets are finite; else zero.
-    n_used, n_rejected : int
-    rms_px : float, px
-        Radial; NaN where nothing was kept.
-    influence_px : float, px
-        Shift of the camera map (rms over the field, modulo a rotation) when this image is left out; infinite if the
-        other images do not determine a parameter.
-    influence : float
-        Squared shift of the parameters in units of their covariance, over their number (Cook's distance). Above 1, one
-        image dominates the result.
+    covariance_rad2: of the small rotation about the camera axes, the uncertainty of the camera included.
+    position_reference: vector from the camera to the board, camera axes, if the targets are finite; else zero.
+    rms_px: radial; NaN where nothing was kept.
+    influence_px: shift of the camera map (rms over the field, modulo a rotation) when this image is left out; infinite
+        if the other images do not determine a parameter.
+    influence: squared shift of the parameters in units of their covariance, over their number (Cook's distance). Above
+        1, one image dominates the result.
     """
 
     name: str
@@ -58,19 +47,11 @@ class ImageCalibration(Value):
 class RejectedObservation:
     """A rejected observation.
 
-    Parameters
-    ----------
-    image : str
-        Name of the image.
-    label : int
-        Label of the target.
-    observed_px, predicted_px : (float, float), px
-    distance_px : float, px
-        NaN if the model cannot project the target.
-    sigmas : float
-        Distance over the sigma of the observation.
-    cause : str
-        ``outlier``, ``not_imaged`` (the model cannot project the target) or ``image`` (the whole image was rejected,
+    image: name of the image.
+    label: label of the target.
+    distance_px: NaN if the model cannot project the target.
+    sigmas: distance over the sigma of the observation.
+    cause: ``outlier``, ``not_imaged`` (the model cannot project the target) or ``image`` (the whole image was rejected,
         because too few of its observations agree).
     """
 

@@ -31,10 +31,7 @@ from giantlike.stars.options import StarOptions, bright_enough
 from giantlike.stars.refine import RefinedAttitude, depth_for, refine_attitude, scaled_model
 
 DEFAULT_MIN_SNR = 0.0
-"""Lowest signal to noise ratio of the stars that a camera is calibrated from: all, each by its weight.
-
-A limit of 20 leaves
-200 of 1,022 stars of the first real frames of ``benchmarks/calibration.py``."""
+"""Lowest signal to noise ratio of the stars that a camera is calibrated from: all, each by its weight."""
 _MAX_ROUNDS = 8  # of identification and calibration
 _MARGIN = 0.2  # of the image size: a rough camera may see a star of its solution so far outside the predicted field
 
@@ -43,21 +40,11 @@ _MARGIN = 0.2  # of the image size: a rough camera may see a star of its solutio
 class StarImage(Value):
     """Sources, sky and first identification of a star image for calibration.
 
-    Parameters
-    ----------
-    name : str
-    sky : Sky
-    points_px, covariance_px2, snr : (m, 2), (m, 2, 2), (m,) float64
-        Sources without flags of ``NOT_A_STAR``, brightest first.
-    camera_from_inertial : Rotation
-        First solution.
-    focal_length_px : float, px
-        Focal length that the first solution found.
-    star_ids, source_indices : (k,) int64
-        Stars of the first solution, and the indices of their sources.
-    sigma_px : (k,) float64, px
-        Standard deviation of these stars per axis.
-    temperature_c : float, Celsius
+    points_px, covariance_px2, snr: (m, 2), (m, 2, 2), (m,); sources without flags of ``NOT_A_STAR``, brightest first.
+    camera_from_inertial: first solution.
+    focal_length_px: focal length that the first solution found.
+    star_ids, source_indices: (k,); stars of the first solution, and the indices of their sources.
+    sigma_px: (k,); standard deviation of these stars per axis.
     """
 
     name: str
@@ -81,15 +68,9 @@ class StarImage(Value):
 class AllStars:
     """Stars of all brightnesses that agree with the attitudes found with a calibrated camera.
 
-    Parameters
-    ----------
-    min_snr : float
-        Limit of the stars used for calibration; the others here include fainter ones.
-    count : int
-    rms_px : float, px
-        Radial residual; larger than in the calibration, because faint stars have more noise.
-    noise_px : float, px
-        Radial rms expected from their sigmas.
+    min_snr: limit of the stars used for calibration; the others here include fainter ones.
+    rms_px: radial residual; larger than in the calibration, because faint stars have more noise.
+    noise_px: radial rms expected from their sigmas.
     """
 
     min_snr: float
@@ -102,17 +83,10 @@ class AllStars:
 class StarCalibration(Value):
     """A calibration from star images.
 
-    Parameters
-    ----------
-    result : CalibrationResult
-    rounds : int
-        Of identification and calibration.
-    settled : bool
-        True if the matches stopped changing.
-    failed : tuple of (str, Failure)
-        Images whose stars could not be identified with the calibrated camera, and why.
-    all_stars : AllStars, optional
-        Residuals of stars of all brightnesses; None for other targets than stars.
+    rounds: of identification and calibration.
+    settled: True if the matches stopped changing.
+    failed: images whose stars could not be identified with the calibrated camera, and why.
+    all_stars: residuals of stars of all brightnesses; None for other targets than stars.
     """
 
     result: CalibrationResult

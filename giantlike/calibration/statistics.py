@@ -18,21 +18,12 @@ _FEWEST = 2  # observations that can be grouped
 class ResidualGroup:
     """Statistics of the residuals of a group of observations.
 
-    Parameters
-    ----------
-    kind : str
-        ``image``, ``magnitude``, ``radius_px`` (from the image center) or ``temperature_c``.
-    label : str
-        Name of the image, or the range.
-    middle : float
-        Median of the quantity in the group; for images their number, from 0.
-    count : int
-    rms_px : float, px
-        Radial.
-    mean_x_px, mean_y_px : float, px
-        Observed minus predicted.
-    noise_px : float, px
-        Radial rms expected from the sigmas.
+    kind: ``image``, ``magnitude``, ``radius_px`` (from the image center) or ``temperature_c``.
+    label: name of the image, or the range.
+    middle: median of the quantity in the group; for images their number, from 0.
+    rms_px: radial.
+    mean_x_px, mean_y_px: observed minus predicted.
+    noise_px: radial rms expected from the sigmas.
     """
 
     kind: str

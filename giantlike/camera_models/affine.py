@@ -12,7 +12,9 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from giantlike.camera_models.base import CameraModel
 from giantlike.core.arrays import Float, as_finite, as_floats, require
+from giantlike.core.documented import documented_by
 
 AFFINE_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", "skew_px")
 TEMPERATURE_NAMES = ("a1_per_c", "a2_per_c2", "a3_per_c3")
@@ -23,6 +25,7 @@ _LARGEST = 1e30
 """Largest parameter of a model: far beyond any lens, and its powers in derivatives are finite."""
 
 
+@documented_by(CameraModel)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AffineModel(ABC):
     """A lens that maps directions to a focal plane at unit distance, and affine pixels behind it.
@@ -87,17 +90,6 @@ class AffineModel(ABC):
         return np.array([getattr(self, name) for name in self.parameter_names])
 
     def with_parameters(self, values: ArrayLike) -> Self:
-        """Return the same model with other parameter values.
-
-        Parameters
-        ----------
-        values : (k,) array_like
-            Values in the order and units of :attr:`parameter_names`.
-
-        Returns
-        -------
-        model of the same type
-        """
         names = self.parameter_names
         numbers = as_finite(values, (len(names),), "camera model parameters")
         return dataclasses.replace(self, **dict(zip(names, numbers.tolist(), strict=True)))
@@ -130,78 +122,18 @@ class AffineModel(ABC):
         return self.fx_px
 
     def project(self, points_camera: ArrayLike) -> Float:
-        """Project points to pixels.
-
-        Parameters
-        ----------
-        points_camera : (..., 3) array_like, camera axes
-            Points or directions, in any unit of length.
-
-        Returns
-        -------
-        (..., 2) float64, px
-            NaN where the lens images nothing.
-        """
         return blockwise(self._project_block, as_floats(points_camera, (3,), "points_camera"), (2,))
 
     def unproject(self, points_px: ArrayLike) -> Float:
-        """Return the directions of pixels.
-
-        Parameters
-        ----------
-        points_px : (..., 2) array_like, px
-            Pixels.
-
-        Returns
-        -------
-        (..., 3) float64, unitless, camera axes
-            Unit vectors; NaN where no direction maps to the pixel.
-        """
         return blockwise(self._unproject_block, as_floats(points_px, (2,), "points_px"), (3,))
 
     def project_jacobian(self, points_camera: ArrayLike) -> Float:
-        """Derivative of :meth:`project` with respect to the point.
-
-        Parameters
-        ----------
-        points_camera : (..., 3) array_like, camera axes
-            Points or directions, in any unit of length.
-
-        Returns
-        -------
-        (..., 2, 3) float64, px per unit of the points
-        """
         return blockwise(self._project_jacobian_block, as_floats(points_camera, (3,), "points_camera"), (2, 3))
 
     def unproject_jacobian(self, points_px: ArrayLike) -> Float:
-        """Derivative of :meth:`unproject` with respect to the pixel.
-
-        Parameters
-        ----------
-        points_px : (..., 2) array_like, px
-            Pixels.
-
-        Returns
-        -------
-        (..., 3, 2) float64, 1/px
-        """
         return blockwise(self._unproject_jacobian_block, as_floats(points_px, (2,), "points_px"), (3, 2))
 
     def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
-        """Derivative of the pixels of ``at_temperature(temperature_c).project`` with respect to :attr:`parameters`.
-
-        Parameters
-        ----------
-        points_camera : (..., 3) array_like, camera axes
-            Points or directions, in any unit of length.
-        temperature_c : float, Celsius
-            Temperature of the optics.
-
-        Returns
-        -------
-        (..., 2, k) float64, px per unit of each parameter
-            Columns in the order of :attr:`parameter_names`; temperature terms are zero at 0 degrees.
-        """
         points = as_floats(points_camera, (3,), "points_camera")
         scale = self._magnification(temperature_c)
         powers = temperature_c ** np.arange(1, 1 + len(TEMPERATURE_NAMES))

@@ -29,14 +29,10 @@ _SAME_LETTERS = frozenset({"pinhole", "brown", "opencv"})
 class Conversion(Value):
     """A camera model of another type, with its residuals against the original.
 
-    Parameters
-    ----------
-    model : AffineModel
-        The fitted model; temperature terms as in the original.
-    points_px : (rows, columns, 2) float64, px
-        Grid of pixels at which the two are compared.
-    residuals_px : (rows, columns, 2) float64, px
-        Pixel of the fitted model minus pixel of the original, for the same direction; NaN where one of them has none.
+    model: the fitted model; temperature terms as in the original.
+    points_px: (rows, columns, 2); grid of pixels at which the two are compared.
+    residuals_px: (rows, columns, 2); pixel of the fitted model minus pixel of the original, for the same direction; NaN
+        where one of them has none.
     """
 
     model: AffineModel
@@ -81,10 +77,7 @@ def convert(model: CameraModel, type_name: str, *, columns: int, rows: int) -> C
 
 
 def frame_grid(columns: int, rows: int, *, nodes: int) -> Float:
-    """Return a regular grid of pixels over a frame, its outer edges included.
-
-    Returns (m, n, 2) px.
-    """
+    """Return a regular grid of pixels over a frame, its outer edges included. Returns (m, n, 2) px."""
     step = max(columns, rows) / (nodes - 1)
     x = np.linspace(-0.5, columns - 0.5, max(2, round(columns / step) + 1))
     y = np.linspace(-0.5, rows - 0.5, max(2, round(rows / step) + 1))

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from giantlike.camera_models.affine import AffineModel, blockwise, inverse_on_the_sphere
+from giantlike.camera_models.base import CameraModel
 from giantlike.core.arrays import Float, as_finite, as_floats, require, require_number
+from giantlike.core.documented import documented_by
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 
@@ -19,6 +21,7 @@ _MAX_ITERATIONS = 60  # each at least halves the error, so a correction of 1e8 p
 _INVERSION_ERROR_PX = 1e-10  # px, at which the inversion stops: far below the 1e-3 px of the best centroids
 
 
+@documented_by(CameraModel, AffineModel)
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GridCorrectedModel(Value):
     """A camera model whose pixels are moved by a bicubic spline: ``pixel = q + g(q)``, q the pixel of the base.
@@ -100,17 +103,6 @@ class GridCorrectedModel(Value):
         return self.base.parameters
 
     def with_parameters(self, values: ArrayLike) -> Self:
-        """Return the same correction of a base model with other parameter values.
-
-        Parameters
-        ----------
-        values : (k,) array_like
-            Values in the order and units of :attr:`parameter_names`.
-
-        Returns
-        -------
-        model of the same type
-        """
         return dataclasses.replace(self, base=self.base.with_parameters(values))
 
     @property
@@ -119,80 +111,20 @@ class GridCorrectedModel(Value):
         return self.base.focal_length_px
 
     def project(self, points_camera: ArrayLike) -> Float:
-        """Project points to pixels.
-
-        Parameters
-        ----------
-        points_camera : (..., 3) array_like, camera axes
-            Points or directions, in any unit of length.
-
-        Returns
-        -------
-        (..., 2) float64, px
-            NaN where the lens images nothing.
-        """
         pixels = self.base.project(points_camera)
         return pixels + self.correction(pixels)
 
     def unproject(self, points_px: ArrayLike) -> Float:
-        """Return the directions of pixels.
-
-        Parameters
-        ----------
-        points_px : (..., 2) array_like, px
-            Pixels.
-
-        Returns
-        -------
-        (..., 3) float64, unitless, camera axes
-            Unit vectors; NaN where no direction maps to the pixel.
-        """
         return self.base.unproject(blockwise(self._uncorrected, as_floats(points_px, (2,), "points_px"), (2,)))
 
     def project_jacobian(self, points_camera: ArrayLike) -> Float:
-        """Derivative of :meth:`project` with respect to the point.
-
-        Parameters
-        ----------
-        points_camera : (..., 3) array_like, camera axes
-            Points or directions, in any unit of length.
-
-        Returns
-        -------
-        (..., 2, 3) float64, px per unit of the points
-        """
         result: Float = self._slope(self.base.project(points_camera)) @ self.base.project_jacobian(points_camera)
         return result
 
     def unproject_jacobian(self, points_px: ArrayLike) -> Float:
-        """Derivative of :meth:`unproject` with respect to the pixel.
-
-        Parameters
-        ----------
-        points_px : (..., 2) array_like, px
-            Pixels.
-
-        Returns
-        -------
-        (..., 3, 2) float64, 1/px
-        """
         return inverse_on_the_sphere(self.project_jacobian(self.unproject(points_px)))
 
     def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
-        """Derivative of the pixels at a temperature with respect to the parameters of the base model.
-
-        Parameters
-        ----------
-        points_camera : (..., 3) array_like, camera axes
-            Points or directions, in any unit of length.
-        temperature_c : float, Celsius
-            Temperature of the optics.
-
-        Returns
-        -------
-        (..., 2, k) float64, px per unit of each parameter
-            Columns in the order of :attr:`parameter_names`; temperature terms are zero at 0 degrees.
-        """
         pixels = self.base.at_temperature(temperature_c).project(points_camera)
         result: Float = self._slope(pixels) @ self.base.parameter_jacobian(points_camera, temperature_c)
         return result
@@ -212,17 +144,6 @@ class GridCorrectedModel(Value):
         return dataclasses.replace(self, base=self.base.at_temperature(temperature_c))
 
     def binned(self, factor: int) -> Self:
-        """Return the model of an image whose pixels are blocks of ``factor`` by ``factor`` pixels.
-
-        Parameters
-        ----------
-        factor : int
-            Pixels along one side of a block, at least 1.
-
-        Returns
-        -------
-        model of the same type
-        """
         return dataclasses.replace(
             self,
             base=self.base.binned(factor),
@@ -233,17 +154,6 @@ class GridCorrectedModel(Value):
         )
 
     def windowed(self, x0_px: float, y0_px: float) -> Self:
-        """Return the model of a window of the image.
-
-        Parameters
-        ----------
-        x0_px, y0_px : float, px
-            First pixel of the window.
-
-        Returns
-        -------
-        model of the same type
-        """
         return dataclasses.replace(
             self, base=self.base.windowed(x0_px, y0_px), corner_px=self.corner_px - [x0_px, y0_px]
         )

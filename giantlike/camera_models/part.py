@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from giantlike.camera_models.base import CameraModel
 from giantlike.core.arrays import Float, as_floats, require, require_number
+from giantlike.core.documented import documented_by
 
 
 @runtime_checkable
@@ -24,6 +25,7 @@ class DivisibleModel(CameraModel, Protocol):
         ...
 
 
+@documented_by(CameraModel, DivisibleModel)
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PartModel:
     """Any camera model, for the pixels of a window whose pixels may be blocks of pixels of the model.
@@ -31,14 +33,9 @@ class PartModel:
     ``pixel = (base pixel - (x0_px, y0_px)) / size_px``: directions go through the model, pixels through this map.
     :attr:`parameters` belong to the model.
 
-    Parameters
-    ----------
-    base : CameraModel
-        Of the whole image.
-    x0_px, y0_px : float, px
-        Pixel of the model at the center of the first pixel.
-    size_px : float, px
-        Pixels of the model along one side of a pixel.
+    base: of the whole image.
+    x0_px, y0_px: pixel of the model at the center of the first pixel.
+    size_px: pixels of the model along one side of a pixel.
     """
 
     type_name: ClassVar[str] = "part"
@@ -62,10 +59,6 @@ class PartModel:
         return self.base.parameters
 
     def with_parameters(self, values: ArrayLike) -> Self:
-        """Return the same part of a model with other parameter values.
-
-        ``values`` (k,), values in the order and units of :attr:`parameter_names`.
-        """
         return replace(self, base=self.base.with_parameters(values))
 
     @property
@@ -74,42 +67,19 @@ class PartModel:
         return self.base.focal_length_px / self.size_px
 
     def project(self, points_camera: ArrayLike) -> Float:
-        """Project points to pixels.
-
-        ``points_camera`` (..., 3), points or directions, in any unit of length; returns (..., 2) px, NaN where the lens
-        images nothing.
-        """
         pixels: Float = (self.base.project(points_camera) - [self.x0_px, self.y0_px]) / self.size_px
         return pixels
 
     def unproject(self, points_px: ArrayLike) -> Float:
-        """Return the directions of pixels.
-
-        ``points_px`` (..., 2); returns (..., 3), camera axes, unit vectors, NaN where no direction maps to the pixel.
-        """
         return self.base.unproject(self._base_px(points_px))
 
     def project_jacobian(self, points_camera: ArrayLike) -> Float:
-        """Derivative of :meth:`project` with respect to the point.
-
-        ``points_camera`` (..., 3), points or directions, in any unit of length; returns (..., 2, 3) px per unit of the
-        points.
-        """
         return self.base.project_jacobian(points_camera) / self.size_px
 
     def unproject_jacobian(self, points_px: ArrayLike) -> Float:
-        """Derivative of :meth:`unproject` with respect to the pixel.
-
-        ``points_px`` (..., 2); returns (..., 3, 2) 1/px.
-        """
         return self.size_px * self.base.unproject_jacobian(self._base_px(points_px))
 
     def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
-        """Derivative of the pixels at a temperature with respect to :attr:`parameters`.
-
-        ``points_camera`` (..., 3), points or directions, in any unit of length; returns (..., 2, k) px per unit of each
-        parameter, columns in the order of :attr:`parameter_names`.
-        """
         return self.base.parameter_jacobian(points_camera, temperature_c) / self.size_px
 
     def at_temperature(self, temperature_c: float) -> Self:
@@ -123,7 +93,6 @@ class PartModel:
         return replace(self, x0_px=self.x0_px + middle_px, y0_px=self.y0_px + middle_px, size_px=factor * self.size_px)
 
     def windowed(self, x0_px: float, y0_px: float) -> Self:
-        """Return the model of a window of the image."""
         return replace(self, x0_px=self.x0_px + self.size_px * x0_px, y0_px=self.y0_px + self.size_px * y0_px)
 
     def _base_px(self, points_px: ArrayLike) -> Float:

@@ -36,10 +36,7 @@ def distorted(x: Coordinate, y: Coordinate, lens: Float) -> tuple[Coordinate, Co
 
 
 def slopes(x: Coordinate, y: Coordinate, lens: Float) -> tuple[Coordinate, Coordinate, Coordinate, Coordinate]:
-    """Derivative of :func:`distorted`.
-
-    ``lens`` (17,); returns ``ux``, ``uy``, ``vx``, ``vy`` as ``x``.
-    """
+    """Derivative of :func:`distorted`. ``lens`` (17,); returns ``ux``, ``uy``, ``vx``, ``vy`` as ``x``."""
     k1, k2, k3, k4, k5, k6, p1, p2 = lens[5], lens[6], lens[7], lens[8], lens[9], lens[10], lens[11], lens[12]
     r2 = x * x + y * y
     denominator = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))

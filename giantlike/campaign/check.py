@@ -50,17 +50,10 @@ _ALONE: dict[str, Any] = {
 class Mistake:
     """Something that is wrong, or probably not meant.
 
-    Parameters
-    ----------
-    file : Path
-    line : int or None
-        Line of the campaign file; None where the problem concerns another file, or the whole file.
-    key : str
-        Of the campaign file; may be empty.
-    text : str
-        The finding, the expectation, the remedy.
-    fatal : bool
-        False where a run would continue.
+    line: line of the campaign file; None where the problem concerns another file, or the whole file.
+    key: of the campaign file; may be empty.
+    text: the finding, the expectation, the remedy.
+    fatal: False where a run would continue.
     """
 
     file: Path
@@ -75,10 +68,7 @@ class Mistake:
 
 
 def check_campaign(path: Path, *, all_images: bool = False) -> list[Mistake]:
-    """Find errors in a campaign file and the files that it names.
-
-    The result is empty if there are none.
-    """
+    """Find errors in a campaign file and the files that it names. The result is empty if there are none."""
     check = _Check(path)
     try:
         table = toml_table(path, "campaign file")

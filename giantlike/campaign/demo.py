@@ -56,11 +56,7 @@ _MADE_FOR_PX = MappingProxyType(
         "ellipsoid_cra": (60.0, math.inf),
     }
 )
-"""Minimum and maximum diameter, px, of the bodies that each estimator has to find.
-
-``unresolved`` allows a circumscribed sphere of up to 12 px, up to 1.5 times as wide as the sphere of equal volume.
-``limb_matching`` and ``ellipsoid_cra`` need an arc of limb: a body of 60 px has about 100 px of it.
-"""
+"""Minimum and maximum diameter, px, of the bodies that each estimator has to find."""
 _WHY = MappingProxyType(
     {
         Reason.NOT_UNRESOLVED: "the body is resolved: ",
@@ -75,14 +71,8 @@ _WHY = MappingProxyType(
 class Goal:
     """A requirement on the demonstration.
 
-    Parameters
-    ----------
-    text : str
-    value : float
-        Value reached; NaN if nothing could be measured.
-    low, high : float
-        Limits, inclusive.
-    unit : str
+    value: value reached; NaN if nothing could be measured.
+    low, high: limits, inclusive.
     """
 
     text: str
@@ -101,14 +91,9 @@ class Goal:
 class DemoReport(Value):
     """Result of the demonstration.
 
-    Parameters
-    ----------
-    output : Path
-        Folder with everything that was written.
-    comparison : Comparison
-        Every attitude and every observation against the truth.
-    simulate_s, run_s : float, s
-        Computing time of the images and of the campaign.
+    output: folder with everything that was written.
+    comparison: every attitude and every observation against the truth.
+    simulate_s, run_s: computing time of the images and of the campaign.
     """
 
     output: Path

@@ -84,29 +84,17 @@ EXPORT_NAMES: Mapping[ExportFormat, str] = MappingProxyType(
 class ExportOptions:
     """Options of an export.
 
-    Parameters
-    ----------
-    pointing : PointingSource
-    suspect : bool
-        Write suspect attitudes as well.
-    stars_only : bool
-        Leave out attitudes that were transferred from other images.
-    max_gap_s : float, s
-        CK and AEM: longest gap to interpolate over. The default is not from a study.
-    instrument_id : int, optional
-        CK: NAIF code of the camera frame.
-    frame_name : str, optional
-        CK and AEM: name of the camera frame; default: the mission's frame, or the name of the camera.
-    sclk : Path, optional
-        CK: clock kernel of the spacecraft; without it, one is made.
-    ck_type : int
-        CK: 3, continuous, or 1, discrete.
-    object_name, object_id, originator : str
-        AEM: see :func:`~giantlike.io.ccsds_aem.write_aem`. TDM, PSF: the spacecraft, and who writes the message.
-    angles : Angles
-        TDM: corrections removed from the angles.
-    sip_order : int
-        WCS: order of the polynomials, 2 to 9.
+    suspect: write suspect attitudes as well.
+    stars_only: leave out attitudes that were transferred from other images.
+    max_gap_s: CK and AEM: longest gap to interpolate over. The default is not from a study.
+    instrument_id: CK: NAIF code of the camera frame.
+    frame_name: CK and AEM: name of the camera frame; default: the mission's frame, or the name of the camera.
+    sclk: CK: clock kernel of the spacecraft; without it, one is made.
+    ck_type: CK: 3, continuous, or 1, discrete.
+    object_name, object_id, originator: AEM: see :func:`~giantlike.io.ccsds_aem.write_aem`. TDM, PSF: the spacecraft,
+        and who writes the message.
+    angles: TDM: corrections removed from the angles.
+    sip_order: WCS: order of the polynomials, 2 to 9.
     """
 
     pointing: PointingSource = PointingSource.STARS
@@ -132,13 +120,7 @@ class ExportOptions:
 class Exported:
     """Result of an export.
 
-    Parameters
-    ----------
-    files : tuple of Path
-    n_attitudes : int
-    left_out : mapping of str to int
-        Number of attitudes left out, by reason.
-    n_observations : int
+    left_out: number of attitudes left out, by reason.
     """
 
     files: tuple[Path, ...]

@@ -25,12 +25,7 @@ _LONG_S = 1.0
 class CameraChoice:
     """Camera of a new campaign: a file, a preset, or a rough field of view.
 
-    Parameters
-    ----------
-    file : Path, optional
-    preset : str, optional
-    fov_deg : float, optional, deg
-        Along x.
+    fov_deg: along x.
     """
 
     file: Path | None = None

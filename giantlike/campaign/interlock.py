@@ -31,20 +31,12 @@ _AXES = ("x", "y", "z")
 class InterlockResult(Value):
     """Alignment of two sensors from pairs of attitudes taken at the same time.
 
-    Parameters
-    ----------
-    alignment : AlignmentResult
-        ``second_from_first``.
-    et : (n,) float64, TDB seconds past J2000
-        Times of the first sensor.
-    names : tuple of (str, str)
-        Names of the attitudes of each pair.
-    rotation_angles_rad : (n,) float64, rad
-        Angle of ``second_from_first``, pair by pair.
-    sigma_rad : (n, 3) float64, rad
-        Standard deviations of each pair about the axes of the second sensor.
-    unpaired : int
-        Attitudes of the first sensor without one of the second at their time, or without an epoch.
+    alignment: ``second_from_first``.
+    et: (n,); times of the first sensor.
+    names: names of the attitudes of each pair.
+    rotation_angles_rad: (n,); angle of ``second_from_first``, pair by pair.
+    sigma_rad: (n, 3); standard deviations of each pair about the axes of the second sensor.
+    unpaired: attitudes of the first sensor without one of the second at their time, or without an epoch.
     """
 
     alignment: AlignmentResult

@@ -46,20 +46,11 @@ class StepStatus:
 class RunStatus:
     """State of a run.
 
-    Parameters
-    ----------
-    folder : str
-    state : str
-        ``running``, ``finished`` or ``interrupted``.
-    holder : str or None
-        The process at work.
-    images : int
-        Of the campaign.
-    steps : mapping of str to StepStatus
-    edits : int
-        Rejections in effect.
-    last_event : str or None
-        Time of the last line of the log.
+    state: ``running``, ``finished`` or ``interrupted``.
+    holder: the process at work.
+    images: of the campaign.
+    edits: rejections in effect.
+    last_event: time of the last line of the log.
     """
 
     folder: str

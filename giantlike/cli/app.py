@@ -17,14 +17,9 @@ from giantlike.cli.outcome import command
 class Entry:
     """A command: the function with its arguments, or a group of commands.
 
-    Parameters
-    ----------
-    summary : str
-        Line in the list of commands.
-    module, function : str
-        Module in ``giantlike.cli``, and the function in it that returns an exit code; empty for a group.
-    commands : mapping of str to Entry
-        Those of a group.
+    summary: line in the list of commands.
+    module, function: module in ``giantlike.cli``, and the function in it that returns an exit code; empty for a group.
+    commands: those of a group.
     """
 
     summary: str

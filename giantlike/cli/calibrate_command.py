@@ -43,8 +43,7 @@ def calibrate(
         ),
     ] = None,
     board: Annotated[
-        str | None,
-        typer.Option(help="Images show a checkerboard with so many inner corners.", metavar="COLUMNSxROWS"),
+        str | None, typer.Option(help="Images show a checkerboard with so many inner corners.", metavar="COLUMNSxROWS")
     ] = None,
     max_magnitude: Annotated[float | None, typer.Option(help="For images: faintest catalog star.")] = None,
     frames: Frames = None,

@@ -44,25 +44,14 @@ class DetectedImage:
 class DetectRequest:
     """Options of a search for sources, shared by all images.
 
-    Parameters
-    ----------
-    camera : Camera, optional
-        Its PSF and detector are used, and images of another size fail.
-    psf_sigma_px : float, px, optional
-        Instead of the camera's; by default it is estimated from each image.
-    min_snr : float
-        Detections of a lower signal-to-noise ratio are left out.
-    hdu : int or str, optional
-        Of FITS files.
-    reader : ImageReader
-        Opens the images.
-    sequence : bool
-        The images are of one camera: a fixed pattern is removed, and detections are compared.
-    psf : PsfKind, optional
-        Estimate a point spread function of this kind from each image, and the positions of stars with it.
-    psf_degree : int
-        Of the polynomials with which it varies over the field.
-    options : DetectionOptions
+    camera: its PSF and detector are used, and images of another size fail.
+    psf_sigma_px: instead of the camera's; by default it is estimated from each image.
+    min_snr: detections of a lower signal-to-noise ratio are left out.
+    hdu: of FITS files.
+    reader: opens the images.
+    sequence: the images are of one camera: a fixed pattern is removed, and detections are compared.
+    psf: estimate a point spread function of this kind from each image, and the positions of stars with it.
+    psf_degree: of the polynomials with which it varies over the field.
     """
 
     camera: Camera | None = None
@@ -253,6 +242,5 @@ def _psf_line(psf: Mapping[str, Any]) -> str:
     middle = ", ".join(f"{name} {values[0]:.4g}" for name, values in psf["coefficients"].items())
     return (
         f"[psf] sigma_px = {psf['sigma_px']:.4f}  # +- {psf['sigma_error_px']:.4f}, {psf['kind']} in the middle: "
-        f"{middle}; "
-        f"{psf['n_used']} stars, reduced chi-square {psf['reduced_chi2']:.3g}"
+        f"{middle}; {psf['n_used']} stars, reduced chi-square {psf['reduced_chi2']:.3g}"
     )

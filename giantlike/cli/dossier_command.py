@@ -26,8 +26,7 @@ def dossier(
         Path | None, typer.Option(help="Folder for the dossier; default: dossier in the run folder.", metavar="DIR")
     ] = None,
     campaign: Annotated[
-        Path | None,
-        typer.Option(help="Campaign file, if it is not where the run found it.", metavar="CAMPAIGN.toml"),
+        Path | None, typer.Option(help="Campaign file, if it is not where the run found it.", metavar="CAMPAIGN.toml")
     ] = None,
     check: Annotated[bool, typer.Option("--check", help="Say which input of a dossier changed since.")] = False,
     again: Annotated[
@@ -44,18 +43,14 @@ def dossier(
     """
     require(not (check and again), "give --check or --reproduce, not both")
     if check:
-        return _check(folder, json=json)
+        found = check_dossier(folder)
+        kinds = (("changed", found.changed), ("missing", found.missing), ("version", found.versions))
+        lines = [f"{kind}: {name}" for kind, names in kinds for name in names] + [f"{found.same} files are the same"]
+        return show_result(asdict(found), lines, json=json, failed=not found.holds)
     if again is not None:
         return _reproduce(folder, again, workers, json=json)
     written = write_dossier(folder, output, campaign)
     return show_result({"dossier": written}, f"wrote {written}; look at {written / 'dossier.html'}", json=json)
-
-
-def _check(folder: Path, *, json: bool) -> ExitCode:
-    found = check_dossier(folder)
-    kinds = (("changed", found.changed), ("missing", found.missing), ("version", found.versions))
-    lines = [f"{kind}: {name}" for kind, names in kinds for name in names] + [f"{found.same} files are the same"]
-    return show_result(asdict(found), lines, json=json, failed=not found.holds)
 
 
 def _reproduce(folder: Path, output: Path, workers: int | None, *, json: bool) -> ExitCode:

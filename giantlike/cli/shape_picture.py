@@ -34,15 +34,9 @@ _LARGEST_PX = 8192  # 64 megapixels; bounds the memory of a picture
 class PictureView:
     """Viewing and illumination geometry of a picture of a shape.
 
-    Parameters
-    ----------
-    phase_deg : float, deg
-        Angle at the body between Sun and camera; the Sun is to the right.
-    longitude_deg, latitude_deg : float, deg
-        East longitude and latitude of the point that faces the camera; body north is up.
-    size_px : int, px
-    law : str
-        Name of the reflectance law.
+    phase_deg: angle at the body between Sun and camera; the Sun is to the right.
+    longitude_deg, latitude_deg: east longitude and latitude of the point that faces the camera; body north is up.
+    law: name of the reflectance law.
     """
 
     phase_deg: float

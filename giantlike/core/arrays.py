@@ -15,6 +15,8 @@ Float = NDArray[np.float64]
 """A float64 array; its shape, unit and frame are in the docstring of whoever takes it."""
 Mask = NDArray[np.bool_]
 """A boolean array; in the mask of an image True is a bad pixel."""
+Indices = NDArray[np.int64]
+"""An array of indices, or of whole numbers."""
 
 
 def as_floats(value: ArrayLike, last: tuple[int, ...], name: str) -> Float:

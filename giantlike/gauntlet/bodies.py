@@ -82,17 +82,10 @@ def scaled(shape: Shape, factor: float) -> Shape:
 class EclipsedBody(Value):
     """A body with the round shadow of another one on it.
 
-    Parameters
-    ----------
-    body : Body
-    sun : (3,), body-fixed
-        Unit vector to the Sun.
-    through_km : (3,), km, body-fixed
-        A point on the axis of the shadow.
-    radius_km : float, km
-        Of the shadow.
-    penumbra_km : float, km
-        Length over which light falls off.
+    sun: body-fixed; unit vector to the Sun.
+    through_km: body-fixed; a point on the axis of the shadow.
+    radius_km: of the shadow.
+    penumbra_km: length over which light falls off.
     """
 
     body: Body

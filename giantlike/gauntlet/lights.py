@@ -59,10 +59,7 @@ def copied(*, shift_px: tuple[int, int], share: float, blur_px: float = 0.0, tur
 
 
 def moved(image: Float, shift_px: tuple[int, int]) -> Float:
-    """Shift an image by whole pixels, padded with zeros.
-
-    ``shift_px``: columns and rows; returns (rows, columns).
-    """
+    """Shift an image by whole pixels, padded with zeros. ``shift_px``: columns and rows; returns (rows, columns)."""
     x, y = shift_px
     rows, columns = image.shape
     result = np.zeros_like(image)

@@ -31,17 +31,9 @@ _LISTED = (Verdict.SILENT_WRONG, Verdict.NEEDLESS_REFUSAL, Verdict.MISLEADING)
 class WallCard:
     """An image on the wall.
 
-    Parameters
-    ----------
-    index : int
-    kind : str
-    summary : str
-    picture : str
-        JPEG as base64.
-    worst : str
-        The worst verdict; empty where no estimator ran.
-    dots : tuple of (str, str)
-        Verdict of each estimator, and a line about it.
+    picture: JPEG as base64.
+    worst: the worst verdict; empty where no estimator ran.
+    dots: verdict of each estimator, and a line about it.
     """
 
     index: int
@@ -53,10 +45,7 @@ class WallCard:
 
 
 def page_of(report: Mapping[str, Any], results: Sequence[ImageResult]) -> str:
-    """Return the page of a gauntlet.
-
-    ``report`` as :func:`~giantlike.gauntlet.run.summary_of` returns it.
-    """
+    """Return the page of a gauntlet. ``report`` as :func:`~giantlike.gauntlet.run.summary_of` returns it."""
     rows = [row for result in results for row in result.rows]
     return render_page(
         "gauntlet.html.j2",

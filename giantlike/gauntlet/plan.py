@@ -52,33 +52,15 @@ Readout = Callable[[Float, np.random.Generator], Float]
 class World(Value):
     """An image as it comes about.
 
-    Parameters
-    ----------
-    view : PinholeView
-        The camera.
-    attitude : Rotation
-        ``camera_from_inertial``.
-    body : Body, optional
-        The target; None where it is not in the image at all.
-    position_camera_km : (3,), km, camera
-        Of the target, whether it is in the image or not.
-    camera_from_body : Rotation
-    sun : (3,), camera
-        Unit vector from the body to the Sun.
-    law : str
-    psf : Psf
-    sampling : Sampling, optional
-    peak_dn : float, DN
-        Brightest pixel of the body.
-    sky : StarField, optional
-    velocity_km_s : (3,), km/s, inertial
-        Of the observer.
-    lights : tuple of Light
-        In their order, before the detector.
-    recorder : Recorder
-    defects : Defects
-    readouts : tuple of Readout
-        In their order, after the detector.
+    view: the camera.
+    attitude: ``camera_from_inertial``.
+    body: the target; None where it is not in the image at all.
+    position_camera_km: of the target, whether it is in the image or not.
+    sun: in camera axes; unit vector from the body to the Sun.
+    peak_dn: brightest pixel of the body.
+    velocity_km_s: in inertial axes; of the observer.
+    lights: in their order, before the detector.
+    readouts: in their order, after the detector.
     """
 
     view: PinholeView
@@ -118,39 +100,23 @@ class World(Value):
 class Told(Value):
     """A priori data for the estimators, with declared uncertainties.
 
-    Parameters
-    ----------
-    shape : Shape, optional
-        None without a target.
-    law : str
-    psf_px : float, px
-    position_camera_km : (3,), km, true camera axes
-        Prediction, before the error of the attitude.
-    camera_from_body : Rotation
-        Before the error of the attitude.
-    sun : (3,), true camera axes
-    ephemeris_sigma_km : float, km
-        0 where it is not declared.
-    scale_sigma : float
-        Relative.
-    attitude_error : Rotation
-        ``told camera_from_inertial = attitude_error * true camera_from_inertial``.
-    attitude_sigma_deg : float, deg Declared. focal_factor : float
-        Ratio of the assumed to the true focal length.
-    center_shift_px : (2,), px
-        Assumed minus true center.
-    focal_sigma : float
-        Declared, relative.
-    saturation_dn : float, DN Declared. dn_scale : float
-        DN of the image for each DN of the detector: below 1 after requantization.
-    mask : callable, optional
-        Bad pixels that are declared: from the pixels that were read (rows, columns) to (rows, columns) bool.
-    observer_known : bool
-        False where the velocity of the observer is not declared.
-    observer_factor : float
-        Ratio of the assumed to the true velocity.
-    catalog : StarField, optional
-        Assumed stars.
+    shape: None without a target.
+    position_camera_km: in true camera axes; prediction, before the error of the attitude.
+    camera_from_body: before the error of the attitude.
+    sun: in true camera axes.
+    ephemeris_sigma_km: 0 where it is not declared.
+    scale_sigma: relative.
+    attitude_error: ``told camera_from_inertial = attitude_error * true camera_from_inertial``.
+    attitude_sigma_deg: declared.
+    focal_factor: ratio of the assumed to the true focal length.
+    center_shift_px: assumed minus true center.
+    focal_sigma: declared, relative.
+    saturation_dn: declared.
+    dn_scale: DN of the image for each DN of the detector: below 1 after requantization.
+    mask: bad pixels that are declared: from the pixels that were read (rows, columns) to (rows, columns) bool.
+    observer_known: False where the velocity of the observer is not declared.
+    observer_factor: ratio of the assumed to the true velocity.
+    catalog: assumed stars.
     """
 
     shape: Shape | None = None
@@ -178,12 +144,7 @@ class Told(Value):
 class Plan(Value):
     """An image to be made.
 
-    Parameters
-    ----------
-    world : World
-    told : Told
-    hard : bool
-        True where the drawn disturbance justifies a refusal.
+    hard: True where the drawn disturbance justifies a refusal.
     """
 
     world: World
@@ -203,20 +164,12 @@ class Plan(Value):
 class Base:
     """Limits from which the undisturbed image is drawn.
 
-    Parameters
-    ----------
-    diameter_px : (2,), px
-        Minimum and maximum, drawn uniformly in the logarithm; rocks only up to :data:`LARGEST_ROCK_PX`.
-    phase_deg : (2,), deg
-        Smallest and largest.
-    rocks : float
-        Fraction of bodies of irregular shape.
-    points : float
-        Fraction of bodies of 1 to 3 px.
-    declared : float
-        Fraction of images with a declared uncertainty of the ephemeris.
-    largest_frame_px : int, px
-        Side of the largest frame; smaller bodies have smaller ones.
+    diameter_px: minimum and maximum, drawn uniformly in the logarithm; rocks only up to :data:`LARGEST_ROCK_PX`.
+    phase_deg: smallest and largest.
+    rocks: fraction of bodies of irregular shape.
+    points: fraction of bodies of 1 to 3 px.
+    declared: fraction of images with a declared uncertainty of the ephemeris.
+    largest_frame_px: side of the largest frame; smaller bodies have smaller ones.
     """
 
     diameter_px: tuple[float, float] = (20.0, 250.0)

@@ -241,13 +241,7 @@ def solvable(estimator: str, facts: Facts) -> bool:
     return seen and demanded.get(estimator, False)
 
 
-_NEVER = (
-    Reason.INTERNAL_ERROR,
-    Reason.UNREADABLE_IMAGE,
-    Reason.NO_ATTITUDE,
-    Reason.NO_EPOCH,
-    Reason.NO_GEOMETRY,
-)
+_NEVER = (Reason.INTERNAL_ERROR, Reason.UNREADABLE_IMAGE, Reason.NO_ATTITUDE, Reason.NO_EPOCH, Reason.NO_GEOMETRY)
 """Reasons that are true of no image of the gauntlet."""
 
 

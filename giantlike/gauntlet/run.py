@@ -99,16 +99,9 @@ class Gauntlet(Value):
 class ImageResult:
     """Results of one image.
 
-    Parameters
-    ----------
-    index : int
-    kind : str
-    rows : tuple of TrialRow
-        One per estimator.
-    cpu_s : float, s
-        Of estimators, renderer and comparison.
-    thumbnail : bytes
-        JPEG.
+    rows: one per estimator.
+    cpu_s: of estimators, renderer and comparison.
+    thumbnail: JPEG.
     """
 
     index: int
@@ -158,10 +151,7 @@ def thumbnail(image: Image) -> bytes:
 
 
 def run_gauntlet(
-    wanted: Gauntlet,
-    *,
-    finished: Sequence[ImageResult] = (),
-    progress: Callable[[int, int], None] | None = None,
+    wanted: Gauntlet, *, finished: Sequence[ImageResult] = (), progress: Callable[[int, int], None] | None = None
 ) -> Iterator[ImageResult]:
     """Run images, and yield the results of each in order of completion.
 

@@ -137,10 +137,7 @@ def _stage(seed: int, index: int, plan: Plan, base: Plan, known: tuple[Float, Fl
 
 
 def expose(world: World, rng: np.random.Generator) -> tuple[Float, Float]:
-    """Take an image.
-
-    Returns (rows, columns), (rows, columns) DN.
-    """
+    """Take an image. Returns (rows, columns), (rows, columns) DN."""
     signal = signal_of(world, rng)
     pixels = record(signal, rng, world.recorder, world.defects).pixels
     for readout in world.readouts:

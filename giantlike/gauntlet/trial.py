@@ -66,22 +66,13 @@ class TrialRow:
 class Answer:
     """Outcome of an estimator, in numbers.
 
-    Parameters
-    ----------
-    status : str
-        ok, suspect, failed or raised.
-    reason, detail : str
-    sigmas : float
-        Largest error over its sigma.
-    error_px, sigma_px : float, px
-        Of the center: length of the error, and sigma by axis.
-    range_error, range_sigma : float
-        Relative; NaN where the range is not estimated. Of stars, of the roll in px at the edge of the frame.
-    center_sigmas, range_sigmas : float
-        Errors / sigmas.
-    prior_px, prior_range : float
-        Sigmas of the errors declared with the image.
-    cpu_s : float, s
+    status: ok, suspect, failed or raised.
+    sigmas: largest error over its sigma.
+    error_px, sigma_px: of the center: length of the error, and sigma by axis.
+    range_error, range_sigma: relative; NaN where the range is not estimated. Of stars, of the roll in px at the edge of
+        the frame.
+    center_sigmas, range_sigmas: errors / sigmas.
+    prior_px, prior_range: sigmas of the errors declared with the image.
     """
 
     status: str

@@ -26,14 +26,9 @@ SHADOW_START = 2e-5
 class RayHits:
     """Where rays meet a body.
 
-    Parameters
-    ----------
-    hit : (n,) bool
-        Rays that meet it.
-    points : (m, 3), km, body-fixed
-        First points, of the rays that hit, in their order.
-    normals : (m, 3), body-fixed
-        Outward unit normals.
+    hit: (n,); rays that meet it.
+    points: (m, 3) km, body-fixed; first points, of the rays that hit, in their order.
+    normals: (m, 3), body-fixed; outward unit normals.
     """
 
     hit: NDArray[np.bool_]
@@ -77,12 +72,8 @@ def _unit_sphere_hits(origin: Float, directions: Float, radius: float = 1.0) -> 
 class EllipsoidBody:
     """Triaxial ellipsoid; rays meet it in closed form.
 
-    Parameters
-    ----------
-    radii_km : (3,), km
-        Half axes.
-    albedo : SphereField, optional
-        Relative albedo less one, by direction from the center.
+    radii_km: half axes.
+    albedo: relative albedo less one, by direction from the center.
     """
 
     radii_km: ArrayLike
@@ -125,14 +116,9 @@ class EllipsoidBody:
 class ReliefBody:
     """Ellipsoid with heights: the surface lies at ``radii u (1 + h(u))`` for unit vectors u. Rays march to it.
 
-    Parameters
-    ----------
-    radii_km : (3,), km
-        Half axes of the base.
-    relief : SphereField
-        Heights over the base, as a share of the radius, by the direction u.
-    albedo : SphereField, optional
-        Relative albedo less one, by the direction u.
+    radii_km: half axes of the base.
+    relief: heights over the base, as a share of the radius, by the direction u.
+    albedo: relative albedo less one, by the direction u.
 
     Notes
     -----

@@ -45,12 +45,8 @@ class SphereField:
 
     The table is the function: a renderer and a mesh that both read it see one and the same body.
 
-    Parameters
-    ----------
-    values : (cells + 1, cells + 1)
-        Values at the nodes of the octahedral map.
-    gradients : (cells + 1, cells + 1, 3)
-        Derivatives along the sphere, per radian, at the nodes.
+    values: (cells + 1, cells + 1); values at the nodes of the octahedral map.
+    gradients: (cells + 1, cells + 1, 3); derivatives along the sphere, per radian, at the nodes.
     """
 
     values: Float
@@ -114,12 +110,7 @@ def _relative(values: Float, gradients: Float, directions: Float, rms: float, ce
 
 
 def bumps(
-    seed: int,
-    *,
-    rms: float,
-    count: int = 60,
-    widths_deg: tuple[float, float] = (5.0, 30.0),
-    cells: int = CELLS,
+    seed: int, *, rms: float, count: int = 60, widths_deg: tuple[float, float] = (5.0, 30.0), cells: int = CELLS
 ) -> SphereField:
     """Make a sum of smooth round bumps and hollows at random places that neither scales nor moves a sphere."""
     rng = np.random.default_rng(seed)
@@ -168,12 +159,7 @@ def rough(
 
 
 def craters(
-    seed: int,
-    *,
-    depth: float = 0.15,
-    count: int = 80,
-    radii_deg: tuple[float, float] = (3.0, 20.0),
-    cells: int = CELLS,
+    seed: int, *, depth: float = 0.15, count: int = 80, radii_deg: tuple[float, float] = (3.0, 20.0), cells: int = CELLS
 ) -> SphereField:
     """Make bowls with raised rims at random places; many small ones, few large ones."""
     rng = np.random.default_rng(seed)

@@ -25,11 +25,8 @@ STEP_OF_PERIOD = 0.01
 class PullingBodies:
     """The bodies that pull.
 
-    Parameters
-    ----------
-    earth_gm, moon_gm, sun_gm : float, km^3/s^2
-    moon_km, sun_km : callable
-        Places (3,) from the Earth, km, at a time in seconds.
+    earth_gm, moon_gm, sun_gm: in km^3/s^2.
+    moon_km, sun_km: places (3,) from the Earth, km, at a time in seconds.
     """
 
     earth_gm: float

@@ -31,14 +31,8 @@ HEIGHTS, COSINES, TO_SUN = 81, 241, 200
 class HazeSunlight:
     """Share of sunlight that reaches places in haze, tabulated over height and cosine of incidence.
 
-    Parameters
-    ----------
-    high_km : float, km
-        Height of the top of the haze.
-    width : float
-        Cosines are tabulated at ``width sinh(v)``, for v in even steps up to ``end`` either way.
-    end : float
-    table : (HEIGHTS, COSINES) float64
+    high_km: height of the top of the haze.
+    width: cosines are tabulated at ``width sinh(v)``, for v in even steps up to ``end`` either way.
     """
 
     high_km: float
@@ -78,16 +72,10 @@ class HazeSunlight:
 class Haze:
     """Haze whose extinction falls exponentially with height.
 
-    Parameters
-    ----------
-    scale_height_km : float, km
-    vertical_depth : float
-        Optical depth of all of it.
-    albedo : float
-        Share of the light that is scattered, alike in all directions, over the brightness of the ground at normal
+    vertical_depth: optical depth of all of it.
+    albedo: share of the light that is scattered, alike in all directions, over the brightness of the ground at normal
         incidence and emission.
-    twilight : bool
-        Haze is lit wherever the sphere does not stand before the Sun; else only where the ground below is.
+    twilight: haze is lit wherever the sphere does not stand before the Sun; else only where the ground below is.
     """
 
     scale_height_km: float

@@ -18,13 +18,10 @@ LIGHT_KM_S = 299_792.458
 class Motion:
     """Velocities with respect to the frame in which light and clocks are described (the solar system barycenter).
 
-    Parameters
-    ----------
-    observer_km_s : (3,), km/s, camera axes
-        Velocity of the camera.
-    body_km_s : (3,), km/s, camera axes
-        Velocity of the body; constant while its light travels. Its turning in that time (an angle of rate times light
-        time) is left to the orientation given, and its own contraction (v^2 / c^2 / 2, 5e-9 at 30 km/s) is left out.
+    observer_km_s: in camera axes; velocity of the camera.
+    body_km_s: in camera axes; velocity of the body; constant while its light travels. Its turning in that time
+        (an angle of rate times light time) is left to the orientation given, and its own contraction
+        (v^2 / c^2 / 2, 5e-9 at 30 km/s) is left out.
     """
 
     observer_km_s: ArrayLike = (0.0, 0.0, 0.0)
@@ -79,15 +76,9 @@ def unaberrated(rays: Float, motion: Motion) -> Float:
 
 
 def apparent_geometry(
-    point_at: Callable[[float], ArrayLike],
-    observer_km: ArrayLike,
-    observer_velocity_km_s: ArrayLike,
-    seconds: float,
+    point_at: Callable[[float], ArrayLike], observer_km: ArrayLike, observer_velocity_km_s: ArrayLike, seconds: float
 ) -> tuple[Float, float]:
-    """Find where a moving observer sees a moving point, by the event at which its light left.
-
-    Returns (3,).
-    """
+    """Find where a moving observer sees a moving point, by the event at which its light left. Returns (3,)."""
     place = np.asarray(observer_km, dtype=float)
     left = seconds
     for _ in range(50):

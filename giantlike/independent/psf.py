@@ -22,16 +22,10 @@ SMEAR_STEP_PX = 0.25
 class Psf:
     """Optical point spread function; the pixel is not part of it.
 
-    Parameters
-    ----------
-    sigma_px : float, px
-        Width of the Gaussian core.
-    wing_share : float
-        Share of the light in the wings, a second, wider Gaussian.
-    wing_sigma_px : float, px
-        Width of the wings.
-    motion_px : (2,), px
-        Path of the image on the detector during the exposure, centered.
+    sigma_px: width of the Gaussian core.
+    wing_share: share of the light in the wings, a second, wider Gaussian.
+    wing_sigma_px: width of the wings.
+    motion_px: path of the image on the detector during the exposure, centered.
     """
 
     sigma_px: float = 0.7

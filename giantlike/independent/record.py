@@ -16,20 +16,12 @@ Bool = NDArray[np.bool_]
 class Recorder:
     """Properties of a detector.
 
-    Parameters
-    ----------
-    gain_e_per_dn : float, e-/DN
-        Electrons per DN.
-    read_noise_e : float, e-
-        Read noise.
-    bias_dn : float, DN
-        Level without light.
-    saturation_dn : float, DN
-        Highest value.
-    quantized : bool
-        Round to whole DN.
-    blooms : bool
-        Charge above saturation flows to both sides along its column.
+    gain_e_per_dn: e-/DN; electrons per DN.
+    read_noise_e: e-.
+    bias_dn: level without light.
+    saturation_dn: highest value.
+    quantized: round to whole DN.
+    blooms: charge above saturation flows to both sides along its column.
     """
 
     gain_e_per_dn: float = 1.0
@@ -44,20 +36,12 @@ class Recorder:
 class Defects:
     """Bad pixels.
 
-    Parameters
-    ----------
-    dead_columns, dead_rows : tuple of int
-        Without signal.
-    hot_pixels : int
-        Number of pixels at random places with extra charge.
-    hot_dn : float, DN
-        Mean of that charge (exponential).
-    cosmic_rays : int
-        Number of tracks at random places.
-    cosmic_dn : float, DN
-        Mean signal of a pixel of a track.
-    cosmic_length_px : float, px
-        Mean length of a track.
+    dead_columns, dead_rows: without signal.
+    hot_pixels: number of pixels at random places with extra charge.
+    hot_dn: mean of that charge (exponential).
+    cosmic_rays: number of tracks at random places.
+    cosmic_dn: mean signal of a pixel of a track.
+    cosmic_length_px: mean length of a track.
     """
 
     dead_columns: tuple[int, ...] = ()
@@ -73,14 +57,9 @@ class Defects:
 class Recorded:
     """Image as read out.
 
-    Parameters
-    ----------
-    pixels : (rows, columns), DN
-        Values.
-    saturated : (rows, columns) bool
-        At the highest value, by light or by blooming.
-    bad : (rows, columns) bool
-        Dead, hot, or hit by a cosmic ray.
+    pixels: in DN; values.
+    saturated: at the highest value, by light or by blooming.
+    bad: dead, hot, or hit by a cosmic ray.
     """
 
     pixels: Float

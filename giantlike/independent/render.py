@@ -16,17 +16,10 @@ from giantlike.independent.psf import Psf
 from giantlike.independent.views import PinholeView
 
 RAYS_ACROSS_LIGHT, MOST_EDGE_RAYS = 24, 40
-"""Least number of rays across the lit part of the disk, and most of them along the side of a cell.
-
-With 12 rays along a pixel the center of light of a crescent 4 px long and 0.3 px thick is off by 0.02 px.
-"""
+"""Least number of rays across the lit part of the disk, and most of them along the side of a cell."""
 
 CELLS_ACROSS_LIGHT, MOST_CELLS = 16, 40
-"""Least number of cells across the lit part of the disk, and most of them along the side of a pixel.
-
-Light is placed at the middle of its cell: with 3 cells a pixel the center of light of a sphere of 2 px is off by 0.004
-px at a phase angle of 60 degrees and by 0.03 px at 150, with these by less than 0.002 px.
-"""
+"""Least number of cells across the lit part of the disk, and most of them along the side of a pixel."""
 
 SMALL_PX = 1.5
 """Distance from the center within which pixels count as edges: smaller bodies may miss the centers of all pixels."""
@@ -39,16 +32,10 @@ RAYS_AT_ONCE = 60_000
 class Pose:
     """Where a body is and from where it is lit.
 
-    Parameters
-    ----------
-    position_camera_km : (3,), km, camera
-        Center of the body.
-    camera_from_body : Rotation
-        Its orientation.
-    sun_direction_camera : (3,), camera
-        Unit vector from the body to the Sun.
-    motion : Motion, optional
-        Velocities, for aberration and light time ray by ray; the position is then the geometric one at the time of
+    position_camera_km: center of the body.
+    camera_from_body: its orientation.
+    sun_direction_camera: unit vector from the body to the Sun.
+    motion: velocities, for aberration and light time ray by ray; the position is then the geometric one at the time of
         reception.
     """
 
@@ -62,12 +49,8 @@ class Pose:
 class Sampling:
     """Rays by pixel.
 
-    Parameters
-    ----------
-    cells : int
-        Cells along the side of every pixel, one ray each; also the grid on which the optics blur.
-    edge_rays : int
-        Rays along the side of each cell in pixels with an edge: limb, shadow, terminator.
+    cells: cells along the side of every pixel, one ray each; also the grid on which the optics blur.
+    edge_rays: rays along the side of each cell in pixels with an edge: limb, shadow, terminator.
     """
 
     cells: int = 3

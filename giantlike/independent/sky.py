@@ -22,12 +22,8 @@ down to 10 mag in the Galaxy, where dust and the disk end the growth."""
 class StarField:
     """Catalog without motion and parallax.
 
-    Parameters
-    ----------
-    directions : (n, 3), ICRF
-        Unit vectors.
-    magnitudes : (n,), mag
-        Brightness.
+    directions: (n, 3), ICRF; unit vectors.
+    magnitudes: (n,) mag; brightness.
     """
 
     directions: Float
@@ -42,10 +38,7 @@ def random_stars(
     radius_rad: float,
     magnitudes: tuple[float, float] = (2.0, 9.0),
 ) -> StarField:
-    """Scatter stars evenly over a cap of the sky.
-
-    ``axis`` in ICRF; ``magnitudes`` in mag.
-    """
+    """Scatter stars evenly over a cap of the sky. ``axis`` in ICRF; ``magnitudes`` in mag."""
     center = np.asarray(axis, dtype=float) / np.linalg.norm(np.asarray(axis, dtype=float))
     cosines = 1.0 - rng.uniform(size=count) * (1.0 - np.cos(radius_rad))
     angles = rng.uniform(0.0, 2.0 * np.pi, size=count)

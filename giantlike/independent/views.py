@@ -14,18 +14,11 @@ from giantlike.independent.laws import Float
 class PinholeView:
     """Camera that maps ``(X / Z, Y / Z)`` to pixels, with radial and tangential distortion after Brown (1966).
 
-    Parameters
-    ----------
-    focal_px : float, px
-        Focal length.
-    center_px : (2,), px
-        Pixel of the boresight: (column, row), (0, 0) the center of the first pixel.
-    columns, rows : int
-        Size of the detector.
-    k1, k2 : float
-        Radial terms: ``(1 + k1 r^2 + k2 r^4)``, r in units of the focal length.
-    p1, p2 : float
-        Tangential terms: ``x + 2 p1 x y + p2 (r^2 + 2 x^2)``, ``y + p1 (r^2 + 2 y^2) + 2 p2 x y``.
+    focal_px: focal length.
+    center_px: pixel of the boresight: (column, row), (0, 0) the center of the first pixel.
+    columns, rows: size of the detector.
+    k1, k2: radial terms: ``(1 + k1 r^2 + k2 r^4)``, r in units of the focal length.
+    p1, p2: tangential terms: ``x + 2 p1 x y + p2 (r^2 + 2 x^2)``, ``y + p1 (r^2 + 2 y^2) + 2 p2 x y``.
     """
 
     focal_px: float

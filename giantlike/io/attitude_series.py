@@ -27,18 +27,11 @@ _COLUMNS = ("name", "epoch_utc", "et", *_QUATERNION, *_COVARIANCE)
 class AttitudeSeries(Value):
     """Attitudes in order of time.
 
-    Parameters
-    ----------
-    et : (n,) float64, TDB seconds past J2000
-        Increasing; no two are equal.
-    camera_from_inertial : Rotation
-        n of them.
-    covariance_rad2 : (n, 3, 3) float64, rad^2
-        Of the small rotations about the camera axes; not a number where unknown.
-    names : tuple of str
-        Names of the images.
-    frame : str
-        Name of the axes that the attitudes refer to; empty when unknown.
+    et: (n,); increasing; no two are equal.
+    camera_from_inertial: n of them.
+    covariance_rad2: (n, 3, 3); of the small rotations about the camera axes; not a number where unknown.
+    names: names of the images.
+    frame: name of the axes that the attitudes refer to; empty when unknown.
     """
 
     et: Float
@@ -68,10 +61,7 @@ class AttitudeSeries(Value):
         return quaternions
 
     def attitudes(self, index: slice | NDArray[np.intp] = slice(None)) -> FrameRotation:
-        """Return attitudes (all by default) with the names of their frames.
-
-        ``index`` slice or (k,).
-        """
+        """Return attitudes (all by default) with the names of their frames. ``index`` slice or (k,)."""
         return FrameRotation(rotation=self.camera_from_inertial[index], target=self.frame, source=INERTIAL_FRAME)
 
     def turned(self, turn: FrameRotation) -> AttitudeSeries:
@@ -106,13 +96,8 @@ class AttitudeSeries(Value):
 class UntimedAttitude(Value):
     """Attitude of an image whose time is not known.
 
-    Parameters
-    ----------
-    name : str
-        Of the image.
-    camera_from_inertial : Rotation
-    covariance_rad2 : (3, 3) float64, rad^2
-        Not a number where unknown.
+    name: of the image.
+    covariance_rad2: not a number where unknown.
     """
 
     name: str

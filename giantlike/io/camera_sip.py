@@ -33,14 +33,9 @@ _ORDERS = range(2, 10)  # the keywords have one digit for each power: Shupe et a
 class SipCamera(Value):
     """Camera and attitude of a TAN-SIP header.
 
-    Parameters
-    ----------
-    camera : ImportedCamera
-        ``rows_reversed`` where the header describes a mirrored array, as sky images stored from the bottom are.
-    camera_from_inertial : Rotation
-        Attitude, boresight at CRVAL, x along increasing columns.
-    conversion : Conversion
-        Differences of the fitted lens from the polynomials, over the frame.
+    camera: ``rows_reversed`` where the header describes a mirrored array, as sky images stored from the bottom are.
+    camera_from_inertial: attitude, boresight at CRVAL, x along increasing columns.
+    conversion: differences of the fitted lens from the polynomials, over the frame.
     """
 
     camera: ImportedCamera
@@ -52,12 +47,7 @@ class SipCamera(Value):
 class PosedModel:
     """A camera model with the size of its image and its attitude, to be written as world coordinates.
 
-    Parameters
-    ----------
-    model : CameraModel
-    columns, rows : int
-        Size of the image.
-    camera_from_inertial : Rotation
+    columns, rows: size of the image.
     """
 
     model: CameraModel
@@ -70,13 +60,8 @@ class PosedModel:
 class SipHeader:
     """TAN-SIP keywords of a camera model and an attitude, and the errors of their polynomials.
 
-    Parameters
-    ----------
-    cards : mapping of str to str, int or float
-    max_px, rms_px : float, px
-        Of the forward polynomials against the model, over the frame.
-    inverse_max_px : float, px
-        Of the inverse polynomials (AP, BP) against the forward ones.
+    max_px, rms_px: of the forward polynomials against the model, over the frame.
+    inverse_max_px: of the inverse polynomials (AP, BP) against the forward ones.
     """
 
     cards: Mapping[str, str | int | float]

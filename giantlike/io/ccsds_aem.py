@@ -27,14 +27,9 @@ _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])  # signs of the quaternion x, y, 
 class AemNames:
     """Names in the header and metadata of an AEM.
 
-    Parameters
-    ----------
-    object_name, object_id : str
-        Spacecraft and its international designator.
-    originator : str
-        Organization that writes the message.
-    frame : str
-        ``REF_FRAME_B``, the camera; ``REF_FRAME_A`` is ICRF.
+    object_name, object_id: spacecraft and its international designator.
+    originator: organization that writes the message.
+    frame: ``REF_FRAME_B``, the camera; ``REF_FRAME_A`` is ICRF.
     """
 
     object_name: str = "UNKNOWN"
@@ -47,12 +42,7 @@ class AemNames:
 
 
 def write_aem(
-    path: str | Path,
-    series: AttitudeSeries,
-    names: AemNames,
-    *,
-    max_gap_s: float = 600.0,
-    comments: Sequence[str] = (),
+    path: str | Path, series: AttitudeSeries, names: AemNames, *, max_gap_s: float = 600.0, comments: Sequence[str] = ()
 ) -> None:
     """Write attitudes as an AEM, version 2.0, times in UTC."""
     _require_lines(comments)

@@ -23,13 +23,9 @@ ABERRATION_REMOVED = "stellar aberration is removed"
 class TdmPoint:
     """One observation.
 
-    Parameters
-    ----------
-    epoch_utc : str
-        When the light was received, ISO 8601.
-    ra_deg, dec_deg : float, deg, ICRF
-    range_km : float, km, optional
-        One way, of light.
+    epoch_utc: when the light was received, ISO 8601.
+    ra_deg, dec_deg: in ICRF.
+    range_km: one way, of light.
     """
 
     epoch_utc: str
@@ -42,14 +38,9 @@ class TdmPoint:
 class TdmSegment:
     """Observations of one target from one spacecraft.
 
-    Parameters
-    ----------
-    spacecraft, target : str
-        Names of the participants.
-    points : sequence of TdmPoint
-        In order of time; at least one.
-    comments : sequence of str
-        Lines for the metadata: effects removed from the angles.
+    spacecraft, target: names of the participants.
+    points: in order of time; at least one.
+    comments: lines for the metadata: effects removed from the angles.
     """
 
     spacecraft: str

@@ -33,13 +33,8 @@ _UNIT_NORM = 1e-3  # unit vectors to this: some digits were rounded off; a large
 class CsvRow:
     """One row of a CSV file.
 
-    Parameters
-    ----------
-    path : Path
-    line : int
-        Line in the file; the header is line 1.
-    cells : dict of str to str
-        Text by column, without blanks around it.
+    line: line in the file; the header is line 1.
+    cells: text by column, without blanks around it.
     """
 
     path: Path
@@ -57,17 +52,11 @@ class CsvRow:
         return value
 
     def text(self, column: str) -> str | None:
-        """Text of a cell.
-
-        Returns None when it is empty or there is no such column.
-        """
+        """Text of a cell. Returns None when it is empty or there is no such column."""
         return self.cells.get(column) or None
 
     def number(self, column: str) -> float | None:
-        """Finite number of a cell.
-
-        Returns None when it is empty or there is no such column.
-        """
+        """Finite number of a cell. Returns None when it is empty or there is no such column."""
         text = self.text(column)
         if text is None:
             return None
@@ -80,10 +69,7 @@ class CsvRow:
         return value
 
     def vector(self, columns: Sequence[str]) -> Float | None:
-        """Numbers of columns that are filled together.
-
-        Returns (n,), None when all are empty.
-        """
+        """Numbers of columns that are filled together. Returns (n,), None when all are empty."""
         numbers = [self.number(column) for column in columns]
         filled = [number for number in numbers if number is not None]
         if not filled:
@@ -94,10 +80,7 @@ class CsvRow:
         return np.array(filled)
 
     def rotation(self, columns: Sequence[str]) -> Rotation | None:
-        """Rotation of four quaternion columns, scalar last.
-
-        Returns None when all are empty.
-        """
+        """Rotation of four quaternion columns, scalar last. Returns None when all are empty."""
         values = self.vector(columns)
         if values is None:
             return None
@@ -107,10 +90,7 @@ class CsvRow:
             raise self.error(columns[0], f"{', '.join(columns)}: {error}") from error
 
     def direction(self, columns: Sequence[str]) -> Float | None:
-        """Unit vector of three columns.
-
-        Returns (3,), None when all are empty.
-        """
+        """Unit vector of three columns. Returns (3,), None when all are empty."""
         values = self.vector(columns)
         if values is None:
             return None
@@ -129,10 +109,7 @@ class CsvRow:
         return et_from_time(epoch)
 
     def utc(self, column: str) -> Time | None:
-        """Epoch of an ISO 8601 UTC cell.
-
-        Returns None when it is empty or there is no such column.
-        """
+        """Epoch of an ISO 8601 UTC cell. Returns None when it is empty or there is no such column."""
         text = self.text(column)
         if text is None:
             return None

@@ -24,24 +24,13 @@ HeaderValue: TypeAlias = str | int | float | bool
 class DecodedImage(Value):
     """Pixels as stored, and the contents of the file's own header.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) array, DN
-        Rows as stored, any byte order; may hold NaN.
-    format : str
-        ``fits``, ``png``, ``tiff``, ``jpeg``, ``vicar``, ``pds3``, ``pds4`` or ``isis``.
-    mask : (rows, columns) bool or None
-        True where the format itself declares a pixel missing; None where no pixel is.
-    epoch : Time or None
-        Mid-exposure.
-    exposure_s : float or None, s
-    camera_from_inertial : Rotation or None
-    observer : ObserverState or None
-        Spacecraft with respect to the solar system barycenter.
-    header : dict of str to str, int, float or bool
-        Header or label items.
-    eight_bit : EightBitValues or None
-        Of 8-bit JPEG and PNG files.
+    pixels: in DN; rows as stored, any byte order; may hold NaN.
+    format: ``fits``, ``png``, ``tiff``, ``jpeg``, ``vicar``, ``pds3``, ``pds4`` or ``isis``.
+    mask: True where the format itself declares a pixel missing; None where no pixel is.
+    epoch: Mid-exposure.
+    observer: spacecraft with respect to the solar system barycenter.
+    header: header or label items.
+    eight_bit: of 8-bit JPEG and PNG files.
     """
 
     pixels: NDArray[Any]

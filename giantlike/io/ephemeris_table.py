@@ -30,13 +30,9 @@ _BODY = ("body_qx", "body_qy", "body_qz", "body_qw")
 class EphemerisSamples(Value):
     """Samples of an ephemeris, in order of time.
 
-    Parameters
-    ----------
-    et : (n,) float64, TDB seconds past J2000
-        Strictly increasing, n >= 1.
-    position_km : (n, 3) float64, km, inertial axes
-    velocity_km_s : (n, 3) float64 or None, km/s, inertial axes
-    inertial_from_body : Rotation of length n, or None
+    et: (n,); strictly increasing, n >= 1.
+    position_km: (n, 3), inertial axes.
+    velocity_km_s: (n, 3), inertial axes.
     """
 
     et: Float

@@ -66,28 +66,15 @@ COLUMNS = (
 class GeometryRow(Value):
     """One row of a geometry table; None for cells that are empty.
 
-    Parameters
-    ----------
-    file : str
-        As written in the table.
-    epoch : Time or None
-        Mid-exposure.
-    exposure_s : float or None, s
-    camera_from_inertial : Rotation or None
-        A priori attitude.
-    target : str or None
-    target_position_inertial_km : (3,) float64 or None, km, inertial axes
-        Apparent vector from camera to target center.
-    body_from_inertial : Rotation or None
-        Orientation of the target when the light left it.
-    sun_direction_inertial : (3,) float64 or None, unitless, inertial
-        Unit vector from target to Sun.
-    observer : ObserverState or None
-        State of the spacecraft with respect to the solar system barycenter.
-    target_velocity_inertial_km_s : (3,) float64 or None, km/s, inertial axes
-        Velocity of the target with respect to the barycenter when the light left it.
-    line : int
-        Line in the file, 0 for a row that was not read from one.
+    file: as written in the table.
+    epoch: Mid-exposure.
+    camera_from_inertial: a priori attitude.
+    target_position_inertial_km: apparent vector from camera to target center.
+    body_from_inertial: orientation of the target when the light left it.
+    sun_direction_inertial: unit vector from target to Sun.
+    observer: state of the spacecraft with respect to the solar system barycenter.
+    target_velocity_inertial_km_s: velocity of the target with respect to the barycenter when the light left it.
+    line: line in the file, 0 for a row that was not read from one.
     """
 
     file: str
@@ -107,14 +94,7 @@ class GeometryRow(Value):
 class ImageGeometry(Value):
     """Geometry of one image, from all its rows of a table.
 
-    Parameters
-    ----------
-    epoch : Time or None
-    exposure_s : float or None, s
-    camera_from_inertial : Rotation or None
-    observer : ObserverState or None
-    targets : mapping of str to GeometryRow
-        The rows with a target, by its name.
+    targets: the rows with a target, by its name.
     """
 
     epoch: Time | None
@@ -128,22 +108,15 @@ class ImageGeometry(Value):
 class GeometryTable(Value):
     """A geometry table.
 
-    Parameters
-    ----------
-    path : Path
-    rows : tuple of GeometryRow
-        In file order; no two have the same ``file`` and ``target``, and all rows of a file agree on epoch,
-        exposure, attitude and observer where they give them.
+    rows: in file order; no two have the same ``file`` and ``target``, and all rows of a file agree on epoch, exposure,
+        attitude and observer where they give them.
     """
 
     path: Path
     rows: tuple[GeometryRow, ...]
 
     def image(self, file: str) -> ImageGeometry | None:
-        """Geometry of one image.
-
-        Returns None when it is not there.
-        """
+        """Geometry of one image. Returns None when it is not there."""
         rows = [row for row in self.rows if row.file == file]
         return _merged(rows) if rows else None
 

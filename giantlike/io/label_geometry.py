@@ -29,18 +29,11 @@ MSI_FROM_NEAR = Rotation.from_matrix([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0
 class LabelGeometry(Value):
     """Geometry of one image as its label states it.
 
-    Parameters
-    ----------
-    target : str
-        Name of the target in the label.
-    position_camera_km : (3,) float64, km, camera axes
-        From the camera to the center of the target.
-    sun_direction_camera : (3,) float64, unitless, camera axes
-        From the target to the Sun.
-    camera_from_body : Rotation, optional
-        Orientation of the target; None where the label does not give it.
-    camera_from_inertial : Rotation, optional
-        Attitude of the camera; None where the label does not give it.
+    target: name of the target in the label.
+    position_camera_km: from the camera to the center of the target.
+    sun_direction_camera: from the target to the Sun.
+    camera_from_body: orientation of the target; None where the label does not give it.
+    camera_from_inertial: attitude of the camera; None where the label does not give it.
     """
 
     target: str

@@ -25,20 +25,12 @@ _LETTERS_XY = ("e1", "e3")
 class ImportedCamera:
     """A camera model from a file of another program, in our axes and pixels.
 
-    Parameters
-    ----------
-    name : str
-        Name in the file.
-    model : CameraModel
-    columns, rows : int, optional
-        Size of the detector, where the file states it.
-    camera_from_mission : Rotation
-        Takes vectors in the mission's camera frame (the one of its pointing kernels) to ours.
-    rows_reversed : bool
-        The model counts rows from the last stored one: read ``image[::-1]``. Such a file describes a mirrored image,
-        which no rotation explains.
-    ignored : tuple of str
-        Names of the parameters in the file that the model does not have.
+    name: name in the file.
+    columns, rows: size of the detector, where the file states it.
+    camera_from_mission: takes vectors in the mission's camera frame (the one of its pointing kernels) to ours.
+    rows_reversed: the model counts rows from the last stored one: read ``image[::-1]``. Such a file describes a
+        mirrored image, which no rotation explains.
+    ignored: names of the parameters in the file that the model does not have.
     """
 
     name: str

@@ -253,14 +253,9 @@ class ObservableRow:
 class ObservableBlock(Value):
     """Rows of which many cells are the same, column by column: the stars of an image.
 
-    Parameters
-    ----------
-    count : int
-        Number of rows, n.
-    shared : mapping of str to value
-        Cells that all rows have.
-    columns : mapping of str to (n,) or (n, size) array
-        Cells that differ.
+    count: number of rows, n.
+    shared: cells that all rows have.
+    columns: mapping of str to (n,) or (n, size); cells that differ.
     """
 
     count: int

@@ -36,14 +36,9 @@ _BIG, _LITTLE = ("MSB_", "SUN_", "MAC_"), ("LSB_", "PC_", "VAX_")
 class Pds3Label:
     """A parsed PDS3 label.
 
-    Parameters
-    ----------
-    values : dict of str to plain values
-        Items by name; those inside an object or group as ``OBJECT.NAME``.
-    raw : dict of str to str
-        The values as written, pointers (``^IMAGE``) among them.
-    units : dict of str to str
-        The unit of an item, where the label states one.
+    values: items by name; those inside an object or group as ``OBJECT.NAME``.
+    raw: the values as written, pointers (``^IMAGE``) among them.
+    units: the unit of an item, where the label states one.
     """
 
     values: dict[str, HeaderValue]
@@ -55,12 +50,8 @@ class Pds3Label:
 class ImagePointer:
     """Location of the image that a label describes.
 
-    Parameters
-    ----------
-    file : str or None
-        Name of the file; None for the file of the label itself.
-    offset_bytes : int
-        First byte of the image, from 0.
+    file: name of the file; None for the file of the label itself.
+    offset_bytes: first byte of the image, from 0.
     """
 
     file: str | None

@@ -46,12 +46,8 @@ class PictureObject(StrEnum):
 class PsfCamera(Value):
     """A camera: ``(pixel, line) = center_px + pixels_per_mm (x, y)``, with x and y in mm in the focal plane.
 
-    Parameters
-    ----------
-    columns, rows : int
-    focal_length_mm : float, mm
-    center_px : (2,) float64, px
-    pixels_per_mm : (2, 2) float64, px/mm
+    focal_length_mm: mm.
+    pixels_per_mm: (2, 2) px/mm.
     """
 
     columns: int
@@ -65,19 +61,11 @@ class PsfCamera(Value):
 class PsfImage(Value):
     """Place of a body or star in a picture.
 
-    Parameters
-    ----------
-    kind : PsfKind
-    name : str
-    number : int
-        NAIF code of a body, catalog number of a star; 0 where there is none.
-    observed_px : (2,) float64, px
-        Measured pixel and line.
-    correction_px : (2,) float64, px
-        Shift by the lens: without it the camera of the file holds.
-    sigma_px : (2,) float64, px
-    radec_deg : (float, float), deg, optional
-        Of a star: its catalog position at the epoch, without aberration.
+    number: NAIF code of a body, catalog number of a star; 0 where there is none.
+    observed_px: (2,); measured pixel and line.
+    correction_px: (2,); shift by the lens: without it the camera of the file holds.
+    sigma_px: (2,).
+    radec_deg: of a star: its catalog position at the epoch, without aberration.
     """
 
     kind: PictureObject
@@ -93,14 +81,7 @@ class PsfImage(Value):
 class PsfPicture(Value):
     """A picture with its pointing.
 
-    Parameters
-    ----------
-    name : str
-    et : float, TDB seconds past J2000
-        Mid-exposure.
-    exposure_s : float, s
-    camera_from_inertial : Rotation
-    images : tuple of PsfImage
+    et: Mid-exposure.
     """
 
     name: str

@@ -34,29 +34,17 @@ _ORTHOGONAL = (
 class Sumfile(Value):
     """Content of a SUMFILE.
 
-    Parameters
-    ----------
-    name : str
-        Of the image; SPC takes up to 12 characters.
-    epoch : Time
-        Mid-exposure; written to the millisecond.
-    columns, rows : int, px
-    thresholds_dn : (int, int)
-        Least and largest valid pixel value.
-    focal_length_mm : float, mm
-    center_px : (2,) float64, px
-        Optical axis in the image; 0 is the center of the first pixel.
-    pixels_per_mm : (2, 3) float64
-        ``K``: the image of a point at (x, y) mm of the focal plane is at ``center + K (x, y, x y)``.
-    target_km : (3,) float64, km, body axes
-        From the spacecraft to the center of the body, as it is seen.
-    camera_from_body : Rotation
-    sun_direction_body : (3,) float64, unitless, body axes
-        From the body to the Sun.
-    sigma_target_km : (3,) float64, km, body axes
-    sigma_pointing_rad : (3,) float64, rad, camera axes
-    landmarks_px : mapping of str to (2,) float64, px
-        Places of landmarks in the image by name; 0 is the center of the first pixel.
+    name: of the image; SPC takes up to 12 characters.
+    epoch: mid-exposure; written to the millisecond.
+    thresholds_dn: least and largest valid pixel value.
+    focal_length_mm: mm.
+    center_px: optical axis in the image; 0 is the center of the first pixel.
+    pixels_per_mm: (2, 3); ``K``: the image of a point at (x, y) mm of the focal plane is at ``center + K (x, y, x y)``.
+    target_km: in body axes; from the spacecraft to the center of the body, as it is seen.
+    sun_direction_body: from the body to the Sun.
+    sigma_target_km: in body axes.
+    sigma_pointing_rad: (3,), camera axes.
+    landmarks_px: mapping of str to (2,); places of landmarks in the image by name; 0 is the center of the first pixel.
     """
 
     name: str

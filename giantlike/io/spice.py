@@ -241,10 +241,7 @@ def attitude(frame: str, et: float) -> Rotation:
 
 
 def body_radii_km(body: str | int) -> Float:
-    """Radii of a body's reference ellipsoid along its own axes.
-
-    Returns (3,).
-    """
+    """Radii of a body's reference ellipsoid along its own axes. Returns (3,)."""
     import spiceypy
 
     _, radii = _ask(

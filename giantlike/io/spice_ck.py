@@ -42,12 +42,9 @@ _COMMENT = 1000  # characters of a line that dafac takes
 class CkTarget:
     """The instrument whose attitudes a C-kernel holds.
 
-    Parameters
-    ----------
-    instrument_id : int
-        NAIF code of the camera frame, such as -64361; its thousands are the spacecraft and its clock, such as -64.
-    frame_name : str
-        Name for the frame kernel: capitals, digits, underscores; at most 26.
+    instrument_id: NAIF code of the camera frame, such as -64361; its thousands are the spacecraft and its clock, such
+        as -64.
+    frame_name: name for the frame kernel: capitals, digits, underscores; at most 26.
     """
 
     instrument_id: int

@@ -24,20 +24,12 @@ _CODE = re.compile(r"-\d+")
 class LabelClock:
     """A count of the spacecraft clock in a label, from which the epoch of an image follows.
 
-    Parameters
-    ----------
-    spacecraft : str
-        NAIF name or code of the spacecraft whose clock it is.
-    item : str
-        Item of the label.
-    pattern : str
-        Regular expression that is searched for in the value of the item.
-    count : str or None
-        Clock count as SPICE reads it, with the groups of the expression as ``{0}``, ``{1}``, ...
-    zero_utc : str or None
-        In place of ``count``, for a clock of seconds that needs no kernel: the UTC at which it read 0.
-    after_exposure_s : float, s
-        Time from the closing of the shutter to that count.
+    spacecraft: NAIF name or code of the spacecraft whose clock it is.
+    item: item of the label.
+    pattern: regular expression that is searched for in the value of the item.
+    count: clock count as SPICE reads it, with the groups of the expression as ``{0}``, ``{1}``, ...
+    zero_utc: in place of ``count``, for a clock of seconds that needs no kernel: the UTC at which it read 0.
+    after_exposure_s: time from the closing of the shutter to that count.
     """
 
     spacecraft: str

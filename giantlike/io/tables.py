@@ -33,20 +33,11 @@ _KINDS: Mapping[Any, str] = MappingProxyType(
 class Column:
     """A column of a table.
 
-    Parameters
-    ----------
-    name : str
-    kind : str
-        text, true or false, integer, number, texts or numbers.
-    description : str
-    unit, frame : str
-        Empty where there is none.
-    csv : bool
-        True if the CSV file has the column as well as the Parquet file.
-    required : bool
-        True if no cell may be empty.
-    size : int
-        Of lists that all have the same length, that length; else 0.
+    kind: text, true or false, integer, number, texts or numbers.
+    unit, frame: empty where there is none.
+    csv: True if the CSV file has the column as well as the Parquet file.
+    required: True if no cell may be empty.
+    size: of lists that all have the same length, that length; else 0.
     """
 
     name: str

@@ -59,7 +59,10 @@ def decode_vicar(path: Path, data: bytes) -> DecodedImage:
     and columns of nothing but zeros; where its history names a program that resampled the image (``GEOMA`` and others
     of that name), zeros that are joined to the edge of the frame, where the old one ended.
     """
-    label_bytes = _label_size(data)
+    match = _LABEL_SIZE.match(data)
+    size = int(match[1]) if match else 0
+    check(0 < size <= len(data), f"the file is truncated: its VICAR label needs {size} bytes, got {len(data)}")
+    label_bytes = size
     system = _system_items(_parse_label(_text(data[:label_bytes])))
     layout = _layout(system, label_bytes)
     pixels = read_raw(data, layout)
@@ -130,13 +133,6 @@ def _header(items: list[LabelItem]) -> dict[str, HeaderValue]:
         plain = uses[item.key] == 1 or item.group == _SYSTEM
         header.setdefault(item.key if plain else f"{item.group}.{item.key}", item.value)
     return header
-
-
-def _label_size(data: bytes) -> int:
-    match = _LABEL_SIZE.match(data)
-    size = int(match[1]) if match else 0
-    check(0 < size <= len(data), f"the file is truncated: its VICAR label needs {size} bytes, got {len(data)}")
-    return size
 
 
 def _value(text: str) -> HeaderValue:

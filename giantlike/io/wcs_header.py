@@ -70,11 +70,7 @@ def _stored_from_below(cards: Mapping[str, str | int | float], rows: int) -> dic
 class WcsAttitude:
     """Attitude of an image by its world coordinates.
 
-    Parameters
-    ----------
-    camera_from_inertial : Rotation
-    rms_px : float, px
-        Differences of the camera model at this attitude from the world coordinates, rms over the frame.
+    rms_px: differences of the camera model at this attitude from the world coordinates, rms over the frame.
     """
 
     camera_from_inertial: Rotation

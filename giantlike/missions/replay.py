@@ -47,6 +47,9 @@ class ComparisonKind(StrEnum):
     """Follows from geometry, images and errors that were not fitted to the paper's number."""
 
 
+INPUT, DERIVED, INDEPENDENT = ComparisonKind.INPUT, ComparisonKind.DERIVED, ComparisonKind.INDEPENDENT
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
     """A figure, table or number of the paper, and ours.
@@ -87,6 +90,24 @@ class Comparison:
                 raise InputError(f"comparison {self.what!r}: {name} must be finite, got {value}")
         if not self.reason:
             raise InputError(f"comparison {self.what!r} needs a reason: the rule of agreement, or why the two differ")
+
+
+@dataclass(frozen=True, slots=True)
+class Stated:
+    """A result that the paper states, and ours; with a rule it becomes a :class:`Comparison`."""
+
+    reference: str
+    what: str
+    paper: str | float
+    ours: str | float
+    kind: ComparisonKind
+
+    def agrees(self, holds: bool, reason: str) -> Comparison:
+        """Compare the two: they agree where the rule in ``reason`` is met."""
+        return Comparison(
+            what=self.what, paper=self.paper, ours=self.ours, kind=self.kind,
+            agrees=bool(holds), reason=reason, reference=self.reference,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -40,12 +40,8 @@ class Angles(StrEnum):
 class Tracked:
     """Segments of a tracking data message.
 
-    Parameters
-    ----------
-    segments : tuple of TdmSegment
-        One for each target.
-    left_out : dict of str to int
-        Number of preferred fixes left out, by reason.
+    segments: one for each target.
+    left_out: number of preferred fixes left out, by reason.
     """
 
     segments: tuple[TdmSegment, ...]

@@ -20,10 +20,7 @@ from giantlike.io.observables_file import ObservableRow
 _STEPS = 10
 _SETTLED_RAD = 1e-12  # of a step: below the rounding of unit vectors times a focal length in px
 _WORST_CONDITION = 1e12
-"""Condition number of the information about the three angles beyond which one of them is not determined.
-
-Roll about a body 10 px from the middle, known to a thousandth of its lever, has some 1e8.
-"""
+"""Condition number of the information about the three angles beyond which one of them is not determined."""
 _ONE_BY_ONE = (
     Cause.NOISE, Cause.BACKGROUND, Cause.PSF, Cause.EDGE, Cause.REFLECTANCE, Cause.ALBEDO, Cause.RELIEF, Cause.ALTITUDE,
     Cause.ORIENTATION,
@@ -37,20 +34,13 @@ _BODY_AXES = {"partial_pole": slice(0, 2), "partial_spin": slice(2, 3)}
 class Pointing(Value):
     """Attitude of a camera from bodies, and from what was known of it before.
 
-    Parameters
-    ----------
-    camera_from_inertial : Rotation
-    covariance_rad2 : (3, 3) float64, rad^2, camera axes
-        Of the small rotation about the camera axes; the errors of ephemeris, size, pole and camera are in it.
-    targets : tuple of str
-        Bodies used.
-    n_used : int
-        Number of bodies and landmarks.
-    n_turns : int
-        Number of bodies whose turn about the line of sight was measured.
-    chi2 : float
-        Squared residuals over their covariance; of 2 n_used + n_turns degrees of freedom with an a priori attitude, of
-        3 less without.
+    covariance_rad2: in camera axes; of the small rotation about the camera axes; the errors of ephemeris, size, pole
+        and camera are in it.
+    targets: bodies used.
+    n_used: number of bodies and landmarks.
+    n_turns: number of bodies whose turn about the line of sight was measured.
+    chi2: squared residuals over their covariance; of 2 n_used + n_turns degrees of freedom with an a priori attitude,
+        of 3 less without.
     """
 
     camera_from_inertial: Rotation

@@ -23,10 +23,7 @@ from giantlike.core.statistics import quartile_sigma
 from giantlike.core.values import Value
 
 _CLIP_SIGMA = 4.0
-"""Distance from the median, in noise of one exposure, beyond which a pixel of it is left out (a particle, a star).
-
-White noise reaches it once in 16,000 pixels, which changes the variance of the rest by 0.1 %.
-"""
+"""Distance from the median, in noise of one exposure, beyond which a pixel of it is left out (a particle, a star)."""
 _HOT_SIGMA = 8.0
 """Excess of a dark pixel over its neighbors, in noise of the frame, from which on it is bad: no white noise has it."""
 _DEAD_RESPONSE = 0.5
@@ -45,16 +42,10 @@ _BLOCK_ROWS = 64
 class CombinedFrame(Value):
     """Several exposures of the same thing as one.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) float32, DN
-        Their mean; 0 where every exposure is bad.
-    mask : (rows, columns) bool
-        True where every exposure is bad.
-    noise : float, DN
-        Standard deviation of a pixel of the mean, root mean square over the frame.
-    count : int
-        Number of exposures.
+    pixels: in DN; their mean; 0 where every exposure is bad.
+    mask: True where every exposure is bad.
+    noise: in DN; standard deviation of a pixel of the mean, root mean square over the frame.
+    count: number of exposures.
     """
 
     pixels: NDArray[np.float32]
@@ -137,15 +128,10 @@ def _unclipped(block: Float, sigma: float) -> Mask:
 class CalibratedPixels(Value):
     """Pixels corrected for bias, dark current and differences of response, with their mask and detector.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) float32, DN
-        0 where the mask is True.
-    mask : (rows, columns) bool
-        True where a pixel is bad.
-    detector : Detector
-        Noise and limits of these pixels: with the noise of the frames, without the bias that was subtracted. Saturation
-        is as in the raw image.
+    pixels: in DN; 0 where the mask is True.
+    mask: True where a pixel is bad.
+    detector: noise and limits of these pixels: with the noise of the frames, without the bias that was subtracted.
+        Saturation is as in the raw image.
     """
 
     pixels: NDArray[np.float32]
@@ -157,21 +143,13 @@ class CalibratedPixels(Value):
 class CalibrationFrames(Value):
     """Frames that correct the images of one detector: ``(raw - bias - dark * exposure ratio) / flat``.
 
-    Parameters
-    ----------
-    bias : CombinedFrame, optional
-        Exposures of zero length.
-    dark : CombinedFrame, optional
-        Exposures without light.
-    dark_exposure_s : float, s, optional
-        Exposure of the dark; needed with a dark.
-    dark_has_bias : bool
-        True if the dark was not corrected for the bias, as raw exposures. Without a bias frame such a dark only applies
-        to images of the same exposure.
-    flat : CombinedFrame, optional
-        Response of the pixels to uniform light, without bias and dark; scaled to a median of 1.
-    bad : (rows, columns) bool, optional
-        True where a pixel is bad. Hot pixels of the dark and dead ones of the flat are added to it.
+    bias: exposures of zero length.
+    dark: exposures without light.
+    dark_exposure_s: exposure of the dark; needed with a dark.
+    dark_has_bias: True if the dark was not corrected for the bias, as raw exposures. Without a bias frame such a dark
+        only applies to images of the same exposure.
+    flat: response of the pixels to uniform light, without bias and dark; scaled to a median of 1.
+    bad: True where a pixel is bad. Hot pixels of the dark and dead ones of the flat are added to it.
     """
 
     bias: CombinedFrame | None = None
@@ -210,12 +188,7 @@ class CalibrationFrames(Value):
         Value.__post_init__(self)
 
     def apply(
-        self,
-        pixels: NDArray[Any],
-        detector: Detector,
-        *,
-        exposure_s: float | None = None,
-        mask: Mask | None = None,
+        self, pixels: NDArray[Any], detector: Detector, *, exposure_s: float | None = None, mask: Mask | None = None
     ) -> CalibratedPixels:
         """Correct the pixels of an image.
 

@@ -34,16 +34,11 @@ _SINGULAR = 1e-12
 class CorrelatedFit(Value):
     """Parameters of a linear model and their covariance.
 
-    Parameters
-    ----------
-    solution : (k,) float64
-    covariance : (k, k) float64
-    noise_scale : float
-        Scatter of the independent part / given sigmas: 1 when noise explains it.
-    correlated_sigma : float
-        Standard deviation of the part correlated between neighbors, unit of the residuals.
-    correlation_length : float
-        Distance over which it falls to 1/e, unit of the points; most likely value.
+    solution: (k,).
+    covariance: (k, k).
+    noise_scale: scatter of the independent part / given sigmas: 1 when noise explains it.
+    correlated_sigma: standard deviation of the part correlated between neighbors, unit of the residuals.
+    correlation_length: distance over which it falls to 1/e, unit of the points; most likely value.
     """
 
     solution: Float
@@ -53,10 +48,7 @@ class CorrelatedFit(Value):
     correlation_length: float
 
     def residual_covariance(self, sigma: Float, points: Float) -> Float:
-        """Covariance of residuals.
-
-        ``sigma`` (n,); ``points`` (n, d); returns (n, n).
-        """
+        """Covariance of residuals. ``sigma`` (n,); ``points`` (n, d); returns (n, n)."""
         distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
         shared = self.correlated_sigma**2 * np.exp(-distances / self.correlation_length)
         result: Float = shared + np.diag((self.noise_scale * sigma) ** 2)

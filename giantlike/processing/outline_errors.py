@@ -18,11 +18,7 @@ from giantlike.core.statistics import nearest_covariance
 from giantlike.core.values import Value
 
 _MOST_BINS = 24
-"""Maximum number of bins along an outline, in which residuals are averaged before spectra are compared.
-
-Long waves matter; with many bins the shortest ones dominate the likelihood. With 16 to 48, squared errors per degree of
-freedom differ by 0.2 on ellipsoids with relief of 1 %; with 64 they are a quarter larger.
-"""
+"""Maximum number of bins along an outline, in which residuals are averaged before spectra are compared."""
 _GAP = 3.0
 """Maximum distance between neighbors, in medians of all: longer gaps are not counted as limb."""
 _RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 1e8, 25)])
@@ -33,45 +29,27 @@ _SMOOTH_DEGREES = (3.0, 6.0, 12.0)
 """Degrees about which the power of smooth relief ends: bumps and old craters of 20, 10 and 5 deg (one sigma)."""
 _SMOOTH = len(_SMOOTH_DEGREES)
 _ROUGH_SHARE = 0.02
-"""Fraction of rough relief in the variance of smooth relief.
-
-With 0, power at degrees far above the end would imply ten times the visible relief. With 0.02, 0.05 and 0.1, squared
-errors per degree of freedom are 0.8, 0.9 and 1.0 (lines) and 1.0, 1.2 and 1.4 (cells) on ellipsoids of 120 px with
-relief of 1 %, and 1.9, 1.8 and 1.7 on half limbs of fields that follow Kaula's rule.
-"""
+"""Fraction of rough relief in the variance of smooth relief."""
 _LEAST_WAVES = 0.9
-"""Minimum number of waves, of the degree about which smooth relief ends, in the visible outline: longer ones are not
-observable.
-
-An arc of a third of the outline has one wave of degree 3, to a few percent.
-"""
+"""Minimum number of waves, of the degree about which smooth relief ends, in the visible outline."""
 _LEAST_LENGTH = 1.0 / 12.0
 """Correlation length / radius below which a sphere is treated as flat: errors are due to pixels and albedo."""
 _MOST_DEGREE, _ANGLES = 400, 1501
 """Highest degree of spectra, and angles at which their covariances are tabulated: both finer than 0.5 deg."""
 _LEAST_NOISE2 = 0.5
-"""Minimum ratio of the variance of the noise to the predicted one: neighbors with common pixels only increase it.
-
-With a smaller one, residuals that are smooth by chance are mistaken for relief of few, high waves.
-"""
+"""Minimum ratio of the variance of the noise to the predicted one: neighbors with common pixels only increase it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OutlineErrors(Value):
     """Errors of points along an outline, averaged over spectra by their likelihoods.
 
-    Parameters
-    ----------
-    noise_scale2 : (g,) float64
-        Variance of the independent part / given variances, with each of g correlated errors: several kinds, each with
-        several variances.
-    shared_variance : (g,) float64
-        Variance of the part correlated between neighbors, unit of the residuals squared.
-    log_likelihood : (g,) float64
-    lengths : (s,) float64
-        Correlation lengths of the first s kinds, unit of the points; the others are kinds of relief.
-    radius : float
-        Of the outline, unit of the points.
+    noise_scale2: (g,); variance of the independent part / given variances, with each of g correlated errors: several
+        kinds, each with several variances.
+    shared_variance: (g,); variance of the part correlated between neighbors, unit of the residuals squared.
+    log_likelihood: (g,).
+    lengths: (s,); correlation lengths of the first s kinds, unit of the points; the others are kinds of relief.
+    radius: of the outline, unit of the points.
     """
 
     noise_scale2: Float
@@ -136,14 +114,9 @@ class OutlineErrors(Value):
 class PointCovariances(Value):
     """Covariances (n, n) of points along an outline, unit of the residuals squared.
 
-    Parameters
-    ----------
-    noise : (n, n) float64
-        Without relief: independent noise, and noise common to near neighbors.
-    relief : (n, n) float64
-        By relief.
-    for_weights : (n, n) float64
-        From which weights are made: without smooth relief.
+    noise: (n, n); without relief: independent noise, and noise common to near neighbors.
+    relief: (n, n).
+    for_weights: (n, n); from which weights are made: without smooth relief.
     """
 
     noise: Float

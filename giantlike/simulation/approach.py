@@ -76,10 +76,7 @@ APPROACH = (
     Visit(day=10.0, diameter_px=250.0, phase_deg=60.0),
     Visit(day=11.0, diameter_px=300.0, phase_deg=95.0),
 )
-MOON_FLYBY = (
-    Visit(day=0.0, diameter_px=220.0, phase_deg=35.0),
-    Visit(day=0.2, diameter_px=280.0, phase_deg=85.0),
-)
+MOON_FLYBY = (Visit(day=0.0, diameter_px=220.0, phase_deg=35.0), Visit(day=0.2, diameter_px=280.0, phase_deg=85.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

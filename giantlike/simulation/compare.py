@@ -28,16 +28,11 @@ _GRID = 5  # points along each side of the frame over which the shift of an atti
 class AttitudeError(Value):
     """Error of the attitude of one image.
 
-    Parameters
-    ----------
-    file, source, status, reason : str
-        As in ``attitudes.csv``.
-    error_px : (2,) float64, px, or None
-        Root mean square shift of the image by the error, over the frame, per axis. None without an attitude.
-    sigma_px : (2,) float64, px, or None
-        As above, for the reported covariance (the three sigmas about the camera axes).
-    normalized : (3,) float64 or None
-        Errors about the camera axes over their reported sigmas.
+    file, source, status, reason: as in ``attitudes.csv``.
+    error_px: (2,); root mean square shift of the image by the error, over the frame, per axis. None without an
+        attitude.
+    sigma_px: (2,); as above, for the reported covariance (the three sigmas about the camera axes).
+    normalized: (3,); errors about the camera axes over their reported sigmas.
     """
 
     file: str
@@ -53,18 +48,11 @@ class AttitudeError(Value):
 class ObservationError(Value):
     """Error of one estimator on one image.
 
-    Parameters
-    ----------
-    file, target, estimator, status, reason : str
-        As in ``observations.csv``.
-    diameter_px, phase_deg : float
-        True apparent diameter and phase angle.
-    error_px, sigma_px : (2,) float64, px, or None
-        Measured minus true center; reported sigmas. None without a fix.
-    nees : float or None
-        Squared error normalized by the reported covariance (2 x 2): 2 on average where the covariance is correct.
-    range_error, range_sigma : float or None
-        Measured minus true range, and its reported sigma, both divided by the true range.
+    file, target, estimator, status, reason: as in ``observations.csv``.
+    diameter_px, phase_deg: True apparent diameter and phase angle.
+    error_px, sigma_px: (2,); measured minus true center; reported sigmas. None without a fix.
+    nees: squared error normalized by the reported covariance (2 x 2): 2 on average where the covariance is correct.
+    range_error, range_sigma: measured minus true range, and its reported sigma, both divided by the true range.
     """
 
     file: str
@@ -85,12 +73,7 @@ class ObservationError(Value):
 class TruthComparison(Value):
     """Errors of a whole run: one entry per row of its tables, and the truth that they are counted from.
 
-    Parameters
-    ----------
-    truth : tuple of TruthRow
-        Every image, whether the run holds it or not.
-    attitudes : tuple of AttitudeError
-    observations : tuple of ObservationError
+    truth: every image, whether the run holds it or not.
     """
 
     truth: tuple[TruthRow, ...]
@@ -102,24 +85,15 @@ class TruthComparison(Value):
 class ErrorSummary(Value):
     """Errors of many fixes and their reported sigmas.
 
-    Parameters
-    ----------
-    n_images : int
-        Rows in the table.
-    n_fixes : int
-        Number of fixes with status ``ok``; only these count below.
-    n_suspect : int
-        Number of fixes with status ``suspect``.
-    failures : mapping of str to int
-        Number of failed rows by reason.
-    rms_px, sigma_px : (2,) float64, px
-        Root mean square of errors and of reported sigmas, per axis; NaN without fixes.
-    chi2, dof : float, int
-        Sum of squared normalized errors and number of them, without the range.
-    range_rms, range_sigma, range_chi2 : float
-        Relative errors of the range, relative reported sigmas, sum of squared normalized errors; NaN without ranges.
-    n_ranges : int
-        Number of ranges.
+    n_images: rows in the table.
+    n_fixes: number of fixes with status ``ok``; only these count below.
+    n_suspect: number of fixes with status ``suspect``.
+    failures: number of failed rows by reason.
+    rms_px, sigma_px: (2,); root mean square of errors and of reported sigmas, per axis; NaN without fixes.
+    chi2, dof: sum of squared normalized errors and number of them, without the range.
+    range_rms, range_sigma, range_chi2: relative errors of the range, relative reported sigmas, sum of squared
+        normalized errors; NaN without ranges.
+    n_ranges: number of ranges.
     """
 
     n_images: int

@@ -21,20 +21,13 @@ class CosmicRays:
 
     The flux is isotropic, so that the squared sine of the angle of incidence is uniform.
 
-    Parameters
-    ----------
-    rate_s_cm2 : float, 1/s/cm^2
-        Rate through the area of the detector.
-    hits_per_image : float
-        Mean number of hits in an image of any exposure, added to the rate.
-    pixel_um : float, um
-        Pixel pitch.
-    thickness_um : float, um
-        Depth in which charge is collected: with the incidence it gives the length of a track.
-    charge_e_um : float, electron/um
-        Median charge per path length. The default, 80, is about the value of a minimum ionizing particle in silicon.
-    charge_spread : float
-        Standard deviation of the natural logarithm of that charge, from particle to particle.
+    rate_s_cm2: in 1/s/cm^2; rate through the area of the detector.
+    hits_per_image: mean number of hits in an image of any exposure, added to the rate.
+    pixel_um: pixel pitch.
+    thickness_um: depth in which charge is collected: with the incidence it gives the length of a track.
+    charge_e_um: in electron/um; median charge per path length. The default, 80, is about the value of a minimum
+        ionizing particle in silicon.
+    charge_spread: standard deviation of the natural logarithm of that charge, from particle to particle.
     """
 
     rate_s_cm2: float = 0.0
@@ -60,12 +53,8 @@ class CosmicRays:
 class Tracks(Value):
     """Tracks of particles.
 
-    Parameters
-    ----------
-    start_px, end_px : (n, 2) float64, px
-        Points at which each enters and leaves the layer that collects charge.
-    charge_e : (n,) float64, electron
-        Charge of the whole track, spread evenly over its length.
+    start_px, end_px: (n, 2); points at which each enters and leaves the layer that collects charge.
+    charge_e: (n,); charge of the whole track, spread evenly over its length.
     """
 
     start_px: Float

@@ -164,13 +164,9 @@ class DetectorModel(Value):
 class Readout(Value):
     """Digital numbers of an image, and the mean charge and cosmic-ray charge behind them.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) uint16, DN
-    expected_e : (rows, columns) float64, electron
-        Mean charge without any noise, before saturation.
-    cosmic_e : (rows, columns) float64, electron
-        Charge left by cosmic rays.
+    pixels: in DN.
+    expected_e: (rows, columns); mean charge without any noise, before saturation.
+    cosmic_e: (rows, columns); charge left by cosmic rays.
     """
 
     pixels: NDArray[np.uint16]
@@ -179,12 +175,7 @@ class Readout(Value):
 
 
 def expose(
-    light_e: Float,
-    exposure_s: float,
-    detector: Detector,
-    *,
-    seed: Seed,
-    model: DetectorModel | None = None,
+    light_e: Float, exposure_s: float, detector: Detector, *, seed: Seed, model: DetectorModel | None = None
 ) -> Readout:
     """Convert the light on a detector to the digital numbers of an image.
 

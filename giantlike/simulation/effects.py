@@ -19,18 +19,10 @@ from giantlike.core.values import Value
 class StrayLight:
     """Stray light: a plane and a round glow.
 
-    Parameters
-    ----------
-    level_e_s : float, electron/s
-        Level of the plane at the center of the detector.
-    gradient_e_s_px : (float, float), electron/s/px
-        Gradient of the plane along x and y.
-    glow_e_s : float, electron/s
-        Peak of a Gaussian glow.
-    glow_center_px : (float, float), px
-        Center of the glow.
-    glow_sigma_px : float, px
-        Standard deviation of the glow.
+    level_e_s: in electron/s; level of the plane at the center of the detector.
+    gradient_e_s_px: in electron/s/px; gradient of the plane along x and y.
+    glow_e_s: in electron/s; peak of a Gaussian glow.
+    glow_sigma_px: standard deviation of the glow.
     """
 
     level_e_s: float = 0.0
@@ -63,13 +55,9 @@ class StrayLight:
 class FlatField(Value):
     """Relative response of the pixels: pixel-to-pixel differences and vignetting.
 
-    Parameters
-    ----------
-    response : (rows, columns) float64, optional
-        Relative response of single pixels, 1 on average; :func:`pixel_response` draws one.
-    vignetting : float
-        Fraction of the light lost in the corners of the image; the loss grows with the square of the distance from
-        the center.
+    response: (rows, columns); relative response of single pixels, 1 on average; :func:`pixel_response` draws one.
+    vignetting: fraction of the light lost in the corners of the image; the loss grows with the square of the distance
+        from the center.
     """
 
     response: Float | None = None
@@ -116,15 +104,11 @@ class StorageSide(StrEnum):
 class FrameTransfer:
     """Smear of a frame-transfer detector without shutter, whose rows move under the light.
 
-    Parameters
-    ----------
-    row_time_s : float, s
-        Time that a row spends under the light of each other row that it passes; 0 switches the smear off.
-    storage : StorageSide
-        Edge towards which the rows move after the exposure.
-    swept_before : bool
-        True if the rows move in the same way right before the exposure, to clear the detector: then every row has
-        passed all others, and the smear of a column is nearly constant. Else a row passes only those on its way out.
+    row_time_s: time that a row spends under the light of each other row that it passes; 0 switches the smear off.
+    storage: edge towards which the rows move after the exposure.
+    swept_before: True if the rows move in the same way right before the exposure, to clear the detector: then every row
+        has passed all others, and the smear of a column is nearly constant. Else a row passes only those on its way
+        out.
     """
 
     row_time_s: float = 0.0
@@ -156,16 +140,11 @@ class FrameTransfer:
 class DarkCurrent:
     """Dark current, the same in every pixel; hot pixels are added to it.
 
-    Parameters
-    ----------
-    rate_e_s : float, electron/s
-        Rate per pixel at the reference temperature.
-    temperature_k : float, K, optional
-        Temperature of the detector; without one the rate is not scaled.
-    reference_temperature_k : float, K
-        Temperature of the rate; 20 degrees Celsius by default.
-    doubling_k : float, K
-        Rise of temperature that doubles the rate. The default, 6.5, stands in until the value of the detector is known.
+    rate_e_s: in electron/s; rate per pixel at the reference temperature.
+    temperature_k: K; temperature of the detector; without one the rate is not scaled.
+    reference_temperature_k: K; temperature of the rate; 20 degrees Celsius by default.
+    doubling_k: K; rise of temperature that doubles the rate. The default, 6.5, stands in until the value of the
+        detector is known.
     """
 
     rate_e_s: float = 0.0
@@ -191,13 +170,9 @@ class DarkCurrent:
 class FullWell:
     """Full-well capacity of the pixels and blooming.
 
-    Parameters
-    ----------
-    capacity_e : float, electron
-        Charge that a pixel holds; infinite by default, so that only the converter saturates.
-    blooming : bool
-        True if excess charge spills along the column, half of it either way, into the nearest pixels that have room;
-        charge that reaches an edge of the detector drains off. Without blooming the excess is lost at once.
+    capacity_e: charge that a pixel holds; infinite by default, so that only the converter saturates.
+    blooming: True if excess charge spills along the column, half of it either way, into the nearest pixels that have
+        room; charge that reaches an edge of the detector drains off. Without blooming the excess is lost at once.
     """
 
     capacity_e: float = math.inf

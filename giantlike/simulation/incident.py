@@ -81,18 +81,11 @@ class SimulationOptions:
 class IncidentLight(Value):
     """Light on the pixels and its sources.
 
-    Parameters
-    ----------
-    electrons : (rows, columns) float64, electron
-        Mean number of photoelectrons of the exposure.
-    bodies : mapping of str to TargetGeometry
-        True apparent geometry at mid-exposure of every target seen in the frame, by name.
-    templates : mapping of str to Template
-        Those bodies as rendered at mid-exposure.
-    stars : StarField
-        Stars whose light falls on the frame, with true positions at mid-exposure.
-    star_electrons : (n,) float64, electron
-        Light of each star, without the part that bodies hide.
+    electrons: (rows, columns); mean number of photoelectrons of the exposure.
+    bodies: True apparent geometry at mid-exposure of every target seen in the frame, by name.
+    templates: those bodies as rendered at mid-exposure.
+    stars: stars whose light falls on the frame, with true positions at mid-exposure.
+    star_electrons: (n,); light of each star, without the part that bodies hide.
     """
 
     electrons: Float
@@ -193,11 +186,7 @@ def true_geometry(scene: Scene, frame: Image, target: str) -> TargetGeometry:
 
 
 def _seen_bodies(
-    shot: Shot,
-    camera: Camera,
-    sources: Sources,
-    options: SimulationOptions,
-    random: np.random.Generator,
+    shot: Shot, camera: Camera, sources: Sources, options: SimulationOptions, random: np.random.Generator
 ) -> _SeenBodies:
     """Every target that is seen in the frame at mid-exposure of a shot."""
     scene = sources.scene

@@ -28,10 +28,7 @@ _STEP_RAD = 1e-6
 the root of the number of stars."""
 _MAX_ROUNDS = 10  # of fit and rejection
 _MOST_WEIGHT = 0.5
-"""Maximum weight of a star relative to the sum of all others: the residuals do not show the error of a dominant star.
-For one star of 0.005 px among 11 and 49 of 0.1 px, with undeclared smooth errors of 0.05 px, squared errors are 1.4 to
-1.9 times their covariance (1.7 to 2.1 with 1, 4 to 9 where it dominates), and 0.6 to 0.8 without such errors (0.5 to
-0.7)."""
+"""Maximum weight of a star relative to the sum of all others: residuals do not show the error of a dominant one."""
 _NOISE_EXPLAINS = 0.977
 """Chi-square probability up to which residuals are explained by the noise: the two-sigma quantile of a normal
 distribution, one-sided."""

@@ -101,10 +101,7 @@ class Sky(Value):
 
 
 def line_of_sight(camera: Camera, camera_from_inertial: Rotation) -> Float:
-    """Return the unit vector through the image center.
-
-    Returns (3,), inertial axes.
-    """
+    """Return the unit vector through the image center. Returns (3,), inertial axes."""
     return unit(rotate(camera_from_inertial.inv(), camera.model.unproject(camera.center_px)))
 
 

@@ -54,13 +54,9 @@ _LARGE_BLUR = 1.3
 """Width of stars relative to the PSF of the camera. Measured on 260 star images: 0.97-1.01 without blur, 1.10-1.17 for
 motion of one pixel, 1.42-1.78 out of focus; the PSF varies over the field by 0.1-0.2."""
 _ROUND = 0.25
-"""Growth of the minor axis of stars relative to the major axis, above which a blur is isotropic. Out of focus it is
-0.37-0.86 in six of seven star images (0.05 in one of 15 faint stars) and 0.47-0.79 for fields of 12 stars; below 0 for
-motion of 2 px and less. On three images of another seed: 0.79, 0.33 and 0.07."""
+"""Growth of the minor axis of stars relative to the major axis, above which a blur is isotropic."""
 _MOST_ALONE = 1 / 3
-"""Fractions of sources and of catalog stars, each of the brighter half, that have no partner. On 200 star images of the
-gauntlet (seed 7) the smaller of the two is at most 0.04 where nothing is wrong, 0.28 with lines or blocks missing, and
-0.4-0.76 where half of the rows have slipped or the focal length is wrong."""
+"""Limit of the fractions of sources and of catalog stars, each of the brighter half, that have no partner."""
 _LARGE_FLOOR_PX = 1.0  # error floor, px, above which they are; real calibrated cameras leave 0.1 to 0.2 px
 
 

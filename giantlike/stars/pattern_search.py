@@ -28,14 +28,9 @@ _NARROWEST = 0.1  # width of a pattern relative to the widest: the relative erro
 class Scope(Value):
     """Tolerances and focal lengths of a search for patterns.
 
-    Parameters
-    ----------
-    tolerance_rad : float, rad
-        Largest error of the angle between two stars.
-    half_size_rad : float, rad
-        Angle from the center of the image to its edge: the lever arm of a roll error.
-    scales : (s,) float64
-        Focal lengths to try, relative to the camera's, ascending; a single 1 where it is known.
+    tolerance_rad: largest error of the angle between two stars.
+    half_size_rad: angle from the center of the image to its edge: the lever arm of a roll error.
+    scales: (s,); focal lengths to try, relative to the camera's, ascending; a single 1 where it is known.
     """
 
     tolerance_rad: float
@@ -47,16 +42,10 @@ class Scope(Value):
 class Hypothesis(Value):
     """An attitude shared by several patterns of detections.
 
-    Parameters
-    ----------
-    camera_from_inertial : Rotation
-        For the directions of the index, which has neither aberration nor the epoch of the image.
-    scale : float
-        Focal length relative to the camera's.
-    star_ids : (k,) int64
-        Catalog identifiers.
-    detection_indices : (k,) int
-        Detections of these stars.
+    camera_from_inertial: for the directions of the index, which has neither aberration nor the epoch of the image.
+    scale: focal length relative to the camera's.
+    star_ids: (k,); catalog identifiers.
+    detection_indices: (k,); detections of these stars.
     """
 
     camera_from_inertial: Rotation
@@ -215,11 +204,7 @@ def _shared(
 class Search(Value):
     """Groups of detections that form patterns, and the radius of the caps of the index to use.
 
-    Parameters
-    ----------
-    radius_rad : float, rad
-    groups : tuple of (k,) int
-        Indices of detections, brightest first.
+    groups: tuple of (k,); indices of detections, brightest first.
     """
 
     radius_rad: float

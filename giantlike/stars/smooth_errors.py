@@ -32,19 +32,12 @@ _KINDS = 4
 _PRIOR = (1.0 - _NONE) / _KINDS
 _LIKELIER = 2.0
 """Thresholds of two likelihood ratios: errors that neighbors share against all other hypotheses, above which only these
-count; and errors of any kind against none, above which all count, weighted by probability. On 60 draws each of 92 cases
-(6 to 40 stars; no errors, errors of each star, or shared over 150 to 1,200 px of 1,024), thresholds of 3, 2, 1.5 and 1
-of the former leave 37, 35, 32 and 29 cases with squared errors above twice their covariance; sigmas of stars without
-errors grow by 0.7, 0.7, 2.3 and 6.9 % on average. Thresholds of 3, 2 and 1 of the latter enlarge the sigmas of 5 to 30
-exact stars by 0, 0 and 2 %, no threshold by 25 to 80 %; with 2, 25 of 720 draws of 10 and 12 stars with smooth errors
-exceed ten times their covariance, without a threshold 54."""
+count; and errors of any kind against none, above which all count, weighted by probability."""
 _SEEN = 0.01
 """Fraction of the power of the positions under a scale that the parameters of the fit do not absorb; below it the scale
 is one of them (0 but for rounding where the focal length is estimated)."""
 _NEGLIGIBLE = 0.1
-"""Probability of shared errors below which they are ignored. Of 0, 0.05 and 0.1, squared errors of 12, 25 and 40 stars
-with independent errors of 0.3 px are 0.67, 0.85 and 0.92; 0.74, 0.89 and 0.94; 0.80, 0.92 and 0.94 of their covariance.
-"""
+"""Probability of shared errors below which they are ignored."""
 _LEAST, _MOST, _BEYOND, _SIZES = 0.03, 3.0, 10.0, 24
 """Sizes of the errors tried, equally likely by their logarithm: minimum and maximum relative to the median standard
 deviation of the stars, maximum relative to the root mean square of the residuals, and their number."""
@@ -64,16 +57,11 @@ count twice: 6 pi / (8 pi + 3 sqrt(3)), area of a disk / area of two through eac
 class UnmodeledErrors(Value):
     """Effect of unmodeled errors of stars on an attitude: the mean over sizes and correlation lengths.
 
-    Parameters
-    ----------
-    likely : bool
-        Whether errors of any kind are more likely than none.
-    covariance_rad2 : (3, 3) float64, rad^2
-        Of the attitude, for these errors alone.
-    own_px, scale_px, shared_px : float, px
-        Root mean square per axis, over all hypotheses, of errors of single stars, of scale errors, and of errors that
-        neighbors share (the part of smooth fields that differs from star to star). All are 0 where no
-        error is likely and no star decides alone.
+    likely: whether errors of any kind are more likely than none.
+    covariance_rad2: of the attitude, for these errors alone.
+    own_px, scale_px, shared_px: root mean square per axis, over all hypotheses, of errors of single stars, of scale
+        errors, and of errors that neighbors share (the part of smooth fields that differs from star to star). All are 0
+        where no error is likely and no star decides alone.
     """
 
     likely: bool
@@ -87,17 +75,11 @@ class UnmodeledErrors(Value):
 class AttitudeResiduals(Value):
     """Residuals of a fit of n stars, and their derivatives.
 
-    Parameters
-    ----------
-    points_px, residuals_px : (n, 2) float64, px
-    covariance_px2 : (n, 2, 2) float64, px^2
-        Of the stars themselves.
-    jacobian : (n, 2, k) float64
-        Derivative of the positions by the parameters of the fit.
-    scaling_px : (n, 2) float64, px
-        Derivative of the positions by the logarithm of the focal length.
-    by_pixels : (3, n, 2) float64, rad/px
-        Derivative of the attitude by the image positions of the stars.
+    points_px, residuals_px: (n, 2).
+    covariance_px2: (n, 2, 2); of the stars themselves.
+    jacobian: (n, 2, k); derivative of the positions by the parameters of the fit.
+    scaling_px: (n, 2); derivative of the positions by the logarithm of the focal length.
+    by_pixels: (3, n, 2) rad/px; derivative of the attitude by the image positions of the stars.
     """
 
     points_px: Float
@@ -108,10 +90,7 @@ class AttitudeResiduals(Value):
     by_pixels: Float
 
     def alike(self, sigma_px: Float) -> bool:
-        """Tell whether nearest neighbors have residuals in the same direction, significantly so.
-
-        ``sigma_px`` (n,).
-        """
+        """Tell whether nearest neighbors have residuals in the same direction, significantly so. ``sigma_px`` (n,)."""
         nearest = np.asarray(cKDTree(self.points_px).query(self.points_px, k=2)[1])[:, 1]
         normalized = self.residuals_px / sigma_px[:, None]
         correlation = float(np.mean(normalized * normalized[nearest])) / max(float(np.mean(normalized**2)), 1e-12)

@@ -88,19 +88,12 @@ class Pattern(StrEnum):
 class StarIndex(Value):
     """Patterns of stars that can be looked up by shape.
 
-    Parameters
-    ----------
-    pattern : Pattern
-    radius_rad : float, rad
-        Radius of the caps; no pattern is wider than twice as much.
-    ids : (n,) int64
-        Catalog identifiers of the stars in patterns.
-    directions : (n, 3) float64, unitless, inertial
-        Unit vectors to the stars.
-    patterns : (m, 3) or (m, 4) uint32
-        Indices of stars, in the order of :func:`describe_triads` or :func:`describe_quads`.
-    cells : (m,) uint32
-        Cell of each pattern's code, ascending.
+    radius_rad: radius of the caps; no pattern is wider than twice as much.
+    ids: (n,); catalog identifiers of the stars in patterns.
+    directions: (n, 3), inertial axes; unit vectors to the stars.
+    patterns: (m, 3) or (m, 4) uint32; indices of stars, in the order of :func:`describe_triads` or
+        :func:`describe_quads`.
+    cells: (m,) uint32; cell of each pattern's code, ascending.
     """
 
     pattern: Pattern

@@ -72,16 +72,9 @@ class TransferOptions:
 class StarAttitude(Value):
     """A star solution and its time.
 
-    Parameters
-    ----------
-    et : float, TDB seconds past J2000
-    camera_from_inertial : Rotation
-    covariance_rad2 : (3, 3), rad^2
-        Of the small rotation about the camera axes, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
-    apriori : Rotation, optional
-        A priori ``camera_from_inertial``.
-    errors : AttitudeErrors
-        By cause, and those shared with the camera, of which every solution of one camera has the same.
+    covariance_rad2: of the small rotation about the camera axes, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
+    apriori: a priori ``camera_from_inertial``.
+    errors: by cause, and those shared with the camera, of which every solution of one camera has the same.
     """
 
     et: float
@@ -100,19 +93,12 @@ class StarAttitude(Value):
 class TransferredAttitude(Value):
     """An attitude transferred from star images.
 
-    Parameters
-    ----------
-    camera_from_inertial : Rotation
-    covariance_rad2 : (3, 3), rad^2
-        Of the small rotation about the camera axes: the propagated errors of the star solutions, and the drift.
-    used : tuple of int
-        Indices of the star solutions used, one or two.
-    weights : tuple of float
-        Fraction of each of them in the attitude; they sum to 1.
-    gap_s : float, s
-        Time to the nearest of them.
-    errors : AttitudeErrors
-        Those of the star solutions carried along; the drift is noise.
+    covariance_rad2: of the small rotation about the camera axes: the propagated errors of the star solutions, and the
+        drift.
+    used: indices of the star solutions used, one or two.
+    weights: fraction of each of them in the attitude; they sum to 1.
+    gap_s: time to the nearest of them.
+    errors: those of the star solutions carried along; the drift is noise.
     """
 
     camera_from_inertial: Rotation

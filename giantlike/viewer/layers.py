@@ -175,7 +175,11 @@ def _rejected_stars(seen: SeenImage) -> list[MarkLayer]:
             name="rejected-stars",
             title="stars rejected by a user",
             layer=Layer(
-                points=_points([place for _, place in known]), shape=Shape.CROSS, color=REJECTED, size=9.0, width=1.4
+                points=_points([place for _, place in known]),
+                shape=MarkShape.CROSS,
+                color=REJECTED,
+                size=9.0,
+                width=1.4,
             ),
             labels=[f"star {edit.star}, rejected by {edit.who}: {edit.why}" for edit, _ in known],
             star_ids=[edit.star for edit, _ in known if edit.star is not None],

@@ -56,18 +56,6 @@ class UserReflectance(SurfaceLaw):
         self._scale()
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return the function over its value at normal incidence and emission and zero phase.
-
-        Parameters
-        ----------
-        mu0, mu : (n,) float64
-            Cosines of incidence and emission, > 0.
-        phase_rad : (n,) float64, rad
-
-        Returns
-        -------
-        (n,) float64
-        """
         return self._values(mu0, mu, phase_rad) / self._scale()
 
     def _scale(self) -> float:
@@ -129,18 +117,6 @@ class TabulatedReflectance(SurfaceLaw):
         object.__setattr__(self, "values", tuple(tuple(tuple(row) for row in page) for page in table.tolist()))
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Interpolate in the three angles.
-
-        Parameters
-        ----------
-        mu0, mu : (n,) float64
-            Cosines of incidence and emission, > 0.
-        phase_rad : (n,) float64, rad
-
-        Returns
-        -------
-        (n,) float64
-        """
         from scipy.interpolate import RegularGridInterpolator
 
         axes = [np.asarray(axis) for axis in (self.incidence_deg, self.emission_deg, self.phase_deg)]

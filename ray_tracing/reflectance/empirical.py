@@ -23,7 +23,7 @@ _LUNAR_WEIGHT = (1.0, -0.019, 2.42e-4, -1.46e-6)  # per power of a degree: see L
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lambert(SurfaceLaw):
-    """Brightness by the cosine of incidence alone.
+    """Brightness by the cosine of incidence alone: ``mu0``.
 
     Notes
     -----
@@ -33,24 +33,12 @@ class Lambert(SurfaceLaw):
     type_name: ClassVar[str] = "lambert"
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return mu0.
-
-        Parameters
-        ----------
-        mu0, mu : (n,) float64
-            Cosines of incidence and emission, > 0.
-        phase_rad : (n,) float64, rad
-
-        Returns
-        -------
-        (n,) float64
-        """
         return mu0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LommelSeeliger(SurfaceLaw):
-    """Single scattering in a dark half-space, without a phase function.
+    """Single scattering in a dark half-space, without a phase function: ``2 mu0 / (mu0 + mu)``.
 
     Notes
     -----
@@ -60,18 +48,6 @@ class LommelSeeliger(SurfaceLaw):
     type_name: ClassVar[str] = "lommel_seeliger"
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return 2 mu0 / (mu0 + mu).
-
-        Parameters
-        ----------
-        mu0, mu : (n,) float64
-            Cosines of incidence and emission, > 0.
-        phase_rad : (n,) float64, rad
-
-        Returns
-        -------
-        (n,) float64
-        """
         return np.asarray(2.0 * mu0 / (mu0 + mu))
 
 
@@ -100,18 +76,6 @@ class McEwen(SurfaceLaw):
         checked_number("mcewen", "phase_scale_deg", self.phase_scale_deg, "(0, inf)")
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return A 2 mu0 / (mu0 + mu) + (1 - A) mu0.
-
-        Parameters
-        ----------
-        mu0, mu : (n,) float64
-            Cosines of incidence and emission, > 0.
-        phase_rad : (n,) float64, rad
-
-        Returns
-        -------
-        (n,) float64
-        """
         share = np.exp(phase_rad * (-1.0 / math.radians(self.phase_scale_deg)))
         return _mixed(mu0, mu, share)
 
@@ -145,18 +109,6 @@ class LunarLambert(SurfaceLaw):
         object.__setattr__(self, "weight", checked_numbers("lunar_lambert", "weight", self.weight))
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return L 2 mu0 / (mu0 + mu) + (1 - L) mu0.
-
-        Parameters
-        ----------
-        mu0, mu : (n,) float64
-            Cosines of incidence and emission, > 0.
-        phase_rad : (n,) float64, rad
-
-        Returns
-        -------
-        (n,) float64
-        """
         share = np.polynomial.polynomial.polyval(np.degrees(phase_rad), self.weight)
         return _mixed(mu0, mu, np.clip(share, 0.0, 1.0))
 
@@ -192,18 +144,6 @@ class Minnaert(SurfaceLaw):
         checked_number("minnaert", "k_per_deg", self.k_per_deg)
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return mu0 (mu0 mu)^(k - 1).
-
-        Parameters
-        ----------
-        mu0, mu : (n,) float64
-            Cosines of incidence and emission, > 0.
-        phase_rad : (n,) float64, rad
-
-        Returns
-        -------
-        (n,) float64
-        """
         k = np.clip(self.k + self.k_per_deg * np.degrees(phase_rad), 0.0, 2.0)
         return np.asarray(mu0 * np.maximum(mu0 * mu, _SMALLEST_PRODUCT) ** (k - 1.0))
 
@@ -239,18 +179,6 @@ class Akimov(SurfaceLaw):
         checked_number("akimov", "eta", self.eta, "[0, inf)")
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return the disk function from ``l - a / 2``, which stays well defined at zero phase.
-
-        Parameters
-        ----------
-        mu0, mu : (n,) float64
-            Cosines of incidence and emission, > 0.
-        phase_rad : (n,) float64, rad
-
-        Returns
-        -------
-        (n,) float64
-        """
         half = 0.5 * phase_rad
         total = mu0 + mu
         from_mirror = np.arctan2((mu0 - mu) * np.cos(half), total * np.sin(half))

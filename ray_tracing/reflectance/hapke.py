@@ -79,18 +79,6 @@ class Hapke(SurfaceLaw):
         require(self.b0 == 0.0 or self.h > 0.0, f"reflectance hapke: b0 = {self.b0:g} needs h > 0, got {self.h:g}")
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return the law over its value at normal incidence and emission and zero phase.
-
-        Parameters
-        ----------
-        mu0, mu : (n,) float64
-            Cosines of incidence and emission, > 0.
-        phase_rad : (n,) float64, rad
-
-        Returns
-        -------
-        (n,) float64
-        """
         normal = np.ones(())
         return self._reflected(mu0, mu, phase_rad) / self._reflected(normal, normal, np.zeros(()))
 

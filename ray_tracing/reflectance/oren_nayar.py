@@ -48,18 +48,6 @@ class OrenNayar(SurfaceLaw):
         checked_number("oren_nayar", "sigma_deg", self.sigma_deg, "[0, 90]")
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return mu0 (1 + B / A max(0, cos(phase) - mu0 mu) / max(mu0, mu)).
-
-        Parameters
-        ----------
-        mu0, mu : (n,) float64
-            Cosines of incidence and emission, > 0.
-        phase_rad : (n,) float64, rad
-
-        Returns
-        -------
-        (n,) float64
-        """
         variance = math.radians(self.sigma_deg) ** 2
         level = 1.0 - 0.5 * variance / (variance + 0.33)
         groove = 0.45 * variance / (variance + 0.09) / level

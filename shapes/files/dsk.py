@@ -35,14 +35,9 @@ _BYTES_PER_VERTEX, _BYTES_PER_PLATE = 24, 12  # three float64, three 32 bit inte
 class DskIdentity:
     """Identity that a DSK states besides its plates.
 
-    Parameters
-    ----------
-    center : int
-        NAIF number of the body, such as 2101955 for Bennu.
-    frame : str
-        Body-fixed frame that SPICE knows, built in or from kernels that are loaded, such as ``IAU_PHOBOS``.
-    surface : int
-        Number of the surface, which tells several shapes of one body apart.
+    center: NAIF number of the body, such as 2101955 for Bennu.
+    frame: body-fixed frame that SPICE knows, built in or from kernels that are loaded, such as ``IAU_PHOBOS``.
+    surface: number of the surface, which tells several shapes of one body apart.
     """
 
     center: int
@@ -111,6 +106,7 @@ def write_dsk(path: Path, mesh: TriangleMesh, identity: DskIdentity) -> None:
 
     vertices, plates = mesh.vertices_km.copy(), (mesh.faces + 1).astype(np.int32)  # SPICE wants writeable arrays
     parameters = np.zeros(10)  # a latitudinal system has no parameters
+    data_class = _SINGLE_VALUED if bool(np.all(mesh.plane_offsets_km > 0.0)) else _GENERAL
     try:
         reals, integers = _spatial_index(spiceypy, vertices, plates)
         low_km, high_km = spiceypy.dskrb2(vertices, plates, _LATITUDINAL, parameters)
@@ -118,7 +114,7 @@ def write_dsk(path: Path, mesh: TriangleMesh, identity: DskIdentity) -> None:
         handle = spiceypy.dskopn(str(path), "giantlike", 0)
         try:
             spiceypy.dskw02(
-                handle, identity.center, identity.surface, _data_class(mesh), identity.frame,
+                handle, identity.center, identity.surface, data_class, identity.frame,
                 _LATITUDINAL, parameters, -np.pi, np.pi, -np.pi / 2, np.pi / 2, low_km, high_km, -span_s, span_s,
                 vertices, plates, reals, integers,
             )  # fmt: skip
@@ -126,11 +122,6 @@ def write_dsk(path: Path, mesh: TriangleMesh, identity: DskIdentity) -> None:
             spiceypy.dskcls(handle, True)
     except SpiceyError as error:
         raise InputError(f"SPICE does not write this DSK: {library_message(error)}") from error
-
-
-def _data_class(mesh: TriangleMesh) -> int:
-    """Class 1 if each ray from the origin meets the surface once, which is when all facets face away from it."""
-    return _SINGLE_VALUED if bool(np.all(mesh.plane_offsets_km > 0.0)) else _GENERAL
 
 
 def _spatial_index(spice: Any, vertices: Float, plates: NDArray[np.int32]) -> tuple[Float, NDArray[np.int32]]:

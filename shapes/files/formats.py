@@ -32,16 +32,10 @@ def read_text(path: Path) -> Surface:
 class ShapeFormat:
     """A format of shape files.
 
-    Parameters
-    ----------
-    name : str
-        With its article, for messages.
-    read : callable
-        Takes a path and returns a :class:`~giantlike.shapes.surface.Surface`.
-    write : callable or None
-        Takes a path and a mesh; None for a DSK, which needs its identity as well.
-    albedo : tuple of type
-        Kinds of albedo that files can hold.
+    name: with its article, for messages.
+    read: takes a path and returns a :class:`~giantlike.shapes.surface.Surface`.
+    write: takes a path and a mesh; None for a DSK, which needs its identity as well.
+    albedo: kinds of albedo that files can hold.
     """
 
     name: str

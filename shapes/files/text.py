@@ -21,10 +21,7 @@ def text_rows(path: Path) -> list[str]:
 
 
 def numbers(rows: Sequence[str], columns: tuple[int, ...]) -> Float:
-    """Convert rows of text that all hold the same number of numbers.
-
-    Returns (n, k).
-    """
+    """Convert rows of text that all hold the same number of numbers. Returns (n, k)."""
     if not rows:
         return np.empty((0, columns[0]))
     table = np.loadtxt(rows, dtype=np.float64, comments=None, ndmin=2)
@@ -34,10 +31,7 @@ def numbers(rows: Sequence[str], columns: tuple[int, ...]) -> Float:
 
 
 def whole_numbers(table: Float) -> Faces:
-    """Convert a table of vertex numbers to int64.
-
-    ``table`` (m, k); returns (m, k).
-    """
+    """Convert a table of vertex numbers to int64. ``table`` (m, k); returns (m, k)."""
     bad = ~(np.abs(table) < _LARGEST_INDEX) | (table != np.rint(table))
     if bad.any():
         raise ValueError(f"needed vertex numbers, got {float(table[bad][0])!r}")
@@ -45,10 +39,7 @@ def whole_numbers(table: Float) -> Faces:
 
 
 def write_rows(path: Path, header: str, tables: Sequence[tuple[str, Float | Faces]]) -> None:
-    """Write a header and then tables of numbers, float64 to the last bit.
-
-    ``tables`` sequence of (str, (n, k)).
-    """
+    """Write a header and then tables of numbers, float64 to the last bit. ``tables`` sequence of (str, (n, k))."""
     with path.open("w", encoding="ascii", newline="\n") as file:
         file.write(header)
         for prefix, table in tables:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner, Result
 
 from giantlike.campaign.render.plan import RenderPlan
-from giantlike.campaign.render.run import render_images
+from giantlike.campaign.render.run import preview_png, render_images
 from giantlike.cli.app import app
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError
@@ -25,7 +25,6 @@ from giantlike.core.frames import camera_from_inertial_of_pointing, rotate, rota
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.image import Image
 from giantlike.shapes import Ellipsoid, mesh_from_ellipsoid, save_shape, sphere
-from giantlike.simulation.preview import preview_png
 from tests.tolerances import EPOCH_S, FLOAT32_SUM, FLOAT64, FLOAT64_SUM, PLACE_PX
 
 POINTING_DEG = (80.0, 30.0, 10.0)

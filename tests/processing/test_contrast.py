@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from giantlike.processing.limb.contrast import contrasts
+from giantlike.processing.limb.search import contrasts
 
 ROUNDING = 1e-6  # values of the image are single precision
 

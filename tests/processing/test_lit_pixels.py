@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from giantlike.processing.detection.lit_pixels import connected, peaks_among
+from giantlike.processing.detection.candidates import connected, peaks_among
 
 FRAMES = [(1, 1), (1, 9), (9, 1), (2, 2), (17, 23), (60, 41)]
 

@@ -72,9 +72,8 @@ def random_image(seed: int) -> RandomImage:
     if rng.random() < 0.6:
         sun = _unit(sun - 2.0 * max(float(sun @ sight), 0.0) * sight)  # the lit side is seen
     position = sight * model.focal_length_px / radius_px
-    shape: Shape = Ellipsoid(radii_km=rng.uniform(0.6, 1.0, 3) if rng.random() < 0.8 else np.ones(3))
-    if rng.random() < 0.4:
-        shape = mesh_from_ellipsoid(shape, facets=300)
+    ellipsoid = Ellipsoid(radii_km=rng.uniform(0.6, 1.0, 3) if rng.random() < 0.8 else np.ones(3))
+    shape: Shape = mesh_from_ellipsoid(ellipsoid, facets=300) if rng.random() < 0.4 else ellipsoid
     law = (Lambert(), LommelSeeliger(), McEwen())[int(rng.integers(3))]
     body = Body(shape=shape, camera_from_body=turn, position_camera_km=position, reflectance=law)
     pixels, mask = _pixels(body, camera, sun, rng)

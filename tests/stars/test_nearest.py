@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from giantlike.core.arrays import Float
-from giantlike.stars.nearest import nearest
+from giantlike.stars.matching import nearest
 from tests.tolerances import FLOAT64
 
 STEP = np.array([1.0, 0.0])

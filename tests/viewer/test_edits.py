@@ -15,9 +15,10 @@ from giantlike.campaign.store.edits import EDITS_FILE, read_edits
 from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.cli.app import app
-from giantlike.viewer import Session, explain, layers_of, verdict_of
+from giantlike.viewer import Session, explain, layers_of
 from giantlike.viewer.layers import REJECTED
 from giantlike.viewer.server import application
+from giantlike.viewer.session import verdict_of
 
 TOKEN = "secret"
 LONG, SHORT = "visit0_a_long.fits", "visit0_b_short.fits"
@@ -180,8 +181,8 @@ def test_runs_on_two_ports_of_one_browser_do_not_lock_each_other_out(run: Path) 
 
 def test_the_page_runs_no_script_but_that_of_its_own_file(client: TestClient) -> None:
     answer = client.get("/")
-    policy = dict(part.split(" ", 1) for part in answer.headers["Content-Security-Policy"].split("; "))
-    assert "'unsafe-inline'" not in policy.get("script-src", policy["default-src"])
+    policy: dict[str, str] = dict(part.split(" ", 1) for part in answer.headers["Content-Security-Policy"].split("; "))
+    assert "'unsafe-inline'" not in (policy.get("script-src") or policy["default-src"])
     assert answer.text.count("<script") == answer.text.count('<script src="view.js"></script>') == 1
     for name in ("view.js", "view.css"):
         part = client.get(f"/{name}")

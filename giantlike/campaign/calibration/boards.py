@@ -29,19 +29,12 @@ _USUAL = frozenset(
 class BoardSetup:
     """Board, camera model and parameters of a calibration from images of a checkerboard.
 
-    Parameters
-    ----------
-    across, down : int
-        Inner corners of the board.
-    fov_deg : float, degrees
-        Rough field of view along x.
-    model_type : str
-        A key of :data:`~giantlike.camera_models.MODELS`.
-    estimate : tuple of str, optional
-        Parameters; None: focal lengths, principal point and the lens terms that an ordinary series of boards supports
-        (for a fisheye ``k1``, ``k2``).
-    sigma_px : float, px
-        Standard deviation of a corner per axis.
+    across, down: inner corners of the board.
+    fov_deg: in degrees; rough field of view along x.
+    model_type: a key of :data:`~giantlike.camera_models.MODELS`.
+    estimate: parameters; None: focal lengths, principal point and the lens terms that an ordinary series of boards
+        supports (for a fisheye ``k1``, ``k2``).
+    sigma_px: standard deviation of a corner per axis.
     """
 
     across: int

@@ -54,17 +54,10 @@ _FEWEST_FOR_DRIFT = 4
 class CampaignCalibration(Value):
     """Result of the calibration of a campaign.
 
-    Parameters
-    ----------
-    outcome : StarCalibration or Failure
-    camera : Camera or None
-        The calibrated camera; None if calibration failed or was not accepted.
-    alignment : AlignmentResult or None
-        Alignment of the camera with respect to the a priori attitudes, if images have them.
-    lost : tuple of (str, str)
-        Images that did not take part, and the reasons.
-    targets : str
-        Word for the observed points: stars, or corners of a board.
+    camera: the calibrated camera; None if calibration failed or was not accepted.
+    alignment: alignment of the camera with respect to the a priori attitudes, if images have them.
+    lost: images that did not take part, and the reasons.
+    targets: word for the observed points: stars, or corners of a board.
     """
 
     outcome: StarCalibration | Failure
@@ -101,10 +94,7 @@ class CampaignCalibration(Value):
 
 
 def temperature_of(image: Image, keyword: str | None) -> float:
-    """Temperature in the header of an image.
-
-    Returned in Celsius, 0 without a keyword.
-    """
+    """Temperature in the header of an image. Returned in Celsius, 0 without a keyword."""
     if keyword is None:
         return 0.0
     value = image.metadata.get(keyword)
@@ -215,12 +205,8 @@ def write_calibration(folder: Path, result: CampaignCalibration, inputs: str = "
 class KeptCalibration:
     """A calibration as the run folder holds it.
 
-    Parameters
-    ----------
-    camera : Camera or None
-        None if it was not accepted.
-    summary : dict
-        Content of ``calibration.json``.
+    camera: None if it was not accepted.
+    summary: content of ``calibration.json``.
     """
 
     camera: Camera | None
@@ -253,10 +239,7 @@ def _camera_hash(folder: Path) -> str:
 
 
 def calibration_summary(result: CampaignCalibration) -> dict[str, Any]:
-    """Results of a calibration except its single observations, as in JSON.
-
-    Unknown values are None.
-    """
+    """Results of a calibration except its single observations, as in JSON. Unknown values are None."""
     content: dict[str, Any] = {
         "status": "failed" if isinstance(result.outcome, Failure) else "ok" if result.camera else "not_accepted",
         "problem": result.problem,

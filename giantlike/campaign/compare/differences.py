@@ -23,17 +23,10 @@ _COLUMNS = ("file", "what", "axis", "difference", "sigma", "ratio", "unit")
 class Difference:
     """A difference along one axis, first minus second.
 
-    Parameters
-    ----------
-    file : str
-        Image.
-    what : str
-        ``attitude``, or target and estimator.
-    axis : str
-    value : float
-    sigma : float or None
-        Sigma of the difference: from both results, without their common errors; None where one of the two is unknown.
-    unit : str
+    file: image.
+    what: ``attitude``, or target and estimator.
+    sigma: sigma of the difference: from both results, without their common errors; None where one of the two is
+        unknown.
     """
 
     file: str
@@ -53,16 +46,9 @@ class Difference:
 class ResultComparison:
     """Two sets of results, compared.
 
-    Parameters
-    ----------
-    first, second : str
-        Names of the compared results.
-    differences : tuple of Difference
-    shared : tuple of str
-        Errors common to both, which cancel in the differences and are not in the sigmas.
-    only_first, only_second : int
-        Results without a counterpart.
-    notes : tuple of str
+    first, second: names of the compared results.
+    shared: errors common to both, which cancel in the differences and are not in the sigmas.
+    only_first, only_second: results without a counterpart.
     """
 
     first: str
@@ -98,10 +84,7 @@ class ResultComparison:
 def differences_of(
     file: str, what: str, axes: Sequence[str], values: Float, covariance: Float | None, unit: str
 ) -> Iterable[Difference]:
-    """Yield the components of a difference.
-
-    ``values`` (k,); ``covariance`` (k, k).
-    """
+    """Yield the components of a difference. ``values`` (k,); ``covariance`` (k, k)."""
     for k, axis in enumerate(axes):
         variance = math.nan if covariance is None else float(covariance[k, k])
         sigma = math.sqrt(max(variance, 0.0)) if math.isfinite(variance) else None

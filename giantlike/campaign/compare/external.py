@@ -48,16 +48,11 @@ _TDM_ANGLE = re.compile(rf"^{_SPACES}(ANGLE_[12]){_SPACES}={_SPACES}(\S++){_SPAC
 class ExternalOptions:
     """Options that SPICE files do not contain.
 
-    Parameters
-    ----------
-    kernels : tuple of str
-        Paths or patterns of the kernels that are needed in addition to the file: leap seconds, clock, frames, planets.
-    frame : str, optional
-        C-kernel: frame of the camera in them.
-    camera_from_frame_xyzw : (4,) tuple of float
-        From that frame to the camera axes, scalar last.
-    spacecraft, body : str, optional
-        Trajectory: NAIF names or codes; the body only where it is not the name of the target.
+    kernels: paths or patterns of the kernels that are needed in addition to the file: leap seconds, clock, frames,
+        planets.
+    frame: C-kernel: frame of the camera in them.
+    camera_from_frame_xyzw: from that frame to the camera axes, scalar last.
+    spacecraft, body: trajectory: NAIF names or codes; the body only where it is not the name of the target.
     """
 
     kernels: tuple[str, ...] = ()
@@ -299,7 +294,7 @@ def _fix(run: _Run, record: ObservationRecord, other: _Seen) -> Iterator[Differe
         own = None if with_attitude is None else np.array(with_attitude)
         spread = np.zeros((2, 2))
         if other.sigma_rad is not None:
-            spread = (other.sigma_rad * _pixels_per_rad(run.camera)) ** 2 * np.eye(2)
+            spread = (other.sigma_rad * (run.camera.columns / (run.camera.fov_deg * RAD_PER_DEG))) ** 2 * np.eye(2)
         yield from differences_of(
             record.file, what, ("x", "y"), center - place, None if own is None else own + spread, "px"
         )
@@ -335,11 +330,6 @@ def _trajectory(run: _Run, path: Path, options: ExternalOptions) -> tuple[list[D
                 _Seen(file=file, et=et[file], target=target, direction_inertial=position / range_km, range_km=range_km)
             )
     return _observables(run, seen)
-
-
-def _pixels_per_rad(camera: Camera) -> float:
-    """Scale of the image at its center."""
-    return camera.columns / (camera.fov_deg * RAD_PER_DEG)
 
 
 def _nearest(et: float | None, times: NDArray[np.float64]) -> int | None:

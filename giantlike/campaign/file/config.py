@@ -43,13 +43,8 @@ from giantlike.stars.transfer import TransferMethod, TransferOptions
 class ImageEntry:
     """An image file of a campaign.
 
-    Parameters
-    ----------
-    index : int
-        Position in input order, from 0.
-    key : str
-        Name in the tables: its base name or, where two files share one, its path relative to the campaign file.
-    path : Path
+    index: position in input order, from 0.
+    key: name in the tables: its base name or, where two files share one, its path relative to the campaign file.
     """
 
     index: int
@@ -61,18 +56,10 @@ class ImageEntry:
 class StarsSetup:
     """Star processing of a campaign.
 
-    Parameters
-    ----------
-    catalog : str
-        ``default`` or the path of a catalog.
-    options : StarOptions
-    detection : DetectionOptions
-    long_exposure_s : float or None, s
-        At or above, an image is a star image; None: all are.
-    transfer : TransferOptions
-        Of attitudes from star images to the others.
-    rates : Path or None
-        Table of angular rates for the transfer.
+    catalog: ``default`` or the path of a catalog.
+    long_exposure_s: at or above, an image is a star image; None: all are.
+    transfer: of attitudes from star images to the others.
+    rates: table of angular rates for the transfer.
     """
 
     catalog: str

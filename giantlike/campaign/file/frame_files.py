@@ -27,19 +27,11 @@ _SAME_EXPOSURE = 0.01
 class FrameFiles:
     """Files of the calibration frames of a campaign.
 
-    Parameters
-    ----------
-    bias, dark, flat : tuple of Path
-        Empty where there are none.
-    bad_pixels : Path or None
-    dark_exposure_s : float or None, s
-        None where headers have it.
-    dark_has_bias, flat_has_bias : bool
-        False where bias (and dark current) were subtracted.
-    hdu : int or str or None
-        FITS extension.
-    bottom_up : bool
-        True if rows are reversed on reading.
+    bias, dark, flat: empty where there are none.
+    dark_exposure_s: None where headers have it.
+    dark_has_bias, flat_has_bias: False where bias (and dark current) were subtracted.
+    hdu: FITS extension.
+    bottom_up: True if rows are reversed on reading.
     """
 
     bias: tuple[Path, ...]

@@ -41,18 +41,11 @@ from giantlike.shapes.load import guessed_units
 class SpiceSetup:
     """SPICE kernels, the spacecraft and its camera frame.
 
-    Parameters
-    ----------
-    kernels : tuple of Path
-        In loading order.
-    spacecraft : str
-        NAIF name or code.
-    camera_from_frame : FrameRotation or None
-        From the camera frame of the kernels to camera axes; None: no attitude from SPICE.
-    ck_tolerance_s : float, s
-        Largest distance in time to a single attitude of a CK.
-    clock : LabelClock or None
-        Clock count in labels that have no epoch.
+    kernels: in loading order.
+    spacecraft: NAIF name or code.
+    camera_from_frame: from the camera frame of the kernels to camera axes; None: no attitude from SPICE.
+    ck_tolerance_s: largest distance in time to a single attitude of a CK.
+    clock: clock count in labels that have no epoch.
     """
 
     kernels: tuple[Path, ...]
@@ -62,10 +55,7 @@ class SpiceSetup:
     clock: LabelClock | None = None
 
     def camera_from_inertial(self, et: float) -> FrameRotation | None:
-        """Attitude of the camera by SPICE.
-
-        Returns None without a camera frame.
-        """
+        """Attitude of the camera by SPICE. Returns None without a camera frame."""
         turn = self.camera_from_frame
         if turn is None:
             return None
@@ -89,21 +79,11 @@ class SpiceSetup:
 class TargetSetup:
     """A body with its names resolved; the shape is loaded later, by each process that needs it.
 
-    Parameters
-    ----------
-    name : str
-    shape : Path or tuple of float
-        Mesh file, or the radii of an ellipsoid, km.
-    units : str
-        Of the mesh file: km, m or auto.
-    reflectance : Reflectance
-    estimators : tuple of Estimator
-        Empty in a scene file.
-    spice_body, frame : str
-        NAIF name and body-fixed frame.
-    uncertainty : TargetUncertainty
-    limb : LimbSetup
-        Height map, atmosphere and rings.
+    shape: mesh file, or the radii of an ellipsoid, km.
+    units: of the mesh file: km, m or auto.
+    estimators: empty in a scene file.
+    spice_body, frame: NAIF name and body-fixed frame.
+    limb: height map, atmosphere and rings.
     """
 
     name: str
@@ -220,10 +200,7 @@ def spice_of(path: Path, section: SpiceSection | None) -> SpiceSetup | None:
 def targets_of(
     path: Path, sections: Sequence[BodySection], spice: SpiceSetup | None
 ) -> tuple[tuple[TargetSetup, ...], list[str]]:
-    """Bodies of the ``[[targets]]`` of a campaign or scene file.
-
-    Returns ``targets`` and ``remarks``.
-    """
+    """Bodies of the ``[[targets]]`` of a campaign or scene file."""
     decided, remarks = list[TargetSetup](), list[str]()
     for number, section in enumerate(sections):
         target = _target(path, f"targets[{number}]", section, spice)

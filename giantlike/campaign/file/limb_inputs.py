@@ -17,16 +17,9 @@ from giantlike.terrain import HeightMap
 class LimbSetup:
     """Limb of a target.
 
-    Parameters
-    ----------
-    terrain : Path or None
-        File of a height map.
-    terrain_sigma_km : float or None, km
-        Sigma of its heights, where it differs from the file's.
-    atmosphere : Atmosphere or None
-    rings : Rings or None
-    air : bool or None
-        True with air or haze, False without; None where the file does not declare it.
+    terrain: file of a height map.
+    terrain_sigma_km: sigma of its heights, where it differs from the file's.
+    air: True with air or haze, False without; None where the file does not declare it.
     """
 
     terrain: Path | None = None
@@ -57,10 +50,7 @@ class LimbSetup:
         )
 
     def height_map(self) -> HeightMap | None:
-        """Open the height map, once in a process.
-
-        Returns None without one.
-        """
+        """Open the height map, once in a process. Returns None without one."""
         return None if self.terrain is None else _opened(self.terrain, self.terrain_sigma_km)
 
 

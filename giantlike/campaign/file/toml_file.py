@@ -43,10 +43,7 @@ Completion: TypeAlias = Callable[[Path, Mapping[str, Any]], dict[str, Any]]
 def read_toml(
     path: Path, model: type[Content], what: str, *, complete: Completion | None = None
 ) -> tuple[Content, dict[str, Any]]:
-    """Parse a TOML file and check keys and types.
-
-    Returns ``content`` and ``table``.
-    """
+    """Parse a TOML file and check keys and types."""
     table = toml_table(path, what)
     try:
         return checked_table(table if complete is None else complete(path, table), model), table

@@ -60,19 +60,10 @@ FITS_SUFFIXES = frozenset({".fits", ".fit", ".fts"})
 class Exposure(Value):
     """An image to be rendered, as given by the files; SPICE completes attitude, observer and positions.
 
-    Parameters
-    ----------
-    key : str
-        Its location in the scene file or table, for messages.
-    file : str
-        File of the image, relative to the output folder.
-    epoch : Time
-    exposure_s : float, s
-    camera_from_inertial : Rotation or None
-    angular_rate_camera_rad_s : (3,) float64, rad/s
-    observer : ObserverState or None
-    places : mapping of str to GeometryRow
-        Positions of targets, by name.
+    key: its location in the scene file or table, for messages.
+    file: file of the image, relative to the output folder.
+    angular_rate_camera_rad_s: in rad/s.
+    places: positions of targets, by name.
     """
 
     key: str
@@ -89,22 +80,10 @@ class Exposure(Value):
 class RenderPlan(Value):
     """A scene file whose keys, files and names have been checked.
 
-    Parameters
-    ----------
-    path : Path
-    content : RenderFile
-    camera : Camera
-    targets : tuple of TargetSetup
-        Without estimators; the shapes are loaded by :meth:`shots`.
-    places : mapping of str to GeometryRow
-        Defaults, by target.
-    exposures : tuple of Exposure
-    detector : DetectorModel
-    catalog : str or None
-        Name or path of the catalog; None: no stars.
-    spice : SpiceSetup or None
-    warnings : tuple of str
-        Oddities that are not errors.
+    targets: without estimators; the shapes are loaded by :meth:`shots`.
+    places: defaults, by target.
+    catalog: name or path of the catalog; None: no stars.
+    warnings: oddities that are not errors.
     """
 
     path: Path

@@ -9,22 +9,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import tomli_w
 
 from giantlike._system.atomic import make_folder, write_bytes_atomic, write_text_atomic
 from giantlike.campaign.render.plan import FITS_SUFFIXES, RenderPlan
 from giantlike.catalogs import StarCatalog, load_catalog
-from giantlike.core.arrays import require
+from giantlike.core.arrays import Float, require
 from giantlike.core.errors import DataError
 from giantlike.io import write_geometry
 from giantlike.io.geometry_table import GeometryRow
 from giantlike.relative import ESTIMATORS
 from giantlike.simulation import Sources, simulate_image
 from giantlike.simulation.images import SimulatedImage
-from giantlike.simulation.preview import preview_png
 from giantlike.simulation.truth import geometry_rows, write_simulated
 
+_GAMMA = 0.4  # exponent of the display: a star a thousand times fainter than the body is shown at 6 % of white
 _CAMPAIGN, _CAMERA, _GEOMETRY = "campaign.toml", "camera.toml", "geometry.csv"
 
 
@@ -32,19 +33,11 @@ _CAMPAIGN, _CAMERA, _GEOMETRY = "campaign.toml", "camera.toml", "geometry.csv"
 class RenderedImage:
     """Summary of one image.
 
-    Parameters
-    ----------
-    path : Path
-    targets : dict of str to list of float
-        Pixel (x, y) of the center of each target in view.
-    stars : int
-        Number of stars in view.
-    peak_dn, background_dn : float, DN
-        Brightest pixel and median.
-    saturated_px, cosmic_px : int
-        Number of pixels that are saturated, and hit by cosmic rays.
-    time_s : float, s
-        Computing time.
+    targets: pixel (x, y) of the center of each target in view.
+    stars: number of stars in view.
+    peak_dn, background_dn: brightest pixel and median.
+    saturated_px, cosmic_px: number of pixels that are saturated, and hit by cosmic rays.
+    time_s: computing time.
     """
 
     path: Path
@@ -181,3 +174,13 @@ def _target_table(plan: RenderPlan, number: int, folder: Path) -> dict[str, Any]
 
 def _relative(path: Path, folder: Path) -> str:
     return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+
+
+def preview_png(pixels_dn: Float) -> bytes:
+    """Encode an image as an 8 bit gray PNG: a power of the signal above the median, scaled to the brightest pixel."""
+    values = np.asarray(pixels_dn, dtype=np.float64)
+    above = np.maximum(values - float(np.median(values)), 0.0)
+    gray = (above / max(float(above.max()), 1e-12)) ** _GAMMA
+    done, data = cv2.imencode(".png", np.rint(255.0 * gray).astype(np.uint8))
+    assert done
+    return bytes(data)

@@ -37,17 +37,10 @@ _LEAST_SIGMA = 1e-9
 class FixLine:
     """One fix of a card or of the table of fixes, as text.
 
-    Parameters
-    ----------
-    record : ObservationRecord
-    center : tuple of str
-        x and y with their sigma, px; empty without a fix.
-    offset : tuple of str
-        Observed minus computed x and y, px.
-    range_km, range_offset : str
-        Range with its sigma, km; observed minus computed, percent; empty where there is none.
-    words : list of (str, str)
-        Status and sentence, for each reason, flag and remark.
+    center: x and y with their sigma, px; empty without a fix.
+    offset: observed minus computed x and y, px.
+    range_km, range_offset: range with its sigma, km; observed minus computed, percent; empty where there is none.
+    words: status and sentence, for each reason, flag and remark.
     """
 
     record: ObservationRecord
@@ -62,18 +55,10 @@ class FixLine:
 class ImageCard:
     """One image of the report, with its results.
 
-    Parameters
-    ----------
-    record : AttitudeRecord
-    words : list of (str, str)
-        Of the attitude.
-    fixes : list of FixLine
-    picture : str or None
-        SVG; None if the image file is gone.
-    residuals : list of str
-        Pictures of the residuals, SVG.
-    problem : str or None
-        The reason why there is no picture.
+    words: of the attitude.
+    picture: SVG; None if the image file is gone.
+    residuals: pictures of the residuals, SVG.
+    problem: the reason why there is no picture.
     """
 
     record: AttitudeRecord

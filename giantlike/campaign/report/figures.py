@@ -151,10 +151,7 @@ def _measured(record: ObservationRecord) -> tuple[Float, Float]:
 
 
 def points_of(values: ArrayLike) -> Float:
-    """Points (n, 2) of a list of pairs, which may be empty.
-
-    ``values`` (n, 2).
-    """
+    """Points (n, 2) of a list of pairs, which may be empty. ``values`` (n, 2)."""
     return np.asarray(values, dtype=np.float64).reshape(-1, 2)
 
 

@@ -15,11 +15,7 @@ if TYPE_CHECKING:
 class PageFigure:
     """A figure of a page.
 
-    Parameters
-    ----------
-    svg : str
-        The figure as SVG.
-    caption : str
+    svg: the figure as SVG.
     """
 
     svg: str

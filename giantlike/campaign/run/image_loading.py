@@ -13,15 +13,16 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.file.inputs import SpiceSetup, TargetSetup
-from giantlike.campaign.run.label_rows import attitude_of_label, row_of_label
 from giantlike.core.arrays import unit
 from giantlike.core.errors import DataError, InputError
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.time import time_from_et
 from giantlike.core.values import Value
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, SpiceEphemeris
 from giantlike.image import Image
 from giantlike.io.geometry_table import GeometryRow
+from giantlike.io.label_geometry import geometry_of_label
 from giantlike.io.spice import CoverageError, spk_state
 from giantlike.io.spice_pointing import LabelClock
 from giantlike.io.wcs_header import attitude_of_wcs, has_world_coordinates
@@ -36,11 +37,7 @@ _SUN_COLUMNS = "sun_x, sun_y, sun_z"
 class PreparedImage(Value):
     """An image with its a priori epoch and pose.
 
-    Parameters
-    ----------
-    image : Image
-    notes : tuple of str
-        Requested data that could not be found.
+    notes: requested data that could not be found.
     """
 
     image: Image
@@ -249,3 +246,46 @@ def _missing(
 ) -> Failure:
     detail = f"{image.name}: {target.name}: the geometry table has no {what}, and SPICE cannot fill in ({why})"
     return Failure(Reason.NO_GEOMETRY, detail)
+
+
+def attitude_of_label(campaign: Campaign, image: Image) -> Rotation | None:
+    """Attitude from a label, given directly or by the orientation of its target.
+
+    Returns None where the label has none, and its target is not in the campaign or has no orientation by SPICE.
+    """
+    label = geometry_of_label(image.metadata, campaign.camera.model)
+    if label is None or label.camera_from_inertial is not None or label.camera_from_body is None:
+        return None if label is None else label.camera_from_inertial
+    target = next((one for one in campaign.targets if _is(one, label.target)), None)
+    et = image.et
+    if target is None or et is None or campaign.spice is None:
+        return None
+    try:
+        # only the distance counts, for the light time
+        inertial_from_body = target.inertial_from_body(label.position_camera_km, et)
+    except DataError:
+        return None
+    return label.camera_from_body * inertial_from_body.inv()
+
+
+def row_of_label(campaign: Campaign, image: Image, target: TargetSetup) -> GeometryRow | None:
+    """Position of a target, its orientation and its Sun from the label of an image.
+
+    Returns None where the label is of another target or has no geometry, or the attitude is unknown.
+    """
+    label = geometry_of_label(image.metadata, campaign.camera.model)
+    attitude = image.camera_from_inertial
+    if label is None or attitude is None or not _is(target, label.target):
+        return None
+    turn = label.camera_from_body
+    return GeometryRow(
+        file=image.name,
+        target=target.name,
+        target_position_inertial_km=rotate(attitude.inv(), label.position_camera_km),
+        body_from_inertial=None if turn is None else turn.inv() * attitude,
+        sun_direction_inertial=rotate(attitude.inv(), label.sun_direction_camera),
+    )
+
+
+def _is(target: TargetSetup, name: str) -> bool:
+    return name.strip().upper() in {target.name.upper(), target.spice_body.upper()}

@@ -61,20 +61,10 @@ _FIRST_STARS, _ATTITUDES, _TARGETS = "calibration", "attitudes", "geometry"
 class RunExecutor:
     """The steps of a run.
 
-    Parameters
-    ----------
-    bench : Workbench
-    folder : RunFolder
-    progress, announce : callable
-        See :func:`~giantlike.campaign.run.runner.run_campaign`.
-    edits : EditList
-    identities : Identities
-    goes_on : bool
-        The folder held a run before.
-    camera : Camera or None
-        The calibrated camera.
-    counts : dict of str to StepCount
-        Results computed and kept so far, by step.
+    progress, announce: see :func:`~giantlike.campaign.run.runner.run_campaign`.
+    goes_on: the folder held a run before.
+    camera: the calibrated camera.
+    counts: results computed and kept so far, by step.
     """
 
     bench: Workbench

@@ -9,14 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.campaign.store.record_values import (
-    Landmarks,
-    Residuals,
-    SightingRecord,
-    StarMatches,
-    Status,
-    TurnRecord,
-)
+from giantlike.campaign.store.record_values import Landmarks, Residuals, SightingRecord, StarMatches, Status, TurnRecord
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord
 from giantlike.core.arrays import Float, finite_or_none
 from giantlike.core.causes import Cause, summed
@@ -82,10 +75,7 @@ def with_attitude(record: AttitudeRecord, camera: Camera, attitude: Attitude, st
 def with_stars(
     record: AttitudeRecord, camera: Camera, fix: AttitudeFix, detected_px: list[list[float]]
 ) -> AttitudeRecord:
-    """Record with an attitude that was found from stars.
-
-    ``detected_px`` (n, 2).
-    """
+    """Record with an attitude that was found from stars. ``detected_px`` (n, 2)."""
     attitude = attitude_of(fix.camera_from_inertial, AttitudeSource.STARS, fix.covariance_rad2, fix.errors)
     return with_attitude(record, camera, attitude, status_of(fix.flags)).replace(
         detected_px=detected_px,

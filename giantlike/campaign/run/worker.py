@@ -30,21 +30,12 @@ from giantlike.stars import StarNavigation
 class ImageJob:
     """Work on one image.
 
-    Parameters
-    ----------
-    entry : ImageEntry
-    camera : Camera or None
-        The calibrated camera; None: the camera of the campaign.
-    rejected : frozenset of int
-        Stars that a user rejected.
-    solve : bool
-        The attitude is to be estimated; otherwise it is given.
-    attitude : Attitude or None
-        For the estimators: the one to use or, where it is to be estimated, the one that the kept results used.
-    bodies : tuple of (str, str)
-        Targets and estimators to run.
-    bodies_if_turned : tuple of (str, str)
-        Those to run only if the estimated attitude differs from ``attitude``.
+    camera: the calibrated camera; None: the camera of the campaign.
+    rejected: stars that a user rejected.
+    solve: the attitude is to be estimated; otherwise it is given.
+    attitude: for the estimators: the one to use or, where it is to be estimated, the one that the kept results used.
+    bodies: targets and estimators to run.
+    bodies_if_turned: those to run only if the estimated attitude differs from ``attitude``.
     """
 
     entry: ImageEntry
@@ -60,11 +51,7 @@ class ImageJob:
 class ImageAnswer:
     """Results of an image.
 
-    Parameters
-    ----------
-    attitude : PackedRecord of AttitudeRecord, or None
-        None if it was not to be estimated.
-    bodies : list of PackedRecord of ObservationRecord or TargetRecord
+    attitude: None if it was not to be estimated.
     """
 
     attitude: PackedRecord[AttitudeRecord] | None

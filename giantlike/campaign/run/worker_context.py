@@ -62,15 +62,8 @@ class WithoutStars:
 class Workbench(Value):
     """Campaign with catalog, shapes and kernels loaded, once per process.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    navigation : StarNavigation or None
-    shapes : dict of str to Shape
-        By target name.
-    kernels : SpiceKernels or None
-    frames : CalibrationFrames or None
-        Applied to every image.
+    shapes: by target name.
+    frames: applied to every image.
     """
 
     campaign: Campaign

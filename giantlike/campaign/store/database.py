@@ -48,12 +48,8 @@ WHERE step = ? AND images.place IS NOT NULL AND records.place IS NOT NULL ORDER 
 class Row:
     """A record as it is stored.
 
-    Parameters
-    ----------
-    light : str
-        JSON of the record without its lists of points.
-    points : bytes or None
-        The whole record, packed; None where it has no such lists.
+    light: JSON of the record without its lists of points.
+    points: the whole record, packed; None where it has no such lists.
     """
 
     light: str
@@ -64,12 +60,8 @@ class Row:
 class KnownImage:
     """An image file as recorded in the run folder.
 
-    Parameters
-    ----------
-    stamp : str
-        Size and time of change.
-    sha256 : str
-        Of its content; empty if it could not be read.
+    stamp: size and time of change.
+    sha256: of its content; empty if it could not be read.
     """
 
     stamp: str
@@ -126,10 +118,7 @@ class Database:
             connection.execute(_PUT, (*unit, step, file, key, row.light, row.points, _crc(row.light), _crc(row.points)))
 
     def get(self, unit: Unit) -> Row | None:
-        """Return a record.
-
-        Returns None if there is none.
-        """
+        """Return a record; None if there is none."""
         with self._connected() as connection:
             found = connection.execute(
                 f"SELECT light, light_crc, points, points_crc FROM records WHERE {_IS_UNIT}", unit

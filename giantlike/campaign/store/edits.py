@@ -236,10 +236,7 @@ def _with_place(run: RunFolder, edit: Edit, known: EditList) -> Edit:
 
 
 def read_edits(folder: Path) -> EditList:
-    """Read the edit list of a run.
-
-    The result is empty if there is none.
-    """
+    """Read the edit list of a run. The result is empty if there is none."""
     path = folder / EDITS_FILE
     try:
         lines = path.read_text(encoding="utf-8").splitlines()

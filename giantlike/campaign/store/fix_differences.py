@@ -23,12 +23,8 @@ _LEAST_SHARE = 1e-12
 class FixDifference(Value):
     """First minus second fix.
 
-    Parameters
-    ----------
-    offset : (k,) float64
-        Of x and y, px, and, where both have a range (k = 3), of its natural logarithm.
-    covariance : (k, k) float64
-        Of the offset.
+    offset: (k,); of x and y, px, and, where both have a range (k = 3), of its natural logarithm.
+    covariance: (k, k); of the offset.
     """
 
     offset: Float

@@ -14,10 +14,7 @@ LOGGER = logging.getLogger("giantlike.campaign")
 
 
 def log_event(folder: Path, event: str, *, level: int = logging.INFO, **values: Any) -> None:
-    """Log an event of a run.
-
-    ``level`` as of :mod:`logging`.
-    """
+    """Log an event of a run. ``level`` as of :mod:`logging`."""
     text = ", ".join(f"{key}={value}" for key, value in values.items())
     extra = {"run_folder": folder, "line": {"event": event} | values}
     LOGGER.log(level, "%s: %s", event, text, extra=extra)

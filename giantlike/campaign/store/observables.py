@@ -120,19 +120,10 @@ class ObservableGroups:
 class ImageRecords:
     """All that the observables of an image are made of.
 
-    Parameters
-    ----------
-    results : Path
-        File that the records are from, for errors.
-    camera : Camera
-    shared_camera : str
-        Key of camera and calibration.
-    attitude : AttitudeRecord
-    bodies : ObservationsRecord or None
-    stars : bytes or None
-        Points of the attitude, packed.
-    fixes : dict of (str, str) to bytes or None
-        Points of fixes by target and estimator, packed.
+    results: file that the records are from, for errors.
+    shared_camera: key of camera and calibration.
+    stars: points of the attitude, packed.
+    fixes: points of fixes by target and estimator, packed.
     """
 
     results: Path

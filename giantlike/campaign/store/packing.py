@@ -32,12 +32,8 @@ _DTYPES = {"b": np.dtype("bool"), "i": np.dtype("<i8"), "f": np.dtype("<f8")}
 class PackedRecord(Generic[Record]):
     """A record as workers hand it over: they pack it, and the process that writes the run folder need not unpack it.
 
-    Parameters
-    ----------
-    light : ImageRecord
-        Without its lists of points.
-    row : Row
-        As it is stored.
+    light: without its lists of points.
+    row: as it is stored.
     """
 
     light: Record

@@ -55,15 +55,11 @@ class PlainRecord(BaseModel):
 class StarMatches(PlainRecord):
     """Stars of one solution, for residual plots and overlays.
 
-    Parameters
-    ----------
-    star_ids : (n,) list of int
-    observed_px, predicted_px : (n, 2) list of float, px
-    sigma_px, magnitudes : (n,) list of float, px and magnitudes
-    rejected_px : (m, 2) list of float, px
-        Matches rejected as outliers.
-    star_names : (n,) list of str
-        Proper names, empty for stars without one; no list in runs made before there were names.
+    observed_px, predicted_px: (n, 2).
+    sigma_px, magnitudes: (n,) px and magnitudes.
+    rejected_px: (m, 2); matches rejected as outliers.
+    star_names: (n,) list of str; proper names, empty for stars without one; no list in runs made before there were
+        names.
     """
 
     star_ids: list[int]
@@ -78,19 +74,13 @@ class StarMatches(PlainRecord):
 class Landmarks(PlainRecord):
     """Landmarks of one fix.
 
-    Parameters
-    ----------
-    names : (n,) list of str
-    observed_px, predicted_px : (n, 2) list of float, px
-        Measured, and projected by the pose that they give.
-    covariance_px2 : list of n (2, 2) lists, px^2
-        Covariance of each alone: noise and the excess of the residuals.
-    body_km : (n, 3) list of float, km, body-fixed axes
-    rejected_names : (k,) list of str
-        Of those looked for and not used.
-    rejected_px : (k, 2) list of float, px
-        Projected by the pose.
-    rejected_because : (k,) list of str
+    names: (n,) list of str.
+    observed_px, predicted_px: (n, 2); measured, and projected by the pose that they give.
+    covariance_px2: list of n (2, 2) lists; covariance of each alone: noise and the excess of the residuals.
+    body_km: (n, 3), body-fixed axes.
+    rejected_names: (k,) list of str; of those looked for and not used.
+    rejected_px: (k, 2); projected by the pose.
+    rejected_because: (k,) list of str.
     """
 
     names: list[str]
@@ -106,10 +96,7 @@ class Landmarks(PlainRecord):
 class TurnRecord(PlainRecord):
     """Rotation of a body about the line of sight, and its position with this rotation.
 
-    Parameters
-    ----------
-    turn_rad, center_px, covariance, by_rotation
-        As in :class:`~giantlike.core.outcomes.BodyTurn`.
+    turn_rad, center_px, covariance, by_rotation: as in :class:`~giantlike.core.outcomes.BodyTurn`.
     """
 
     turn_rad: float
@@ -121,13 +108,9 @@ class TurnRecord(PlainRecord):
 class Residuals(PlainRecord):
     """Residuals of a fix with their positions in the image, for pictures.
 
-    Parameters
-    ----------
-    at_px : (n, 2) list of float, px
-    values : (n,) list of float
-        As in :class:`~giantlike.core.outcomes.CenterFix`.
-    cell_px : float, px
-        0: all residuals one by one. Else each value is the mean over a square of this side around its position.
+    at_px: (n, 2).
+    values: (n,); as in :class:`~giantlike.core.outcomes.CenterFix`.
+    cell_px: 0: all residuals one by one. Else each value is the mean over a square of this side around its position.
     """
 
     at_px: list[Pair]
@@ -138,17 +121,10 @@ class Residuals(PlainRecord):
 class SightingRecord(PlainRecord):
     """A priori data of a target in an image, for its observables.
 
-    Parameters
-    ----------
-    target : str
-    origin, observer_position_km, ..., light_time_s
-        As in :class:`~giantlike.scene.Circumstances`; None where unknown.
-    camera_from_body_xyzw : (4,) list of float
-        Orientation at the emission time of the light, by the attitude used; scalar last.
-    sun_direction_camera : (3,) list of float
-        From the body to the Sun.
-    scale_sigma, pole_sigma_rad, spin_sigma_rad, ephemeris_sigma_km : float
-        As in :class:`~giantlike.scene.TargetUncertainty`.
+    origin, observer_position_km, ..., light_time_s: as in :class:`~giantlike.scene.Circumstances`; None where unknown.
+    camera_from_body_xyzw: (4,); orientation at the emission time of the light, by the attitude used; scalar last.
+    sun_direction_camera: from the body to the Sun.
+    scale_sigma, pole_sigma_rad, spin_sigma_rad, ephemeris_sigma_km: as in :class:`~giantlike.scene.TargetUncertainty`.
     """
 
     target: str

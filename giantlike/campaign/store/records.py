@@ -76,19 +76,11 @@ _OUTCOMES = MappingProxyType({Reason.REJECTED: Outcome.REJECTED, Reason.NOT_UNRE
 class RunSummary(PlainRecord):
     """Section ``run`` of the provenance of a finished run.
 
-    Parameters
-    ----------
-    name : str
-        Of the campaign.
-    hdu : int or str or None
-        FITS extension that was read.
-    bottom_up : bool
-        True if the rows were reversed on reading.
-    max_overlays : int
-        Number of images shown in the report.
-    warnings : list of str
-    time_s : float, s
-        Of the last part of the run.
+    name: of the campaign.
+    hdu: FITS extension that was read.
+    bottom_up: True if the rows were reversed on reading.
+    max_overlays: number of images shown in the report.
+    time_s: of the last part of the run.
     """
 
     name: str
@@ -102,20 +94,13 @@ class RunSummary(PlainRecord):
 class Attitude(PlainRecord):
     """An attitude and its covariance.
 
-    Parameters
-    ----------
-    source : str
-        A value of :class:`~giantlike.image.AttitudeSource`.
-    quaternion_xyzw : (4,) list of float
-        ``camera_from_inertial``, scalar last.
-    covariance_rad2 : (3, 3) list of float, optional, rad^2
-        Of the small rotation about the camera axes; None where unknown.
-    parts : mapping of Cause to (3, 3) list of float, rad^2
-        The covariance by cause; empty where all is noise.
-    by_camera : (3, m) list of float, optional, rad per unit of each parameter of the camera model
-        Derivative of the small rotation, as in :class:`~giantlike.core.outcomes.AttitudeErrors`.
-    flags : list of str
-        Names of the flags that fixes made with this attitude inherit.
+    source: a value of :class:`~giantlike.image.AttitudeSource`.
+    quaternion_xyzw: (4,); ``camera_from_inertial``, scalar last.
+    covariance_rad2: of the small rotation about the camera axes; None where unknown.
+    parts: mapping of Cause to (3, 3) rad^2; the covariance by cause; empty where all is noise.
+    by_camera: (3, m) rad per unit of each parameter of the camera model; derivative of the small rotation, as in
+        :class:`~giantlike.core.outcomes.AttitudeErrors`.
+    flags: names of the flags that fixes made with this attitude inherit.
     """
 
     source: str
@@ -153,12 +138,8 @@ class Attitude(PlainRecord):
 class ImageRecord(PlainRecord):
     """Base of the result of one step of a run for an image, or a target in it; one row in the run folder.
 
-    Parameters
-    ----------
-    index : int
-        Position in input order.
-    file : str
-        Name in the tables.
+    index: position in input order.
+    file: name in the tables.
     """
 
     part: ClassVar[str]
@@ -222,41 +203,22 @@ class _StatusRecord(_TriedRecord):
 class AttitudeRecord(_StatusRecord):
     """The image itself, and its attitude.
 
-    Parameters
-    ----------
-    path : str
-        Image file relative to the run folder.
-    sha256, columns, rows : str, int, int
-        Empty and 0 where the image could not be read.
-    epoch_utc, et, exposure_s : str, float, float, optional
-        Mid-exposure (UTC; TDB seconds past J2000) and exposure, s.
-    observer_position_km, observer_velocity_km_s : (3,) list of float, optional
-        Of the spacecraft with respect to the solar system barycenter, km and km/s, ICRF axes.
-    star_image, body_image : bool
-        True if its own stars were to be solved; True if estimators run on it.
-    transferred : bool
-        True if the attitude was sought from its neighbors in time.
-    status : str
-    problem : Problem, optional
-    apriori_xyzw : (4,) list of float, optional
-        A priori ``camera_from_inertial``, scalar last.
-    attitude : Attitude, optional
-        The result; None when failed.
-    attitude_shares : dict of str to float
-        Of a transferred attitude, its star images and the weight of each.
-    n_detected, n_matched, n_rejected, rms_px, false_match_probability : int or float, optional
-        Of the star solution, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
-    ra_deg, dec_deg, roll_deg, fov_deg : float, optional, deg
-        As in :class:`~giantlike.io.run_tables.AttitudeRow`.
-    flags : list of str
-    provenance : dict of str to str
-    time_s : float, s
-        Time of reading and solving.
-    stars : StarMatches, optional
-    detected_px : (n, 2) list of float, px
-        Everything that looked like a star.
-    notes : list of str
-        Oddities.
+    path: image file relative to the run folder.
+    sha256, columns, rows: empty and 0 where the image could not be read.
+    epoch_utc, et, exposure_s: mid-exposure (UTC; TDB seconds past J2000) and exposure, s.
+    observer_position_km, observer_velocity_km_s: of the spacecraft with respect to the solar system barycenter, km and
+        km/s, ICRF axes.
+    star_image, body_image: True if its own stars were to be solved; True if estimators run on it.
+    transferred: True if the attitude was sought from its neighbors in time.
+    apriori_xyzw: (4,); a priori ``camera_from_inertial``, scalar last.
+    attitude: the result; None when failed.
+    attitude_shares: of a transferred attitude, its star images and the weight of each.
+    n_detected, n_matched, n_rejected, rms_px, false_match_probability: of the star solution, as in
+        :class:`~giantlike.core.outcomes.AttitudeFix`.
+    ra_deg, dec_deg, roll_deg, fov_deg: as in :class:`~giantlike.io.run_tables.AttitudeRow`.
+    time_s: time of reading and solving.
+    detected_px: (n, 2); everything that looked like a star.
+    notes: oddities.
     """
 
     part: ClassVar[str] = "attitude"
@@ -314,16 +276,10 @@ class AttitudeRecord(_StatusRecord):
 class CalibrationRecord(_TriedRecord):
     """Sources and identified stars of an image, for calibration.
 
-    Parameters
-    ----------
-    sha256 : str
-        Hash of the image file; empty where it could not be read.
-    problem : Problem, optional
-        The reason why there are none.
-    apriori_xyzw : (4,) list of float, optional
-        A priori ``camera_from_inertial``, scalar last.
-    et, ..., sigma_px
-        As in :class:`~giantlike.calibration.star_images.StarImage` and its sky.
+    sha256: hash of the image file; empty where it could not be read.
+    problem: the reason why there are none.
+    apriori_xyzw: (4,); a priori ``camera_from_inertial``, scalar last.
+    et, ..., sigma_px: as in :class:`~giantlike.calibration.star_images.StarImage` and its sky.
     """
 
     part: ClassVar[str] = "calibration"
@@ -352,31 +308,14 @@ class ObservationRecord(_StatusRecord):
 
     Covariances are (2, 2) and (3, 3), partials (2, 3); see :class:`~giantlike.io.run_tables.ObservationRow`.
 
-    Parameters
-    ----------
-    index, file, epoch_utc, target, estimator, status : int or str
-    problem : Problem, optional
-    attitude : Attitude, optional
-        The attitude used; None: there was none.
-    predicted_px, ..., n_rejected
-        As in the tables; None where unknown.
-    flags : list of str
-    provenance : dict of str to str
-    checks : dict of str to float
-        Finite numbers of the tests of the fix, as in :class:`~giantlike.core.findings.Findings`; empty in runs made
+    attitude: the attitude used; None: there was none.
+    predicted_px, ..., n_rejected: as in the tables; None where unknown.
+    checks: finite numbers of the tests of the fix, as in :class:`~giantlike.core.findings.Findings`; empty in runs made
         before they were kept.
-    parts : mapping of Cause to (k, k) list of float
-        Covariance by cause, as in :class:`~giantlike.core.outcomes.CenterFix`.
-    partials : mapping of Cause to (k, m) list of float
-        Derivatives of the position, as there.
-    turn : TurnRecord, optional
-    landmarks : Landmarks, optional
-    limb_px, limb_rejected_px : (n, 2) list of float, px
-        Limb points used, and points of the illuminated limb that were not.
-    outline_px : (n, 2) list of float, px
-        Outline of a template at the fix.
-    residuals : Residuals, optional
-    time_s : float, s
+    parts: mapping of Cause to (k, k); covariance by cause, as in :class:`~giantlike.core.outcomes.CenterFix`.
+    partials: mapping of Cause to (k, m); derivatives of the position, as there.
+    limb_px, limb_rejected_px: (n, 2); limb points used, and points of the illuminated limb that were not.
+    outline_px: (n, 2); outline of a template at the fix.
     """
 
     part: ClassVar[str] = "observation"
@@ -424,18 +363,11 @@ class ObservationRecord(_StatusRecord):
 class TargetView(PlainRecord):
     """Predicted position of a target in an image, for overlays.
 
-    Parameters
-    ----------
-    target : str
-    predicted_px : (2,) list of float, px
-        Center.
-    radius_px : float, px
-        Of the sphere around it.
-    diameter_px : float, px
-        Of the sphere of its volume, which the limits of estimators on limbs go by; None in older runs.
-    outline_px : (n, 2) list of float, px
-    outline_lit : (n,) list of bool
-        True for points in sunlight.
+    predicted_px: center.
+    radius_px: of the sphere around it.
+    diameter_px: of the sphere of its volume, which the limits of estimators on limbs go by; None in older runs.
+    outline_px: (n, 2).
+    outline_lit: True for points in sunlight.
     """
 
     target: str
@@ -449,14 +381,8 @@ class TargetView(PlainRecord):
 class TargetRecord(ImageRecord):
     """A priori data of a target in an image: its geometry, and its outline for the report.
 
-    Parameters
-    ----------
-    target : str
-    sighting : SightingRecord, optional
-        None if the geometry is unknown.
-    view : TargetView, optional
-        None if no picture is wanted, if the target cannot be imaged, or for the reason in ``note``.
-    note : str, optional
+    sighting: None if the geometry is unknown.
+    view: None if no picture is wanted, if the target cannot be imaged, or for the reason in ``note``.
     """
 
     part: ClassVar[str] = "target"
@@ -476,15 +402,9 @@ class TargetRecord(ImageRecord):
 class ObservationsRecord(PlainRecord):
     """All observations of one image.
 
-    Parameters
-    ----------
-    index, file
-        As in :class:`ImageRecord`.
-    observations : list of ObservationRecord
-    sightings : list of SightingRecord
-        Of the targets whose geometry is known.
-    notes : list of str
-        Oddities.
+    index, file: as in :class:`ImageRecord`.
+    sightings: of the targets whose geometry is known.
+    notes: oddities.
     """
 
     index: int

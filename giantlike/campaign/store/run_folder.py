@@ -122,10 +122,7 @@ class RunFolder:
         step: str | None = None,
         light: bool = False,
     ) -> Record | None:
-        """Return a record.
-
-        Returns None if there is none.
-        """
+        """Return a record; None if there is none."""
         row = self._results.get(_unit(kind, file, of, step))
         if row is None:
             return None
@@ -157,10 +154,7 @@ class RunFolder:
             yield record.model_copy(update=today)
 
     def points(self, record: ImageRecord) -> dict[str, Any]:
-        """Lists of points that a record was kept with, long ones as arrays.
-
-        The result is empty for a failure.
-        """
+        """Lists of points that a record was kept with, long ones as arrays. The result is empty for a failure."""
         return points_of(record, self.packed_points(record), self._results.path)
 
     def packed_points(self, record: ImageRecord) -> bytes | None:

@@ -18,8 +18,8 @@ from giantlike.core.outcomes import Failure
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
 from giantlike.missions.artemis1.passes import Setting
-from giantlike.missions.artemis1.report import BLUE, DERIVED, GRAY, INDEPENDENT, INPUT, RED, holds, near
-from giantlike.missions.replay import Comparison, ReplayFigure, ReplaySettings, Section
+from giantlike.missions.artemis1.report import BLUE, GRAY, RED, stated
+from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, Comparison, ReplayFigure, ReplaySettings, Section
 
 _STRIKE_PX = 12.0
 """Distance of a cluster of bright pixels from the star it is mistaken for, within the search of an identification."""
@@ -30,20 +30,13 @@ _EDGE_PX = 30.0  # stars nearer to the edge of the frame are not used
 class Calibrations(Value):
     """All calibrations: n iterations in all, k parameters.
 
-    Parameters
-    ----------
-    indices : (n,) float64
-        Of the iterations, three to a calibration.
-    values, sigmas : (n, k) float64
-    ground : (k,) float64
-    map_px : (n,) float64, px
-        Largest uncertainty of the map over the field.
-    interlock_arcsec : (2, n) float64, arcsec
-        Change of the angle of each star tracker from the ground; NaN where there is none.
-    struck_sigmas : float
-        Residual of a false star, sigmas of a centroid.
-    struck_accepted : bool
-        The calibration with it is accepted once it is rejected.
+    indices: (n,); of the iterations, three to a calibration.
+    values, sigmas: (n, k).
+    ground: (k,).
+    map_px: (n,); largest uncertainty of the map over the field.
+    interlock_arcsec: (2, n); change of the angle of each star tracker from the ground; NaN where there is none.
+    struck_sigmas: residual of a false star, sigmas of a centroid.
+    struck_accepted: the calibration with it is accepted once it is rejected.
     """
 
     indices: Float
@@ -205,8 +198,7 @@ def calibration_section(setting: Setting, settings: ReplaySettings) -> Section:
     return Section(
         title="Calibration in flight (IV.A)",
         text=f"{rules['count']} calibrations of {rules['images']} images of stars and {rules['iterations']} "
-        f"iterations, on "
-        "simulated centroids; the principal point is held, as flown.",
+        "iterations, on simulated centroids; the principal point is held, as flown.",
         figures=(
             ReplayFigure(
                 reference="Fig. 4",
@@ -235,67 +227,61 @@ def _of_parameters(found: Calibrations, rules: Mapping[str, Any]) -> list[Compar
     relative = {name: float(spread[k] / abs(means[k])) for k, name in enumerate(names)}
     shifted = int((np.abs(means - found.ground) > 5.0 * spread / np.sqrt(len(final))).sum())
     return [
-        near("data points of each parameter", (90.0, float(rules["count"] * rules["iterations"])), 0.0, DERIVED, "IV.A",
-             "30 calibrations of 3 iterations"),
-        holds(
+        stated(
+            "IV.A", "data points of each parameter", (90.0, float(rules["count"] * rules["iterations"])), DERIVED
+        ).within(0.0, "30 calibrations of 3 iterations"),
+        stated(
+            "Fig. 4",
             "parameters that shifted between ground and flight, of 8",
             ("an initial shift in several model parameters", str(shifted)),
-            shifted >= 2,
             INPUT,
-            "Fig. 4",
-            "agrees from two, by five standard deviations of the mean; the shifts were put in",
-        ),
-        holds(
+        ).agrees(shifted >= 2, "agrees from two, by five standard deviations of the mean; the shifts were put in"),
+        stated(
+            "IV.A",
             "change of parameters from the second to the third iteration, in sigmas, largest",
             ("three iterations to ensure convergence", f"{float(change.max()):.2g}"),
-            change.max() < 0.1,
             INDEPENDENT,
-            "IV.A",
-            "agrees below a tenth of a sigma",
-        ),
-        holds(
-            "scatter of k2 and k3 between calibrations over their means, and of k1",
-            ("k2 and k3 fluctuate significantly", f"{relative['k2']:.1f}, {relative['k3']:.1f}; k1 "
-                f"{relative['k1']:.2f}"),
-            min(relative["k2"], relative["k3"]) > 0.5 and relative["k1"] < min(relative["k2"], relative["k3"]),
-            INDEPENDENT,
+        ).agrees(change.max() < 0.1, "agrees below a tenth of a sigma"),
+        stated(
             "Fig. 4",
+            "scatter of k2 and k3 between calibrations over their means, and of k1",
+            (
+                "k2 and k3 fluctuate significantly",
+                f"{relative['k2']:.1f}, {relative['k3']:.1f}; k1 {relative['k1']:.2f}",
+            ),
+            INDEPENDENT,
+        ).agrees(
+            min(relative["k2"], relative["k3"]) > 0.5 and relative["k1"] < min(relative["k2"], relative["k3"]),
             "agrees where both scatter by more than half of their means, and k1 less: it follows from the "
             "field and the noise",
         ),
-        holds(
+        stated(
+            "IV.A",
             "largest uncertainty of the map over the field, px, all calibrations",
             ("their impact on the model is relatively small", round(float(found.map_px.max()), 3)),
-            found.map_px.max() < 0.25,
             INDEPENDENT,
-            "IV.A",
-            "agrees below the 0.27 px of the better pointing",
-        ),
-    ]  # fmt: skip
+        ).agrees(found.map_px.max() < 0.25, "agrees below the 0.27 px of the better pointing"),
+    ]
 
 
 def _of_strike(found: Calibrations) -> list[Comparison]:
     """The calibration that failed: Fig. 3."""
     return [
-        holds(
+        stated(
+            "Fig. 3",
             "residual of a radiation strike taken for a star, in sigmas of a centroid",
             ("large residual, which violated the acceptance criteria", round(found.struck_sigmas, 1)),
-            found.struck_sigmas > 5.0,
             INPUT,
-            "Fig. 3",
-            "agrees beyond five; its place was put in",
-        ),
-        holds(
+        ).agrees(found.struck_sigmas > 5.0, "agrees beyond five; its place was put in"),
+        stated(
+            "IV.A",
             "calibration with the strike, once outliers are rejected",
             (
                 "software updated to reject such outliers rather than fail",
                 "accepted" if found.struck_accepted else "refused",
             ),
-            found.struck_accepted,
             INDEPENDENT,
-            "IV.A",
-            "agrees where it is accepted",
-        ),
+        ).agrees(found.struck_accepted, "agrees where it is accepted"),
     ]
 
 
@@ -305,25 +291,26 @@ def _of_interlock(found: Calibrations, rules: Mapping[str, Any]) -> list[Compari
     first, second = found.interlock_arcsec
     step = abs(float(first[warm].mean() - first[~warm].mean())) if warm.any() else 0.0
     return [
-        near("shift of star tracker 1 from the ground, arcsec", (100.0, float(first[~warm].mean())), 10.0, INPUT,
-             "Fig. 5", "put in, found again within a tenth"),
-        near("shift of star tracker 2 from the ground, arcsec", (100.0, float(np.nanmean(second))), 20.0, INPUT,
-             "Fig. 5", "put in, found again within the thermal step"),
-        holds(
+        stated(
+            "Fig. 5", "shift of star tracker 1 from the ground, arcsec", (100.0, float(first[~warm].mean())), INPUT
+        ).within(10.0, "put in, found again within a tenth"),
+        stated(
+            "Fig. 5", "shift of star tracker 2 from the ground, arcsec", (100.0, float(np.nanmean(second))), INPUT
+        ).within(20.0, "put in, found again within the thermal step"),
+        stated(
+            "Fig. 5",
             "change of the interlock with the bench in sunlight, arcsec",
             ("less than 20", round(step, 2)),
-            step < 20.0,
             INPUT,
+        ).agrees(step < 20.0, "agrees below 20; a turn of 15 arcsec about an axis of its own was put in"),
+        stated(
             "Fig. 5",
-            "agrees below 20; a turn of 15 arcsec about an axis of its own was put in",
-        ),
-        holds(
             "scatter of the interlock in flight out of sunlight, arcsec",
             ("relatively stable across in-flight measurements", round(float(first[~warm].std()), 2)),
-            first[~warm].std() < 20.0,
             INDEPENDENT,
-            "Fig. 5",
+        ).agrees(
+            first[~warm].std() < 20.0,
             "agrees below the thermal effect of 20; noise of trackers of 8 and 40 arcsec over 20 images, 2 "
             "arcsec put in",
         ),
-    ]  # fmt: skip
+    ]

@@ -17,9 +17,9 @@ from giantlike.missions.artemis1.filter import filter_bias_km
 from giantlike.missions.artemis1.images import detected_altitude_km, earth_shot, limb_px
 from giantlike.missions.artemis1.measure import non_iterative
 from giantlike.missions.artemis1.passes import KM_PER_KFT, SUN_AZIMUTH_DEG, Setting, preflight_sigmas_px, sun_direction
-from giantlike.missions.artemis1.report import DERIVED, GRAY, INDEPENDENT, INPUT, RED, Dots, holds, near, panel_figure
+from giantlike.missions.artemis1.report import GRAY, RED, Dots, panel_figure, stated
 from giantlike.missions.artemis1.simulate import VELOCITY_SIGMA_KM_S, FlownPass, positions_of, residuals_of
-from giantlike.missions.replay import Comparison, ReplayFigure, Section
+from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, Comparison, ReplayFigure, Section
 from giantlike.passes import (
     LimbPoints,
     NavigationPass,
@@ -42,11 +42,7 @@ _SPIKE_SIGMAS = 4.0
 class AltitudeFound(Value):
     """Altitude of the limb by a whole pass.
 
-    Parameters
-    ----------
-    fix : PassFix
-    mean_km, sigma_km : float, km
-        Over the images of the pass, at all exposures.
+    mean_km, sigma_km: over the images of the pass, at all exposures.
     """
 
     fix: PassFix
@@ -110,9 +106,7 @@ def altitude_of(setting: Setting, flown: FlownPass) -> AltitudeFound | Failure:
         if name in fix.names:
             weights[fix.names.index(name)] = share * km_per_px
     return AltitudeFound(
-        fix=fix,
-        mean_km=float(weights @ fix.values),
-        sigma_km=math.sqrt(float(weights @ fix.covariance @ weights)),
+        fix=fix, mean_km=float(weights @ fix.values), sigma_km=math.sqrt(float(weights @ fix.covariance @ weights))
     )
 
 
@@ -179,10 +173,7 @@ def _figures(flown: FlownPass, references: tuple[str, str]) -> list[ReplayFigure
             title=f"Earth pass {number}, center residuals in the illumination frame",
             caption="Spikes: images that were not taken at their tags.",
             figure=panel_figure(
-                [
-                    ("along the Sun, px", dots(0), float(bound[0])),
-                    ("across the Sun, px", dots(1), float(bound[1])),
-                ],
+                [("along the Sun, px", dots(0), float(bound[0])), ("across the Sun, px", dots(1), float(bound[1]))],
                 "hours",
             ),
         ),
@@ -201,41 +192,33 @@ def _pass_compared(setting: Setting, flown: FlownPass, references: tuple[str, st
     jumps = apart > max(float(bound[1]), _SPIKE_SIGMAS * robust_sigma(apart, 0.0))
     outside = float((radius < -bound[2]).mean())
     result = [
-        holds(
+        stated(
+            references[0],
             f"pass {number}: radius residuals below three sigma of the model before flight, share",
             ("larger than expected negative radius residuals", round(outside, 3)),
-            outside > 0.5,
             INDEPENDENT,
-            references[0],
-            "agrees above one half: light of the atmosphere does not reach up to 35 km",
-        ),
-        holds(
+        ).agrees(outside > 0.5, "agrees above one half: light of the atmosphere does not reach up to 35 km"),
+        stated(
+            references[1],
             f"pass {number}: center residuals inside three sigma of model and 0.27 px of pointing, share",
             ("mostly stayed in bounds", round(float(center), 3)),
-            center >= 0.9,
             INDEPENDENT,
+        ).agrees(center >= 0.9, "agrees from 90 %; our edges are pulled toward the Sun by exposures that fill pixels"),
+        stated(
             references[1],
-            "agrees from 90 %; our edges are pulled toward the Sun by exposures that fill pixels",
-        ),
-        holds(
             f"pass {number}: spikes across the Sun beyond three sigma of the model, number",
             ("several spikes, many by timetag jitter", str(int(jumps.sum()))),
-            3 <= int(jumps.sum()) <= 0.1 * jumps.size,
             INPUT,
-            references[1],
+        ).agrees(
+            3 <= int(jumps.sum()) <= 0.1 * jumps.size,
             "agrees from three to a tenth of the images, beyond four robust sigmas too; late tags are assumed",
         ),
     ]
     if number == 1:
         result.insert(
             0,
-            near(
-                "pass 1: radius at 50 less radius at 1 microsecond, px",
-                (0.5, step),
-                0.15,
-                INPUT,
-                references[0],
-                "nearly half a pixel; the time that fills a pixel was TUNED to it",
+            stated(references[0], "pass 1: radius at 50 less radius at 1 microsecond, px", (0.5, step), INPUT).within(
+                0.15, "nearly half a pixel; the time that fills a pixel was TUNED to it"
             ),
         )
     return result
@@ -306,13 +289,16 @@ def _altitudes_compared(
     first = flown[1].edges[1.0].outward_px
     km_per_px = flown[1].one.range_km / setting.model.fx_px
     result = [
-        near("1.18 px at 1.49e5 km, km", (24.25, 1.18 * 1.49e5 / setting.model.fx_px), 0.25, DERIVED, "IV.C.3",
-             "rounding of 1.18 px and 1.49e5 km"),
-        near("detected less true limb at 1 microsecond, px", (1.18, first), half / km_per_px, INDEPENDENT, "Fig. 20",
-             why),
-        near("altitude of the limb in a properly exposed image, km", (24.25, first * km_per_px), half, INDEPENDENT,
-             "Fig. 20", why),
-    ]  # fmt: skip
+        stated("IV.C.3", "1.18 px at 1.49e5 km, km", (24.25, 1.18 * 1.49e5 / setting.model.fx_px), DERIVED).within(
+            0.25, "rounding of 1.18 px and 1.49e5 km"
+        ),
+        stated("Fig. 20", "detected less true limb at 1 microsecond, px", (1.18, first), INDEPENDENT).within(
+            half / km_per_px, why
+        ),
+        stated(
+            "Fig. 20", "altitude of the limb in a properly exposed image, km", (24.25, first * km_per_px), INDEPENDENT
+        ).within(half, why),
+    ]
     for number, found in altitudes.items():
         if isinstance(found, Failure):
             continue
@@ -320,22 +306,23 @@ def _altitudes_compared(
         truth_km = float(truth) * flown[number].one.range_km / setting.model.fx_px
         off = abs(found.mean_km - truth_km) / found.sigma_km
         result += [
-            near(
+            stated(
+                "IV.C.3",
                 f"pass {number}: average altitude of the limb by the whole-pass estimator, km",
                 (25.0, found.mean_km),
-                math.hypot(half, 3.0 * found.sigma_km),
                 INDEPENDENT,
-                "IV.C.3",
-                f"{why}, and three sigma of {found.sigma_km:.2f} km; that of the simulated images is "
-                f"{truth_km:.2f} km, "
-                f"{off:.1f} sigma off",
+            ).within(
+                math.hypot(half, 3.0 * found.sigma_km),
+                f"{why}, and three sigma of {found.sigma_km:.2f} km; that of the simulated images is {truth_km:.2f} "
+                f"km, {off:.1f} sigma off",
             ),
-            holds(
+            stated(
+                "IV.C.3",
                 f"pass {number}: 35 km refused by a test of the altitude, p-value",
                 ("115kft (35km) is an over-estimation", f"{found.fix.test('limb_altitude').p_value:.2g}"),
-                found.fix.test("limb_altitude").significant(0.001) and found.mean_km < 35.0,
                 INDEPENDENT,
-                "IV.C.3",
+            ).agrees(
+                found.fix.test("limb_altitude").significant(0.001) and found.mean_km < 35.0,
                 "agrees below 0.001, trajectory considered",
             ),
         ]
@@ -348,12 +335,13 @@ def _biases_compared(setting: Setting, flown: dict[int, FlownPass]) -> list[Comp
     for number, paper_km in ((1, 12.15), (2, 12.3)):
         times, biases = filter_bias_km(setting, flown[number])
         result.append(
-            near(
+            stated(
+                "IV.C.3",
                 f"bias of the radius at the end of pass {number} in a filter that assumes 35 km, km",
                 (paper_km, float(biases[-1])),
-                spread_km,
                 INDEPENDENT,
-                "IV.C.3",
+            ).within(
+                spread_km,
                 "the 7 kft by which the paper's own 82 kft of images and 75 kft of the filter differ; after "
                 f"the first image it was {biases[0]:.1f} km, after half of the {times[-1] / 60:.0f} min "
                 f"{biases[len(biases) // 2]:.1f} km",
@@ -368,12 +356,13 @@ def _again_compared(flown: dict[int, FlownPass], again: dict[int, Float]) -> lis
         before = float(np.abs(flown[number].residuals_px[:, 2]).mean())
         after = float(np.abs(residuals[:, 2]).mean())
         result.append(
-            holds(
+            stated(
+                "Fig. 21",
                 f"pass {number}: mean of absolute radius residuals with 25 km over that with 35 km",
                 ("significantly improved the radius errors", round(after / before, 3)),
-                after < 0.75 * before,
                 INDEPENDENT,
-                "Fig. 21",
+            ).agrees(
+                after < 0.75 * before,
                 f"agrees below three quarters: {before:.2f} px become {after:.2f} px; what is left is the "
                 f"two exposures",
             )

@@ -29,17 +29,11 @@ _RAYS = ((100.0, 4), (250.0, 3), (math.inf, 2))
 class ImageWindow(Value):
     """One image: the window around the body, and its truth.
 
-    Parameters
-    ----------
-    pixels_dn : (rows, columns) float64, DN
-    model : PinholeModel
-        Of the window.
-    corner_px : (2,) float64, px
-        First pixel of the window in the frame.
-    position_camera_km : (3,) float64, km, camera axes
-        True position of the body.
-    radius_px : float, px
-        Apparent radius.
+    pixels_dn: (rows, columns).
+    model: of the window.
+    corner_px: first pixel of the window in the frame.
+    position_camera_km: True position of the body.
+    radius_px: apparent radius.
     """
 
     pixels_dn: Float

@@ -10,10 +10,10 @@ from giantlike.core.arrays import Mask
 from giantlike.missions.artemis1.images import moon_shot
 from giantlike.missions.artemis1.measure import apparent_radius_px, non_iterative
 from giantlike.missions.artemis1.passes import Setting, preflight_sigmas_px, sun_direction
-from giantlike.missions.artemis1.report import DERIVED, INDEPENDENT, RED, Dots, holds, near, panel_figure
+from giantlike.missions.artemis1.report import RED, Dots, panel_figure, stated
 from giantlike.missions.artemis1.simulate import EdgeErrors, FlownPass, limb_points, positions_of, residuals_of
 from giantlike.missions.artemis1.terrain import Ground, mapped_limb_km
-from giantlike.missions.replay import Comparison, ReplayFigure, Section
+from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, ReplayFigure, Section
 
 _SMALL_SHARE = 0.5
 """A scatter below half of another is smaller than it by more than the draws of seventeen limbs can make it."""
@@ -58,9 +58,8 @@ def moon_section(setting: Setting, flown: dict[int, FlownPass], ground: Ground) 
         comparisons += _compared(setting, flown[number], references)
     return Section(
         title="Moon performance (IV.B)",
-        text="Limb points of every image of Table 1 on the limbs of a made-up Moon with 2 km of relief, "
-        "another side of it "
-        "in every pass, with the errors of edges that full images of the same pass show.",
+        text="Limb points of every image of Table 1 on the limbs of a made-up Moon with 2 km of relief, another side "
+        "of it in every pass, with the errors of edges that full images of the same pass show.",
         figures=tuple(figures),
         comparisons=tuple(comparisons),
     )
@@ -108,41 +107,42 @@ def _all_passes(setting: Setting, flown: dict[int, FlownPass]) -> list[Compariso
     within = np.sqrt(np.mean([each.residuals_px.var(axis=0) for each in flown.values()], axis=0))
     ratio = within / means.std(axis=0)
     return [
-        holds(
+        stated(
+            "Fig. 7",
             "radius residuals of all Moon passes inside three sigma of the model before flight, share",
             ("in good agreement with the pre-flight expected models", round(float(shares[2]), 4)),
-            shares[2] >= 0.95,
             INDEPENDENT,
-            "Fig. 7",
-            "agrees where at least 95 % are inside. The relief of the simulated limbs is 2 km, as in the "
-            "model, but what a "
-            "fit through a lit arc makes of it was not fitted to anything",
+        ).agrees(
+            shares[2] >= 0.95,
+            "agrees where at least 95 % are inside. The relief of the simulated limbs is 2 km, as in the model, but "
+            "what a fit through a lit arc makes of it was not fitted to anything",
         ),
-        holds(
+        stated(
+            "Fig. 7",
             "scatter of radius residuals within passes over that of their means",
             ("a constant bias throughout a pass, unique to each pass", round(float(ratio[2]), 3)),
-            ratio[2] < _SMALL_SHARE,
             INDEPENDENT,
-            "Fig. 7",
+        ).agrees(
+            ratio[2] < _SMALL_SHARE,
             "agrees below one half: the limb hardly changes in a pass and is another in the next",
         ),
-        holds(
+        stated(
+            "Fig. 8",
             "center residuals of all Moon passes inside three sigma of model and pointing together, share",
             ("the centroid bias cannot be told from inaccuracies in the BET", round(float(with_pointing), 4)),
-            with_pointing >= 0.95,
             INDEPENDENT,
-            "Fig. 8",
+        ).agrees(
+            with_pointing >= 0.95,
             f"agrees where at least 95 % are inside; of the model alone {shares[0]:.0%} along the Sun and "
-            f"{shares[1]:.0%} "
-            "across, because the pointing of 36 arcsec is larger than the model",
+            f"{shares[1]:.0%} across, because the pointing of 36 arcsec is larger than the model",
         ),
-        holds(
+        stated(
+            "Fig. 8",
             "scatter of center residuals within passes over that of their means",
             ("a consistent, unique bias throughout each pass", round(float(ratio[:2].max()), 3)),
-            ratio[:2].max() < _SMALL_SHARE,
             INDEPENDENT,
-            "Fig. 8",
-            "agrees below one half: pointing is taken as constant in a pass, limbs are",
+        ).agrees(
+            ratio[:2].max() < _SMALL_SHARE, "agrees below one half: pointing is taken as constant in a pass, limbs are"
         ),
     ]
 
@@ -161,18 +161,18 @@ def _predicted(setting: Setting, flown: dict[int, FlownPass], ground: Ground) ->
         biases.append(bias_px)
         left.append(bias_px - expected_px)
     before, after = float(np.std(biases)), float(np.std(left))
-    return holds(
+    return stated(
+        "Fig. 7",
         "scatter of the bias of passes by their limbs, px, and what a height map of 1 deg leaves of it",
         (
             "without knowledge of the terrain the bias cannot be easily predicted",
             f"{before:.3f}, {after:.3f} with the map",
         ),
-        after < _SMALL_SHARE * before,
         INDEPENDENT,
-        "Fig. 7",
-        "agrees where the map, which does not fly, halves it at least: limbs come from the ground itself, "
-        "the prediction from "
-        "a map of it by giantlike.terrain",
+    ).agrees(
+        after < _SMALL_SHARE * before,
+        "agrees where the map, which does not fly, halves it at least: limbs come from the ground itself, the "
+        "prediction from a map of it by giantlike.terrain",
     )
 
 
@@ -214,31 +214,27 @@ def _compared(setting: Setting, each: FlownPass, references: tuple[str, str]) ->
     worst_px = float(np.hypot(*each.residuals_px[:, :2].T).max())
     number = each.one.number
     return [
-        holds(
+        stated(
+            references[0],
             f"pass {number}: radius residuals inside three sigma before flight, share",
             ("within the expected error bounds", round(float(inside[:, 2].mean()), 4)),
-            inside[:, 2].mean() >= 0.95,
             INDEPENDENT,
+        ).agrees(inside[:, 2].mean() >= 0.95, "agrees where at least 95 % are inside"),
+        stated(
             references[0],
-            "agrees where at least 95 % are inside",
-        ),
-        holds(
             f"pass {number}: 24 kft of range as radius, px, over three sigma of the model",
             ("insignificant", round(by_range_px / float(bound[2]), 4)),
-            by_range_px < 0.1 * bound[2],
             DERIVED,
-            references[0],
-            "agrees below a tenth",
-        ),
-        holds(
+        ).agrees(by_range_px < 0.1 * bound[2], "agrees below a tenth"),
+        stated(
+            references[1],
             f"pass {number}: largest center residual, px",
             ("fall within the expected models with 1.27 px of pointing", round(worst_px, 3)),
-            worst_px <= float(np.hypot(bound[0], 3.0 * pointing_px)),
             INDEPENDENT,
-            references[1],
-            f"agrees up to three sigma of model and pointing together; of the model alone "
-            f"{inside[:, 0].mean():.0%} are "
-            f"inside along the Sun and {inside[:, 1].mean():.0%} across",
+        ).agrees(
+            worst_px <= float(np.hypot(bound[0], 3.0 * pointing_px)),
+            f"agrees up to three sigma of model and pointing together; of the model alone {inside[:, 0].mean():.0%} "
+            f"are inside along the Sun and {inside[:, 1].mean():.0%} across",
         ),
     ]
 
@@ -249,11 +245,17 @@ def pointing_numbers(setting: Setting) -> list[Comparison]:
     radius_px = apparent_radius_px(setting.model, 6371.0, np.array([0.0, 0.0, setting.of(1).range_km]))
     ifov = 206264.806 / setting.model.fx_px
     return [
-        near("IFOV, arcsec", (28.2, ifov), 0.05, DERIVED, "IV.B.3", "rounding; 4.8 micrometers over 35.1 mm"),
-        near("36.4 arcsec of pointing, px", (1.27, 36.4 / ifov), 0.005, DERIVED, "IV.B.2", "rounding; 36.4 "
-            "over the 28.2 "
-             "arcsec of the paper itself are 1.29, so that its 1.27 belongs to a focal length of 7200 px"),
-        near("7.6 arcsec of pointing, px", (0.27, earth_px), 0.005, DERIVED, "IV.C.1", "rounding"),
-        near("18 kft of range on pass 1 as radius, px", (0.01, radius_px * earth_km / setting.of(1).range_km), 0.005,
-             DERIVED, "IV.C.1", "rounding"),
-    ]  # fmt: skip
+        stated("IV.B.3", "IFOV, arcsec", (28.2, ifov), DERIVED).within(0.05, "rounding; 4.8 micrometers over 35.1 mm"),
+        stated("IV.B.2", "36.4 arcsec of pointing, px", (1.27, 36.4 / ifov), DERIVED).within(
+            0.005,
+            "rounding; 36.4 over the "
+            "28.2 arcsec of the paper itself are 1.29, so that its 1.27 belongs to a focal length of 7200 px",
+        ),
+        stated("IV.C.1", "7.6 arcsec of pointing, px", (0.27, earth_px), DERIVED).within(0.005, "rounding"),
+        stated(
+            "IV.C.1",
+            "18 kft of range on pass 1 as radius, px",
+            (0.01, radius_px * earth_km / setting.of(1).range_km),
+            DERIVED,
+        ).within(0.005, "rounding"),
+    ]

@@ -43,18 +43,10 @@ _PREFLIGHT = {
 class Pass:
     """One row of Table 1, and the assumptions about it.
 
-    Parameters
-    ----------
-    number : int
-    target : str
-        ``earth`` or ``moon``.
-    range_km : float, km
-        In the middle of the pass.
-    range_rate_km_s : float, km/s
-        From the ranges of the same target a day before and after.
-    phase_deg : float, deg
-    certification : bool
-        A pass of two hours.
+    target: ``earth`` or ``moon``.
+    range_km: in the middle of the pass.
+    range_rate_km_s: from the ranges of the same target a day before and after.
+    certification: a pass of two hours.
     """
 
     number: int
@@ -69,15 +61,8 @@ class Pass:
 class Setting(Value):
     """All that is given: passes, camera, bodies, errors.
 
-    Parameters
-    ----------
-    data : mapping
-        Of ``artemis1.toml``.
-    passes : tuple of Pass
-        The 23 that the paper uses.
-    model : PinholeModel
-    detector : Detector
-    psf : GaussianPsf
+    data: of ``artemis1.toml``.
+    passes: the 23 that the paper uses.
     """
 
     data: Mapping[str, Any]

@@ -10,46 +10,33 @@ from matplotlib.figure import Figure
 
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
-from giantlike.missions.replay import Comparison, ComparisonKind
+from giantlike.missions.replay import Comparison, ComparisonKind, Stated
 
-INPUT, DERIVED, INDEPENDENT = ComparisonKind.INPUT, ComparisonKind.DERIVED, ComparisonKind.INDEPENDENT
 BLUE, RED, GRAY = "#1f5fa8", "#b5342c", "#555555"
 
 
-def near(
-    what: str, values: tuple[float, float], tolerance: float, kind: ComparisonKind, reference: str, reason: str
-) -> Comparison:
-    """Compare a number of the paper and ours: they agree within a tolerance with a stated reason."""
-    paper, ours = values
-    agrees = abs(ours - paper) <= tolerance
-    return holds(what, values, agrees, kind, reference, f"agrees within {tolerance:.3g}: {reason}")
+@dataclass(frozen=True, slots=True)
+class Number(Stated):
+    """A number of the paper, and ours."""
+
+    def within(self, tolerance: float, reason: str) -> Comparison:
+        """Compare the two: they agree within a tolerance with a stated reason."""
+        assert not isinstance(self.paper, str)
+        assert not isinstance(self.ours, str)
+        return self.agrees(abs(self.ours - self.paper) <= tolerance, f"agrees within {tolerance:.3g}: {reason}")
 
 
-def holds(
-    what: str, values: tuple[str | float, str | float], true: bool, kind: ComparisonKind, reference: str, reason: str
-) -> Comparison:
-    """Compare a statement of the paper with our result: it agrees where the rule in ``reason`` is met."""
+def stated(reference: str, what: str, values: tuple[str | float, str | float], kind: ComparisonKind) -> Number:
+    """Return a number or statement of the paper, and ours."""
     paper, ours = values
-    return Comparison(
-        what=what,
-        paper=paper,
-        ours=ours if isinstance(ours, str) else float(ours),
-        kind=kind,
-        agrees=bool(true),
-        reason=reason,
-        reference=reference,
-    )
+    return Number(reference, what, paper, ours if isinstance(ours, str) else float(ours), kind)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Dots(Value):
     """Points of a plot.
 
-    Parameters
-    ----------
-    x, y : (n,) float64
-    color : str
-    label : str
+    x, y: (n,).
     """
 
     x: Float

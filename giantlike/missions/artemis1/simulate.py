@@ -32,12 +32,8 @@ VELOCITY_SIGMA_KM_S = 2e-4
 class EdgeErrors:
     """Errors of edges in images, relative to the limb of an ellipsoid.
 
-    Parameters
-    ----------
-    toward_sun_px, across_px, outward_px : float, px
-        Shift of the fitted center along the Sun and across it, and of the radius.
-    scatter_px : float, px
-        Root mean square of the points about the fit.
+    toward_sun_px, across_px, outward_px: shift of the fitted center along the Sun and across it, and of the radius.
+    scatter_px: root mean square of the points about the fit.
     """
 
     toward_sun_px: float
@@ -50,19 +46,12 @@ class EdgeErrors:
 class Track(Value):
     """Truth and knowledge of n images of a pass.
 
-    Parameters
-    ----------
-    times_s : (n,) float64, s
-        Tags, about the middle of the pass.
-    true_km : (n, 3) float64, km, camera axes
-        Position of the body when the shutter was open.
-    known_km : (n, 3) float64, km, camera axes
-        By trajectory and attitude at the tag.
-    rates_km_s : (n, 3) float64, km/s, camera axes
-        Of the known position.
-    exposures_us : (n,) float64, microseconds
-    heights_km : (m,) float64, km
-        Of the limb at even position angles.
+    times_s: (n,); tags, about the middle of the pass.
+    true_km: (n, 3), camera axes; position of the body when the shutter was open.
+    known_km: (n, 3), camera axes; by trajectory and attitude at the tag.
+    rates_km_s: (n, 3), camera axes; of the known position.
+    exposures_us: (n,), microseconds.
+    heights_km: (m,); of the limb at even position angles.
     """
 
     times_s: Float
@@ -198,17 +187,11 @@ def residuals_of(setting: Setting, one: Pass, found_km: Float, known_km: Float) 
 class FlownPass(Value):
     """A pass with its measurements.
 
-    Parameters
-    ----------
-    one : Pass
-    track : Track
-        Of the n images that were simulated.
-    points_px : tuple of (m, 2) float64, px
-        Limb points of each image.
-    edges : mapping of float to EdgeErrors
-        By exposure, microseconds.
-    residuals_px : (n, 3) float64, px
-        Of the algorithm that does not iterate, with the altitude of the limb that flew: along the Sun, across, radius.
+    track: of the n images that were simulated.
+    points_px: tuple of (m, 2); limb points of each image.
+    edges: by exposure, microseconds.
+    residuals_px: (n, 3); of the algorithm that does not iterate, with the altitude of the limb that flew: along the
+        Sun, across, radius.
     """
 
     one: Pass

@@ -28,13 +28,8 @@ _TURN_DEG = (137.5, 40.0)
 class Ground(Value):
     """Ground of a made-up Moon.
 
-    Parameters
-    ----------
-    field : SphereField
-        Heights over the radius.
-    heights : HeightMap
-        The same by a map with a degree between its samples.
-    radius_km : float, km
+    field: heights over the radius.
+    heights: the same by a map with a degree between its samples.
     """
 
     field: SphereField

@@ -18,9 +18,8 @@ from giantlike.missions.odin.optics import (
     shrinkage_along_radius,
 )
 from giantlike.missions.odin.paper import paper
-from giantlike.missions.replay import Comparison, ComparisonKind
+from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, Stated
 
-DERIVED, INDEPENDENT = ComparisonKind.DERIVED, ComparisonKind.INDEPENDENT
 ROUNDING = 0.02  # relative: the paper gives two or three digits
 
 
@@ -51,60 +50,36 @@ def of_optics(choices: Sequence[SensorChoice], covered: float) -> tuple[Comparis
             wide["fov_deg"],
             seen,
             "Tables 1, 2",
-            "angle that the polynomial of Table 2 has at half of the 1536 rows; 165 deg is 1536 px by the IFOV of"
-            " the middle"
-            " (equidistance), which the polynomial is not",
+            "angle that the polynomial of Table 2 has at half of the 1536 rows; 165 deg is 1536 px by the IFOV of the "
+            "middle (equidistance), which the polynomial is not",
         ),
-        Comparison(
-            what="projection of the wide camera",
-            paper=wide["projection"],
-            ours=best,
-            kind=DERIVED,
-            agrees=best == wide["projection"],
-            reference="Tables 1, 2",
-            reason=f"the projection nearest to the polynomial of Table 2 to 82.5 deg; rms {listed}",
+        Stated("Tables 1, 2", "projection of the wide camera", wide["projection"], best, DERIVED).agrees(
+            best == wide["projection"], f"the projection nearest to the polynomial of Table 2 to 82.5 deg; rms {listed}"
         ),
-        Comparison(
-            what="sky covered by two wide cameras",
-            paper=wide["sky_coverage"],
-            ours=round(ideal, 3),
-            kind=DERIVED,
-            agrees=abs(ideal - wide["sky_coverage"]) < 0.005,
-            reference="text, Camera Design",
-            reason="two cones of 165 deg; rounds to the same percent",
+        Stated(
+            "text, Camera Design", "sky covered by two wide cameras", wide["sky_coverage"], round(ideal, 3), DERIVED
+        ).agrees(abs(ideal - wide["sky_coverage"]) < 0.005, "two cones of 165 deg; rounds to the same percent"),
+        Stated(
+            "text, Camera Design",
+            "sky covered by two wide cameras, with frame and lens",
+            wide["sky_coverage"],
+            round(covered, 3),
+            INDEPENDENT,
+        ).agrees(
+            abs(covered - wide["sky_coverage"]) < 0.01,
+            "random directions through the lens of Table 2 onto the frame, to 82.5 deg; to 0.01",
         ),
-        Comparison(
-            what="sky covered by two wide cameras, with frame and lens",
-            paper=wide["sky_coverage"],
-            ours=round(covered, 3),
-            kind=INDEPENDENT,
-            agrees=abs(covered - wide["sky_coverage"]) < 0.01,
-            reference="text, Camera Design",
-            reason="random directions through the lens of Table 2 onto the frame, to 82.5 deg; to 0.01",
-        ),
-        Comparison(
-            what="invariants of a triad and of a quad",
-            paper="3 and 4",
-            ours=f"{invariants[0]} and {invariants[1]}",
-            kind=DERIVED,
-            agrees=invariants == [3, 4],
-            reason="G = 2 d - k; exact",
-            reference="eq. 7",
-        ),
+        Stated(
+            "eq. 7", "invariants of a triad and of a quad", "3 and 4", f"{invariants[0]} and {invariants[1]}", DERIVED
+        ).agrees(invariants == [3, 4], "G = 2 d - k; exact"),
         *_sizes(),
         *_trade(choices),
     )
 
 
 def _close(what: str, theirs: float, ours: float, reference: str, reason: str) -> Comparison:
-    return Comparison(
-        what=what,
-        paper=theirs,
-        ours=round(ours, 2),
-        kind=DERIVED,
-        agrees=abs(ours / theirs - 1.0) < ROUNDING,
-        reason=f"{reason}; to 2 %",
-        reference=reference,
+    return Stated(reference, what, theirs, round(ours, 2), DERIVED).agrees(
+        abs(ours / theirs - 1.0) < ROUNDING, f"{reason}; to 2 %"
     )
 
 
@@ -114,24 +89,26 @@ def _sizes() -> tuple[Comparison, ...]:
     narrow = [float(each[0]) for each in diameters_px(MOON_RADIUS_KM, at, wide=False)]
     least = wide[0] * shrinkage_along_radius()
     return (
-        Comparison(
-            what="the Moon from Earth in the wide camera: in the middle, and its least diameter at the edge, px",
-            paper="largest in the middle",
-            ours=f"{wide[0]:.2f} and {least:.2f}",
-            kind=DERIVED,
-            agrees=least < wide[0],
-            reference="Fig. 5",
-            reason="less along the radius at the edge than in the middle. Across it it is larger, so that the area is"
+        Stated(
+            "Fig. 5",
+            "the Moon from Earth in the wide camera: in the middle, and its least diameter at the edge, px",
+            "largest in the middle",
+            f"{wide[0]:.2f} and {least:.2f}",
+            DERIVED,
+        ).agrees(
+            least < wide[0],
+            "less along the radius at the edge than in the middle. Across it it is larger, so that the area is"
             f" that of {wide[1]:.2f} px: a lens as in Table 2 keeps areas",
         ),
-        Comparison(
-            what="the Moon from Earth in the narrow camera: in the middle and at the edge, by area, px",
-            paper="largest in the middle",
-            ours=f"{narrow[0]:.1f} and {narrow[1]:.1f}",
-            kind=DERIVED,
-            agrees=narrow[0] > narrow[1],
-            reference="Fig. 5",
-            reason="larger in the middle. A pinhole with the k1 of Table 3 stretches toward its edge in all directions",
+        Stated(
+            "Fig. 5",
+            "the Moon from Earth in the narrow camera: in the middle and at the edge, by area, px",
+            "largest in the middle",
+            f"{narrow[0]:.1f} and {narrow[1]:.1f}",
+            DERIVED,
+        ).agrees(
+            narrow[0] > narrow[1],
+            "larger in the middle. A pinhole with the k1 of Table 3 stretches toward its edge in all directions",
         ),
     )
 
@@ -141,24 +118,25 @@ def _trade(choices: Sequence[SensorChoice]) -> tuple[Comparison, ...]:
     fits = [c for c in choices if c.range_sigma <= 1e-3 and c.nearest_earth_km <= 50_000.0]
     names = ", ".join(f"{each.sensor} with {each.focal_mm:g} mm" for each in fits)
     return (
-        Comparison(
-            what="the sensor and lens chosen: is another better in range, field and pixels at once?",
-            paper="chosen",
-            ours="dominated" if dominated(taken, tuple(choices)) else "none is better",
-            kind=INDEPENDENT,
-            agrees=not dominated(taken, tuple(choices)),
-            reference="Fig. 9",
-            reason=f"{len(choices)} pairs of sensor and lens; sigma of the Moon's range from Earth by eqs. 14-20"
-            f" with 0.1 px"
-            f" a limb point ({100 * taken.range_sigma:.3f} % for the one chosen), least field, number of pixels",
+        Stated(
+            "Fig. 9",
+            "the sensor and lens chosen: is another better in range, field and pixels at once?",
+            "chosen",
+            "dominated" if dominated(taken, tuple(choices)) else "none is better",
+            INDEPENDENT,
+        ).agrees(
+            not dominated(taken, tuple(choices)),
+            f"{len(choices)} pairs of sensor and lens; sigma of the Moon's range from Earth by eqs. 14-20 with "
+            f"0.1 px a limb point ({100 * taken.range_sigma:.3f} % for the one chosen), least field, number of pixels",
         ),
-        Comparison(
-            what="pairs that range the Moon to 0.1 % from Earth and see all of the Earth from 50,000 km",
-            paper="5 MP with 25 mm",
-            ours=names,
-            kind=DERIVED,
-            agrees=len(fits) == 1 and fits[0] is taken,
-            reference="Fig. 9",
-            reason="the two round limits are ours, set with the paper's choice known: they show that such limits exist",
+        Stated(
+            "Fig. 9",
+            "pairs that range the Moon to 0.1 % from Earth and see all of the Earth from 50,000 km",
+            "5 MP with 25 mm",
+            names,
+            DERIVED,
+        ).agrees(
+            len(fits) == 1 and fits[0] is taken,
+            "the two round limits are ours, set with the paper's choice known: they show that such limits exist",
         ),
     )

@@ -17,16 +17,7 @@ from giantlike.core.time import time_from_et
 from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, SECONDS_PER_DAY, SPEED_OF_LIGHT_KM_S
 from giantlike.core.values import Value
 from giantlike.image import Image
-from giantlike.independent import (
-    EllipsoidBody,
-    PinholeView,
-    Pose,
-    Psf,
-    StarField,
-    bumps,
-    render_body,
-    star_image,
-)
+from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, StarField, bumps, render_body, star_image
 from giantlike.missions.odin.paper import PSF_SIGMA_PX, narrow_camera, narrow_view
 
 MOON_RADIUS_KM = 1737.4  # IAU
@@ -119,9 +110,7 @@ def shell_refraction() -> tuple[Float, Float]:
 class RefractedView(PinholeView):
     """A camera on the ground: it sees every direction raised toward the zenith.
 
-    Parameters
-    ----------
-    zenith_camera : (3,) tuple, camera axes
+    zenith_camera: (3,).
     """
 
     zenith_camera: tuple[float, float, float] = (0.0, 0.0, 1.0)

@@ -96,10 +96,7 @@ def without_refraction(fix: AttitudeFix, camera: Camera, sky: GroundStates) -> R
     kept = [k for k, key in enumerate(fix.star_ids) if int(key) in order]
     chosen = stars.select(np.array([order[int(fix.star_ids[k])] for k in kept]))
     directions = apparent_directions(
-        chosen,
-        sky.et,
-        observer_position_km=sky.observer.position_km,
-        observer_velocity_km_s=sky.observer.velocity_km_s,
+        chosen, sky.et, observer_position_km=sky.observer.position_km, observer_velocity_km_s=sky.observer.velocity_km_s
     )
     seen = unit(camera.model.unproject(fix.observed_px[kept]))
     turn = fix.camera_from_inertial

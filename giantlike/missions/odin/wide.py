@@ -129,13 +129,7 @@ def wide_image(scene: CislunarScene, index: int, rng: np.random.Generator, expos
 
 
 def add_body(
-    electrons: Float,
-    camera: Camera,
-    place: Float,
-    name: str,
-    sun: Float,
-    scene: CislunarScene,
-    exposure_s: float,
+    electrons: Float, camera: Camera, place: Float, name: str, sun: Float, scene: CislunarScene, exposure_s: float
 ) -> None:
     """Add the light of a body to an image, its illuminated part by rays, where the camera sees it."""
     center = camera.model.project(place)

@@ -6,9 +6,15 @@ import numpy as np
 
 from giantlike.cislunar.body_measurements import angular_diameter
 from giantlike.missions.orion.constants import MOON_KM, focal_px, moon_errors, table
-from giantlike.missions.orion.images import EstimatorErrors, ImagedScene, Photograph, measured, photograph
-from giantlike.missions.orion.judging import bounded, stated
-from giantlike.missions.replay import Comparison, ComparisonKind, ReplaySettings
+from giantlike.missions.orion.images import (
+    EstimatorErrors,
+    ImagedScene,
+    Photograph,
+    measured,
+    photograph,
+)
+from giantlike.missions.orion.judging import Number
+from giantlike.missions.replay import INDEPENDENT, Comparison, ReplaySettings, Stated
 
 PHASES_DEG = (140.0, 150.0, 160.0, 166.0, 172.0)
 ESTIMATORS_TRIED = ("ellipsoid_cra", "sigmoid_limb", "limb_matching", "ellipse_fit")
@@ -47,22 +53,22 @@ def crescents(settings: ReplaySettings) -> list[EstimatorErrors]:
 
 def crescent_comparisons(found: list[EstimatorErrors]) -> list[Comparison]:
     """Errors on a thin crescent, of estimators of the flight software's kind and of the others."""
-    kind, sigmas = ComparisonKind.INDEPENDENT, moon_errors().sigmas_px(CRESCENT_KM)
+    kind, sigmas = INDEPENDENT, moon_errors().sigmas_px(CRESCENT_KM)
     rows = []
     for name in ESTIMATORS_TRIED:
         mine = [each for each in found if each.estimator == name]
         good = [each for each in mine if not each.suspect]
         worst = float(np.max([np.abs(each.errors_px).max() for each in good], initial=0.0))
         rows.append(
-            bounded(
+            Number(
+                "Fig. 10c",
                 f"{name}: worst error of crescents of 140 to 172 degrees that it vouches for, px",
                 3.0 * sigmas[0],
                 worst,
-                kind=kind,
-                reference="Fig. 10c",
-                because=f"{len(good)} of {len(mine)} fixes are not suspect. The paper shows the image as a "
-                f"stressing case "
-                "and gives no error; here the bound is three sigma of eq. 29.",
+                kind,
+            ).bounded(
+                f"{len(good)} of {len(mine)} fixes are not suspect. The paper shows the image as a stressing "
+                "case and gives no error; here the bound is three sigma of eq. 29."
             )
         )
     silent = [
@@ -71,15 +77,13 @@ def crescent_comparisons(found: list[EstimatorErrors]) -> list[Comparison]:
         if not each.suspect and bool((np.abs(each.errors_px) > 5.0 * each.sigmas_px + 0.05).any())
     ]
     rows.append(
-        stated(
+        Stated(
+            "III.D",
             "crescents: fixes wrong by more than 5 sigma (and 0.05 px) without a flag",
             "off-nominal images verify the tuning",
             f"{len(silent)} of {len(found)}",
-            holds=not silent,
-            kind=kind,
-            reference="III.D",
-            because="Agrees where there is none.",
-        )
+            kind,
+        ).agrees(not silent, "Agrees where there is none.")
     )
     return rows
 
@@ -92,24 +96,26 @@ def field_comparisons() -> list[Comparison]:
     ground = float(np.degrees(angular_diameter(LIVE_SKY_KM, MOON_KM)))
     pixels = np.radians(ground) * focal_px()
     return [
-        stated(
+        Stated(
+            "II.C, Fig. 9",
             "range from which the whole Moon fits the field",
             "no passes very close to the Moon, for bias and field of view",
             f"beyond {nearest:,.0f} km; the pass left out is at some 25,000 km, {schedule['close_pass_h']:g} h "
             f"before entry",
-            holds=nearest < 25_000.0,
-            kind=ComparisonKind.INDEPENDENT,
-            reference="II.C, Fig. 9",
-            because="Agrees where the field of 15.6 degrees lets all passes of the plan see the whole Moon: on this "
+            INDEPENDENT,
+        ).agrees(
+            nearest < 25_000.0,
+            "Agrees where the field of 15.6 degrees lets all passes of the plan see the whole Moon: on this "
             "trajectory it is the bias that forbids the close pass, not the field.",
         ),
-        stated(
+        Stated(
+            "III.B, Fig. 7",
             "Moon in the live-sky images",
             "Moon images were taken for measurements",
             f"{ground:.2f} deg, {pixels:.0f} px across",
-            holds=pixels > 20.0 and abs(ground - LIVE_SKY_DEG) < 0.05,
-            kind=ComparisonKind.INDEPENDENT,
-            reference="III.B, Fig. 7",
-            because="Agrees where the disk is wider than 20 px, enough for a limb fit, and as wide as the Moon is.",
+            INDEPENDENT,
+        ).agrees(
+            pixels > 20.0 and abs(ground - LIVE_SKY_DEG) < 0.05,
+            "Agrees where the disk is wider than 20 px, enough for a limb fit, and as wide as the Moon is.",
         ),
     ]

@@ -10,10 +10,10 @@ from giantlike.cislunar.filter import STATES
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 from giantlike.missions.orion.constants import earth_errors, table
-from giantlike.missions.orion.judging import ANALYSIS, bounded, near, stated
+from giantlike.missions.orion.judging import ANALYSIS, Number
 from giantlike.missions.orion.return_leg import Delivery, Flown, History, analyzed, flown
 from giantlike.missions.orion.return_plan import ReturnPlan, make_plan, with_earth, without_close_pass
-from giantlike.missions.replay import Comparison, ComparisonKind, ReplaySettings
+from giantlike.missions.replay import INDEPENDENT, INPUT, Comparison, ReplaySettings, Stated
 
 RUNS, SMALL_RUNS = 500, 40
 STEP_S, SMALL_STEP_S = 900.0, 3600.0
@@ -70,50 +70,30 @@ def architecture_comparisons(study: Study) -> list[Comparison]:
     passes, model = table("paper")["passes"], study.plan.model
     starts = np.array(study.plan.passes_h)
     return [
-        near(
-            "length of a pass, h",
-            passes["length_h"],
-            passes["length_h"],
-            kind=ComparisonKind.INPUT,
-            within=0.0,
-            reference="I.A",
-            because="Put in.",
+        Number("I.A", "length of a pass, h", passes["length_h"], passes["length_h"], INPUT).near(0.0, "Put in."),
+        Number("I.A", "time between passes, h", passes["every_h"], float(np.max(-np.diff(starts))), INPUT).near(
+            0.0, "Put in."
         ),
-        near(
-            "time between passes, h",
-            passes["every_h"],
-            float(np.max(-np.diff(starts))),
-            kind=ComparisonKind.INPUT,
-            within=0.0,
-            reference="I.A",
-            because="Put in.",
+        Number("I.B", "states of the filter", 21, STATES, INPUT).near(
+            0.0, f"As listed there; {int(model.considered.sum())} of them, the attitude, are considered."
         ),
-        near(
-            "states of the filter",
-            21,
-            STATES,
-            kind=ComparisonKind.INPUT,
-            within=0.0,
-            reference="I.B",
-            because=f"As listed there; {int(model.considered.sum())} of them, the attitude, are considered.",
-        ),
-        stated(
+        Stated(
+            "I.B",
             "U D U^T factors beside full matrices over the whole leg",
             "chosen for numeric stability",
             f"covariances differ by {study.dense_difference:.1e} of the sigmas",
-            holds=study.dense_difference < 1e-6,
-            kind=ComparisonKind.INDEPENDENT,
-            reference="I.B",
-            because="Agrees below 1e-6: the errors of a world as the filter believes it, followed in 42 dimensions "
-            "by full "
-            "matrices in Joseph's form, lose digits that the factors keep.",
+            INDEPENDENT,
+        ).agrees(
+            study.dense_difference < 1e-6,
+            "Agrees below 1e-6: the errors of a world as the filter believes it, followed in 42 dimensions by "
+            "full matrices in Joseph's form, lose digits that the factors keep.",
         ),
     ]
 
 
 def delivery_comparisons(study: Study) -> list[Comparison]:
     """II.C and Fig. 4."""
-    kind, half = ComparisonKind.INDEPENDENT, table("return_leg")["corridor"]["half_width_deg"]
+    kind, half = INDEPENDENT, table("return_leg")["corridor"]["half_width_deg"]
     reference_deg = -6.0
 
     def reach(of: Delivery) -> float:
@@ -121,53 +101,48 @@ def delivery_comparisons(study: Study) -> list[Comparison]:
 
     close, far = (severity(each) for each in (study.close_history, study.history))
     return [
-        bounded(
-            "entry angle: bias and three sigma, deg, against the corridor",
-            half,
-            reach(study.delivery),
-            kind=kind,
-            reference="Fig. 4",
-            because="Linear covariance of the plan. The paper says that the delivery satisfies the corridor and "
-            "draws it; its "
-            "text has no number, so that the half width is assumed.",
+        Number(
+            "Fig. 4", "entry angle: bias and three sigma, deg, against the corridor", half, reach(study.delivery), kind
+        ).bounded(
+            "Linear covariance of the plan. The paper says that the delivery satisfies the corridor and draws "
+            "it; its text has no number, so that the half width is assumed."
         ),
-        stated(
+        Stated(
+            "I.A",
             "the same without optical navigation",
             "needed after loss of communication",
             f"{reach(study.blind):.2f} deg",
-            holds=reach(study.blind) > half,
-            kind=kind,
-            reference="I.A",
-            because="Agrees where the corridor is missed without images.",
-        ),
-        stated(
+            kind,
+        ).agrees(reach(study.blind) > half, "Agrees where the corridor is missed without images."),
+        Stated(
+            "II.C",
             "passes very close to the Moon",
             "not performed, because of large bias errors",
             f"mean error of {close:.1f} of the filter's sigmas with one, {far:.1f} without",
-            holds=close > max(SEVERE_SIGMAS, far),
-            kind=kind,
-            reference="II.C",
-            because="Agrees where eqs. 31 and 33 give a mean error of more than three sigma, and more than the "
+            kind,
+        ).agrees(
+            close > max(SEVERE_SIGMAS, far),
+            "Agrees where eqs. 31 and 33 give a mean error of more than three sigma, and more than the "
             "plan has. The "
             "first pass of the plan, at 50,000 km, suffers too: the filter's bias states are too small for it.",
         ),
-        stated(
+        Stated(
+            "II.C",
             "noise of the Moon for images of the Earth",
             "more conservative",
             f"entry angle {study.delivery.angle_sigma_deg:.4f} deg with it, {study.edge_earth.angle_sigma_deg:.4f} "
-            f"with "
-            "eqs. 34 to 36",
-            holds=study.edge_earth.angle_sigma_deg <= study.delivery.angle_sigma_deg,
-            kind=kind,
-            reference="II.C",
-            because="Agrees where the delivery is not better with it.",
+            "with eqs. 34 to 36",
+            kind,
+        ).agrees(
+            study.edge_earth.angle_sigma_deg <= study.delivery.angle_sigma_deg,
+            "Agrees where the delivery is not better with it.",
         ),
     ]
 
 
 def analysis_comparisons(study: Study) -> list[Comparison]:
     """II.C: linear covariance compared with flown runs."""
-    kind = ComparisonKind.INDEPENDENT
+    kind = INDEPENDENT
     marks = study.marks()
     ratios = {
         "error of position and velocity": study.runs.history.error_sigma[marks] / study.history.error_sigma[marks],
@@ -176,24 +151,23 @@ def analysis_comparisons(study: Study) -> list[Comparison]:
     worst = {name: float(ratio.flat[np.argmax(np.abs(ratio - 1.0))]) for name, ratio in ratios.items()}
     runs = len(study.runs.angles_deg)
     return [
-        near(
+        Number(
+            "Fig. 4",
             "entry angle: sigma, deg, linear covariance over flown runs",
             study.runs.delivery.angle_sigma_deg,
             study.delivery.angle_sigma_deg,
-            kind=kind,
-            within=ANALYSIS,
-            reference="Fig. 4",
-            because=f"Here the first number is of {runs} flown runs of the same filter by an independent truth.",
-        ),
+            kind,
+        ).near(ANALYSIS, f"Here the first number is of {runs} flown runs of the same filter by an independent truth."),
         *(
-            near(
+            Number(
+                "II.C",
                 f"{name}: sigmas of flown runs over linear covariance, the one farthest from 1",
                 1.0,
                 value,
-                kind=kind,
-                within=ANALYSIS,
-                reference="II.C",
-                because=f"Six components at {len(marks)} times, {runs} runs, whose sigmas are known to "
+                kind,
+            ).near(
+                ANALYSIS,
+                f"Six components at {len(marks)} times, {runs} runs, whose sigmas are known to "
                 f"{100.0 / np.sqrt(2.0 * runs):.1f} % each.",
             )
             for name, value in worst.items()

@@ -201,9 +201,8 @@ def corridor_figure(study: Study) -> ReplayFigure:
     return ReplayFigure(
         reference="Fig. 4",
         title="Entry interface: delivery against the corridor",
-        caption="Angle where the path crosses 121.92 km, and speed at the time of entry. The corridor of the paper "
-        "is a "
-        "drawing without numbers; half a degree is assumed.",
+        caption="Angle where the path crosses 121.92 km, and speed at the time of entry. The corridor of the paper is "
+        "a drawing without numbers; half a degree is assumed.",
         figure=figure,
     )
 
@@ -291,8 +290,7 @@ def crescent_figure(found: Sequence[EstimatorErrors]) -> ReplayFigure:
     return ReplayFigure(
         reference="Fig. 10c",
         title="Thin crescents",
-        caption=f"Size of errors of a smooth Moon of {2.0 * focal_px() * 1737.4 / CRESCENT_KM:.0f} px; hollow: "
-        f"flagged as "
-        "suspect; dashed: one sigma of eqs. 28 to 30.",
+        caption=f"Size of errors of a smooth Moon of {2.0 * focal_px() * 1737.4 / CRESCENT_KM:.0f} px; hollow: flagged "
+        "as suspect; dashed: one sigma of eqs. 28 to 30.",
         figure=figure,
     )

@@ -53,18 +53,12 @@ def lens() -> PinholeView:
 class Grid(Value):
     """The composite of all images, measured.
 
-    Parameters
-    ----------
-    azimuth_rad, elevation_rad : (n,) float64, rad
-        Of the points that fell on the detector and were found.
-    points_px : (n, 2) float64, px
-    true_px : (n, 2) float64, px
-    eq39_px : (n,) float64, px
-        Error of eq. 39: centroids against tangents of the gimbal's angles.
-    fitted : CalibrationResult
-        Of a Brown model to the same centroids.
-    residuals_px : (n, 2) float64, px
-        After it.
+    azimuth_rad, elevation_rad: (n,); of the points that fell on the detector and were found.
+    points_px: (n, 2).
+    true_px: (n, 2).
+    eq39_px: (n,); error of eq. 39: centroids against tangents of the gimbal's angles.
+    fitted: of a Brown model to the same centroids.
+    residuals_px: (n, 2); after it.
     """
 
     azimuth_rad: Float

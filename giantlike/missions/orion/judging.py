@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from giantlike.missions.replay import Comparison, ComparisonKind
+from giantlike.missions.replay import Comparison, ComparisonKind, Stated
 
 ROUNDING = 0.005
 """Relative: numbers that the paper gives with three digits."""
@@ -12,32 +12,20 @@ MODEL = 0.5
 """Relative: an error model fitted to other images of another renderer."""
 
 
-def near(
-    what: str, paper: float, ours: float, *, kind: ComparisonKind, within: float, reference: str, because: str
-) -> Comparison:
-    """Two numbers that agree within a relative tolerance."""
-    because = f"Agrees within {100.0 * within:g} %. {because}"
-    holds = abs(ours - paper) <= within * abs(paper)
-    return stated(what, float(paper), float(ours), holds=holds, kind=kind, reference=reference, because=because)
+class Number(Stated):
+    """A number of the paper, and ours."""
 
+    __slots__ = ()
 
-def bounded(what: str, paper: float, ours: float, *, kind: ComparisonKind, reference: str, because: str) -> Comparison:
-    """A number of ours that the paper's must not fall short of, such as an error within its model."""
-    because, holds = f"Agrees where ours is not larger. {because}", abs(ours) <= abs(paper)
-    return stated(what, float(paper), float(ours), holds=holds, kind=kind, reference=reference, because=because)
+    def __init__(self, reference: str, what: str, paper: float, ours: float, kind: ComparisonKind) -> None:
+        Stated.__init__(self, reference, what, float(paper), float(ours), kind)
 
+    def near(self, within: float, because: str) -> Comparison:
+        """Compare the two: they agree within a relative tolerance."""
+        paper, ours = float(self.paper), float(self.ours)
+        return self.agrees(abs(ours - paper) <= within * abs(paper), f"Agrees within {100.0 * within:g} %. {because}")
 
-def stated(
-    what: str,
-    paper: str | float,
-    ours: str | float,
-    *,
-    holds: bool,
-    kind: ComparisonKind,
-    reference: str,
-    because: str,
-) -> Comparison:
-    """A statement of the paper, and whether the replay confirms it."""
-    return Comparison(
-        what=what, paper=paper, ours=ours, kind=kind, agrees=bool(holds), reason=because, reference=reference
-    )
+    def bounded(self, because: str) -> Comparison:
+        """Compare the two: ours must not be larger, such as an error within its model."""
+        agrees = abs(float(self.ours)) <= abs(float(self.paper))
+        return self.agrees(agrees, f"Agrees where ours is not larger. {because}")

@@ -17,8 +17,8 @@ from giantlike.missions.orion.gimbal import (
     measure_grid,
     pinhole_error_px,
 )
-from giantlike.missions.orion.judging import ROUNDING, bounded, near, stated
-from giantlike.missions.replay import Comparison, ComparisonKind, ReplaySettings
+from giantlike.missions.orion.judging import ROUNDING, Number
+from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, ReplaySettings, Stated
 
 FIT_PX = 0.1
 """Best accuracy of real-time centroids of bodies: a lens calibrated better than this adds nothing."""
@@ -34,7 +34,7 @@ def measured_grid(settings: ReplaySettings) -> Grid:
 
 def grid_comparisons(grid: Grid) -> list[Comparison]:
     """Eq. 39, the grid and the fit."""
-    gimbal, kind = table("paper")["gimbal"], ComparisonKind.INDEPENDENT
+    gimbal, kind = table("paper")["gimbal"], INDEPENDENT
     azimuth, elevation = gimbal_angles()
     outside = [
         math.degrees(float(each.max())) - field / 2.0
@@ -43,83 +43,58 @@ def grid_comparisons(grid: Grid) -> list[Comparison]:
     arcsec = math.degrees(gimbal["pitch_mm"] / gimbal["focal_mm"]) * 3600.0
     residual = float(np.sqrt(np.mean(grid.residuals_px**2)))
     return [
-        near(
-            "images of the grid",
-            gimbal["images"],
-            len(azimuth),
-            kind=kind,
-            within=0.0,
-            reference="III.A",
-            because="The least grid in steps of 2 degrees, through the boresight, that covers 19.5 by 15.6 "
-            "degrees: 11 by 9.",
+        Number("III.A", "images of the grid", gimbal["images"], len(azimuth), kind).near(
+            0.0,
+            "The least grid in steps of 2 degrees, through the boresight, that covers 19.5 by 15.6 degrees: 11 by 9.",
         ),
-        near(
-            "images whose point falls on the detector",
-            gimbal["images"],
-            len(grid.azimuth_rad),
-            kind=kind,
-            within=0.0,
-            reference="III.A",
-            because=f"The outer ring of the grid lies {outside[0]:.2f} and {outside[1]:.2f} degrees beyond the "
-            f"field that the "
-            "paper states: all 99 are seen only by a larger detector, or the field is that of another one.",
+        Number("III.A", "images whose point falls on the detector", gimbal["images"], len(grid.azimuth_rad), kind).near(
+            0.0,
+            f"The outer ring of the grid lies {outside[0]:.2f} and {outside[1]:.2f} degrees beyond the field "
+            "that the paper states: all 99 are seen only by a larger detector, or the field is that of another one.",
         ),
-        near(
-            "a pixel of III.A, arcsec",
-            table("paper")["camera"]["arcsec_per_px"],
-            arcsec,
-            kind=ComparisonKind.DERIVED,
-            within=ROUNDING,
-            reference="eq. 39",
-            because="43.3 mm and 0.018 mm are of another camera than the 28.2 arcsec of eq. 21.",
+        Number("eq. 39", "a pixel of III.A, arcsec", table("paper")["camera"]["arcsec_per_px"], arcsec, DERIVED).near(
+            ROUNDING, "43.3 mm and 0.018 mm are of another camera than the 28.2 arcsec of eq. 21."
         ),
-        bounded(
+        Number(
+            "eq. 39",
             "eq. 39 in a pinhole, largest error, px",
             1.0,
             float(pinhole_error_px(azimuth, elevation).max()),
-            kind=kind,
-            reference="eq. 39",
-            because="The paper has it stand for the lens, which has none here; 1 px is allowed. The tangent of a "
+            kind,
+        ).bounded(
+            "The paper has it stand for the lens, which has none here; 1 px is allowed. The tangent of a "
             "gimbal's "
-            "azimuth is not that of the angle in the image: away from the axes eq. 39 takes geometry for distortion.",
+            "azimuth is not that of the angle in the image: away from the axes eq. 39 takes geometry for distortion."
         ),
-        bounded(
-            "eq. 39 with a made-up lens after the fit, rms per axis, px",
-            FIT_PX,
-            residual,
-            kind=kind,
-            reference="III.A, Fig. 5",
-            because="Distortions are mapped and eliminated, the paper says; a Brown model fitted to the centroids "
-            "of the grid "
-            f"leaves this. Before it eq. 39 finds up to {float(grid.eq39_px.max()):.1f} px.",
+        Number(
+            "III.A, Fig. 5", "eq. 39 with a made-up lens after the fit, rms per axis, px", FIT_PX, residual, kind
+        ).bounded(
+            "Distortions are mapped and eliminated, the paper says; a Brown model fitted to the centroids of "
+            f"the grid leaves this. Before it eq. 39 finds up to {float(grid.eq39_px.max()):.1f} px."
         ),
     ]
 
 
 def focus_comparisons(settings: ReplaySettings) -> list[Comparison]:
     """The collimator's point, and the focus of the lens as it is staked."""
-    gimbal, kind = table("paper")["gimbal"], ComparisonKind.INDEPENDENT
+    gimbal, kind = table("paper")["gimbal"], INDEPENDENT
     spot_px = gimbal["pinhole_um"] * 1e-3 / gimbal["collimator_mm"] * focal_px()
     focused, staked = (
         centroid_errors_px(blur, POINTS[settings.small], settings.seed) for blur in (FOCUSED_PX, STAKED_PX)
     )
     return [
-        bounded(
-            "image of the pinhole of the collimator, px",
-            1.0,
-            spot_px,
-            kind=ComparisonKind.DERIVED,
-            reference="III.A",
-            because="15 um over 500 mm: smaller than a pixel, so that it stands for a star as the paper says.",
+        Number("III.A", "image of the pinhole of the collimator, px", 1.0, spot_px, DERIVED).bounded(
+            "15 um over 500 mm: smaller than a pixel, so that it stands for a star as the paper says."
         ),
-        stated(
+        Stated(
+            "III.A",
             "centroids of the lens as it is staked against one in focus",
             "a slight defocus gives sub-pixel resolution",
             f"{staked:.3f} px against {focused:.3f} px",
-            holds=staked < 0.5 * focused,
-            kind=kind,
-            reference="III.A",
-            because=f"Agrees where the error is less than half: blurs of {STAKED_PX:g} and {FOCUSED_PX:g} px, "
+            kind,
+        ).agrees(
+            staked < 0.5 * focused,
+            f"Agrees where the error is less than half: blurs of {STAKED_PX:g} and {FOCUSED_PX:g} px, "
             f"points of 1,300 DN.",
         ),
     ]

@@ -19,8 +19,8 @@ from giantlike.missions.orion.constants import (
     table,
 )
 from giantlike.missions.orion.images import EstimatorErrors, ImagedScene, measured, photograph
-from giantlike.missions.orion.judging import MODEL, ROUNDING, bounded, near, stated
-from giantlike.missions.replay import Comparison, ComparisonKind, ReplaySettings
+from giantlike.missions.orion.judging import MODEL, ROUNDING, Number
+from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, ReplaySettings, Stated
 
 AXES = ("along the Sun", "across the Sun", "radius")
 FAMILY = "ellipsoid_cra"
@@ -71,52 +71,31 @@ def constants() -> list[Comparison]:
     """Eqs. 21 to 30: numbers of the paper by other numbers of the paper."""
     paper = table("paper")
     camera, terrain = paper["camera"], paper["terrain"]
-    derived, arcsec = ComparisonKind.DERIVED, math.degrees(1.0 / focal_px()) * 3600.0
+    derived, arcsec = DERIVED, math.degrees(1.0 / focal_px()) * 3600.0
     relief_mm = camera["relief_focal_px"] * camera["pitch_um"] * 1e-3
     return [
-        near(
-            "tangent of a pixel",
-            camera["tangent_per_px"],
-            1.0 / focal_px(),
-            kind=derived,
-            within=ROUNDING,
-            reference="eq. 21",
-            because="4.8 um over 35.1 mm.",
+        Number("eq. 21", "tangent of a pixel", camera["tangent_per_px"], 1.0 / focal_px(), derived).near(
+            ROUNDING, "4.8 um over 35.1 mm."
         ),
-        near(
-            "a pixel, arcsec",
-            camera["arcsec_per_px"],
-            arcsec,
-            kind=derived,
-            within=ROUNDING,
-            reference="eq. 21",
-            because="The same in arcseconds.",
+        Number("eq. 21", "a pixel, arcsec", camera["arcsec_per_px"], arcsec, derived).near(
+            ROUNDING, "The same in arcseconds."
         ),
-        near(
-            "focal length in the terrain terms, px",
-            camera["relief_focal_px"],
-            focal_px(),
-            kind=derived,
-            within=1e-4,
-            reference="eqs. 28-30",
-            because=f"Given to five digits, so asked for to 1e-4: 7291.7 px are {relief_mm:.2f} mm, "
+        Number(
+            "eqs. 28-30", "focal length in the terrain terms, px", camera["relief_focal_px"], focal_px(), derived
+        ).near(
+            1e-4,
+            f"Given to five digits, so asked for to 1e-4: 7291.7 px are {relief_mm:.2f} mm, "
             "not the 35.1 mm of eq. 21. The terrain term is 0.3 % low by it.",
         ),
-        near(
-            "variation of the terrain, km",
-            terrain["relief_km"],
-            terrain["relief_ft"] * FOOT_KM,
-            kind=derived,
-            within=ROUNDING,
-            reference="eqs. 28-30",
-            because="6562 ft.",
-        ),
+        Number(
+            "eqs. 28-30", "variation of the terrain, km", terrain["relief_km"], terrain["relief_ft"] * FOOT_KM, derived
+        ).near(ROUNDING, "6562 ft."),
     ]
 
 
 def biases() -> list[Comparison]:
     """Eqs. 31 to 38: biases and noise of the paper as lengths, compared."""
-    paper, derived = table("paper"), ComparisonKind.DERIVED
+    paper, derived = table("paper"), DERIVED
     moon, earth = moon_errors(), earth_errors(as_moon=False)
     lengths = {
         "moon radius": (33, moon.bias_px_km[2] / focal_px()),
@@ -125,43 +104,45 @@ def biases() -> list[Comparison]:
     terrain = paper["terrain"]
     return [
         *(
-            bounded(
+            Number(
+                f"eq. {number}",
                 f"{name} bias that shrinks with range, as a length at the body, km",
                 terrain["relief_km"],
                 length,
-                kind=derived,
-                reference=f"eq. {number}",
-                because="The term over 7312.5 px. It is several times the terrain of 2 km that the text names as "
-                "the cause: what was fitted to images of one side of the Moon stands for more than relief.",
+                derived,
+            ).bounded(
+                "The term over 7312.5 px. It is several times the terrain of 2 km that the text names as "
+                "the cause: what was fitted to images of one side of the Moon stands for more than relief."
             )
             for name, (number, length) in lengths.items()
         ),
-        near(
+        Number(
+            "eq. 38",
             "altitude of the Earth's limb, km",
             paper["earth"]["limb_altitude_km"],
             paper["earth"]["limb_altitude_km"] + earth.bias_px_km[2] / focal_px(),
-            kind=derived,
-            within=ROUNDING,
-            reference="eq. 38",
-            because="The bias of the radius that shrinks with range is a limb 7.9 km below the 35 km that were "
-            "assumed; "
-            "Artemis I then found some 25 km (Inman et al.).",
+            derived,
+        ).near(
+            ROUNDING,
+            "The bias of the radius that shrinks with range is a limb 7.9 km below the 35 km that were "
+            "assumed; Artemis I then found some 25 km (Inman et al.).",
         ),
-        stated(
+        Stated(
+            "II.C",
             "noise of the Earth's limb against the Moon's",
             "the Moon's is more conservative",
             ", ".join(f"{e:g} < {m:g} px" for e, m in zip(earth.noise_px, moon.noise_px, strict=True)),
-            holds=bool((earth.noise_px < moon.noise_px).all()),
-            kind=derived,
-            reference="II.C",
-            because="Agrees where eqs. 34 to 36 are below the constants of eqs. 28 to 30, each.",
+            derived,
+        ).agrees(
+            bool((earth.noise_px < moon.noise_px).all()),
+            "Agrees where eqs. 34 to 36 are below the constants of eqs. 28 to 30, each.",
         ),
     ]
 
 
 def range_errors(settings: ReplaySettings) -> list[Comparison]:
     """Eqs. 25 and 26 against ranges of drawn disk diameters."""
-    rng, draws, kind = np.random.default_rng(settings.seed), 20_000, ComparisonKind.INDEPENDENT
+    rng, draws, kind = np.random.default_rng(settings.seed), 20_000, INDEPENDENT
     found = []
     for name, radius_km, distance in (("Moon", MOON_KM, 2e5), ("Earth near entry", EARTH_KM, 3e4)):
         across = float(disk_diameter(distance, radius_km))
@@ -171,14 +152,15 @@ def range_errors(settings: ReplaySettings) -> list[Comparison]:
         for equation, radius in ((25, radius_km), (26, 0.0)):
             paper = float(range_sigma(distance, radius, diameter_px, sigma_px))
             found.append(
-                near(
+                Number(
+                    f"eq. {equation}",
                     f"sigma of the range of the {name} at {distance:g} km by 0.24 px of diameter, km",
                     paper,
                     ours,
-                    kind=kind,
-                    within=0.02,
-                    reference=f"eq. {equation}",
-                    because="20,000 diameters with noise through eq. 11. "
+                    kind,
+                ).near(
+                    0.02,
+                    "20,000 diameters with noise through eq. 11. "
                     + ("" if equation == 25 else "Eq. 26 leaves the radius out: near the Earth that shows."),
                 )
             )
@@ -187,19 +169,14 @@ def range_errors(settings: ReplaySettings) -> list[Comparison]:
 
 def image_comparisons(found: dict[str, list[EstimatorErrors]]) -> list[Comparison]:
     """Eqs. 28 to 36 compared with errors of the package's estimator on images of the independent renderer."""
-    paper, kind = table("paper"), ComparisonKind.INDEPENDENT
+    paper, kind = table("paper"), INDEPENDENT
     rows = []
     for name, body, equations in (("smooth Moon", "moon", (29, 30, 28)), ("Earth", "earth", (34, 35, 36))):
         ours = spread_px(found[name])
         rows += [
-            near(
-                f"{name}: error {axis}, px",
-                paper[body]["noise_px"][k],
-                ours[k],
-                kind=kind,
-                reference=f"eq. {equation}",
-                within=MODEL,
-                because="Root mean square of a limb fit of the same family over made-up images of a smooth sphere. The "
+            Number(f"eq. {equation}", f"{name}: error {axis}, px", paper[body]["noise_px"][k], ours[k], kind).near(
+                MODEL,
+                "Root mean square of a limb fit of the same family over made-up images of a smooth sphere. The "
                 "paper's images have terrain, clouds or haze, and the flight fit its own edges: noise alone is not "
                 "what limits them.",
             )
@@ -207,31 +184,24 @@ def image_comparisons(found: dict[str, list[EstimatorErrors]]) -> list[Compariso
         ]
     ratio = spread_px(found["smooth Moon"])
     rows.append(
-        near(
-            "errors along over across the Sun",
-            0.15 / 0.06,
-            ratio[0] / ratio[1],
-            kind=kind,
-            within=MODEL,
-            reference="eqs. 29, 30",
-            because="The lit limb is less than half of the outline, so the center is told better across the Sun.",
+        Number("eqs. 29, 30", "errors along over across the Sun", 0.15 / 0.06, ratio[0] / ratio[1], kind).near(
+            MODEL, "The lit limb is less than half of the outline, so the center is told better across the Sun."
         )
     )
     model = moon_errors()
     for distance in sorted({each.view.range_km for each in found["Moon with relief"]}):
         ours, stated_px = spread_px(found["Moon with relief"], distance), model.sigmas_px(distance)
         rows += [
-            near(
+            Number(
+                "eqs. 28-30",
                 f"Moon with 2 km of relief at {distance:g} km: error {axis}, px",
                 stated_px[k],
                 ours[k],
-                kind=kind,
-                within=MODEL,
-                reference="eqs. 28-30",
-                because="Bumps of 2 km rms, estimator told a sphere. A limb averages "
-                "over many bumps where the model takes the whole relief as the error; the share that remains "
-                "depends on "
-                "how wide the bumps are.",
+                kind,
+            ).near(
+                MODEL,
+                "Bumps of 2 km rms, estimator told a sphere. A limb averages over many bumps where the model "
+                "takes the whole relief as the error; the share that remains depends on how wide the bumps are.",
             )
             for k, axis in enumerate(AXES)
         ]

@@ -43,8 +43,7 @@ def sections(settings: ReplaySettings) -> tuple[Section, ...]:
         Section(
             title="III.A. Calibration and focus",
             text="A collimated point at each of 99 places of a gimbal, combined to one image; eq. 39, and a Brown "
-            "model "
-            "fitted to the centroids.",
+            "model fitted to the centroids.",
             figures=(figures.distortion_figure(grid),),
             comparisons=(*laboratory.grid_comparisons(grid), *laboratory.focus_comparisons(settings)),
         ),

@@ -41,9 +41,8 @@ _OPEN = (
     "its true trajectory. The paper's are against the best fit of an orbit determination to these and other "
     "measurements, which takes up part of their errors and adds its own. Images without stars have none.",
     "Visits are fewer than in the mission: the paper does not tell the number of its images.",
-    "The Sun is a point. The center of figure is the origin of all shapes; the paper's trajectories are "
-    "about the center "
-    "of mass.",
+    "The Sun is a point. The center of figure is the origin of all shapes; the paper's trajectories are about the "
+    "center of mass.",
     "Stars: the default catalog (Gaia, Hipparcos) instead of UCAC4, without errors of its own; for PolyCam, which sees "
     "fainter stars than that holds, a made-up sky as dense as the real one.",
     "Temperatures of calibration images are spread evenly over 40 degrees; the paper does not tell its own. The "
@@ -62,18 +61,14 @@ def _lines_of_inputs(mission: MissionSetup) -> tuple[str, ...]:
     """Assumptions with numbers of the mission file."""
     detector, pointing, body = mission.detector, mission.pointing, mission.body
     return (
-        f"Images: Hapke's law and albedo of {body.albedo_rms:.0%} rms, which estimators do not know: they "
-        f"assume McEwen's "
-        "law and let others mix in.",
-        "Estimators get the shape model of the phase: coarser, with errors of one pixel of the phase's best "
-        "images (two in "
-        "Approach), of scale (the published uncertainty of the mean radius, 0.033 %; three times that in "
-        "Approach), and "
-        "of the prime meridian (0.02 to 0.1 deg; 0.19 deg before arrival).",
-        f"Detectors (gain {detector.gain_e_per_dn:g} e/DN, read noise {detector.read_noise_e:g} e, 12 bits), "
-        f"point spread "
-        f"functions (Gaussian of {detector.psf_sigma_px:g} px, told as {detector.told_psf_sigma_px:g}), exposures and "
-        "zero points (from apertures) are assumed; the paper has none of them.",
+        f"Images: Hapke's law and albedo of {body.albedo_rms:.0%} rms, which estimators do not know: they assume "
+        "McEwen's law and let others mix in.",
+        "Estimators get the shape model of the phase: coarser, with errors of one pixel of the phase's best images "
+        "(two in Approach), of scale (the published uncertainty of the mean radius, 0.033 %; three times that in "
+        "Approach), and of the prime meridian (0.02 to 0.1 deg; 0.19 deg before arrival).",
+        f"Detectors (gain {detector.gain_e_per_dn:g} e/DN, read noise {detector.read_noise_e:g} e, 12 bits), point "
+        f"spread functions (Gaussian of {detector.psf_sigma_px:g} px, told as {detector.told_psf_sigma_px:g}), "
+        "exposures and zero points (from apertures) are assumed; the paper has none of them.",
         f"Pointing: the a priori attitude is wrong by {pointing.attitude_error_deg:g} deg per axis; the turn from the "
         f"long to the short exposure, {pointing.pair_gap_s:g} s, is told but for "
         f"{pointing.jitter_arcsec_per_sqrt_s:g} arcsec per root second.",

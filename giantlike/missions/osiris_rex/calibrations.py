@@ -39,18 +39,11 @@ _SCALE_ERROR = 0.05
 class CameraCalibration(Value):
     """A calibration and its truth.
 
-    Parameters
-    ----------
-    key, label : str
-        Of the camera.
-    truth : (k,) float64
-        Parameters of Table 1, in the order of ``result.estimated``.
-    found : (k,) float64
-    result : CalibrationResult
-    camera : Camera
-        The calibrated camera, at 0 degrees Celsius.
-    images : int
-        Number of star images taken.
+    key, label: of the camera.
+    truth: (k,); parameters of Table 1, in the order of ``result.estimated``.
+    found: (k,).
+    camera: the calibrated camera, at 0 degrees Celsius.
+    images: number of star images taken.
     """
 
     key: str

@@ -61,14 +61,9 @@ _OPTIONS = {"unresolved": {"correction": "kaasalainen_tanga"}, "moment": {"corre
 class StarResiduals(Value):
     """Residuals of all stars that attitudes rest on.
 
-    Parameters
-    ----------
-    points_px, residuals_px : (n, 2) float64, px
-        Observed, and observed minus predicted with the estimated attitude.
-    magnitudes, sigma_px, day : (n,) float64
-        Of the catalog; standard deviation per axis, px; days since the first image.
-    solved, images : int
-        Star images with an attitude, and all.
+    points_px, residuals_px: (n, 2); observed, and observed minus predicted with the estimated attitude.
+    magnitudes, sigma_px, day: (n,); of the catalog; standard deviation per axis, px; days since the first image.
+    solved, images: star images with an attitude, and all.
     """
 
     points_px: Float
@@ -84,25 +79,15 @@ class StarResiduals(Value):
 class CampaignResult(Value):
     """Residuals of one camera in one phase.
 
-    Parameters
-    ----------
-    phase, camera : str
-        Keys.
-    label : str
-        Of the camera.
-    visits : tuple of Visit
-    diameter_km : float, km
-        Of the sphere of Bennu's volume.
-    diameters_px : (v,) float64, px
-        Apparent diameter of that sphere, by visit.
-    stars : StarResiduals
-    observations : tuple of ObservationError
-        Centers and ranges against the true trajectory: a center minus the position where the estimated attitude and the
-        calibrated camera predict it, as in the paper. ``error_px`` is None without an attitude from stars.
-    days : mapping of str to float
-        Days since the first visit, by image file.
-    columns, rows : int
-        Size of the detector.
+    phase, camera: keys.
+    label: of the camera.
+    diameter_km: of the sphere of Bennu's volume.
+    diameters_px: (v,); apparent diameter of that sphere, by visit.
+    observations: centers and ranges against the true trajectory: a center minus the position where the estimated
+        attitude and the calibrated camera predict it, as in the paper. ``error_px`` is None without an attitude from
+        stars.
+    days: days since the first visit, by image file.
+    columns, rows: size of the detector.
     """
 
     phase: str
@@ -122,19 +107,10 @@ class CampaignResult(Value):
 class CampaignJob(Value):
     """Inputs of a campaign.
 
-    Parameters
-    ----------
-    planner : Planner
-        Mission, camera, phase and true body.
-    setup : CampaignSetup
-    visits : tuple of Visit
-    told : Camera
-        The camera as it was calibrated.
-    model : TriangleMesh
-        Shape model of the phase.
-    folder : Path
-        For images, campaign and run.
-    workers : int
+    planner: mission, camera, phase and true body.
+    told: the camera as it was calibrated.
+    model: shape model of the phase.
+    folder: for images, campaign and run.
     """
 
     planner: Planner

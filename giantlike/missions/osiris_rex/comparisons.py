@@ -12,7 +12,7 @@ from giantlike.missions.osiris_rex.calibrations import CameraCalibration
 from giantlike.missions.osiris_rex.campaigns import CampaignResult
 from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
 from giantlike.missions.osiris_rex.setup import MissionSetup, PhaseSetup
-from giantlike.missions.replay import Comparison, ComparisonKind
+from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, Comparison, Stated
 from giantlike.simulation.compare import ObservationError
 
 AROUND = 2.0
@@ -54,21 +54,18 @@ def table_comparison(calibration: CameraCalibration) -> Comparison:
     sigma = np.sqrt(np.diag(calibration.result.covariance))
     worst = int(np.argmax(np.abs(calibration.found - calibration.truth) / sigma))
     name = calibration.result.estimated[worst]
-    return Comparison(
-        what=f"{calibration.label}: parameters of the camera model",
-        paper=_listed(calibration.result.estimated, calibration.truth),
-        ours=_listed(calibration.result.estimated, calibration.found),
-        kind=ComparisonKind.INPUT,
-        agrees=distance < limit,
-        reason=(
-            f"put in and found again from {len(calibration.result.images)} of {calibration.images} simulated "
-            f"images: squared "
-            f"distance {distance:.1f} for {size} parameters, agrees below {limit:.1f}; furthest off is {name}, "
-            f"by {(calibration.found - calibration.truth)[worst] / sigma[worst]:+.1f} sigma. Rows run down "
-            f"here, so f_y "
-            "and p_1 have the other sign than in the paper."
-        ),
-        reference="Table 1",
+    return Stated(
+        "Table 1",
+        f"{calibration.label}: parameters of the camera model",
+        _listed(calibration.result.estimated, calibration.truth),
+        _listed(calibration.result.estimated, calibration.found),
+        INPUT,
+    ).agrees(
+        distance < limit,
+        f"put in and found again from {len(calibration.result.images)} of {calibration.images} simulated images: "
+        f"squared distance {distance:.1f} for {size} parameters, agrees below {limit:.1f}; furthest off is {name}, "
+        f"by {(calibration.found - calibration.truth)[worst] / sigma[worst]:+.1f} sigma. Rows run down here, so "
+        "f_y and p_1 have the other sign than in the paper.",
     )
 
 
@@ -88,17 +85,16 @@ def structure_comparison(calibrations: Sequence[CameraCalibration]) -> Compariso
     parts = [calibration.structure() for calibration in calibrations]
     total, number = sum(part[0] for part in parts), sum(part[1] for part in parts)
     limit = float(chi2.ppf(1.0 - _FALSE_ALARM, number))
-    return Comparison(
-        what="structure of calibration residuals: squared means in 4 x 4 cells over their variances, per number",
-        paper="largely random without structure",
-        ours=total / number,
-        kind=ComparisonKind.INPUT,
-        agrees=total < limit,
-        reason=(
-            f"1 for random residuals; agrees below {limit / number:.2f}. The model that makes the images is "
-            f"the one fitted."
-        ),
-        reference="Figs. 2-6",
+    return Stated(
+        "Figs. 2-6",
+        "structure of calibration residuals: squared means in 4 x 4 cells over their variances, per number",
+        "largely random without structure",
+        total / number,
+        INPUT,
+    ).agrees(
+        total < limit,
+        f"1 for random residuals; agrees below {limit / number:.2f}. The model that makes the images is "
+        f"the one fitted.",
     )
 
 
@@ -109,19 +105,17 @@ def square_pixels_comparison(mission: MissionSetup) -> Comparison:
     (odd,) = [each for each in setups if each.printed_fy_px is not None]
     assert odd.printed_fy_px is not None
     printed = abs(odd.printed_fy_px) / odd.model.fx_px - 1.0
-    return Comparison(
-        what=f"{odd.label}: |f_y| over f_x, less one",
-        paper=printed,
-        ours=f"at most {most:.1e} in the other cameras",
-        kind=ComparisonKind.DERIVED,
-        agrees=abs(printed) <= 3.0 * most,
-        reason=(
-            "agrees within three times the largest of the others. The same pixels under another filter "
-            "cannot be oblong by "
-            f"0.7 %: {odd.printed_fy_px} is taken for a slip of a digit, and {-odd.model.fy_px} "
-            f"({odd.model.fy_px / odd.model.fx_px - 1.0:.1e} from square) was put in."
-        ),
-        reference="Table 1",
+    return Stated(
+        "Table 1",
+        f"{odd.label}: |f_y| over f_x, less one",
+        printed,
+        f"at most {most:.1e} in the other cameras",
+        DERIVED,
+    ).agrees(
+        abs(printed) <= 3.0 * most,
+        "agrees within three times the largest of the others. The same pixels under another filter cannot be "
+        f"oblong by 0.7 %: {odd.printed_fy_px} is taken for a slip of a digit, and {-odd.model.fy_px} "
+        f"({odd.model.fy_px / odd.model.fx_px - 1.0:.1e} from square) was put in.",
     )
 
 
@@ -135,14 +129,8 @@ def star_comparison(result: CampaignResult, phase: PhaseSetup, reference: str) -
     deviation = float(np.std(stars.residuals_px))
     if phase.key != "orbital_a":
         return _around(what, deviation, "around 0.1", basis, reference)
-    return Comparison(
-        what=what,
-        paper="less than 0.1",
-        ours=deviation,
-        kind=ComparisonKind.INDEPENDENT,
-        agrees=deviation < STAR_PX,
-        reason=f"{basis}; agrees below {STAR_PX} px. {_WHY_STARS}",
-        reference=reference,
+    return Stated(reference, what, "less than 0.1", deviation, INDEPENDENT).agrees(
+        deviation < STAR_PX, f"{basis}; agrees below {STAR_PX} px. {_WHY_STARS}"
     )
 
 
@@ -154,14 +142,8 @@ _WHY_STARS = (
 
 
 def _around(what: str, ours: float, paper: str, basis: str, reference: str) -> Comparison:
-    return Comparison(
-        what=what,
-        paper=paper,
-        ours=ours,
-        kind=ComparisonKind.INDEPENDENT,
-        agrees=STAR_PX / AROUND <= ours <= STAR_PX * AROUND,
-        reason=f"{basis}; agrees within a factor of {AROUND:g}. {_WHY_STARS}",
-        reference=reference,
+    return Stated(reference, what, paper, ours, INDEPENDENT).agrees(
+        STAR_PX / AROUND <= ours <= STAR_PX * AROUND, f"{basis}; agrees within a factor of {AROUND:g}. {_WHY_STARS}"
     )
 
 
@@ -187,14 +169,8 @@ def center_comparison(
             f" They are {_rms_m(errors, result.diameter_km):.2f} m rms on Bennu; the heights of the shape model err by "
             f"{phase.model.error_m:g} m."
         )
-    return Comparison(
-        what=what,
-        paper=judgement,
-        ours=f"rms {_rms(residuals):.3f}, {share:.0%} below 1",
-        kind=ComparisonKind.INDEPENDENT,
-        agrees=share >= TYPICAL_SHARE,
-        reason=reason,
-        reference=reference,
+    return Stated(reference, what, judgement, f"rms {_rms(residuals):.3f}, {share:.0%} below 1", INDEPENDENT).agrees(
+        share >= TYPICAL_SHARE, reason
     )
 
 
@@ -207,28 +183,21 @@ def range_comparison(
     paper = f"less than {limit_percent:g}"
     if not errors:
         return _nothing(what, paper, reference)
-    percent = 100.0 * _ranges(errors)
+    percent = 100.0 * np.array([error.range_error for error in errors], dtype=np.float64)
     share = float(np.mean(np.abs(percent) < limit_percent))
     reason = f"{_counted(errors)}; agrees where {TYPICAL_SHARE:.0%} are below {limit_percent:g} %."
     if phase.key != "approach":
         radius_px = 0.5 * float(np.median([error.diameter_px for error in errors]))
         reason += (
             f" 0.01 % is {1e-4 * radius_px:.3f} px of the radius, and 2.5 cm on Bennu. The scale of the shape model is "
-            f"uncertain by {100.0 * phase.model.scale:.3f} %, which a limb turns into range, as it does the mean "
-            f"of errors of height: mean {np.mean(percent):+.3f} %. Around it they scatter by "
-            f"{np.std(percent):.3f} %: errors "
-            f"of height of {phase.model.error_m:g} m, relief finer than facets of the model, noise of the limb. "
+            f"uncertain by {100.0 * phase.model.scale:.3f} %, which a limb turns into range, as it does the mean of "
+            f"errors of height: mean {np.mean(percent):+.3f} %. Around it they scatter by {np.std(percent):.3f} %: "
+            f"errors of height of {phase.model.error_m:g} m, relief finer than facets of the model, noise of the limb. "
             "Orbit determination that estimates the scale takes out the mean only."
         )
-    return Comparison(
-        what=what,
-        paper=paper,
-        ours=f"rms {_rms(percent):.3f}, {share:.0%} below {limit_percent:g}",
-        kind=ComparisonKind.INDEPENDENT,
-        agrees=share >= TYPICAL_SHARE,
-        reason=reason,
-        reference=reference,
-    )
+    return Stated(
+        reference, what, paper, f"rms {_rms(percent):.3f}, {share:.0%} below {limit_percent:g}", INDEPENDENT
+    ).agrees(share >= TYPICAL_SHARE, reason)
 
 
 def range_error_comparisons(study: RangeErrorStudy) -> tuple[Comparison, Comparison]:
@@ -242,30 +211,27 @@ def range_error_comparisons(study: RangeErrorStudy) -> tuple[Comparison, Compari
     own = float(np.nanmax(np.linalg.norm(study.correlation_px[:, right], axis=1)))
     lost = int(np.isnan(kept).sum())
     return (
-        Comparison(
-            what=f"shift of the correlation peak by range errors up to {largest:.0f} %, px",
-            paper="can begin to become biased",
-            ours=worst,
-            kind=ComparisonKind.INDEPENDENT,
-            agrees=worst > own,
-            reason=(
-                f"agrees where the shift exceeds the error without a range error, {own:.2f} px, which "
-                f"unlisted relief of "
-                "1 % and another law of reflection cause. The lit part of a body grows away from its center."
-            ),
-            reference="Template Matching, ref. 22",
+        Stated(
+            "Template Matching, ref. 22",
+            f"shift of the correlation peak by range errors up to {largest:.0f} %, px",
+            "can begin to become biased",
+            worst,
+            INDEPENDENT,
+        ).agrees(
+            worst > own,
+            f"agrees where the shift exceeds the error without a range error, {own:.2f} px, which unlisted relief "
+            "of 1 % and another law of reflection cause. The lit part of a body grows away from its center.",
         ),
-        Comparison(
-            what=f"shift of the template fitted in range too, at the same errors up to {largest:.0f} %, px",
-            paper="an alternative template matching technique",
-            ours=held,
-            kind=ComparisonKind.INDEPENDENT,
-            agrees=held < 0.1 * worst and not lost,
-            reason=(
-                f"agrees where it is less than a tenth of the other and none is lost ({lost} of {kept.size} are). The "
-                "technique of ref. 22 itself is not in the paper: this is the package's own."
-            ),
-            reference="Template Matching, ref. 22",
+        Stated(
+            "Template Matching, ref. 22",
+            f"shift of the template fitted in range too, at the same errors up to {largest:.0f} %, px",
+            "an alternative template matching technique",
+            held,
+            INDEPENDENT,
+        ).agrees(
+            held < 0.1 * worst and not lost,
+            f"agrees where it is less than a tenth of the other and none is lost ({lost} of {kept.size} are). The "
+            "technique of ref. 22 itself is not in the paper: this is the package's own.",
         ),
     )
 
@@ -275,16 +241,15 @@ def approach_size_comparison(mission: MissionSetup, results: Sequence[CampaignRe
     last = min((visit for result in results for visit in result.visits), key=lambda visit: visit.range_km)
     focal_px = mission.cameras["polycam"].model.focal_length_px
     largest = 2.0 * mission.body.mean_radius_km * focal_px / last.range_km
-    return Comparison(
-        what="Approach: apparent diameter of Bennu in PolyCam at the end, px",
-        paper="greater than 1000",
-        ours=largest,
-        kind=ComparisonKind.INDEPENDENT if last.from_kernels else ComparisonKind.INPUT,
-        agrees=largest > 1000.0,
-        reason=(
-            f"mean diameter of 0.490 km at {last.range_km:.1f} km, {_whence(last.from_kernels)}; agrees above 1,000."
-        ),
-        reference="Approach",
+    return Stated(
+        "Approach",
+        "Approach: apparent diameter of Bennu in PolyCam at the end, px",
+        "greater than 1000",
+        largest,
+        INDEPENDENT if last.from_kernels else INPUT,
+    ).agrees(
+        largest > 1000.0,
+        f"mean diameter of 0.490 km at {last.range_km:.1f} km, {_whence(last.from_kernels)}; agrees above 1,000.",
     )
 
 
@@ -292,14 +257,15 @@ def survey_size_comparison(result: CampaignResult, phase: PhaseSetup, limits: tu
     """Apparent diameters in NavCam 1 during a survey."""
     low, high = float(result.diameters_px.min()), float(result.diameters_px.max())
     known = all(visit.from_kernels for visit in result.visits)
-    return Comparison(
-        what=f"{phase.title}, {result.label}: apparent diameter of Bennu, px",
-        paper=f"approximately {limits[0]:.0f}-{limits[1]:.0f}",
-        ours=f"{low:.0f}-{high:.0f}",
-        kind=ComparisonKind.INDEPENDENT if known else ComparisonKind.INPUT,
-        agrees=limits[0] * (1.0 - SIZE_SHARE) <= low and high <= limits[1] * (1.0 + SIZE_SHARE),
-        reason=f"{_whence(known)}; agrees where both ends lie within {SIZE_SHARE:.0%} of the paper's.",
-        reference=phase.title,
+    return Stated(
+        phase.title,
+        f"{phase.title}, {result.label}: apparent diameter of Bennu, px",
+        f"approximately {limits[0]:.0f}-{limits[1]:.0f}",
+        f"{low:.0f}-{high:.0f}",
+        INDEPENDENT if known else INPUT,
+    ).agrees(
+        limits[0] * (1.0 - SIZE_SHARE) <= low and high <= limits[1] * (1.0 + SIZE_SHARE),
+        f"{_whence(known)}; agrees where both ends lie within {SIZE_SHARE:.0%} of the paper's.",
     )
 
 
@@ -307,17 +273,12 @@ def orbit_size_comparison(mission: MissionSetup, phase: PhaseSetup) -> Compariso
     """Apparent diameter in NavCam 1 from the radius of the orbit."""
     range_km = phase.campaigns[0].visits[0].range_km
     size = 2.0 * mission.body.mean_radius_km * mission.cameras["navcam1"].model.focal_length_px / range_km
-    return Comparison(
-        what="Orbital A: apparent diameter of Bennu in NavCam 1, px",
-        paper="approximately 1000",
-        ours=size,
-        kind=ComparisonKind.DERIVED,
-        agrees=abs(size / 1000.0 - 1.0) <= SIZE_SHARE,
-        reason=(
-            f"f_x of Table 1 and the orbit's radius of {range_km:g} km, with the known diameter of 0.490 km; "
-            f"agrees within {SIZE_SHARE:.0%}."
-        ),
-        reference="Orbital A",
+    return Stated(
+        "Orbital A", "Orbital A: apparent diameter of Bennu in NavCam 1, px", "approximately 1000", size, DERIVED
+    ).agrees(
+        abs(size / 1000.0 - 1.0) <= SIZE_SHARE,
+        f"f_x of Table 1 and the orbit's radius of {range_km:g} km, with the known diameter of 0.490 km; "
+        f"agrees within {SIZE_SHARE:.0%}.",
     )
 
 
@@ -325,20 +286,17 @@ def mapcam_field_comparison(mission: MissionSetup) -> Comparison:
     """Compare the size of Bennu with the field of MapCam in Detailed Survey."""
     ratio = mission.cameras["mapcam"].model.focal_length_px / mission.cameras["navcam1"].model.focal_length_px
     low, high, side = 200.0 * ratio, 600.0 * ratio, float(mission.cameras["mapcam"].columns)
-    return Comparison(
-        what="Detailed Survey: apparent diameter of Bennu in MapCam, px of 1024",
-        paper="larger than the field of view",
-        ours=f"{low:.0f}-{high:.0f}",
-        kind=ComparisonKind.DERIVED,
-        agrees=low > side,
-        reason=(
-            f"the paper's 200-600 px in NavCam 1 times {ratio:.2f}, the ratio of focal lengths of Table 1; "
-            f"agrees where even "
-            f"the smallest exceeds {side:.0f}. Below {side / ratio:.0f} px in NavCam 1 Bennu fits into "
-            f"MapCam: the sentence "
-            "holds for most of the phase, not for its farthest images."
-        ),
-        reference="Detailed Survey",
+    return Stated(
+        "Detailed Survey",
+        "Detailed Survey: apparent diameter of Bennu in MapCam, px of 1024",
+        "larger than the field of view",
+        f"{low:.0f}-{high:.0f}",
+        DERIVED,
+    ).agrees(
+        low > side,
+        f"the paper's 200-600 px in NavCam 1 times {ratio:.2f}, the ratio of focal lengths of Table 1; agrees "
+        f"where even the smallest exceeds {side:.0f}. Below {side / ratio:.0f} px in NavCam 1 Bennu fits into "
+        "MapCam: the sentence holds for most of the phase, not for its farthest images.",
     )
 
 
@@ -353,10 +311,6 @@ def _whence(kernels: bool) -> str:
 def errors_px(errors: Sequence[ObservationError]) -> Float:
     """Residuals (n, 2) of centers, px."""
     return np.array([error.error_px for error in errors], dtype=np.float64)
-
-
-def _ranges(errors: Sequence[ObservationError]) -> Float:
-    return np.array([error.range_error for error in errors], dtype=np.float64)
 
 
 def _rms(values: Float) -> float:
@@ -375,12 +329,6 @@ def _counted(errors: Sequence[ObservationError]) -> str:
 
 
 def _nothing(what: str, paper: str, reference: str) -> Comparison:
-    return Comparison(
-        what=what,
-        paper=paper,
-        ours="nothing found",
-        kind=ComparisonKind.INDEPENDENT,
-        agrees=False,
-        reason="agrees only where something was found.",
-        reference=reference,
+    return Stated(reference, what, paper, "nothing found", INDEPENDENT).agrees(
+        False, "agrees only where something was found."
     )

@@ -58,15 +58,7 @@ _MARGIN_PX = 30.0
 class Planner(Value):
     """Plan of the images of one camera in one phase.
 
-    Parameters
-    ----------
-    mission : Mission
-    setup : CameraSetup
-    camera : Camera
-        The true one.
-    truth : TriangleMesh
-    phase : PhaseSetup
-    seed : int
+    camera: the true one.
     """
 
     mission: MissionSetup

@@ -23,16 +23,10 @@ from giantlike.shapes import TriangleMesh
 class PhaseInputs(Value):
     """Inputs common to all phases.
 
-    Parameters
-    ----------
-    mission : Mission
-    truth : TriangleMesh
-        Bennu as it is.
-    calibrated : mapping of str to Camera
-        Calibrated cameras; an uncalibrated one is declared exactly, but for the width of its point spread function.
-    kernels : Path, optional
-        Folder with kernels of the mission.
-    settings : ReplaySettings
+    truth: Bennu as it is.
+    calibrated: calibrated cameras; an uncalibrated one is declared exactly, but for the width of its point spread
+        function.
+    kernels: folder with kernels of the mission.
     """
 
     mission: MissionSetup

@@ -52,15 +52,11 @@ _RAYS = 4
 class RangeErrorStudy(Value):
     """Errors of the center against the error of the predicted range.
 
-    Parameters
-    ----------
-    range_errors : (n,) float64
-        Predicted / true range - 1.
-    phases_deg : (p,) float64, deg
-    correlation_px, fitted_px : (p, n, 2) float64, px
-        Measured minus true center: by the peak of the correlation, and with the range fitted; NaN where none was found.
-    fitted_range : (p, n) float64
-        Measured / true range - 1, with the range fitted.
+    range_errors: (n,); predicted / true range - 1.
+    phases_deg: (p,).
+    correlation_px, fitted_px: (p, n, 2); measured minus true center: by the peak of the correlation, and with the range
+        fitted; NaN where none was found.
+    fitted_range: (p, n); measured / true range - 1, with the range fitted.
     """
 
     range_errors: Float

@@ -48,18 +48,16 @@ def range_error_section(study: RangeErrorStudy) -> Section:
         reference="ref. 22",
         title="Template matching at a wrong range",
         caption=(
-            "A body of 200 px from the independent renderer, with relief of 1 % and a law of reflection that "
-            "the template does "
-            "not have, looked for with the predicted range in error."
+            "A body of 200 px from the independent renderer, with relief of 1 % and a law of reflection that the "
+            "template does not have, looked for with the predicted range in error."
         ),
         figure=figures.range_error_figure(study),
     )
     return Section(
         title="Template matching",
         text=(
-            "The paper names a range error as the weakness of cross-correlation and refers to its reference "
-            "22 for another "
-            "technique, without numbers. Here the peak of the correlation with one template stands beside the "
+            "The paper names a range error as the weakness of cross-correlation and refers to its reference 22 for "
+            "another technique, without numbers. Here the peak of the correlation with one template stands beside the "
             "estimator cross_correlation of the package, which goes on to fit center, range, brightness and law."
         ),
         figures=(figure,),
@@ -79,8 +77,7 @@ def calibration_section(mission: MissionSetup, calibrations: Sequence[CameraCali
                 title=f"Calibration residuals of {each.label}",
                 caption=(
                     f"{each.result.n_used} stars of {len(each.result.images)} simulated images, "
-                    f"{each.result.n_rejected} rejected. "
-                    "The paper: near 0.1 px, largely random."
+                    f"{each.result.n_rejected} rejected. The paper: near 0.1 px, largely random."
                 ),
                 figure=figures.calibration_figure(each),
             )
@@ -189,12 +186,10 @@ def _text(phase: PhaseSetup, results: Sequence[CampaignResult]) -> str:
     visits = [visit for result in results for visit in result.visits]
     kernels = sum(visit.from_kernels for visit in visits)
     text = (
-        f"{len(visits)} pairs of a long and a short exposure, {kernels} of them on the trajectory of the "
-        f"mission's kernels and "
-        f"{len(visits) - kernels} on one rebuilt from the paper (simulated). Estimators get a shape model of "
-        f"{phase.model.facets:,} facets with errors of {phase.model.error_m:g} m, a scale wrong by "
-        f"{100.0 * phase.model.scale:g} % "
-        f"and a prime meridian wrong by {phase.model.meridian_deg:g} deg."
+        f"{len(visits)} pairs of a long and a short exposure, {kernels} of them on the trajectory of the mission's "
+        f"kernels and {len(visits) - kernels} on one rebuilt from the paper (simulated). Estimators get a shape model "
+        f"of {phase.model.facets:,} facets with errors of {phase.model.error_m:g} m, a scale wrong by "
+        f"{100.0 * phase.model.scale:g} % and a prime meridian wrong by {phase.model.meridian_deg:g} deg."
     )
     moments = [error for result in results for error in comparisons.fixes(result, ("moment",))]
     if moments:

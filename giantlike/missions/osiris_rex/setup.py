@@ -33,22 +33,11 @@ _SHAPE_PATTERNS = ("*ennu*.obj", "*ennu*.ply", "*ennu*.bds")
 class CameraSetup:
     """A camera of Table 1.
 
-    Parameters
-    ----------
-    key, label : str
-    model : BrownModel
-        Table 1 in our axes: rows run down, so that f_y is positive and p_1 has the other sign.
-    estimated : tuple of str
-        Parameters that the paper's calibration estimates.
-    columns, rows : int
-    zero_point_e_s : float, electron/s
-        Signal of a star of magnitude 0.
-    long_exposure_s, longest_short_s : float, s
-    calibration_images : int
-    temperatures_c : (float, float), Celsius
-        Coldest and warmest calibration image.
-    printed_fy_px : float, px, optional
-        The paper's own f_y where it was treated as a misprint.
+    model: Table 1 in our axes: rows run down, so that f_y is positive and p_1 has the other sign.
+    estimated: parameters that the paper's calibration estimates.
+    zero_point_e_s: in electron/s; signal of a star of magnitude 0.
+    temperatures_c: coldest and warmest calibration image.
+    printed_fy_px: the paper's own f_y where it was treated as a misprint.
     """
 
     key: str

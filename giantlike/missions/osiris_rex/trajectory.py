@@ -40,18 +40,11 @@ are 65 m/s where the positions move by 5 cm/s."""
 class Orbit:
     """Ecliptic osculating elements of Bennu, and its rotation.
 
-    Parameters
-    ----------
-    epoch_jd_tdb : float, d
-        Of the elements.
-    a_au, e : float
-        Semi-major axis, au, and eccentricity.
-    i_deg, node_deg, perihelion_deg, mean_anomaly_deg : float, deg
-    pole_ra_deg, pole_dec_deg : float, deg
-        Spin axis.
-    meridian_deg : float, deg
-        Angle of the prime meridian at J2000.
-    spin_deg_day : float, deg/day
+    epoch_jd_tdb: d; of the elements.
+    a_au, e: semi-major axis, au, and eccentricity.
+    pole_ra_deg, pole_dec_deg: spin axis.
+    meridian_deg: angle of the prime meridian at J2000.
+    spin_deg_day: in deg/day.
     """
 
     epoch_jd_tdb: float
@@ -94,18 +87,11 @@ class Orbit:
 class BennuVisit(Value):
     """A moment at which Bennu is imaged.
 
-    Parameters
-    ----------
-    et : float, s
-        TDB seconds past J2000.
-    from_body_km : (3,) float64, km, ICRF axes
-        From Bennu to the spacecraft.
-    velocity_km_s : (3,) float64, km/s, ICRF axes
-        Of the spacecraft with respect to Bennu.
-    inertial_from_body : Rotation
-        Orientation of Bennu at ``et``.
-    from_kernels : bool
-        True where the trajectory comes from the mission's kernels, False where it was rebuilt.
+    et: in s; TDB seconds past J2000.
+    from_body_km: in ICRF axes; from Bennu to the spacecraft.
+    velocity_km_s: in ICRF axes; of the spacecraft with respect to Bennu.
+    inertial_from_body: orientation of Bennu at ``et``.
+    from_kernels: True where the trajectory comes from the mission's kernels, False where it was rebuilt.
     """
 
     et: float
@@ -142,15 +128,9 @@ class VisitedBody(Value):
 class PlannedVisit:
     """Apparent size and phase of a visit by the paper, used where no kernel covers it.
 
-    Parameters
-    ----------
-    utc : str
-        Time, ISO 8601.
-    range_km : float, km
-    phase_deg : float, deg
-        Angle Sun - Bennu - camera.
-    turn_deg : float, deg
-        Direction of the camera about the direction of the Sun, from the north of the ICRF.
+    utc: time, ISO 8601.
+    phase_deg: angle Sun - Bennu - camera.
+    turn_deg: direction of the camera about the direction of the Sun, from the north of the ICRF.
     """
 
     utc: str

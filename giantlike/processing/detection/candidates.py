@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike.core.arrays import Float, Mask
+from giantlike._system.compiled import compiled
+from giantlike.core.arrays import Float, Indices, Mask
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.detection.frame import Frame
-from giantlike.processing.detection.lit_pixels import connected, peaks_among
 from giantlike.processing.detection.matched_filter import FilteredImage, Image32
 from giantlike.processing.detection.options import DetectionOptions
 
@@ -25,27 +25,17 @@ _ROWS = 64  # of the image compared with its threshold at a time
 class Candidates(Value):
     """Peaks of the filtered image, most significant first.
 
-    Parameters
-    ----------
-    peaks_px : (n, 2) int64, px
-        Brightest pixel (x, y) of each.
-    points_px : (n, 2) float64, px
-        Maximum of the Gaussian through that pixel and its neighbors: the position of a star to about 0.03 px and noise.
-    flux_dn : (n,) float64, DN
-        Flux of a star with that maximum.
-    noise_dn : (n,) float64, DN
-    significance : (n,) float64
-        Peak / noise.
-    area_px : (n,) int64, px
-        Area of the component: connected pixels above the threshold.
-    extended : (n,) bool
-        True where the area is far larger than a star.
-    plateau : (n,) bool
-        True where a pixel of the peak or a neighbor is saturated.
-    alone : (n,) bool
-        True for the only peak of its component.
-    first : (n,) bool
-        True for its strongest peak.
+    peaks_px: (n, 2); brightest pixel (x, y) of each.
+    points_px: (n, 2); maximum of the Gaussian through that pixel and its neighbors: the position of a star to about
+        0.03 px and noise.
+    flux_dn: (n,); flux of a star with that maximum.
+    noise_dn: (n,).
+    significance: (n,); peak / noise.
+    area_px: (n,); area of the component: connected pixels above the threshold.
+    extended: (n,); True where the area is far larger than a star.
+    plateau: (n,); True where a pixel of the peak or a neighbor is saturated.
+    alone: (n,); True for the only peak of its component.
+    first: (n,); True for its strongest peak.
     """
 
     peaks_px: NDArray[np.int64]
@@ -141,3 +131,72 @@ def _maxima(response: Image32, pixels_px: NDArray[np.int64]) -> tuple[Float, Flo
         places.append(shift)
         heights.append((high - low) * shift / 4.0)
     return pixels_px + np.stack(places, axis=1), np.exp(sum(heights))
+
+
+@compiled
+def connected(lit: Indices, columns: int) -> tuple[Indices, int]:
+    """Number the groups of pixels that touch, along sides or at corners.
+
+    ``lit`` (n,); returns ``group`` (n,) and ``count``.
+    """
+    parent = np.arange(len(lit))
+    above = 0  # the first pixel that may touch from the row above
+    for i in range(len(lit)):
+        place = lit[i]
+        column = place % columns
+        if column > 0 and i > 0 and lit[i - 1] == place - 1:
+            _join(parent, i - 1, i)
+        first = place - columns - (1 if column > 0 else 0)
+        last = place - columns + (1 if column < columns - 1 else 0)
+        while lit[above] < first:
+            above += 1
+        at = above
+        while lit[at] <= last:
+            _join(parent, at, i)
+            at += 1
+    group, count = np.empty(len(lit), np.int64), 0
+    for i in range(len(lit)):
+        root = _root(parent, i)  # the first of its group
+        if root == i:
+            group[i] = count
+            count += 1
+        else:
+            group[i] = group[root]
+    return group, count
+
+
+@compiled
+def peaks_among(response: NDArray[np.float32], lit: Indices) -> Indices:
+    """Find pixels above their eight neighbors; of equal ones only the first in reading order.
+
+    ``response`` (rows, columns); ``lit`` (n,); returns (p,).
+    """
+    rows, columns = response.shape
+    found, count = np.empty(len(lit), np.int64), 0
+    for i in range(len(lit)):
+        y, x = lit[i] // columns, lit[i] % columns
+        height, highest = response[y, x], True
+        for v in range(max(y - 1, 0), min(y + 2, rows)):
+            for u in range(max(x - 1, 0), min(x + 2, columns)):
+                earlier = v < y or (v == y and u < x)
+                if (v != y or u != x) and not (height > response[v, u] if earlier else height >= response[v, u]):
+                    highest = False
+        if highest:
+            found[count] = i
+            count += 1
+    return found[:count]
+
+
+@compiled
+def _root(parent: Indices, i: int) -> int:
+    """First of the pixels that one is joined with; the way there is shortened."""
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@compiled
+def _join(parent: Indices, i: int, j: int) -> None:
+    i, j = _root(parent, i), _root(parent, j)
+    parent[max(i, j)] = min(i, j)

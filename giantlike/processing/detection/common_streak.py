@@ -37,12 +37,8 @@ _USUAL_WIDTH, _FOR_WIDTH = 1.0, 8  # first width, px, and number of streaks from
 class CommonStreak:
     """Streak common to the stars of an image.
 
-    Parameters
-    ----------
-    half_px : (float, float), px
-        Vector (x, y) from the middle to one end.
-    sigma_px : float, px
-        Width of the point spread function across it.
+    half_px: vector (x, y) from the middle to one end.
+    sigma_px: width of the point spread function across it.
     """
 
     half_px: tuple[float, float]
@@ -91,10 +87,7 @@ def _best_width_px(patches: Patches, guess: StreakGuesses) -> float:
 
 
 def fit_streaks(patches: Patches, streak: CommonStreak, flux_dn: Float) -> LineFits:
-    """Fit a line to each patch, starting in its middle with the direction and length of the image.
-
-    ``flux_dn`` (n,).
-    """
+    """Fit a line to each patch, starting in its middle with the direction and length of the image. ``flux_dn`` (n,)."""
     halves = np.tile(np.array(streak.half_px), (len(flux_dn), 1))
     start = StreakGuesses(patches.centers_px.astype(np.float64), halves, flux_dn, _level_dn(patches))
     return fit_lines(patches, start, streak.sigma_px)

@@ -67,12 +67,8 @@ NOT_A_STAR = (
 class UnmeasuredSources(Value):
     """Sources found in an image and not fitted.
 
-    Parameters
-    ----------
-    peaks_px : (n, 2) int64, px
-        Brightest pixels of the filtered image.
-    sigma_px : (n,) float64, px
-        Standard deviation per axis that a fit of a star so bright would have.
+    peaks_px: (n, 2); brightest pixels of the filtered image.
+    sigma_px: (n,); standard deviation per axis that a fit of a star so bright would have.
     """
 
     peaks_px: NDArray[np.int64]

@@ -25,21 +25,12 @@ _FLOAT_FLOOR = 1e-6  # of the range of the image: noise below it is rounding in 
 class Frame(Value):
     """An image to search for sources.
 
-    Parameters
-    ----------
-    pixels : (rows, columns) real, DN
-        As stored, finite.
-    bad : (rows, columns) bool or None
-    flat : (rows, columns) float32, DN
-        The image minus its median, in single precision: input of the matched filter.
-    detector : Detector
-        An integer image also saturates at the end of its dtype.
-    noise_floor_dn : float, DN
-        Lower bound of the noise of a pixel: quantization.
-    noise_dn : (rows, columns) float32, DN, or None
-        Noise of a pixel; None where it is measured on the filtered image.
-    any_saturated : bool
-        True if a good pixel is saturated.
+    pixels: in DN; as stored, finite.
+    flat: (rows, columns) DN; the image minus its median, in single precision: input of the matched filter.
+    detector: an integer image also saturates at the end of its dtype.
+    noise_floor_dn: lower bound of the noise of a pixel: quantization.
+    noise_dn: (rows, columns); noise of a pixel; None where it is measured on the filtered image.
+    any_saturated: True if a good pixel is saturated.
     """
 
     pixels: NDArray[Any]
@@ -56,10 +47,7 @@ class Frame(Value):
 
 
 def frame_of(
-    pixels: ArrayLike,
-    mask: ArrayLike | None,
-    detector: Detector,
-    options: DetectionOptions,
+    pixels: ArrayLike, mask: ArrayLike | None, detector: Detector, options: DetectionOptions
 ) -> Frame | Failure:
     """Check the pixels and mask of an image for detection.
 

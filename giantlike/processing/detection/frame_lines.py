@@ -17,16 +17,11 @@ from giantlike.core.values import Value
 class FrameLines(Value):
     """A frame without its bias, and maxima and means of its rows and columns.
 
-    Parameters
-    ----------
-    light_dn : (rows, columns) float64, DN
-    largest_dn : (rows,) float64, DN
-        Of each row.
-    means_dn : (2, rows) float64, DN
-        Of the first and the second half of each row.
-    across_largest_dn : (columns,) float64, DN
-    across_means_dn : (2, columns) float64, DN
-        As above, for columns.
+    light_dn: (rows, columns).
+    largest_dn: (rows,); of each row.
+    means_dn: (2, rows); of the first and the second half of each row.
+    across_largest_dn: (columns,).
+    across_means_dn: (2, columns); as above, for columns.
     """
 
     light_dn: Float

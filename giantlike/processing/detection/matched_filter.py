@@ -34,19 +34,12 @@ Image32 = NDArray[np.float32]
 class FilteredImage(Value):
     """Image after a zero-sum matched filter.
 
-    Parameters
-    ----------
-    response : (rows, columns) float32
-        Filtered image; times ``flux_per_response`` it is the flux of a star at that pixel.
-    noise_dn : (rows, columns) float32, DN
-        Local noise of a pixel: white noise of the same effect on the filtered image.
-    response_noise : float
-        Standard deviation of the response to white noise of 1 DN per pixel.
-    flux_per_response : float, DN
-    width_px : float, px
-        Gaussian width of a recorded star that the filter matches.
-    reach_px : int, px
-        Distance over which a source changes the response: half the side of the background box.
+    response: (rows, columns); filtered image; times ``flux_per_response`` it is the flux of a star at that pixel.
+    noise_dn: (rows, columns); local noise of a pixel: white noise of the same effect on the filtered image.
+    response_noise: standard deviation of the response to white noise of 1 DN per pixel.
+    flux_per_response: in DN.
+    width_px: Gaussian width of a recorded star that the filter matches.
+    reach_px: distance over which a source changes the response: half the side of the background box.
     """
 
     response: Image32
@@ -188,11 +181,7 @@ class NoiseGrid:
         return cut.swapaxes(1, 2).reshape(self.rows, self.columns, self.height * self.breadth)
 
     def robust_sigma(
-        self,
-        response: Image32,
-        bad: Mask | None,
-        sources_px: NDArray[np.integer],
-        reach_px: int,
+        self, response: Image32, bad: Mask | None, sources_px: NDArray[np.integer], reach_px: int
     ) -> Image32:
         """Interquartile range of each box, normalized by that of a unit normal, smoothed by a 3 x 3 median.
 

@@ -41,12 +41,7 @@ class NoiseSource(StrEnum):
 
 
 def predicted_noise_dn(
-    pixels: NDArray[Any],
-    bad: Mask | None,
-    *,
-    source: NoiseSource,
-    detector: Detector,
-    covered: Region | None = None,
+    pixels: NDArray[Any], bad: Mask | None, *, source: NoiseSource, detector: Detector, covered: Region | None = None
 ) -> NDArray[np.float32]:
     """Background noise of each pixel from a source other than the image around it.
 

@@ -45,12 +45,8 @@ _LINE_PX2, _LINE_GROWTH, _LINE_MOST_PX2 = 0.08, 0.3, 0.4  # limit of the second 
 class FewPixels(Value):
     """Comparison of n sources with light in a few pixels.
 
-    Parameters
-    ----------
-    not_star : (n,) bool
-        True if light in a few pixels explains the source and a star does not.
-    n_pixels : (n,) int64
-        Number of these pixels; 0 for sources that a star explains.
+    not_star: (n,); True if light in a few pixels explains the source and a star does not.
+    n_pixels: (n,); number of these pixels; 0 for sources that a star explains.
     """
 
     not_star: Mask

@@ -28,20 +28,14 @@ noise alone exceeds them once in 30,000 sources."""
 class Patches(Value):
     """Square cut-outs of an image, one around each of n sources.
 
-    Parameters
-    ----------
-    values_dn : (n, w, w) float64, DN
-    valid : (n, w, w) bool
-        True inside the image where the pixel is not bad.
-    saturated : (n, w, w) bool
-    corner_px : (n, 2) int64, px
-        (x, y) of the first pixel of each.
-    noise_dn : (n,) float64, DN
-        Standard deviation of the background of a pixel.
-    gain_e_per_dn : float, electron/DN
-        For the shot noise of the source.
-    relative_noise : float
-        Error of the response of a pixel, relative to the light on it (:class:`~giantlike.core.detector.Detector`).
+    values_dn: (n, w, w).
+    valid: (n, w, w); True inside the image where the pixel is not bad.
+    saturated: (n, w, w).
+    corner_px: (n, 2); (x, y) of the first pixel of each.
+    noise_dn: (n,); standard deviation of the background of a pixel.
+    gain_e_per_dn: for the shot noise of the source.
+    relative_noise: error of the response of a pixel, relative to the light on it
+        (:class:`~giantlike.core.detector.Detector`).
     """
 
     values_dn: Float

@@ -47,14 +47,9 @@ _CHANCES = 2  # images that must show the position of a source for it to be a co
 class FixedPattern(Value):
     """Fixed pattern of a detector, the same in all images of a sequence.
 
-    Parameters
-    ----------
-    level_dn : (rows, columns) float32, DN
-        Relative to the median over the detector.
-    hot : (rows, columns) bool
-        Pixels far brighter than those around, in all images.
-    n_images : int
-        Number of images in the median.
+    level_dn: (rows, columns); relative to the median over the detector.
+    hot: (rows, columns); pixels far brighter than those around, in all images.
+    n_images: number of images in the median.
     """
 
     level_dn: NDArray[np.float32]

@@ -44,14 +44,9 @@ measured. It bounds fits of bodies, which otherwise diverge to thousands of px."
 class StreakGuesses(Value):
     """Lines of light, n of them: a first guess.
 
-    Parameters
-    ----------
-    centers_px : (n, 2) float64, px
-        Middle of each.
-    halves_px : (n, 2) float64, px
-        Vector from the middle to one end.
-    flux_dn, background_dn : (n,) float64, DN
-        Light of each, and level underneath.
+    centers_px: (n, 2); middle of each.
+    halves_px: (n, 2); vector from the middle to one end.
+    flux_dn, background_dn: (n,); light of each, and level underneath.
     """
 
     centers_px: Float
@@ -68,23 +63,14 @@ class StreakGuesses(Value):
 class LineFits(Value):
     """Fitted lines of n sources.
 
-    Parameters
-    ----------
-    centers_px : (n, 2) float64, px
-        Middle of each.
-    halves_px : (n, 2) float64, px
-        Vector from the middle to one end, of the two the one with x (or else y) not negative.
-    covariance_px2 : (n, 4, 4) float64, px^2
-        Of center x, y and half x, y.
-    flux_dn, background_dn : (n,) float64, DN
-        Light, and level of the background in the middle.
-    planes : (n, 3) float64, DN, DN/px, DN/px
-        Background of each patch: level of its central pixel, and slopes along x and y.
-    chi2 : (n,) float64
-        Weighted square residual.
-    n_pixels : (n,) int64
-        Pixels used.
-    converged : (n,) bool
+    centers_px: (n, 2); middle of each.
+    halves_px: (n, 2); vector from the middle to one end, of the two the one with x (or else y) not negative.
+    covariance_px2: (n, 4, 4); of center x, y and half x, y.
+    flux_dn, background_dn: (n,); light, and level of the background in the middle.
+    planes: (n, 3) DN, DN/px, DN/px; background of each patch: level of its central pixel, and slopes along x and y.
+    chi2: (n,); weighted square residual.
+    n_pixels: (n,); pixels used.
+    converged: (n,).
     """
 
     centers_px: Float

@@ -18,13 +18,8 @@ _SETTLED_PX = 1e-5  # last step, px: a hundredth of the best centroids
 class WindowedCentroid(Value):
     """Windowed centroid of a source.
 
-    Parameters
-    ----------
-    point_px : (2,) float64, px
-    covariance_px2 : (2, 2) float64, px^2
-        From the noise of the pixels alone.
-    snr : float
-        Windowed flux / standard deviation.
+    covariance_px2: from the noise of the pixels alone.
+    snr: windowed flux / standard deviation.
     """
 
     point_px: Float

@@ -26,14 +26,9 @@ _STEP = 1e-6  # of central differences, in standard deviations of the coefficien
 class ConicFit(Value):
     """An ellipse ``A x^2 + 2 B x y + C y^2 + 2 D x + 2 E y + F = 0``.
 
-    Parameters
-    ----------
-    coefficients : (6,) float64
-        A to F, of norm one and positive inside.
-    covariance : (6, 6) float64
-        Of the coefficients, across their own direction.
-    residuals : (n,) float64
-        Distances of the points from the ellipse to first order, positive outside; unit of the points.
+    coefficients: (6,); A to F, of norm one and positive inside.
+    covariance: of the coefficients, across their own direction.
+    residuals: (n,); distances of the points from the ellipse to first order, positive outside; unit of the points.
     """
 
     coefficients: Float

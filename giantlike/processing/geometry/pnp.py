@@ -32,22 +32,15 @@ _OUTLIER_SIGMAS = 5.0  # of the scatter of the other points; a good point exceed
 class PnpOptions:
     """Options of the pose estimation.
 
-    Parameters
-    ----------
-    inlier_px : float, px
-        Largest distance of a point from its projection to agree with a pose; in the end also five standard deviations
-        of the scatter of the other points. Default 2.
-    attitude_sigma_rad : float, rad
-        Standard deviation of the a priori attitude about each axis: 0 fixes it, infinity leaves it free (default).
-    max_samples : int
-        Number of random samples. Default 200: with half of the points wrong, all samples of three contain a wrong one
-        with probability 3e-12.
-    min_inliers : int
-        Fewest points that must agree. Default 5: two more than fix a pose.
-    max_iterations : int
-        Largest number of Gauss-Newton steps, default 30.
-    seed : int
-        Seed of the samples: equal input gives equal output.
+    inlier_px: largest distance of a point from its projection to agree with a pose; in the end also five standard
+        deviations of the scatter of the other points. Default 2.
+    attitude_sigma_rad: standard deviation of the a priori attitude about each axis: 0 fixes it, infinity leaves it free
+        (default).
+    max_samples: number of random samples. Default 200: with half of the points wrong, all samples of three contain a
+        wrong one with probability 3e-12.
+    min_inliers: fewest points that must agree. Default 5: two more than fix a pose.
+    max_iterations: largest number of Gauss-Newton steps, default 30.
+    seed: seed of the samples: equal input gives equal output.
     """
 
     inlier_px: float = 2.0
@@ -74,20 +67,12 @@ class PnpOptions:
 class PnpFix(Value):
     """Pose of a body from its points.
 
-    Parameters
-    ----------
-    position_camera_km : (3,) float64, km, camera axes
-        From the camera to the origin of the body axes.
-    camera_from_body : Rotation
-    covariance : (6, 6) float64, km and rad
-        Of the position and of the small rotation ``e`` about the camera axes with
+    position_camera_km: from the camera to the origin of the body axes.
+    covariance: in km and rad; of the position and of the small rotation ``e`` about the camera axes with
         ``camera_from_body_true = Rotation.from_rotvec(e) * camera_from_body``; zero for a fixed attitude.
-    inliers : (n,) bool
-        True for points that agree.
-    residuals_px : (n, 2) float64, px
-        Measured minus projected, of all points.
-    floor_px : float, px
-        Standard deviation per axis of the errors beyond the given covariances; included in ``covariance``.
+    inliers: (n,); True for points that agree.
+    residuals_px: (n, 2); measured minus projected, of all points.
+    floor_px: standard deviation per axis of the errors beyond the given covariances; included in ``covariance``.
     """
 
     position_camera_km: Float

@@ -7,13 +7,7 @@ import numpy as np
 from giantlike.core.arrays import Float
 
 _FROM_SUN_TO_TERMINATOR = 2.0
-"""Change of the altitude between a limb below the Sun and one at the terminator, standard deviations of the altitude.
-
-The limb is higher where light passes through more haze. For a sphere in haze of vertical optical depth 0.05
-(``giantlike.independent.hazy_sphere``, 8 views at phases of 15 to 125 deg), with a declared sigma of half a scale
-height, horizons of one altitude for the whole limb were in error by 0.5 to 1 scale height along the direction of the
-Sun, and by 0.03 across it.
-"""
+"""Change of the altitude between a limb below the Sun and one at the terminator, in sigmas of the altitude."""
 
 
 def lifted(lift_px: Float, sights: Float, position_camera_km: Float, sun_direction_camera: Float) -> Float:

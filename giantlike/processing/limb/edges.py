@@ -24,10 +24,7 @@ _MIN_RUN = 3
 _STEEPEST_WITHIN_PX = 3.0
 """Distance from the first light within which the steepest rise counts, px, besides the blur."""
 _SETTLED_PX, _FAR_PX = 0.65, 1.1
-"""Distance of an edge from the middle of its window, px: below the first it is not moved, above the second left out.
-
-More than half a pixel, so that windows do not move to and fro.
-"""
+"""Distance of an edge from the middle of its window, px: below the first it is not moved, above the second left out."""
 _MOVES = 3
 """Maximum moves of a window: seeds lie within two pixels of their edge."""
 _MOST_ROWS = 1 << 31
@@ -38,20 +35,12 @@ _MOST_ROWS = 1 << 31
 class EdgePoints(Value):
     """Edges measured to a fraction of a pixel.
 
-    Parameters
-    ----------
-    pixels_px : (n, 2) int64, px
-        Middle (x, y) of the window that each was measured in.
-    points_px : (n, 2) float64, px
-        On the edge, nearest to that middle.
-    normals_px : (n, 2) float64, unitless
-        Unit normals, from light to dark.
-    sigma_px : (n,) float64, px
-        Standard deviation along the normal: noise of the pixels, and the error of the method.
-    sigma_normal_rad : (n,) float64, rad
-        Standard deviation of the direction of the normal from noise.
-    contrast_dn : (n,) float64, DN
-        Brightness step across the edge, light minus dark.
+    pixels_px: (n, 2); middle (x, y) of the window that each was measured in.
+    points_px: (n, 2); on the edge, nearest to that middle.
+    normals_px: (n, 2); unit normals, from light to dark.
+    sigma_px: (n,); standard deviation along the normal: noise of the pixels, and the error of the method.
+    sigma_normal_rad: (n,); standard deviation of the direction of the normal from noise.
+    contrast_dn: (n,); brightness step across the edge, light minus dark.
     """
 
     pixels_px: Pixels
@@ -117,12 +106,8 @@ def _each_once(pixels_px: Pixels) -> Pixels:
 class _ParallelLines(Value):
     """Nearest pixels of an image on parallel lines one pixel apart.
 
-    Parameters
-    ----------
-    values : (k, m) float64
-        Of m pixels along each of k lines; -inf outside.
-    onto : (2, 3) float64
-        Place (x, y) in the image of (m, k, 1).
+    values: (k, m); of m pixels along each of k lines; -inf outside.
+    onto: (2, 3); place (x, y) in the image of (m, k, 1).
     """
 
     values: Float
@@ -151,15 +136,10 @@ class _ParallelLines(Value):
 class WindowEdges(Value):
     """Edges found in windows, one each, relative to the middle of the window.
 
-    Parameters
-    ----------
-    offsets_px : (n, 2) float64, px
-        From the middle to the nearest point of the edge.
-    normals_px : (n, 2) float64, unitless
-        From light to dark.
-    sigma_px, sigma_normal_rad : (n,) float64
-    contrast_dn : (n,) float64, DN
-        NaN where there is no edge.
+    offsets_px: (n, 2); from the middle to the nearest point of the edge.
+    normals_px: (n, 2); from light to dark.
+    sigma_px, sigma_normal_rad: (n,).
+    contrast_dn: (n,); NaN where there is no edge.
     """
 
     offsets_px: Float

@@ -8,19 +8,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from giantlike._system.compiled import compiled
-from giantlike.core.arrays import Float, Mask
+from giantlike.core.arrays import Float, Indices, Mask
 from giantlike.core.elimination import solve_normal
 
-Indices = NDArray[np.int64]
-
 _REFINEMENTS = 2
-"""Linear steps before the last one, after the search in multiples of the sampling step.
-
-One or four change ``limb_matching`` by up to 0.13 sigma (``benchmarks/sensitivity.md``).
-"""
+"""Linear steps before the last one, after the search in multiples of the sampling step."""
 _DARK = 1e-100  # root of the information on a slope below which the expected profile is dark
 _FLAT = 1e-9  # spread of the values of a window over their size, below which it is flat
 _HELD = 1e12  # information relative to a line's: fixes a slope at zero

@@ -19,10 +19,7 @@ from giantlike.processing.limb.view import LimbView
 MIN_BRIGHTNESS = 0.1
 """Minimum brightness of used limb relative to the brightest; darker limb adds hardly any information."""
 GAIN_RANGE = (0.2, 5.0)
-"""Limits of brightness / expected brightness of good points, in medians of all; points outside lie on something else.
-
-The wider of the ranges that lines (0.3-3) and cells had; on images of Saturn they differ by 0.2-0.6 sigma.
-"""
+"""Limits of brightness / expected brightness of good points, in medians of all; others lie on something else."""
 UNSEEN = "masked, saturated or outside the frame"
 """Reason of points without usable pixels."""
 SATURATED_SHARE = 0.2
@@ -35,15 +32,9 @@ class SmoothError:
 
     Its covariance between two points is ``sigma_px^2 exp(-distance / length_px)``.
 
-    Parameters
-    ----------
-    cause : Cause
-    sigma_px : float, px
-        Standard deviation across the limb.
-    length_px : float, px
-        Correlation length.
-    along : (2,) tuple of float, optional
-        Unit vector in the image. Distances count along it only: the error is the same where light falls alike, on
+    sigma_px: standard deviation across the limb.
+    length_px: correlation length.
+    along: unit vector in the image. Distances count along it only: the error is the same where light falls alike, on
         both sides of the direction of the Sun.
     """
 
@@ -53,10 +44,7 @@ class SmoothError:
     along: tuple[float, float] | None = None
 
     def covariance_px2(self, points_px: Float) -> Float:
-        """Covariance of the error between points of a limb.
-
-        ``points_px`` (n, 2); returns (n, n).
-        """
+        """Covariance of the error between points of a limb. ``points_px`` (n, 2); returns (n, n)."""
         places = points_px if self.along is None else points_px @ np.array(self.along)[:, None]
         square = sum((place[:, None] - place) ** 2 for place in places.T)  # half the time of norms of rows of two
         result: Float = self.sigma_px**2 * np.exp(np.sqrt(square) / -self.length_px)
@@ -67,18 +55,11 @@ class SmoothError:
 class TerrainShift(Value):
     """Relief of a height map that was taken off the points of a limb.
 
-    Parameters
-    ----------
-    shift_px : (n,) float64, px
-        Outward shift of the limb with relief from the smooth one.
-    log_odds : float
-        Logarithm of the Bayes factor of a smooth limb against the map.
-    misfit : float
-        RMS of residuals averaged over parts of the limb, normalized by noise and the errors of the map.
-    name, sha256 : str
-        Of the map.
-    mean_km : float, km
-        Mean altitude of the points.
+    shift_px: (n,); outward shift of the limb with relief from the smooth one.
+    log_odds: logarithm of the Bayes factor of a smooth limb against the map.
+    misfit: RMS of residuals averaged over parts of the limb, normalized by noise and the errors of the map.
+    name, sha256: of the map.
+    mean_km: mean altitude of the points.
     """
 
     shift_px: Float
@@ -93,48 +74,29 @@ class TerrainShift(Value):
 class LimbMeasurement(Value):
     """Lit limb of a body, measured in an image across a prediction.
 
-    Parameters
-    ----------
-    predicted_px : (n, 2) float64, px
-        Points of the limb of the body at ``position_camera_km``.
-    normals_px : (n, 2) float64, unitless
-        Outward unit normals of the outline in the image.
-    design : (n, 3) float64, px/km
-        Outward motion of the points with the position of the body, camera axes.
-    shift_px : (n,) float64, px
-        Distance from the predicted limb outward to the one in the image.
-    sigma_px : (n,) float64, px
-        Standard deviation of ``shift_px`` from pixel noise.
-    keep : (n,) bool
-        Points consistent with one position.
-    common_px : mapping of Cause to (n, c) float64, px
-        Shift of the points by one standard deviation of each of c independent errors common to all: blur, law.
-    smooth_errors : tuple of SmoothError
-        Errors in neither of these.
-    position_camera_km : (3,) float64, km, camera axes
-        Position of the body for the prediction.
-    relief : SmoothError or None
-        Deviation of the outline from the outline of the assumed body.
-    spacing_px, perimeter_px : float, px
-        Length of limb for each point; length of the whole outline.
-    cut_by_frame : bool
-        Part of the outline lies outside the frame.
-    rejected : mapping of str to int
-        Points of the illuminated limb that are not among the n, by reason.
-    n_elsewhere : int
-        Measured edges that are not points of the limb, and points of it without usable pixels, such as bad columns,
-        which are not outliers.
-    area : (rows, columns) bool
-        Pixels within reach of the limb.
-    terrain : TerrainShift or None
-        Relief by a height map; ``shift_px`` is without it.
-    unmeasured_px : (k, 2) float64, px
-        Predicted positions of the points that ``rejected`` counts.
-    rotation_design : (n, 3) float64, px/rad, optional
-        Outward motion of the points with a small rotation of the body about the camera axes; None where not known.
-    wider_px2 : float, px^2, optional
-        Variance of the blur of the limb in excess of the camera's; None where it was not measured or the camera's blur
-        is unknown.
+    predicted_px: (n, 2); points of the limb of the body at ``position_camera_km``.
+    normals_px: (n, 2); outward unit normals of the outline in the image.
+    design: (n, 3) px/km; outward motion of the points with the position of the body, camera axes.
+    shift_px: (n,); distance from the predicted limb outward to the one in the image.
+    sigma_px: (n,); standard deviation of ``shift_px`` from pixel noise.
+    keep: (n,); points consistent with one position.
+    common_px: mapping of Cause to (n, c); shift of the points by one standard deviation of each of c independent errors
+        common to all: blur, law.
+    smooth_errors: errors in neither of these.
+    position_camera_km: position of the body for the prediction.
+    relief: deviation of the outline from the outline of the assumed body.
+    spacing_px, perimeter_px: length of limb for each point; length of the whole outline.
+    cut_by_frame: part of the outline lies outside the frame.
+    rejected: points of the illuminated limb that are not among the n, by reason.
+    n_elsewhere: measured edges that are not points of the limb, and points of it without usable pixels, such as bad
+        columns, which are not outliers.
+    area: (rows, columns); pixels within reach of the limb.
+    terrain: relief by a height map; ``shift_px`` is without it.
+    unmeasured_px: (k, 2); predicted positions of the points that ``rejected`` counts.
+    rotation_design: (n, 3) px/rad; outward motion of the points with a small rotation of the body about the camera
+        axes; None where not known.
+    wider_px2: variance of the blur of the limb in excess of the camera's; None where it was not measured or the
+        camera's blur is unknown.
     """
 
     predicted_px: Float
@@ -197,10 +159,7 @@ class LimbMeasurement(Value):
         return min(self.n_used * self.spacing_px / self.perimeter_px, 1.0)
 
     def select(self, which: NDArray[np.integer]) -> LimbMeasurement:
-        """Measurement with some of its points.
-
-        ``which`` (k,), indices of the points, in the order wanted.
-        """
+        """Measurement with some of its points. ``which`` (k,), indices of the points, in the order wanted."""
         return replace(
             self,
             predicted_px=self.predicted_px[which],

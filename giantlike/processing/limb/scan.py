@@ -30,11 +30,7 @@ PIXEL_VARIANCE_PX2 = 1.0 / 12.0
 _SPLINE_NOISE = 0.479365  # sum of squares of a cubic B-spline over the pixels, mean over sub-pixel phases
 _SPLINE_NOISE_VARIANCE_PX2 = 2.0 / 3.0  # of its autocorrelation, along each axis
 _RIVAL_PX, _RIVAL_CORRELATION = 2.0, 0.98
-"""Minimum distance from the best shift, px, and correlation relative to the best, of a shift that makes a line
-ambiguous.
-
-Two pixels are the width of a usual profile; see ``benchmarks/sensitivity.py`` for the correlation.
-"""
+"""Distance from the best shift, px, and correlation relative to the best, from which another shift is a rival."""
 _MODEL_ERROR = 0.02
 """Relative error of the expected profile. It limits the weight of the dark side, where noise is lowest and stray light
 matters. Not yet studied."""
@@ -51,17 +47,11 @@ _WIDTHS_PX = np.geomspace(0.6, 4.0, 16)
 class Scans(Value):
     """Image values along lines.
 
-    Parameters
-    ----------
-    points_px : (n, 2) float64, px
-        Where the lines have their zero.
-    normals_px : (n, 2) float64, unitless
-        Their directions, outward.
-    offsets_px : (m,) float64, px
-        Places along every line, evenly spaced and symmetric about zero.
-    values_dn : (n, m) float64
-    usable : (n, m) bool
-        False where a pixel that the value is made from is bad or outside the image.
+    points_px: (n, 2); where the lines have their zero.
+    normals_px: (n, 2); their directions, outward.
+    offsets_px: (m,); places along every line, evenly spaced and symmetric about zero.
+    values_dn: (n, m).
+    usable: (n, m); False where a pixel that the value is made from is bad or outside the image.
     """
 
     points_px: Float
@@ -85,35 +75,21 @@ class Scans(Value):
 class ProfileMatch(Value):
     """Shift of the profile of each line from the expected one.
 
-    Parameters
-    ----------
-    complete : (n,) bool
-        Values about the limb and at least half of the others are usable, and the match is of these; the other arrays
-        are undefined elsewhere.
-    shift_px : (n,) float64, px
-        Positive outward.
-    sigma_px : (n,) float64, px
-        Standard deviation of the shift from pixel noise.
-    without_slope_px : (n,) float64, px
-        Outward change of the limb with the slope fixed: small where the expected brightness is correct.
-    gain_dn : (n,) float64, DN
-        Brightness of the image / that of the expected profile.
-    correlation : (n,) float64
-        Normalized correlation at the best shift.
-    unexplained : (n,) float64
-        RMS of the residuals of the match / height of the profile in the image.
-    shared_px : (n, c) float64, px
-        Shift for a unit of each of the c parameters common to all lines.
-    shared_gain : (n, c) float64
-        Relative change of gain for a unit of each.
-    information : (n, c, c) float64
-        Information of each line on these, its shift, gain, offset and slope left free.
-    pull : (n, c) float64
-        That information times the estimate.
-    at_border : (n,) bool
-        The best shift is at the limit of the search.
-    rivalled : (n,) bool
-        Another position on the line fits equally well.
+    complete: (n,); values about the limb and at least half of the others are usable, and the match is of these; the
+        other arrays are undefined elsewhere.
+    shift_px: (n,); positive outward.
+    sigma_px: (n,); standard deviation of the shift from pixel noise.
+    without_slope_px: (n,); outward change of the limb with the slope fixed: small where the expected brightness is
+        correct.
+    gain_dn: (n,); brightness of the image / that of the expected profile.
+    correlation: (n,); normalized correlation at the best shift.
+    unexplained: (n,); RMS of the residuals of the match / height of the profile in the image.
+    shared_px: (n, c); shift for a unit of each of the c parameters common to all lines.
+    shared_gain: (n, c); relative change of gain for a unit of each.
+    information: (n, c, c); information of each line on these, its shift, gain, offset and slope left free.
+    pull: (n, c); that information times the estimate.
+    at_border: (n,); the best shift is at the limit of the search.
+    rivalled: (n,); another position on the line fits equally well.
     """
 
     complete: Mask
@@ -192,10 +168,7 @@ def _places(points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
 
 
 def step_profile(offsets_px: Float, width_px: float) -> Float:
-    """Profile of a bright half-line up to zero, blurred by a Gaussian.
-
-    ``offsets_px`` (m,); returns (m,).
-    """
+    """Profile of a bright half-line up to zero, blurred by a Gaussian. ``offsets_px`` (m,); returns (m,)."""
     result: Float = ndtr(-offsets_px / width_px)
     return result
 

@@ -36,20 +36,12 @@ class Background:
 class Blobs(Value):
     """Connected patches of light, largest first.
 
-    Parameters
-    ----------
-    centroids_px : (n, 2) float64, px
-        Of the brightness above background.
-    middles_px : (n, 2) float64, px
-        Of the area.
-    areas_px : (n,) int64
-        Numbers of pixels.
-    boxes_px : (n, 4) int64, px
-        First column and row, width and height.
-    flux_dn : (n,) float64, DN
-        Sum of the brightness above background.
-    labels : (rows, columns) int32
-        1 for the first blob and so on, 0 elsewhere.
+    centroids_px: (n, 2); of the brightness above background.
+    middles_px: (n, 2); of the area.
+    areas_px: (n,); numbers of pixels.
+    boxes_px: (n, 4); first column and row, width and height.
+    flux_dn: (n,); sum of the brightness above background.
+    labels: (rows, columns); 1 for the first blob and so on, 0 elsewhere.
     """
 
     centroids_px: Float
@@ -75,16 +67,10 @@ class Blobs(Value):
 class ExpectedBlob:
     """Expected position, size and brightness of a body.
 
-    Parameters
-    ----------
-    center_px : (2,) sequence of float, px
-        Of its light.
-    area_px : float
-        Illuminated part of its disk.
-    flux_dn : float, DN, optional
-        Its total flux, where the camera is calibrated; NaN if unknown.
-    log_flux_sigma : float
-        Standard deviation of the logarithm of ``flux_dn``.
+    center_px: of its light.
+    area_px: illuminated part of its disk.
+    flux_dn: its total flux, where the camera is calibrated; NaN if unknown.
+    log_flux_sigma: standard deviation of the logarithm of ``flux_dn``.
     """
 
     center_px: tuple[float, float]

@@ -17,10 +17,7 @@ from giantlike.core.values import Value
 from giantlike.processing.limb.scan import ProfileMatch
 
 _LINES_TOGETHER = 10
-"""Number of neighboring lines with correlated errors: 15 px of limb with the usual spacing.
-
-Profiles of lines have common pixels over 4 px, and albedo is correlated over several times that.
-"""
+"""Number of neighboring lines with correlated errors: 15 px of limb with the usual spacing."""
 
 
 _GAIN_STEPS = 4
@@ -38,19 +35,15 @@ _OWN_SIGMAS, _OWN_PX = 3.0, 0.1
 """Maximum distance of a line from its neighbors: sigmas of its noise, plus px."""
 
 _CONTRADICTED = 3.0
-"""Distance from the prior, in standard deviations, beyond which the prior has less weight (Huber's limit). With a PSF
-of 1.2 px assumed as 0.7 px to 5 %, on 8 views, squared errors per degree of freedom are 1.0, 1.2 and 1.6 with 2, 3 and
-5, and 2.0 with the full prior, which attributes a third of the blur to law, wings and size."""
+"""Distance from the prior, in standard deviations, beyond which the prior has less weight (Huber's limit)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SharedEstimate(Value):
     """Estimate of the parameters common to all lines.
 
-    Parameters
-    ----------
-    values : (c,) float64
-    covariance : (c, c) float64
+    values: (c,).
+    covariance: (c, c).
     """
 
     values: Float

@@ -22,21 +22,12 @@ _PATCH_PX = 3
 class LimbView(Value):
     """Pixels of a body, their detector and the illumination: the inputs of measurements of a limb.
 
-    Parameters
-    ----------
-    pixels_dn : (rows, columns) float64, DN
-        Bias taken off.
-    usable : (rows, columns) bool
-        Neither bad nor saturated.
-    saturated : (rows, columns) bool
-    detector : Detector
-        Noise model.
-    plane : FocalPlane
-        Camera model and point spread function, None where unknown.
-    sun_direction_camera : (3,) float64, unitless, camera axes
-        Unit vector from body to Sun.
-    radius_px : float, px
-        Predicted apparent radius of the body.
+    pixels_dn: (rows, columns); bias taken off.
+    usable: neither bad nor saturated.
+    detector: noise model.
+    plane: camera model and point spread function, None where unknown.
+    sun_direction_camera: unit vector from body to Sun.
+    radius_px: predicted apparent radius of the body.
     """
 
     pixels_dn: Float
@@ -90,15 +81,10 @@ class LimbView(Value):
 class PredictedLimb(Value):
     """Points of a predicted limb that are illuminated and in the frame.
 
-    Parameters
-    ----------
-    points_px : (n, 2) float64, px
-    points_camera_km : (n, 3) float64, km, camera axes
-        The same points in space.
-    normals_px : (n, 2) float64, unitless
-        Outward unit normals of the outline in the image.
-    brightness : (n,) float64
-        Just inside the outline, in any unit.
+    points_px: (n, 2).
+    points_camera_km: (n, 3); the same points in space.
+    normals_px: (n, 2); outward unit normals of the outline in the image.
+    brightness: (n,); just inside the outline, in any unit.
     """
 
     points_px: Float

@@ -29,16 +29,10 @@ _PRIOR_SAMPLES = 0.5  # samples of the analytic shape added to each node: decide
 class EmpiricalPsf(Value):
     """Pixel-integrated point spread function on a grid.
 
-    Parameters
-    ----------
-    shares : (m, m) float64
-        Fraction of the flux in a pixel whose center has the offset of the node from the star, rows along y.
-    sigma : (m, m) float64
-        Standard error of each; very large without samples.
-    step_px : float, px
-        Spacing of the nodes; the middle node is at the star.
-    n_used : int
-        Number of stars.
+    shares: (m, m); fraction of the flux in a pixel whose center has the offset of the node from the star, rows along y.
+    sigma: (m, m); standard error of each; very large without samples.
+    step_px: spacing of the nodes; the middle node is at the star.
+    n_used: number of stars.
     """
 
     shares: Float

@@ -53,23 +53,14 @@ UNUSABLE = (
 class PsfEstimate(Value):
     """Point spread function estimated from stars.
 
-    Parameters
-    ----------
-    kind : PsfKind
-    coefficients : (k, t) float64
-        Coefficients of each free parameter of the shape (ln sigma, e1, e2, 1/beta) in the terms 1, x, y, x^2, x y, y^2,
-        ... of ``degree``, where x and y go from -1 to 1 over the image.
-    covariance : (k t, k t) float64
-        Of the coefficients, parameter by parameter; times the reduced chi-square if that is above 1.
-    degree : int
-        Degree of the polynomials.
-    columns, rows : int
-        Size of the image.
-    reduced_chi2 : float
-    residual_power : float
-        Squared residuals / squared signal, median of the stars, noise subtracted: 0 for a perfect shape.
-    n_used, n_rejected : int
-        Numbers of stars.
+    coefficients: (k, t); coefficients of each free parameter of the shape (ln sigma, e1, e2, 1/beta) in the terms 1, x,
+        y, x^2, x y, y^2, ... of ``degree``, where x and y go from -1 to 1 over the image.
+    covariance: (k t, k t); of the coefficients, parameter by parameter; times the reduced chi-square if that is above
+        1.
+    degree: degree of the polynomials.
+    columns, rows: size of the image.
+    residual_power: squared residuals / squared signal, median of the stars, noise subtracted: 0 for a perfect shape.
+    n_used, n_rejected: numbers of stars.
     """
 
     kind: PsfKind
@@ -100,10 +91,7 @@ class PsfEstimate(Value):
         }
 
     def shapes_at(self, points_px: ArrayLike) -> Float:
-        """Evaluate the shape at pixels.
-
-        ``points_px`` (n, 2); returns (n, 4), ln sigma (of px), e1, e2, 1/beta.
-        """
+        """Evaluate the shape at pixels. ``points_px`` (n, 2); returns (n, 4), ln sigma (of px), e1, e2, 1/beta."""
         points = np.atleast_2d(np.asarray(points_px, dtype=np.float64))
         free = field_terms(points, self.columns, self.rows, self.degree) @ self.coefficients.T
         return np.pad(free, ((0, 0), (0, N_SHAPE - free.shape[1])))
@@ -173,12 +161,7 @@ def estimate_psf(
 
 
 def remeasure(
-    pixels: ArrayLike,
-    detections: Detections,
-    psf: PsfEstimate,
-    *,
-    detector: Detector,
-    mask: ArrayLike | None = None,
+    pixels: ArrayLike, detections: Detections, psf: PsfEstimate, *, detector: Detector, mask: ArrayLike | None = None
 ) -> Detections:
     """Fit centroids and fluxes again with an estimated point spread function.
 

@@ -9,14 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, Indices
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Reflectance, Trace
 from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.refined import RefinedTrace
 from giantlike.ray_tracing.sampling import AxisCells
-from giantlike.ray_tracing.tracer import Indices
 from giantlike.relative.template.spread_parts import banded, spread
 from giantlike.relative.template.state import TemplateState
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from giantlike._system.compiled import compiled
-from giantlike.core.arrays import Float
-from giantlike.ray_tracing.tracer import Indices
+from giantlike.core.arrays import Float, Indices
 
 
 @compiled
