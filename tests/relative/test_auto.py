@@ -306,6 +306,21 @@ def test_what_two_fixes_share_does_not_average_out_and_what_one_has_alone_does()
     assert alone.findings.weight == 0.5
 
 
+def test_the_scale_of_the_shape_that_both_share_does_not_count_in_the_weights() -> None:
+    model = body_image(MOON, 1, phase_deg=50.0).camera.model
+    weights = [
+        fused(
+            _with_parts((10.0, 10.0), albedo=0.01, shape_scale=first),
+            _with_parts((10.0, 10.0), edge=0.02, shape_scale=second),
+            model,
+        ).findings.weight
+        for first, second in ((1e-6, 1e-6), (1.0, 0.1), (0.1, 1.0))
+    ]
+    assert weights[0] is not None
+    assert 0.0 < weights[0] < 1.0
+    assert weights == [weights[0]] * 3
+
+
 def test_a_fused_covariance_holds_for_errors_that_are_independent_or_the_same() -> None:
     """10,000 draws; the sigma of a mean square of 20,000 numbers is one percent."""
     model, rng = body_image(MOON, 1, phase_deg=50.0).camera.model, np.random.default_rng(2)

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
+from giantlike.core.arrays import Float, Mask
 from giantlike.core.detector import Detector
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.ephemeris import ApparentGeometry
@@ -81,6 +82,21 @@ def test_inputs_are_those_of_the_image_and_the_detector_whatever_was_asked_befor
     first, second = (inputs(images[0], cameras[0], name) for name in ("one", "two"))
     assert (first.estimator, second.estimator) == ("one", "two")
     assert np.shares_memory(first.pixels_dn, second.pixels_dn)
+
+
+@pytest.mark.parametrize("masked", [True, False])
+def test_the_level_at_which_an_image_was_clipped_is_found_where_nobody_told_of_it(masked: bool) -> None:
+    rng = np.random.default_rng(3)
+    disk = 1000.0 * (np.hypot(*(np.indices((SIZE, SIZE)) - 31.5)) < 20.0)
+    light = np.rint(disk + rng.normal(100.0, 20.0, (SIZE, SIZE)))
+    mask = image(3).mask if masked else np.zeros((SIZE, SIZE), dtype=bool)
+
+    def saturated(pixels: Float) -> Mask:
+        whole = Image(pixels=pixels.astype(np.uint16), mask=mask, camera_from_inertial=Rotation.identity())
+        return inputs(whole, camera(100.0, saturation_dn=np.inf), "test").saturated
+
+    assert_array_equal(saturated(np.minimum(light, 800.0)), (light >= 800.0) & ~mask)
+    assert not saturated(light).any()
 
 
 def test_an_image_that_is_no_longer_used_is_not_kept() -> None:

@@ -756,6 +756,7 @@ def test_tetra3_frames_are_solved_from_a_rough_field_of_view(catalog: MemoryCata
         assert not fix.flags.suspect
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_cedar_frames_are_solved_or_refused_but_never_wrong(catalog: MemoryCatalog, data_dir: Path) -> None:
     rows = [row for row in _reference(data_dir, "cedar") if row["ra_deg"]]
@@ -781,6 +782,7 @@ def test_trees_and_noise_are_refused(catalog: MemoryCatalog, data_dir: Path) -> 
         assert outcome.detail
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_scrambled_stars_of_a_real_frame_are_refused(catalog: MemoryCatalog, data_dir: Path) -> None:
     """Real clumping and brightness, but x and y of different stars."""

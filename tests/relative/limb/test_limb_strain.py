@@ -20,6 +20,7 @@ from giantlike.ray_tracing import Lambert
 from giantlike.relative import EllipsoidCRA, Estimator, LimbMatching, SigmoidLimb
 from giantlike.scene import Scene, Target, TargetUncertainty
 from giantlike.shapes import Ellipsoid
+from tests.sizes import slow
 from tests.sphere_fields import bumps
 
 RADII_KM = np.array([1.0, 0.94, 0.9])
@@ -88,7 +89,7 @@ def test_a_roll_that_only_the_limb_tells_makes_it_less_certain(estimator: Estima
     assert squared_error(declared) < FIVE_SIGMA
 
 
-@pytest.mark.parametrize("relief", [1, 2, 3])
+@pytest.mark.parametrize("relief", [1, slow(2), slow(3)])
 def test_relief_of_one_percent_is_no_other_figure(relief: int) -> None:
     fix = fix_of(LimbMatching(), light(40.0, relief=relief), 40.0)
     assert not fix.flags.suspect

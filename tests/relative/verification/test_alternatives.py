@@ -195,11 +195,12 @@ def test_lines_shifted_from_one_on_are_found_and_likelier_than_lines_across_them
     assert along > math.log(1000.0)
 
 
-def test_markings_of_right_bodies_raise_false_alarms_at_most_at_the_rate() -> None:
-    """Eight bodies: the mean of their odds is far below 1, as Markov's inequality wants it."""
+@pytest.mark.monte_carlo(few=3, full=8)
+def test_markings_of_right_bodies_raise_false_alarms_at_most_at_the_rate(draws: int) -> None:
+    """The mean of their odds is far below 1, as Markov's inequality wants it."""
     rng = np.random.default_rng(8)
     means = []
-    for seed in range(8):
+    for seed in range(draws):
         phase_deg = float(rng.uniform(0.0, 110.0))
         found = odds(light(phase_deg, markings=float(rng.uniform(0.0, 0.3)), seed=10 + seed), phase_deg)
         means.append(float(np.mean(np.exp([*found.values()]))))
