@@ -147,7 +147,7 @@ class RunResult(Pictured, Value):
         Results rejected by a user are not failures.
         """
         tried = [record for record in self.observations if not _rejected(record)]
-        broken = {record.file for record in tried if _broken_down(record)}
+        broken = {record.file for record in tried if _has_internal_error(record)}
         seen = {record.file for record in tried}
         fixed = {record.file for record in tried if record.status != "failed"}
         return tuple(
@@ -262,7 +262,7 @@ def _rejected(record: AttitudeRecord | ObservationRecord) -> bool:
     return record.problem is not None and record.problem.reason == Reason.REJECTED
 
 
-def _broken_down(record: ObservationRecord) -> bool:
+def _has_internal_error(record: ObservationRecord) -> bool:
     return record.problem is not None and record.problem.reason == Reason.INTERNAL_ERROR
 
 

@@ -181,7 +181,7 @@ class RunFolder:
         transferred = {record.file: record for record in self.load_all(AttitudeRecord, step=TRANSFER)}
         records = [transferred.get(record.file, record) for record in self.load_all(AttitudeRecord)]
         odd = odd_epochs({record.file: record.et for record in records})
-        return [_flagged(record) if record.file in odd else record for record in records]
+        return [_mark_suspect(record) if record.file in odd else record for record in records]
 
     def bodies(self) -> list[ObservationsRecord]:
         """Observations of all images that show a body, in input order, without limb points and outlines."""
@@ -189,7 +189,7 @@ class RunFolder:
         odd = odd_epochs({record.file: record.et for record in self.load_all(AttitudeRecord)})
         for record in self.load_all(ObservationRecord):
             image = images.setdefault(record.file, ObservationsRecord(index=record.index, file=record.file))
-            image.observations.append(_flagged(record) if record.file in odd else record)
+            image.observations.append(_mark_suspect(record) if record.file in odd else record)
         for target in self.load_all(TargetRecord):
             if target.file not in images:
                 continue
@@ -232,7 +232,7 @@ class RunFolder:
         log_event(self.path, event, **values)
 
 
-def _flagged(record: Flagged) -> Flagged:
+def _mark_suspect(record: Flagged) -> Flagged:
     """Record of an image with an odd epoch: what it holds is suspect."""
     if record.status == "failed":
         return record
