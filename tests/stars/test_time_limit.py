@@ -6,15 +6,19 @@ import itertools
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from giantlike.camera import Camera
 from giantlike.catalogs import MemoryCatalog, load_catalog
+from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image
-from giantlike.stars import StarNavigation, StarOptions, lost_in_space
+from giantlike.stars import StarNavigation, StarOptions
 from giantlike.stars.lost_in_space import identify_lost_in_space
 from giantlike.stars.navigation import sky_of
+from giantlike.stars.pattern_search import Candidates, Scope, find_candidates
+from giantlike.stars.star_index import StarIndex
 from tests.stars.test_star_identification import EPOCH, _detections
 
 CAMERA = Camera.from_fov(30.0, 1024, 1024)
@@ -44,10 +48,14 @@ def _points() -> tuple[np.ndarray, np.ndarray]:
 def test_a_search_ends_within_its_limit_and_says_so(
     free: bool, catalog: MemoryCatalog, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seconds, calls = itertools.count(), []
-    monkeypatch.setattr(lost_in_space.time, "thread_time", lambda: float(next(seconds)))
-    find = lost_in_space.find_candidates
-    monkeypatch.setattr(lost_in_space, "find_candidates", lambda *given: calls.append(given) or find(*given))
+    seconds, calls = itertools.count(), list[int]()
+
+    def counted(index: StarIndex, vectors: Float, chosen: NDArray[np.intp], scope: Scope) -> Candidates:
+        calls.append(len(chosen))
+        return find_candidates(index, vectors, chosen, scope)
+
+    monkeypatch.setattr("time.thread_time", lambda: float(next(seconds)))
+    monkeypatch.setattr("giantlike.stars.lost_in_space.find_candidates", counted)
     points, covariance = _points()
     options = StarOptions(lost_in_space=True, estimate_scale=free, time_limit_s=5.0)
     outcome = identify_lost_in_space(points, covariance, CAMERA, sky_of(_image(), catalog, options), options=options)
@@ -59,7 +67,7 @@ def test_a_search_ends_within_its_limit_and_says_so(
 
 def test_one_limit_holds_for_all_searches_of_an_image(catalog: MemoryCatalog, monkeypatch: pytest.MonkeyPatch) -> None:
     seconds = itertools.count()
-    monkeypatch.setattr(lost_in_space.time, "thread_time", lambda: float(next(seconds)))
+    monkeypatch.setattr("time.thread_time", lambda: float(next(seconds)))
     points, covariance = _points()
     navigation = StarNavigation(CAMERA, catalog, StarOptions(lost_in_space=True, time_limit_s=5.0))
     outcome = navigation.solve_detections(_image(), _detections(points, covariance, np.full(SPURIOUS, 100.0)))
