@@ -243,7 +243,7 @@ def _check_votable(content: bytes) -> None:
     """Refuse a VOTable whose data are elsewhere, or that declares more than it holds, before astropy reads it."""
     depth = 0
 
-    def begun(tag: str, attributes: dict[str, str]) -> None:
+    def begin(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
         check(depth <= _DEEPEST_XML, f"its elements are nested more than {_DEEPEST_XML} deep")
@@ -256,12 +256,12 @@ def _check_votable(content: bytes) -> None:
             sizes = [int(size[:20]) for size in re.findall(r"[0-9]++", given.get("arraysize", "1")[:200])]
             check(math.prod(sizes) <= _LONGEST_CELL, f"a column has cells of {'x'.join(map(str, sizes))} values")
 
-    def ended(_tag: str) -> None:
+    def end(_tag: str) -> None:
         nonlocal depth
         depth -= 1
 
     parser = expat.ParserCreate()
-    parser.StartElementHandler, parser.EndElementHandler = begun, ended
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
     parser.Parse(content, True)
 
 

@@ -23,7 +23,9 @@ from giantlike.campaign.file.mission_defaults import with_mission
 from giantlike.campaign.file.schema import CampaignFile, TargetSection
 from giantlike.campaign.file.toml_file import checked_table, problems_of
 from giantlike.campaign.file.toml_lines import line_of, lines_of_keys
+from giantlike.campaign.store.odd_epochs import odd_epochs
 from giantlike.core.errors import DataError, InputError, OpNavError
+from giantlike.core.time import et_from_time
 from giantlike.image import Image
 from giantlike.io.geometry_table import GeometryTable
 from giantlike.presets import preset_names
@@ -233,10 +235,16 @@ def _what_is_meant(check: _Check, campaign: Campaign, *, all_images: bool) -> No
         load = partial(campaign.frames.load, rows=campaign.camera.rows, columns=campaign.camera.columns)
         check.attempt("calibration_frames", load)
     opened = campaign.images if all_images else campaign.images[:1]
+    epochs = {key: known.epoch and et_from_time(known.epoch) for key, known in campaign.geometry.items()}
     for entry in opened:
         image = check.attempt("images.files", _opened, campaign, entry.path)
         if image is not None:
             check.attempt("camera", campaign.camera.require_image, image)
+            if epochs.get(entry.key) is None:
+                epochs[entry.key] = image.et
+    for key, years in odd_epochs(epochs).items():
+        text = f"{key}: its epoch is {years:+g} years from those of the other images: is the clock of its header right?"
+        check.add("images.files", text, fatal=False)
 
 
 def _opened(campaign: Campaign, path: Path) -> Image:

@@ -297,6 +297,11 @@ class Quality(enum.Flag):
     Their positions and the covariance are valid. Give the camera the width that its stars have before bodies are
     measured.
     """
+    ODD_EPOCH = enum.auto()
+    """The epoch is years away from those of the other images of the run: the clock of the header is probably wrong.
+
+    Give the epoch in the geometry table, or reject the image. Places of bodies, and aberration, are those of that time.
+    """
     SUSPECT = (
         LOW_SCORE
         | MANY_REJECTED
@@ -309,6 +314,7 @@ class Quality(enum.Flag):
         | UNEXPLAINED_LIGHT
         | WRONG_FIGURE
         | BLURRED
+        | ODD_EPOCH
     )
 
     @property

@@ -30,7 +30,7 @@ def statements(text: str) -> Iterator[tuple[str, str, str | None]]:
     position, previous = 0, 0  # of the text to look at, and the end of what was there before
     units_end = comments_end = len(text)  # from here on there is no mark that ends one
     while position < len(text):
-        position = _skipped(_SPACE, text, position)
+        position = _skip(_SPACE, text, position)
         word = _WORD.match(text, position)
         if word is None:
             if text.startswith("/*", position) and position < comments_end:
@@ -38,7 +38,7 @@ def statements(text: str) -> Iterator[tuple[str, str, str | None]]:
                 comments_end = position if end < 0 else comments_end
                 position = position + 2 if end < 0 else end + 2
             else:
-                position = max(position + 1, _skipped(_NEITHER, text, position))
+                position = max(position + 1, _skip(_NEITHER, text, position))
             previous = position
             continue
         key = _key_of(word[0])
@@ -47,16 +47,16 @@ def statements(text: str) -> Iterator[tuple[str, str, str | None]]:
         if word[0] in _CLOSING and begins_line and _LINE_END.match(text, position):
             yield word[0], "", None
             continue
-        equals = _skipped(_SPACE, text, position)
+        equals = _skip(_SPACE, text, position)
         if not key or not text.startswith("=", equals):
             continue
-        start = _skipped(_SPACE, text, equals + 1)
+        start = _skip(_SPACE, text, equals + 1)
         end = _value_end(text, start)
         if end == start:
             position = previous = start
             continue
         value, unit, position = text[start:end], None, end
-        opened = _skipped(_SPACE, text, end)
+        opened = _skip(_SPACE, text, end)
         if text.startswith("<", opened) and opened < units_end:
             closed = text.find(">", opened)
             units_end = opened if closed < 0 else units_end
@@ -66,7 +66,7 @@ def statements(text: str) -> Iterator[tuple[str, str, str | None]]:
         yield key, value, unit
 
 
-def _skipped(pattern: re.Pattern[str], text: str, position: int) -> int:
+def _skip(pattern: re.Pattern[str], text: str, position: int) -> int:
     """Place after what a pattern matches at a place; the same place where it does not."""
     match = pattern.match(text, position)
     return position if match is None else match.end()
@@ -90,4 +90,4 @@ def _value_end(text: str, start: int) -> int:
         match = _BRACKETS[first].match(text, start)
         if match is not None:
             return match.end()
-    return _skipped(_BARE, text, start)
+    return _skip(_BARE, text, start)

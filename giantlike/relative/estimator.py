@@ -146,12 +146,12 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
         if isinstance(inputs, Failure):
             return inputs
         try:
-            return self._checked(inputs)
+            return self._estimate_and_verify(inputs)
         except (*BREAKDOWNS, cv2.error) as error:
             _LOG.debug("%s: %s broke down", inputs.image.name, self.name, exc_info=True)
             return inputs.fail(Reason.INTERNAL_ERROR, f"the computation broke down: {breakdown_text(error)}")
 
-    def _checked(self, inputs: EstimatorInputs) -> Fix | Failure:
+    def _estimate_and_verify(self, inputs: EstimatorInputs) -> Fix | Failure:
         """Find the body, with the error budget of its position and the checks of a fix."""
         result = self._budgeted(inputs)
         if isinstance(result, Failure):

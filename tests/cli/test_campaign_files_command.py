@@ -14,6 +14,7 @@ from typer.testing import CliRunner, Result
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.cli.app import app
+from giantlike.core.time import time_from_utc
 from giantlike.io import navigation_header, write_fits, write_geometry
 from giantlike.io.geometry_table import GeometryRow
 from tests.campaign_files import CAMERA, campaign_table
@@ -109,6 +110,20 @@ def test_what_is_allowed_and_not_meant_is_told(folder: Path) -> None:
     assert "target 'GHOST': no row in" in texts
     assert "images.geometry" not in texts
     assert "1 mistake, 3 warnings" in giantlike("check", path).stdout  # the third: no row for b.fits
+
+
+def test_a_clock_that_was_never_set_is_told(folder: Path) -> None:
+    path = folder / "campaign.toml"
+    path.write_text(tomli_w.dumps(campaign_table()))
+    for name, utc in (("a", "2024-05-01T00:00:00"), ("b", "1990-01-01T00:00:00"), ("c", "2024-05-01T00:00:09")):
+        header = navigation_header(epoch=time_from_utc(utc), exposure_s=2.0)
+        pixels = np.zeros((CAMERA.rows, CAMERA.columns), np.uint16)
+        write_fits(folder / "images" / f"{name}.fits", pixels, header=header)
+    told = " ".join(
+        mistake["text"] for mistake in json.loads(giantlike("check", path, "--images", "--json").stdout)["found"]
+    )
+    assert "b.fits: its epoch is -34.3 years from those of the other images" in told
+    assert "a.fits: its epoch" not in told
 
 
 def test_a_misspelled_target_is_told_beside_an_unknown_key_with_where_options_belong(folder: Path) -> None:

@@ -175,6 +175,8 @@ def main(first: int, count: int) -> None:
     warnings.simplefilter("error")
     began, found = time.process_time(), Counter[str]()
     for seed in range(first, first + count):
+        if seed % 10 == 0:
+            print(f"at {seed}", flush=True)
         for text in broken_down(seed):
             found[text.split(": ", 1)[1][:90]] += 1
             print(text, flush=True)

@@ -14,7 +14,7 @@ from giantlike.catalogs import MemoryCatalog, load_catalog
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.image import Image
-from giantlike.stars import StarNavigation, StarOptions, lost_in_space
+from giantlike.stars import StarNavigation, StarOptions
 from giantlike.stars.lost_in_space import identify_lost_in_space
 from giantlike.stars.navigation import sky_of
 from giantlike.stars.pattern_search import find_candidates

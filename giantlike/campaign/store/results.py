@@ -159,7 +159,7 @@ class RunResult(Pictured, Value):
         """
         failed = {record.file for record in self.observations if record.outcome is Outcome.FAILED}
         fixed = {record.file for record in self.observations if record.status != "failed"}
-        broken = {record.file for record in self.observations if _broken_down(record)}
+        broken = {record.file for record in self.observations if _has_internal_error(record)}
         return tuple(
             record.file
             for record in self.attitudes
@@ -268,7 +268,7 @@ def attitude_series(records: Sequence[AttitudeRecord], camera: Camera) -> Attitu
     )
 
 
-def _broken_down(record: ObservationRecord) -> bool:
+def _has_internal_error(record: ObservationRecord) -> bool:
     return record.problem is not None and record.problem.reason == Reason.INTERNAL_ERROR
 
 

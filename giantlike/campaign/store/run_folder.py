@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from giantlike._system.atomic import make_folder, write_text_atomic
 from giantlike.campaign.store.database import Database, KnownImage, Unit
 from giantlike.campaign.store.log import log_event
+from giantlike.campaign.store.odd_epochs import odd_epochs
 from giantlike.campaign.store.packing import PackedRecord, damaged, points_of, unpacked
 from giantlike.campaign.store.records import (
     AttitudeRecord,
@@ -23,9 +24,10 @@ from giantlike.campaign.store.records import (
 )
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.outcomes import Reason
+from giantlike.core.outcomes import Quality, Reason
 
 Record = TypeVar("Record", bound=ImageRecord)
+Flagged = TypeVar("Flagged", AttitudeRecord, ObservationRecord)
 
 CAMERA_FILE, CALIBRATION_FILE, RESIDUALS_FILE = "camera.toml", "calibration.json", "calibration_residuals.csv"
 """Files that a calibration writes into the run folder: the camera, the summary, every residual."""
@@ -171,14 +173,17 @@ class RunFolder:
     def attitudes(self) -> list[AttitudeRecord]:
         """Attitudes of all images, from stars, a priori or transferred, in input order, without lists of stars."""
         transferred = {record.file: record for record in self.load_all(AttitudeRecord, step=TRANSFER)}
-        return [transferred.get(record.file, record) for record in self.load_all(AttitudeRecord)]
+        records = [transferred.get(record.file, record) for record in self.load_all(AttitudeRecord)]
+        odd = odd_epochs({record.file: record.et for record in records})
+        return [_mark_suspect(record) if record.file in odd else record for record in records]
 
     def bodies(self) -> list[ObservationsRecord]:
         """Observations of all images that show a body, in input order, without limb points and outlines."""
         images: dict[str, ObservationsRecord] = {}
+        odd = odd_epochs({record.file: record.et for record in self.load_all(AttitudeRecord)})
         for record in self.load_all(ObservationRecord):
             image = images.setdefault(record.file, ObservationsRecord(index=record.index, file=record.file))
-            image.observations.append(record)
+            image.observations.append(_mark_suspect(record) if record.file in odd else record)
         for target in self.load_all(TargetRecord):
             if target.file not in images:
                 continue
@@ -219,6 +224,15 @@ class RunFolder:
     def log(self, event: str, **values: Any) -> None:
         """Log an event of this run, see :func:`~giantlike.campaign.store.log.log_event`."""
         log_event(self.path, event, **values)
+
+
+def _mark_suspect(record: Flagged) -> Flagged:
+    """Record of an image with an odd epoch: what it holds is suspect."""
+    if record.status == "failed":
+        return record
+    (flag,) = Quality.ODD_EPOCH.names()
+    flags = record.flags if flag in record.flags else [*record.flags, flag]
+    return record.model_copy(update={"status": "suspect", "flags": flags})
 
 
 def stamp_of(path: Path) -> str:
