@@ -204,7 +204,7 @@ def _separations(run: Path, file: str) -> dict[int, float]:
     axis = direction_from_radec(record.ra_deg, record.dec_deg)
     stars = load_catalog("default").cone(axis, np.radians(record.fov_deg), max_magnitude=9.0)
     directions = direction_from_radec(stars.ra_deg, stars.dec_deg)
-    apart, _ = cKDTree(directions).query(directions, k=2)
+    apart = np.asarray(cKDTree(directions).query(directions, k=2)[0])
     return dict(zip(stars.ids.tolist(), apart[:, 1].tolist(), strict=True))
 
 
@@ -302,7 +302,7 @@ def test_panels_are_resized_by_pointer_and_by_arrow_keys(page: Page, run: Path) 
             ("side", "ArrowLeft", (-60, 0)),
             ("table", "ArrowUp", (0, -60)),
         ):
-            side, size = ("height" if panel == "table" else "width"), []
+            size = list[float]()
             split = page.locator(f"#split-{panel}")
             for change in ("nothing", "pointer", "key"):
                 if change == "pointer":
@@ -317,7 +317,7 @@ def test_panels_are_resized_by_pointer_and_by_arrow_keys(page: Page, run: Path) 
                     split.press(key)
                 box = page.locator(f"#{panel}").bounding_box()
                 assert box is not None
-                size.append(box[side])
+                size.append(box["height"] if panel == "table" else box["width"])
             assert size[1] - size[0] == pytest.approx(60, abs=4)
             assert size[2] - size[1] == pytest.approx(16, abs=2)
         assert page.evaluate("state.index") == index
