@@ -39,7 +39,7 @@ class Failure:
 
     reason: Reason
     detail: str
-    not_applicable: bool = False
+    not_applicable: bool = field(default=False, repr=False)
 
     def __bool__(self) -> bool:
         return False

@@ -33,12 +33,12 @@ def test_a_catalog_is_built_and_asked(tmp_path: Path) -> None:
     assert "3 stars, magnitudes in V" in _build(tmp_path)
     made = tmp_path / "made.stars"
     rows: list[dict[str, Any]] = json.loads(_run("query", made, "--ra", 10, "--dec", 20, "--radius", 1, "--json"))
-    assert [row["id"] for row in rows] == [11, 12]
+    assert [row["id"] for row in rows] == ["11", "12"]
     assert rows[0]["magnitude"] == 4.5
     assert rows[0]["color_bv"] is None
     assert rows[1]["distance_deg"] == pytest.approx(0.18794, abs=FIVE_DIGITS)
     bright = json.loads(_run("query", made, "--ra", 10, "--dec", 20, "--radius", 1, "--max-magnitude", 5, "--json"))
-    assert [row["id"] for row in bright] == [11]
+    assert [row["id"] for row in bright] == ["11"]
 
 
 def test_stars_are_moved_to_the_epoch_asked_for(tmp_path: Path) -> None:
@@ -60,9 +60,9 @@ def test_a_users_stars_take_the_place_of_those_of_the_first_catalog(tmp_path: Pa
     told = json.loads(_run("join", tmp_path / "made.stars", mine, both, "--json"))
     assert (told["stars"], told["replaced"], told["band"]) == (4, 1, "V")
     near = json.loads(_run("query", both, "--ra", 10, "--dec", 20, "--radius", 1, "--json"))
-    assert [(row["id"], row["magnitude"]) for row in near] == [(77, pytest.approx(4.4, abs=FLOAT32)), (12, 6.5)]
+    assert [(row["id"], row["magnitude"]) for row in near] == [("77", pytest.approx(4.4, abs=FLOAT32)), ("12", 6.5)]
     other = json.loads(_run("query", both, "--ra", 50, "--dec", 50, "--radius", 1, "--json"))
-    assert [row["id"] for row in other] == [-1]  # 13 is another star already
+    assert [row["id"] for row in other] == ["-1"]  # 13 is another star already
     assert json.loads(_run("info", both, "--json"))["sources"][1]["name"] == "mine.csv"
     assert "SOURCE" not in _run("join", mine, code=2)
 
@@ -76,9 +76,9 @@ def test_the_two_stars_of_the_lorri_images_are_joined_as_a_users_table(tmp_path:
     told = json.loads(_run("join", "default", made, both, "--json"))
     assert told["replaced"] == 1
     wolf = json.loads(_run("query", both, "--ra", 164.1, "--dec", 7.0, "--radius", 0.01, "--epoch", 2016, "--json"))
-    assert [row["id"] for row in wolf] == [2]
+    assert [row["id"] for row in wolf] == ["2"]
     proxima = json.loads(_run("query", both, "--ra", 217.392, "--dec", -62.676, "--radius", 0.002, "--json"))
-    assert [row["id"] for row in proxima] == [1]
+    assert [row["id"] for row in proxima] == ["1"]
     assert proxima[0]["parallax_mas"] == pytest.approx(768.0665, abs=FIVE_DIGITS)
 
 

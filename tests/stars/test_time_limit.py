@@ -54,7 +54,7 @@ def test_a_search_ends_within_its_limit_and_says_so(
         calls.append(given)
         return find_candidates(*given)
 
-    monkeypatch.setattr(lost_in_space, "find_candidates", counted)
+    monkeypatch.setattr("giantlike.stars.lost_in_space.find_candidates", counted)
     points, covariance = _points()
     options = StarOptions(lost_in_space=True, estimate_scale=free, time_limit_s=5.0)
     outcome = identify_lost_in_space(points, covariance, CAMERA, sky_of(_image(), catalog, options), options=options)

@@ -181,8 +181,8 @@ def test_runs_on_two_ports_of_one_browser_do_not_lock_each_other_out(run: Path) 
 
 def test_the_page_runs_no_script_but_that_of_its_own_file(client: TestClient) -> None:
     answer = client.get("/")
-    policy: dict[str, str] = dict(part.split(" ", 1) for part in answer.headers["Content-Security-Policy"].split("; "))
-    assert "'unsafe-inline'" not in (policy.get("script-src") or policy["default-src"])
+    policy = {part.split()[0]: part for part in str(answer.headers["Content-Security-Policy"]).split("; ")}
+    assert "unsafe" not in policy.get("script-src", policy["default-src"])
     assert answer.text.count("<script") == answer.text.count('<script src="view.js"></script>') == 1
     for name in ("view.js", "view.css"):
         part = client.get(f"/{name}")

@@ -49,9 +49,10 @@ def test_nothing_is_changed_without_the_header_that_other_pages_cannot_send(clie
 
 
 def test_the_page_loads_nothing_from_elsewhere(client: TestClient) -> None:
-    page = client.get("/").text
-    assert "https://" not in page
-    assert page.count("http://") == page.count("http://www.w3.org/")
+    for name in ("", "view.js", "view.css"):
+        page = client.get(f"/{name}").text
+        assert "https://" not in page
+        assert page.count("http://") == page.count("http://www.w3.org/")
     assert "default-src 'self'" in client.get("/").headers["Content-Security-Policy"]
 
 

@@ -28,7 +28,8 @@ def find_image(name: str, files: Collection[str], run: Path) -> str:
         return found[0]
     if found:
         others = f" and {len(found) - _SHOWN} more" if len(found) > _SHOWN else ""
-        raise InputError(f"{run}: {name!r} may be {', '.join(found[:_SHOWN])}{others}: give more of the name")
+        raise InputError(f"{run}: {name!r} may be {', '.join(found[:_SHOWN])}{others}: give the whole name")
     near = difflib.get_close_matches(wanted, files, n=_SHOWN, cutoff=0.5) or list(files)[:1]
-    ending = f"the nearest name{'s are' if len(near) > 1 else ' is'} {', '.join(near)}" if near else "there are none"
+    others = f", then {', '.join(near[1:])}" if near[1:] else ""
+    ending = f"the nearest name is {near[0]}{others}" if near else "there are none"
     raise InputError(f"{run}: there is no image {name!r} in this run; {ending}")
