@@ -27,10 +27,7 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 
 
 def process_count(workers: int | None, jobs: int) -> int:
-    """Return how many processes to start.
-
-    Returns at least 1.
-    """
+    """Return how many processes to start. Returns at least 1."""
     return max(1, min(available_cpus() if workers is None else workers, jobs))
 
 

@@ -25,16 +25,10 @@ half angle 0.2666 degrees has 1,466 there."""
 class PhotometricCamera:
     """Photometric constants of a camera, which turn the light of a body into numbers: Thrasher et al., eq. 23.
 
-    Parameters
-    ----------
-    aperture_m2 : float, m^2
-        Area of the aperture.
-    shortest_um, longest_um : float, um
-        Pass band.
-    quantum_efficiency : float
-        Mean over the pass band, with the transmission of the optics.
-    dn_per_electron : float, DN
-        Analog gain.
+    aperture_m2: m^2; area of the aperture.
+    shortest_um, longest_um: pass band.
+    quantum_efficiency: mean over the pass band, with the transmission of the optics.
+    dn_per_electron: analog gain.
     """
 
     aperture_m2: float
@@ -113,14 +107,9 @@ def chandrasekhar_sphere(single_scattering_albedo: float, phase_rad: ArrayLike) 
 class BodyLight:
     """A body that may be a patch of light.
 
-    Parameters
-    ----------
-    name : str
-    brightness : callable
-        Phase angle (rad) to the brightness relative to a white Lambert disk facing the Sun, such as
+    brightness: phase angle (rad) to the brightness relative to a white Lambert disk facing the Sun, such as
         :func:`chandrasekhar_sphere`.
-    relative_sigma : float
-        Relative error of that brightness: albedo variations, clouds, the law.
+    relative_sigma: relative error of that brightness: albedo variations, clouds, the law.
     """
 
     name: str
@@ -132,20 +121,11 @@ class BodyLight:
 class PatchOfLight:
     """Measurement of a body that is not known.
 
-    Parameters
-    ----------
-    dn : float
-        Sum of its pixels minus background.
-    relative_sigma : float
-        Relative error of the sum, photometric calibration included.
-    half_angle_rad : float, rad
-        Angular radius of the disk.
-    half_angle_sigma_rad : float, rad
-    phase_rad : float, rad
-    angle_rad : float, rad
-        From the boresight.
-    exposure_s : float, s
-    sun_distance_au : float, au
+    dn: sum of its pixels minus background.
+    relative_sigma: relative error of the sum, photometric calibration included.
+    half_angle_rad: angular radius of the disk.
+    angle_rad: from the boresight.
+    sun_distance_au: au.
     """
 
     dn: float
@@ -162,11 +142,7 @@ class PatchOfLight:
 class Identified:
     """The body that a patch of light is.
 
-    Parameters
-    ----------
-    name : str
-    deviations : mapping of str to float
-        Measured minus expected logarithm of the signal, in sigmas, by body.
+    deviations: measured minus expected logarithm of the signal, in sigmas, by body.
     """
 
     name: str

@@ -29,14 +29,9 @@ _PIXEL_MOMENT = 1.0 / 12.0  # px^2: second moment of a pixel
 class SearchOptions:
     """Options of :func:`find_patches`.
 
-    Parameters
-    ----------
-    threshold_sigma : float
-        Level over the background, in sigmas of its noise.
-    min_area_px : int
-        Least number of pixels: a planet or a star in a wide camera covers fewer.
-    margin_px : int
-        Pixels around a patch that belong to its sum: the wings of the optics.
+    threshold_sigma: level over the background, in sigmas of its noise.
+    min_area_px: least number of pixels: a planet or a star in a wide camera covers fewer.
+    margin_px: pixels around a patch that belong to its sum: the wings of the optics.
     """
 
     threshold_sigma: float = 10.0
@@ -53,22 +48,12 @@ class SearchOptions:
 class SeenPatch(Value):
     """A patch of light in a wide image.
 
-    Parameters
-    ----------
-    center_px : (2,) float64, px
-        Center of light.
-    direction_camera : (3,) float64, unitless, camera axes
-    dn : float
-        Sum minus background.
-    sigma_dn : float
-        Its noise.
-    saturated : bool
-    second_moment_rad2 : (2, 2) float64, rad^2
-        Of the light around its center, along :attr:`axes_camera`, pixel and optics taken out.
-    axes_camera : (2, 3) float64, camera axes
-        Two axes across the direction.
-    on_edge : bool
-        It touches the edge of the frame: part of the body may lie outside.
+    center_px: center of light.
+    dn: sum minus background.
+    sigma_dn: its noise.
+    second_moment_rad2: (2, 2); of the light around its center, along :attr:`axes_camera`, pixel and optics taken out.
+    axes_camera: (2, 3); two axes across the direction.
+    on_edge: it touches the edge of the frame: part of the body may lie outside.
     """
 
     center_px: Float

@@ -22,11 +22,7 @@ IMAGE_SUFFIXES = (".fits", ".fit", ".png", ".tif", ".tiff", ".jpg", ".img")
 class ExposureRequest:
     """Requested exposure of a camera.
 
-    Parameters
-    ----------
-    et : float, TDB seconds past J2000
-        Middle of the exposure.
-    exposure_s : float, s
+    et: middle of the exposure.
     """
 
     et: float
@@ -54,11 +50,7 @@ class CameraSource(Protocol):
 class SimulatedCamera:
     """A camera whose images a function makes.
 
-    Parameters
-    ----------
-    camera : Camera
-    make : callable
-        Takes an :class:`ExposureRequest`, returns an Image.
+    make: takes an :class:`ExposureRequest`, returns an Image.
     """
 
     camera: Camera
@@ -73,17 +65,10 @@ class SimulatedCamera:
 class FolderCamera:
     """A camera whose images are the files of a folder, in the order of their names, each once.
 
-    Parameters
-    ----------
-    camera : Camera
-    folder : Path
-    wait_s : float, s
-        0 for a folder that is complete; else how long to wait for the next file, which is taken as whole when its size
-        did not change between two looks.
-    poll_s : float, s
-        Time between two looks.
-    sleep : callable
-        Takes seconds.
+    wait_s: 0 for a folder that is complete; else how long to wait for the next file, which is taken as whole when its
+        size did not change between two looks.
+    poll_s: time between two looks.
+    sleep: takes seconds.
     """
 
     camera: Camera
@@ -132,12 +117,8 @@ class FolderCamera:
 class TriggerPlan:
     """Order of two cameras, and how much later the second one starts.
 
-    Parameters
-    ----------
-    primary : int
-        0 or 1: the camera with the longer exposure, which triggers the other.
-    delay_s : float, s
-        From the start of the primary to the start of the secondary: the middles of both exposures then coincide.
+    primary: 0 or 1: the camera with the longer exposure, which triggers the other.
+    delay_s: from the start of the primary to the start of the secondary: the middles of both exposures then coincide.
     """
 
     primary: int

@@ -32,13 +32,8 @@ class Mode(StrEnum):
 class Slew:
     """Rotation of the vehicle that puts a target into a narrow camera.
 
-    Parameters
-    ----------
-    target : str
-    camera : int
-        Narrow camera, 0 or 1.
-    new_from_old : Rotation
-        Of the instrument's axes.
+    camera: narrow camera, 0 or 1.
+    new_from_old: of the instrument's axes.
     """
 
     target: str
@@ -50,21 +45,12 @@ class Slew:
 class InstrumentState:
     """Knowledge of an instrument between two cycles.
 
-    Parameters
-    ----------
-    cameras : (2,) Camera
-        The narrow cameras, rough at first.
-    mode : Mode
-    interlock : Interlock, optional
-        Second narrow camera from the first, once calibrated.
-    target : str, optional
-        The body that a narrow camera sees.
-    target_camera : int
-        The narrow camera that sees it.
-    slew : Slew, optional
-        Asked for by the last target determination.
-    pose : PairPose, optional
-        The last one.
+    cameras: the narrow cameras, rough at first.
+    interlock: second narrow camera from the first, once calibrated.
+    target: the body that a narrow camera sees.
+    target_camera: the narrow camera that sees it.
+    slew: asked for by the last target determination.
+    pose: the last one.
     """
 
     cameras: tuple[Camera, Camera]
@@ -84,15 +70,9 @@ Task = Callable[[InstrumentState], InstrumentState | Failure]
 class Telemetry:
     """Report of a cycle or a command.
 
-    Parameters
-    ----------
-    mode : Mode
-        In which it was made.
-    done : bool
-    detail : str
-        Result, or the reason of the failure.
-    cpu_s : float, s
-        Time of the processor that it took.
+    mode: in which it was made.
+    detail: result, or the reason of the failure.
+    cpu_s: time of the processor that it took.
     """
 
     mode: Mode

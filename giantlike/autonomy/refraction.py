@@ -19,15 +19,9 @@ _STEPS = 6  # of the inverse: each gains a factor of the refraction's slope, bel
 class SiteAtmosphere:
     """Air at the camera.
 
-    Parameters
-    ----------
-    pressure_hpa : float, hPa
-        At the site, not reduced to sea level; 0 is no air.
-    temperature_c : float, Celsius
-    humidity : float
-        Relative, 0 to 1.
-    wavelength_um : float, um
-        Effective wavelength of camera and source.
+    pressure_hpa: hPa; at the site, not reduced to sea level; 0 is no air.
+    humidity: relative, 0 to 1.
+    wavelength_um: effective wavelength of camera and source.
     """
 
     pressure_hpa: float = 1013.25

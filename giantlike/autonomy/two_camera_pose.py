@@ -19,12 +19,8 @@ from giantlike.core.values import Value
 class Interlock(Value):
     """Fixed rotation between two cameras.
 
-    Parameters
-    ----------
-    second_from_first : Rotation
-    covariance_rad2 : (3, 3) float64, rad^2, axes of the second camera
-        Of the small rotation about its axes, in one pair of images: the calibration error and
-        the bending of the structure.
+    covariance_rad2: of the small rotation about its axes, in one pair of images: the calibration error and the bending
+        of the structure.
     """
 
     second_from_first: Rotation
@@ -41,23 +37,14 @@ class Interlock(Value):
 class PairPose(Value):
     """Attitude of the camera on a body, and position of the body, from a pair of images.
 
-    Parameters
-    ----------
-    target : str
-    camera_from_inertial : Rotation
-        Of the camera that sees the body.
-    covariance_attitude_rad2 : (3, 3) float64, rad^2, axes of that camera
-        Stars and interlock.
-    position_camera_km : (3,) float64, km, camera axes
-        Apparent, from the camera to the body: light time and aberration not removed.
-    covariance_camera_km2 : (3, 3) float64, km^2, camera axes
-        Without the attitude.
-    position_inertial_km : (3,) float64, km, ICRF axes
-        The same vector.
-    covariance_inertial_km2 : (3, 3) float64, km^2, ICRF axes
-        With the attitude.
-    parts : mapping of Cause to (3, 3) float64, km^2, ICRF axes
-        ``noise`` (limb, models and camera) and ``attitude``, which sum to it.
+    camera_from_inertial: of the camera that sees the body.
+    covariance_attitude_rad2: stars and interlock.
+    position_camera_km: apparent, from the camera to the body: light time and aberration not removed.
+    covariance_camera_km2: without the attitude.
+    position_inertial_km: in ICRF axes; the same vector.
+    covariance_inertial_km2: in ICRF axes; with the attitude.
+    parts: mapping of Cause to (3, 3) km^2, ICRF axes; ``noise`` (limb, models and camera) and ``attitude``, which sum
+        to it.
     """
 
     target: str

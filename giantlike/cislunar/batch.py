@@ -31,17 +31,11 @@ from giantlike.core.values import Value
 class BatchSolution(Value):
     """States at both ends of an arc.
 
-    Parameters
-    ----------
-    first_mean, last_mean : (21,) float64
-        At the start, and at the last image.
-    covariance_first, covariance_last : (21, 21) float64
-        Of their errors.
-    residuals : (m, 3) float64
-        Measured minus predicted.
-    squared_residual : float
-        Normalized by the covariance of all data and of the a priori state: its mean is the number of measurements.
-    iterations : int
+    first_mean, last_mean: (21,); at the start, and at the last image.
+    covariance_first, covariance_last: (21, 21); of their errors.
+    residuals: (m, 3); measured minus predicted.
+    squared_residual: normalized by the covariance of all data and of the a priori state: its mean is the number of
+        measurements.
     """
 
     first_mean: Float

@@ -101,10 +101,7 @@ def position_from_measurement(measurement: ArrayLike) -> Float:
 
 
 def measurement_partials(position_camera_km: ArrayLike) -> Float:
-    """Derivative of :func:`measure_body` by the position.
-
-    ``position_camera_km`` (..., 3); returns (..., 3, 3).
-    """
+    """Derivative of :func:`measure_body` by the position. ``position_camera_km`` (..., 3); returns (..., 3, 3)."""
     position = as_floats(position_camera_km, (3,), "position_camera_km")
     partials = np.zeros((*position.shape, 3))
     depth = position[..., 2]
@@ -147,12 +144,8 @@ def range_sigma(range_km: ArrayLike, radius_km: float, diameter_px: ArrayLike, d
 class TangentCamera(Value):
     """Pixels of an ideal camera and the tangents of angles.
 
-    Parameters
-    ----------
-    focal_px : (2,) float64, px
-        Focal length over pixel pitch along x and y; negative where a coordinate grows against its tangent.
-    principal_px : (2,) float64, px
-        Pixel of the boresight.
+    focal_px: (2,); focal length over pixel pitch along x and y; negative where a coordinate grows against its tangent.
+    principal_px: (2,); pixel of the boresight.
     """
 
     focal_px: Float
@@ -179,10 +172,7 @@ class TangentCamera(Value):
         return pixels
 
     def tangents(self, pixels: ArrayLike) -> Float:
-        """Tangents of angles of pixels.
-
-        ``pixels`` (..., 2) px; returns (..., 2).
-        """
+        """Tangents of angles of pixels. ``pixels`` (..., 2) px; returns (..., 2)."""
         tangents: Float = (as_floats(pixels, (2,), "pixels") - self.principal_px) / self.focal_px
         return tangents
 

@@ -39,11 +39,7 @@ from giantlike.core.arrays import Float, as_finite
 class Dispersed(NamedTuple):
     """Dispersion of truth and estimate, and the filter on the reference.
 
-    Parameters
-    ----------
-    joint : JointDispersion
-    state : FilterState
-        Its mean is the reference.
+    state: its mean is the reference.
     """
 
     joint: JointDispersion
@@ -72,10 +68,7 @@ def after_steps(at: Dispersed, steps: Iterable[Transition]) -> Dispersed:
 
 
 def after_coast(at: Dispersed, until: float, model: FilterModel) -> Dispersed:
-    """Dispersions after free flight.
-
-    ``until`` in TDB seconds past J2000.
-    """
+    """Dispersions after free flight. ``until`` in TDB seconds past J2000."""
     return after_steps(at, reference_steps(model, at.state.et, at.state.mean, until))
 
 
@@ -87,10 +80,7 @@ def after_image(
     world_variances: ArrayLike | None = None,
     world_biases: ArrayLike = (0.0, 0.0, 0.0),
 ) -> Dispersed:
-    """Dispersions after an image.
-
-    ``world_variances``, ``world_biases`` (3,).
-    """
+    """Dispersions after an image. ``world_variances``, ``world_biases`` (3,)."""
     believed = as_finite(observation.variances, (3,), "variances")
     variances = believed if world_variances is None else as_finite(world_variances, (3,), "world_variances")
     biases = as_finite(world_biases, (3,), "world_biases")

@@ -138,20 +138,12 @@ class FilterState(Value):
 class Transition(Value):
     """A linear step of the 21 states: of a flight or a maneuver.
 
-    Parameters
-    ----------
-    et : float, TDB seconds past J2000
-        At the end.
-    mean : (..., 21) float64
-        At the end.
-    by_state : (..., 6, 6) float64
-        Position and velocity at the end by those at the start.
-    by_parameters : (..., 6, 15) float64
-        The same by the parameters at the start.
-    decay, variance : (15,) float64
-        Factor of each parameter, and variance of its noise.
-    velocity_variance : float, km^2/s^2
-        Of independent noise of each component of the velocity.
+    et: at the end.
+    mean: (..., 21); at the end.
+    by_state: (..., 6, 6); position and velocity at the end by those at the start.
+    by_parameters: (..., 6, 15); the same by the parameters at the start.
+    decay, variance: (15,); factor of each parameter, and variance of its noise.
+    velocity_variance: in km^2/s^2; of independent noise of each component of the velocity.
     """
 
     et: float
@@ -163,10 +155,7 @@ class Transition(Value):
     velocity_variance: float = 0.0
 
     def matrix(self) -> Float:
-        """Return the transition matrix of all states.
-
-        Returns (..., 21, 21).
-        """
+        """Return the transition matrix of all states. Returns (..., 21, 21)."""
         matrix = np.zeros((*self.by_state.shape[:-2], STATES, STATES))
         matrix[..., :FLOWN, :FLOWN] = self.by_state
         matrix[..., :FLOWN, FLOWN:] = self.by_parameters
@@ -174,10 +163,7 @@ class Transition(Value):
         return matrix
 
     def noise(self) -> Float:
-        """Return the covariance of the noise of all states.
-
-        Returns (21, 21).
-        """
+        """Return the covariance of the noise of all states. Returns (21, 21)."""
         variances = np.concatenate([np.zeros(3), np.full(3, self.velocity_variance), self.variance])
         return np.diag(variances)
 
@@ -202,10 +188,7 @@ class Transition(Value):
 
 
 def coast(model: FilterModel, et: float, mean: Float, until: float) -> Transition:
-    """One step of free flight.
-
-    ``et``, ``until`` in TDB seconds past J2000; ``mean`` (..., 21), at the start.
-    """
+    """One step of free flight. ``et``, ``until`` in TDB seconds past J2000; ``mean`` (..., 21), at the start."""
     ages = np.asarray(-(until - et) / model.time_constants_s)
     decay = np.exp(ages)
     first = ACCELERATION.start - FLOWN
@@ -339,12 +322,9 @@ def predicted(observation: BodyObservation, mean: Float) -> tuple[Float, Float]:
 class Innovations(Value):
     """Measured minus predicted values, one after the other.
 
-    Parameters
-    ----------
-    values, variances : (..., 3) float64
-        Each given those before it, with its variance: independent where the filter is consistent.
-    used : (..., 3) bool
-        False where the measurement was left out.
+    values, variances: (..., 3); each given those before it, with its variance: independent where the filter is
+        consistent.
+    used: (..., 3); False where the measurement was left out.
     """
 
     values: Float

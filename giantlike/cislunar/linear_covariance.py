@@ -19,11 +19,8 @@ from giantlike.core.values import Value
 class JointDispersion(Value):
     """Truth and estimate, each minus the reference.
 
-    Parameters
-    ----------
-    mean : (2 n,) float64
-        Of the truth, then of the estimate.
-    covariance : (2 n, 2 n) float64
+    mean: (2 n,); of the truth, then of the estimate.
+    covariance: (2 n, 2 n).
     """
 
     mean: Float
@@ -47,10 +44,7 @@ class JointDispersion(Value):
         return self.mean[:n], self.covariance[:n, :n]
 
     def navigation_error(self) -> tuple[Float, Float]:
-        """Mean and covariance of truth minus estimate.
-
-        Returns ``mean`` (n,) and ``covariance`` (n, n).
-        """
+        """Mean and covariance of truth minus estimate. Returns ``mean`` (n,) and ``covariance`` (n, n)."""
         n = len(self.mean) // 2
         difference = np.concatenate([np.eye(n), -np.eye(n)], axis=1)
         covariance = difference @ self.covariance @ difference.T
@@ -72,10 +66,7 @@ def dispersed_step(joint: JointDispersion, matrix: Float, noise: Float) -> Joint
 def dispersed_measurement(
     joint: JointDispersion, gain: Float, partials: Float, variance: float, bias: float = 0.0
 ) -> JointDispersion:
-    """Dispersion after one scalar measurement.
-
-    ``gain``, ``partials`` (n,).
-    """
+    """Dispersion after one scalar measurement. ``gain``, ``partials`` (n,)."""
     require(variance >= 0.0, f"variance must be >= 0, got {variance}")
     n = len(gain)
     moved = np.concatenate([np.zeros(n), gain])

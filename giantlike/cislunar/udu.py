@@ -20,30 +20,20 @@ from giantlike.core.values import Value, check_covariance
 class UduFactors(Value):
     """Factors of covariances.
 
-    Parameters
-    ----------
-    upper : (..., n, n) float64
-        Upper triangular with ones on the diagonal.
-    diagonal : (..., n) float64
-        Not negative.
+    upper: (..., n, n); upper triangular with ones on the diagonal.
+    diagonal: (..., n); not negative.
     """
 
     upper: Float
     diagonal: Float
 
     def composed(self) -> Float:
-        """Return the covariance ``U D U^T``.
-
-        Returns (..., n, n).
-        """
+        """Return the covariance ``U D U^T``. Returns (..., n, n)."""
         covariance: Float = (self.upper * self.diagonal[..., None, :]) @ np.swapaxes(self.upper, -1, -2)
         return covariance
 
     def sigmas(self) -> Float:
-        """Return the standard deviations.
-
-        Returns (..., n).
-        """
+        """Return the standard deviations. Returns (..., n)."""
         return np.asarray(np.sqrt(np.sum(self.upper**2 * self.diagonal[..., None, :], axis=-1)))
 
 
@@ -156,14 +146,9 @@ def gauss_markov_step(factors: UduFactors, index: int, decay: ArrayLike, varianc
 class ScalarUpdate(Value):
     """Effect of one scalar measurement on a covariance.
 
-    Parameters
-    ----------
-    factors : UduFactors
-        After the measurement.
-    gain : (..., n) float64
-        Change of the states per unit of the innovation.
-    variance : (...) float64
-        Of the innovation.
+    factors: after the measurement.
+    gain: (..., n); change of the states per unit of the innovation.
+    variance: (...); of the innovation.
     """
 
     factors: UduFactors

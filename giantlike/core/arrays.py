@@ -20,10 +20,7 @@ Indices = NDArray[np.int64]
 
 
 def as_floats(value: ArrayLike, last: tuple[int, ...], name: str) -> Float:
-    """Return ``value`` as float64 with trailing axes ``last`` and any leading axes.
-
-    Returns (..., *last).
-    """
+    """Return ``value`` as float64 with trailing axes ``last`` and any leading axes. Returns (..., *last)."""
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -53,10 +50,7 @@ def as_image(value: ArrayLike, name: str) -> NDArray[Any]:
 
 
 def as_unit(value: ArrayLike, name: str, *, tolerance: float = 1e-9) -> Float:
-    """Return ``value`` as unit vectors.
-
-    ``value`` (..., 3); returns (..., 3).
-    """
+    """Return ``value`` as unit vectors. ``value`` (..., 3); returns (..., 3)."""
     array = as_floats(value, (3,), name)
     norms = np.linalg.norm(array, axis=-1)
     worst = float(np.max(np.abs(norms - 1.0), initial=0.0))

@@ -51,12 +51,9 @@ def _rounded(value: Any, digits: int | None) -> Any:
 class Response(_Stated):
     """Light as a parabola of the values of an image: exact for tables of square roots, near for other tables.
 
-    Parameters
-    ----------
-    bend : float
-        Quadratic coefficient: 0 for a linear response, 1 where values are square roots of the signal.
-    dark_dn, bright_dn : float, DN
-        Values that remain unchanged: of the sky, and of the brightest signal; ``bend`` acts between them.
+    bend: quadratic coefficient: 0 for a linear response, 1 where values are square roots of the signal.
+    dark_dn, bright_dn: values that remain unchanged: of the sky, and of the brightest signal; ``bend`` acts between
+        them.
 
     Examples
     --------
@@ -70,10 +67,7 @@ class Response(_Stated):
     bright_dn: float = field(metadata={"digits": 6})
 
     def light_dn(self, values_dn: Float) -> Float:
-        """Return the linear signal of values.
-
-        ``values_dn`` (...); returns (...).
-        """
+        """Return the linear signal of values. ``values_dn`` (...); returns (...)."""
         span_dn = self.bright_dn - self.dark_dn
         lowest_dn = -0.5 * (1.0 - self.bend) / max(self.bend, 1e-9) * span_dn
         above = np.maximum(values_dn - self.dark_dn, lowest_dn)
@@ -100,11 +94,8 @@ class Response(_Stated):
 class Smear(_Stated):
     """Uniform motion during the exposure, as the variance it adds to the point spread function.
 
-    Parameters
-    ----------
-    straight_px2, oblique_px2 : float, px^2
-        Half of (variance along x minus variance along y), and the covariance of x and y; with an isotropic part they
-        are the second moments of a line.
+    straight_px2, oblique_px2: half of (variance along x minus variance along y), and the covariance of x and y; with an
+        isotropic part they are the second moments of a line.
 
     Examples
     --------
@@ -190,20 +181,12 @@ class Corrections(_Stated):
     Numbers are rounded to the digits with which the provenance of the fix reports them, so that a fix recomputed from
     its provenance is the same. ``one | other`` has the corrections of both; the second takes precedence.
 
-    Parameters
-    ----------
-    response : Response or None
-        Response by which values were linearized.
-    smear : Smear or None
-        Motion of the body in the image during the exposure.
-    limb_altitude_km : float or None, km
-        Altitude above the shape at which the limb is seen.
-    altitude_sigma_km : float or None, km
-        Standard deviation of the altitude, by haze or an atmosphere.
-    limb_blur_px2 : float or None, px^2
-        Variance of the blur of the limb in excess of the camera's.
-    seen_size : float or None
-        Ratio of the size of the body to its size at the predicted range, of fixes without a range.
+    response: response by which values were linearized.
+    smear: motion of the body in the image during the exposure.
+    limb_altitude_km: altitude above the shape at which the limb is seen.
+    altitude_sigma_km: standard deviation of the altitude, by haze or an atmosphere.
+    limb_blur_px2: variance of the blur of the limb in excess of the camera's.
+    seen_size: ratio of the size of the body to its size at the predicted range, of fixes without a range.
     """
 
     response: Response | None = None
@@ -226,25 +209,15 @@ class Corrections(_Stated):
 class Findings(_Stated):
     """Outcomes of the checks of a fix; None, or empty, for checks that were not made.
 
-    Parameters
-    ----------
-    terrain_mean_km : float or None, km
-        Mean altitude, by a height map, of the ground at the limb.
-    terrain_log_odds : float or None
-        Logarithm of the Bayes factor of the height map against a smooth limb.
-    terrain_misfit : float or None
-        RMS of the limb residuals, normalized by noise and the errors of the height map.
-    checks : mapping of str to float
-        Statistics of the tests made on every fix, see :class:`~giantlike.relative.judge.Judgement`, and the variance
-        inflation factor that they gave (``tension``).
-    chosen, because : str
-        Estimator that ``auto`` chose, and the reason.
-    checked_by : str
-        Estimator whose fix confirms the chosen one.
-    agreement : float or None
-        p-value of the difference of these two fixes.
-    weight : float or None
-        Weight of the first of two fixes in their mean.
+    terrain_mean_km: mean altitude, by a height map, of the ground at the limb.
+    terrain_log_odds: logarithm of the Bayes factor of the height map against a smooth limb.
+    terrain_misfit: RMS of the limb residuals, normalized by noise and the errors of the height map.
+    checks: statistics of the tests made on every fix, see :class:`~giantlike.relative.judge.Judgement`, and the
+        variance inflation factor that they gave (``tension``).
+    chosen, because: estimator that ``auto`` chose, and the reason.
+    checked_by: estimator whose fix confirms the chosen one.
+    agreement: p-value of the difference of these two fixes.
+    weight: weight of the first of two fixes in their mean.
     """
 
     terrain_mean_km: float | None = field(default=None, metadata={"digits": 6})

@@ -32,12 +32,8 @@ def require_same_frame(have: str, need: str) -> None:
 class FrameRotation(Value):
     """A rotation ``target_from_source`` between two frames with names that every product checks.
 
-    Parameters
-    ----------
-    rotation : scipy Rotation
-        One or n rotations that take vectors in ``source`` axes to ``target`` axes.
-    target, source : str
-        Names of the frames, such as ``"CASSINI_ISS_NAC"`` and ``"J2000"``; empty where a name is not known.
+    rotation: one or n rotations that take vectors in ``source`` axes to ``target`` axes.
+    target, source: names of the frames, such as ``"CASSINI_ISS_NAC"`` and ``"J2000"``; empty where a name is not known.
 
     Examples
     --------
@@ -173,10 +169,7 @@ def quaternion_xyzw(rotation: Rotation) -> Float:
 
 
 def rotation_from_xyzw(quaternion: ArrayLike, name: str = "quaternion") -> Rotation:
-    """Return the rotation of a quaternion from a file or a user.
-
-    ``quaternion`` (4,), scalar last.
-    """
+    """Return the rotation of a quaternion from a file or a user. ``quaternion`` (4,), scalar last."""
     q = as_finite(quaternion, (4,), name)
     norm = math.hypot(*q)  # without overflow
     require(abs(norm - 1.0) < 1e-3, f"{name} must have norm 1, got {norm:.6g}; give it scalar last: x, y, z, w")

@@ -36,11 +36,7 @@ def checked_gamma(gamma: object) -> Gamma | None:
 class GammaCurve:
     """Light of coded values; 0 and the full scale remain as they are, and negative noise stays negative.
 
-    Parameters
-    ----------
-    gamma : float or 'srgb'
-    full_scale_dn : float, DN
-        Value above bias of the brightest signal.
+    full_scale_dn: value above bias of the brightest signal.
 
     Examples
     --------
@@ -57,10 +53,7 @@ class GammaCurve:
         require_number(self.full_scale_dn, "full_scale_dn", above=0.0)
 
     def light_dn(self, values_dn: ArrayLike) -> Float:
-        """Return the linear signal of values.
-
-        ``values_dn`` (...); returns (...).
-        """
+        """Return the linear signal of values. ``values_dn`` (...); returns (...)."""
         values = as_floats(values_dn, (), "values_dn") / self.full_scale_dn
         size = np.abs(values)
         if self.gamma == "srgb":
@@ -84,10 +77,7 @@ class GammaCurve:
         return np.asarray(np.copysign(values, light) * self.full_scale_dn)
 
     def slope(self, values_dn: ArrayLike) -> Float:
-        """Return the derivative of :meth:`light_dn` by the value.
-
-        ``values_dn`` (...); returns (...).
-        """
+        """Return the derivative of :meth:`light_dn` by the value. ``values_dn`` (...); returns (...)."""
         size = np.abs(as_floats(values_dn, (), "values_dn")) / self.full_scale_dn
         if self.gamma == "srgb":
             above = (size + _OFFSET) / (1.0 + _OFFSET)

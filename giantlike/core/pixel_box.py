@@ -17,11 +17,7 @@ from giantlike.core.values import Value
 class PixelBox:
     """A box of pixels; it may reach over the edges of the image.
 
-    Parameters
-    ----------
-    x, y : int, px
-        Column and row of its first pixel.
-    width, height : int, px
+    x, y: in px; column and row of its first pixel.
     """
 
     x: int
@@ -75,18 +71,11 @@ class PixelBox:
 class BoxPixels(Value):
     """Pixels of an image or a box of it, and their noise.
 
-    Parameters
-    ----------
-    values_dn : (h, w) float64, DN
-        Bias subtracted.
-    usable : (h, w) bool
-        Neither bad nor saturated.
-    censored : (h, w) bool, optional
-        Saturated and not bad: the pixel is at least as bright as its value. None without such pixels.
-    corner_px : (int, int), px
-        Column and row of the first element in the image.
-    noise_variance_dn2 : callable
-        Variance, DN^2, of the noise of pixels for a given signal of the body.
+    values_dn: (h, w); bias subtracted.
+    usable: (h, w); neither bad nor saturated.
+    censored: (h, w); saturated and not bad: the pixel is at least as bright as its value. None without such pixels.
+    corner_px: column and row of the first element in the image.
+    noise_variance_dn2: variance, DN^2, of the noise of pixels for a given signal of the body.
     """
 
     values_dn: Float

@@ -89,10 +89,8 @@ def _common_step(differences: Float) -> float:
 class EightBitValues:
     """Values of an 8-bit JPEG or PNG file, gray or the luminance of its colors; they may be coded for display.
 
-    Parameters
-    ----------
-    step_dn : float, DN
-        Step of quantization, of variance ``step_dn**2 / 12``: 1, or smaller for the weighted mean of three channels.
+    step_dn: step of quantization, of variance ``step_dn**2 / 12``: 1, or smaller for the weighted mean of three
+        channels.
     """
 
     step_dn: float = 1.0
@@ -107,18 +105,13 @@ class EightBitValues:
 class EstimatedNoise:
     """Noise of an image whose detector is not declared, as its own pixels show it.
 
-    Parameters
-    ----------
-    read_noise_dn : float, DN
-        Standard deviation of a pixel without signal, quantization not included.
-    gain_e_per_dn : float, electron/DN
-        Ratio of the signal to the variance that it adds.
-    in_sky : bool
-        The read noise was measured in the sky. False where the sky is constant, as in clipped images: it is then the
-        standard deviation of quantization, or 5 steps where the signal has no noise either.
-    in_light : bool
-        The gain was measured in the smoothest bright parts. False where too few pixels are bright, or where their noise
-        is lower than the noise of the sky: the read noise is then assumed to be :data:`UNKNOWN_READ_NOISE_E` electrons.
+    read_noise_dn: standard deviation of a pixel without signal, quantization not included.
+    gain_e_per_dn: ratio of the signal to the variance that it adds.
+    in_sky: the read noise was measured in the sky. False where the sky is constant, as in clipped images: it is then
+        the standard deviation of quantization, or 5 steps where the signal has no noise either.
+    in_light: the gain was measured in the smoothest bright parts. False where too few pixels are bright, or where their
+        noise is lower than the noise of the sky: the read noise is then assumed to be :data:`UNKNOWN_READ_NOISE_E`
+        electrons.
     """
 
     read_noise_dn: float

@@ -85,10 +85,7 @@ def _check_of(name: str) -> _Check | None:
 
 
 def select_rows(value: AnyValue, which: NDArray[np.integer] | Mask | slice) -> AnyValue:
-    """Return a copy of a value in which every array is indexed along its first axis.
-
-    ``which`` (k,), (n,) or slice.
-    """
+    """Return a copy of a value in which every array is indexed along its first axis. ``which`` (k,), (n,) or slice."""
     # Rows of a checked value need no second check, which costs more than the selection.
     selected = object.__new__(type(value))
     for name, _ in _invariants(type(value)):

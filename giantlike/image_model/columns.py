@@ -35,11 +35,8 @@ class Use(StrEnum):
 class Prior(Value):
     """Prior of independent unknowns.
 
-    Parameters
-    ----------
-    mean : (k,) float64
-    information : (k,) float64
-        Inverse variances; 0 for free unknowns.
+    mean: (k,).
+    information: (k,); inverse variances; 0 for free unknowns.
     """
 
     mean: Float
@@ -60,15 +57,8 @@ class Prior(Value):
 class Block(Value):
     """Unknowns of one effect.
 
-    Parameters
-    ----------
-    effect : str
-    cause : Cause
-        Of the errors of the solution by ignorance of the effect.
-    matrix : (k, ...) float64
-        Derivative of the data by each unknown.
-    prior : Prior
-    use : Use
+    cause: of the errors of the solution by ignorance of the effect.
+    matrix: (k, ...); derivative of the data by each unknown.
     """
 
     effect: str
@@ -135,34 +125,19 @@ class Layout:
 class Columns(Value):
     """A linear model of data: ``data = matrix^T unknowns + field + noise``.
 
-    Parameters
-    ----------
-    layout : Layout
-        Of the rows of ``matrix``.
-    matrix : (k, ...) float64
-        Derivative of the data by each unknown.
-    prior : Prior
-    data : (...) float64
-    weights : (...) float64
-        Inverse variances; 0 where data is not used.
-    markings : MarkingModes, optional
-        A random field in the data in addition to the unknowns, which is eliminated; data are images then.
-    variances : (m,) float64, optional
-        Of the modes of the field; by default they follow from the data, see
+    layout: of the rows of ``matrix``.
+    matrix: (k, ...); derivative of the data by each unknown.
+    data: (...).
+    weights: (...); inverse variances; 0 where data is not used.
+    markings: A random field in the data in addition to the unknowns, which is eliminated; data are images then.
+    variances: (m,); of the modes of the field; by default they follow from the data, see
         :meth:`~giantlike.image_model.field.FieldSums.variances`.
 
-    Attributes
-    ----------
-    projected : (k, ...) float64
-        Derivatives by the unknowns, with their projection on the field subtracted.
-    information : (k, k) float64
-        Normal matrix, the prior included and the field eliminated.
-    right : (k,) float64
-        Right-hand side of the normal equations.
-    eliminated : FieldSolution or None
-        Normal equations with the field eliminated.
-    sums : FieldSums
-        Sums from which these follow.
+    projected: (k, ...); derivatives by the unknowns, with their projection on the field subtracted.
+    information: (k, k); normal matrix, the prior included and the field eliminated.
+    right: (k,); right-hand side of the normal equations.
+    eliminated: normal equations with the field eliminated.
+    sums: sums from which these follow.
     """
 
     layout: Layout
@@ -294,10 +269,7 @@ class Columns(Value):
 class Solution(Value):
     """Least-squares solution of a linear model.
 
-    Parameters
-    ----------
-    columns : Columns
-    values : (k,) float64
+    values: (k,).
     """
 
     columns: Columns
@@ -369,20 +341,12 @@ class Solution(Value):
 class Score(Value):
     """Score test of m unknowns that were left out of a model of k.
 
-    Parameters
-    ----------
-    columns : Columns
-        The model.
-    matrix : (m, ...) float64
-        Derivatives of the data by the unknowns that were left out.
-    gradient : (m,) float64
-        Of half the chi-square, with its sign reversed, by the unknowns where they are zero.
-    shared : (k, m) float64
-        Products of the derivatives by the unknowns of the model and by those left out, weighted.
-    own : (m, m) float64
-        As above, among the unknowns left out.
-    prior : Prior
-        Of the unknowns left out.
+    columns: the model.
+    matrix: (m, ...); derivatives of the data by the unknowns that were left out.
+    gradient: (m,); of half the chi-square, with its sign reversed, by the unknowns where they are zero.
+    shared: (k, m); products of the derivatives by the unknowns of the model and by those left out, weighted.
+    own: (m, m); as above, among the unknowns left out.
+    prior: of the unknowns left out.
     """
 
     columns: Columns

@@ -39,15 +39,9 @@ UNMARKED = 0.1
 class MarkingModes(Value):
     """Cosine modes of a field that multiplies light, on the pixels of a box.
 
-    Parameters
-    ----------
-    light : (h, w) float64
-        Signal of the body that the field multiplies.
-    along_x, along_y : (m, w) and (m, h) float64
-        Cosines along each axis.
-    frequencies : (m,) float64
-        Angular frequencies of the cosines, in units of 1 / radius.
-    radius_px : float, px
+    light: (h, w); signal of the body that the field multiplies.
+    along_x, along_y: (m, w) and (m, h); cosines along each axis.
+    frequencies: (m,); angular frequencies of the cosines, in units of 1 / radius.
     """
 
     light: Float
@@ -58,10 +52,7 @@ class MarkingModes(Value):
 
     @classmethod
     def across(cls, light: Float, center_px: Float, radius_px: float, modes: int = _MODES) -> MarkingModes:
-        """Return the modes across a body.
-
-        ``light`` (h, w); ``center_px``: center of the body from the first pixel.
-        """
+        """Return the modes across a body. ``light`` (h, w); ``center_px``: center of the body from the first pixel."""
         order = np.arange(modes)
         norm = np.where(order == 0, 1.0, math.sqrt(2.0))[:, None]
         phases = [
@@ -125,20 +116,12 @@ class MarkingModes(Value):
 class FieldSums(Value):
     """Weighted sums over the pixels of the modes of a field and of the columns fitted with them.
 
-    Parameters
-    ----------
-    gram : (m, m) float64
-        Of the modes.
-    cross : (k, m) float64
-        Of the columns and the modes.
-    scores : (m,) float64
-        Of the modes and the values.
-    information : (k, k) float64
-        Of the columns, with their prior.
-    right : (k,) float64
-        Of the columns and the values, with the mean of the prior.
-    squares : float
-        Of the values, and of the mean of the prior divided by its standard deviation.
+    gram: (m, m); of the modes.
+    cross: (k, m); of the columns and the modes.
+    scores: (m,); of the modes and the values.
+    information: (k, k); of the columns, with their prior.
+    right: (k,); of the columns and the values, with the mean of the prior.
+    squares: of the values, and of the mean of the prior divided by its standard deviation.
     """
 
     gram: Float
@@ -208,19 +191,13 @@ class FieldSums(Value):
 class FieldSolution(Value):
     """Normal equations of the columns with the field eliminated.
 
-    Parameters
-    ----------
-    information : (k, k) float64
-    right : (k,) float64
-    steps : (m, k) float64
-        Change of the modes by the columns: modes are ``own - steps @ parameters``.
-    own : (m,) float64
-    scatter : (k, k) float64
-        Covariance of the scores of the columns by the field.
-    variances : (m,) float64
-        Of the modes.
-    whitened : (m, m) float64
-        Information on the modes in units of their standard deviations, that of their prior included.
+    information: (k, k).
+    right: (k,).
+    steps: (m, k); change of the modes by the columns: modes are ``own - steps @ parameters``.
+    own: (m,).
+    scatter: (k, k); covariance of the scores of the columns by the field.
+    variances: (m,); of the modes.
+    whitened: (m, m); information on the modes in units of their standard deviations, that of their prior included.
     """
 
     information: Float

@@ -24,19 +24,12 @@ _SMALL_WEIGHT = 0.1
 class TermTest:
     """Test of the hypothesis that the parameters of a term have their a priori values.
 
-    Parameters
-    ----------
-    term : str
-    statistic : float
-        Squared departure in units of its covariance under the hypothesis, correlations and considered errors included;
-        divided by ``count`` where the noise was scaled by the residuals.
-    count : int
-        Number of parameters.
-    freedom : int or None
-        Degrees of freedom of the noise: the statistic is F with ``(count, freedom)``, or chi-square of ``count`` where
-        None.
-    p_value : float
-        Probability of a statistic at least as large under the hypothesis.
+    statistic: squared departure in units of its covariance under the hypothesis, correlations and considered errors
+        included; divided by ``count`` where the noise was scaled by the residuals.
+    count: number of parameters.
+    freedom: degrees of freedom of the noise: the statistic is F with ``(count, freedom)``, or chi-square of ``count``
+        where None.
+    p_value: probability of a statistic at least as large under the hypothesis.
     """
 
     term: str
@@ -54,14 +47,10 @@ class TermTest:
 class WeakCombination:
     """A combination of parameters that the measurements of a pass hardly determine.
 
-    Parameters
-    ----------
-    weights : mapping of str to float
-        Fraction of each parameter, in units of the standard deviation that it would have were all others known; the
-        largest first, small ones left out.
-    inflation : float
-        Ratio of the standard deviation of the combination by the measurements alone to the standard deviation of one of
-        its parameters with all others known; infinite where the measurements do not determine it.
+    weights: fraction of each parameter, in units of the standard deviation that it would have were all others known;
+        the largest first, small ones left out.
+    inflation: ratio of the standard deviation of the combination by the measurements alone to the standard deviation of
+        one of its parameters with all others known; infinite where the measurements do not determine it.
     """
 
     weights: Mapping[str, float]
@@ -78,16 +67,10 @@ class WeakCombination:
 class TimetagJitter(Value):
     """Errors of the timetags in addition to their bias.
 
-    Parameters
-    ----------
-    sigma_s : float, s
-        Standard deviation of the errors.
-    sigma_of_log : float
-        Standard deviation of the natural logarithm of ``sigma_s``; 0 where it was given, not estimated.
-    p_value : float
-        Of the hypothesis of no jitter; 1 where it was given.
-    errors_s, sigmas_s : (n,) float64, s
-        Error of each tag as the image shows it, and its standard deviation.
+    sigma_s: standard deviation of the errors.
+    sigma_of_log: standard deviation of the natural logarithm of ``sigma_s``; 0 where it was given, not estimated.
+    p_value: of the hypothesis of no jitter; 1 where it was given.
+    errors_s, sigmas_s: (n,); error of each tag as the image shows it, and its standard deviation.
     """
 
     sigma_s: float

@@ -150,18 +150,11 @@ class LimbPoints(Value):
 class MeasuredPosition(Value):
     """Position of a body as an estimator measured it in one image.
 
-    Parameters
-    ----------
-    position_camera_km : (3,) float64, km, camera axes
-    covariance_camera_km2 : (3, 3) float64, km^2, camera axes
-        By errors that are new in every image.
-    radius_km : float, km
-        Radius of the body without the altitude of the limb.
-    apparent_radius_px : float, px
-        Radius in the image, by which shifts of the limb in px become shifts of the range.
-    shared_km : mapping of str to (3, c) float64, km, camera axes
-        Shifts of the position by one standard deviation of each of c errors that all images with the same key have in
-        common, in the same order.
+    covariance_camera_km2: by errors that are new in every image.
+    radius_km: radius of the body without the altitude of the limb.
+    apparent_radius_px: radius in the image, by which shifts of the limb in px become shifts of the range.
+    shared_km: mapping of str to (3, c), camera axes; shifts of the position by one standard deviation of each of c
+        errors that all images with the same key have in common, in the same order.
     """
 
     position_camera_km: Float

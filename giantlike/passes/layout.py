@@ -42,19 +42,13 @@ LIMB_ERRORS = "limb errors"
 class PassLayout(Value):
     """Parameters of a pass, k in all.
 
-    Parameters
-    ----------
-    names, units, terms : tuple of str
-        Of each parameter; ``terms`` names the term that it belongs to.
-    apriori : (k,) float64
-        Values before.
-    covariance_apriori : (k, k) float64
-        Of these; zero in rows of parameters of which nothing is known (``free``).
-    free : (k,) bool
-    estimated : (k,) bool
-        The others are considered.
-    maps : tuple of (8 + c, k) float64, one for each image
-        Errors of the image by the departure of the parameters from ``apriori``.
+    names, units, terms: of each parameter; ``terms`` names the term that it belongs to.
+    apriori: (k,); values before.
+    covariance_apriori: (k, k); of these; zero in rows of parameters of which nothing is known (``free``).
+    free: (k,).
+    estimated: (k,); the others are considered.
+    maps: tuple of (8 + c, k), one for each image; errors of the image by the departure of the parameters from
+        ``apriori``.
     """
 
     names: tuple[str, ...]

@@ -18,16 +18,11 @@ from giantlike.passes.layout import PassLayout
 class ImageSums(Value):
     """Normal equations of one image for its 8 + c errors, and its q random errors.
 
-    Parameters
-    ----------
-    information : (8 + c, 8 + c) float64
-    pull : (8 + c,) float64
-    squares : float
-        Squared residuals, sigmas.
-    count : int
-        Residuals used.
-    random : (8 + c, q) float64
-        Errors of the image by one standard deviation of each random error.
+    information: (8 + c, 8 + c).
+    pull: (8 + c,).
+    squares: squared residuals, sigmas.
+    count: residuals used.
+    random: (8 + c, q); errors of the image by one standard deviation of each random error.
     """
 
     information: Float
@@ -85,12 +80,8 @@ class ImageSums(Value):
 class Normal(Value):
     """Normal equations of a pass in its k parameters.
 
-    Parameters
-    ----------
-    information : (k, k) float64
-    pull : (k,) float64
-    squares, log_determinant : float
-    count : int
+    information: (k, k).
+    pull: (k,).
     """
 
     information: Float

@@ -38,13 +38,8 @@ _EXACT = 6
 class Axis:
     """An axis of a chart.
 
-    Parameters
-    ----------
-    label : str
-        Quantity and unit.
-    low, high : float
-        Its ends, left or at the bottom first; ``low > high`` for an axis that runs down.
-    logarithmic : bool
+    label: quantity and unit.
+    low, high: its ends, left or at the bottom first; ``low > high`` for an axis that runs down.
     """
 
     label: str
@@ -94,14 +89,8 @@ class Axis:
 class Chart(Value):
     """Layers between two axes.
 
-    Parameters
-    ----------
-    title : str
-    x, y : Axis
-    layers : sequence of Layer
-        Those with a label are in the legend.
-    equal : bool
-        One unit is as long on both axes.
+    layers: those with a label are in the legend.
+    equal: one unit is as long on both axes.
     """
 
     title: str
@@ -115,13 +104,8 @@ class Chart(Value):
 class ChartSheet(Value):
     """Charts side by side, each with its legend below, or above each other with one abscissa and one legend below.
 
-    Parameters
-    ----------
-    charts : sequence of Chart
-    width_in, height_in : float, inches
-        Of a chart, without labels.
-    stacked : bool
-        Above each other.
+    width_in, height_in: of a chart, without labels.
+    stacked: above each other.
     """
 
     charts: Sequence[Chart]

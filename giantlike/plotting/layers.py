@@ -53,20 +53,11 @@ _MARKERS = {
 class Layer(Value):
     """Points of one meaning over an image or in a chart.
 
-    Parameters
-    ----------
-    points : (n, 2)
-        Over an image px, in a chart in the units of its axes; of ``BARS`` and ``ARROWS`` two for each.
-    shape : Shape
-    color : str
-    size : float, points
-        Diameter of a marker; of lines unused.
-    width : float, points
-        Of strokes.
-    fill : str
-        Color inside of a marker.
-    label : str
-        For a legend; empty for none.
+    points: (n, 2); over an image px, in a chart in the units of its axes; of ``BARS`` and ``ARROWS`` two for each.
+    size: points; diameter of a marker; of lines unused.
+    width: points; of strokes.
+    fill: color inside of a marker.
+    label: for a legend; empty for none.
     """
 
     points: Float

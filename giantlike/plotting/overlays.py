@@ -91,15 +91,8 @@ class StarMarks(Value):
 class CenterMark(Value):
     """Result of one estimator.
 
-    Parameters
-    ----------
-    color : str
-    center_px : (2,)
-    covariance_px2 : (2, 2)
-    limb_px, limb_rejected_px : (n, 2)
-        Limb points used, and points of the illuminated limb not used.
-    outline_px : (n, 2)
-        Outline of the body at the result, where it is known.
+    limb_px, limb_rejected_px: (n, 2); limb points used, and points of the illuminated limb not used.
+    outline_px: (n, 2); outline of the body at the result, where it is known.
     """
 
     color: str
@@ -114,18 +107,10 @@ class CenterMark(Value):
 class BodyMarks(Value):
     """A body in an image, px.
 
-    Parameters
-    ----------
-    name : str
-    predicted_px : (2,)
-        A priori center.
-    radius_px : float
-        Apparent radius of the sphere around it.
-    outline_px : (n, 2)
-        A priori outline; empty for a body too small to have one.
-    lit : (n,) bool
-        True for outline points in sunlight.
-    centers : sequence of CenterMark
+    predicted_px: A priori center.
+    radius_px: apparent radius of the sphere around it.
+    outline_px: (n, 2); A priori outline; empty for a body too small to have one.
+    lit: (n,); True for outline points in sunlight.
     """
 
     name: str
@@ -160,16 +145,9 @@ def stretched(pixels: NDArray[np.generic], *, longest_px: int = 640) -> NDArray[
 class OverlayPanel(Value):
     """An image or a part of it, and the layers drawn over it.
 
-    Parameters
-    ----------
-    title : str
-    gray : (rows, columns) uint8
-        Picture, stretched for viewing; empty where the panel shows no pixel.
-    picture_px : (4,) float64, px
-        Left, right, top and bottom edges of the picture in the image.
-    limits_px : (4,) float64, px
-        Left, right, top and bottom of the panel.
-    layers : sequence of Layer
+    gray: (rows, columns); picture, stretched for viewing; empty where the panel shows no pixel.
+    picture_px: (4,); left, right, top and bottom edges of the picture in the image.
+    limits_px: (4,); left, right, top and bottom of the panel.
     """
 
     title: str

@@ -32,17 +32,10 @@ _MARKERS = (MarkShape.RING, MarkShape.SQUARE, MarkShape.TRIANGLE, MarkShape.DIAM
 class Series(Value):
     """One quantity of one source over a campaign.
 
-    Parameters
-    ----------
-    label : str
-    at : (n,) float64
-        Time or number of the image.
-    values : (n, k) float64
-        k quantities that get one panel each; NaN where there is none.
-    sigma : (n, k) float64
-        Their standard deviations; NaN where unknown.
-    suspect : (n,) bool
-        Drawn hollow.
+    at: (n,); time or number of the image.
+    values: (n, k); k quantities that get one panel each; NaN where there is none.
+    sigma: (n, k); their standard deviations; NaN where unknown.
+    suspect: (n,); drawn hollow.
     """
 
     label: str

@@ -96,14 +96,9 @@ class AutoOptions:
 class Choice:
     """Estimators for a body.
 
-    Parameters
-    ----------
-    estimators : tuple of str
-        Names of the estimators to try, in order.
-    checks : tuple of str
-        Names of the estimators to check with, in order.
-    because : str
-        Reason of the choice, for the provenance.
+    estimators: names of the estimators to try, in order.
+    checks: names of the estimators to check with, in order.
+    because: reason of the choice, for the provenance.
     """
 
     estimators: tuple[str, ...]

@@ -70,12 +70,8 @@ class Estimator(Protocol):
 class Solved(Generic[Fix]):
     """A fix, and its first-order response to another geometry of the body.
 
-    Parameters
-    ----------
-    fix : CenterFix or PositionFix
-    motion : callable, optional
-        Returns the motion (k,) of the position with a geometry, in px and logarithm of the range; None where that is
-        too far from the geometry of the fix. Without it, the estimator is run again.
+    motion: returns the motion (k,) of the position with a geometry, in px and logarithm of the range; None where that
+        is too far from the geometry of the fix. Without it, the estimator is run again.
     """
 
     fix: Fix

@@ -66,34 +66,18 @@ class FixIdentity(TypedDict):
 class EstimatorInputs(Value):
     """Inputs of an estimator, gathered from image, camera and scene.
 
-    Parameters
-    ----------
-    estimator : str
-        Name of the estimator.
-    image : Image
-    scene : Scene
-    geometry : TargetGeometry
-        A priori geometry of the target.
-    camera : Camera
-    predicted_px : (2,) float64, px
-        Center of the body by the a priori geometry; may lie outside the frame.
-    pixels_dn : (rows, columns) float64, DN
-        Bias subtracted.
-    usable : (rows, columns) bool
-        Pixels that are neither bad nor saturated.
-    saturated : (rows, columns) bool
-        At or above the saturation level of the detector, the largest value that the pixel type holds, or the value at
-        which clipping is detected in the image.
-    masked : (rows, columns) bool
-        Bad pixels, and detected lines without signal or with charge that is not light.
-    flags : Quality
-        Flags known before the measurement: the source of the attitude, and deficiencies of its star field.
-    provenance : mapping of str to str
-    corrections : Corrections
-        Known effects in the image.
-    place_alone : bool
-        True where only the position of the body is needed, for its derivative by declared values; the corrections of
-        the fix are then kept.
+    estimator: name of the estimator.
+    geometry: A priori geometry of the target.
+    predicted_px: center of the body by the a priori geometry; may lie outside the frame.
+    pixels_dn: (rows, columns); bias subtracted.
+    usable: pixels that are neither bad nor saturated.
+    saturated: at or above the saturation level of the detector, the largest value that the pixel type holds, or the
+        value at which clipping is detected in the image.
+    masked: (rows, columns); bad pixels, and detected lines without signal or with charge that is not light.
+    flags: flags known before the measurement: the source of the attitude, and deficiencies of its star field.
+    corrections: known effects in the image.
+    place_alone: True where only the position of the body is needed, for its derivative by declared values; the
+        corrections of the fix are then kept.
     """
 
     estimator: str

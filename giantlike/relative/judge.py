@@ -75,30 +75,18 @@ _WEIGHT = 1.0 / len(Alternative)
 class Facts(Value):
     """Facts of a solution that no statistics decide; the defaults raise no flag.
 
-    Parameters
-    ----------
-    off_px : (2,) float64, px
-        Estimated minus predicted position of the point for which the search was declared.
-    search_px : float, px
-        Declared search: largest error of the prediction, in both coordinates.
-    range_ratio : float
-        Ratio of predicted to estimated range: 1 + the relative error of the prediction.
-    search_range : float
-        Declared search: largest relative error of the predicted range; infinite for estimators that keep the range.
-    bounded : bool
-        True for estimators that cannot leave ``search_px``: a fix at its edge may be the flank of a body outside.
-    n_used : int
-        Observations used.
-    n_offered : int
-        Observations used or rejected.
-    outline_share : float
-        Ratio of the length of outline used to the whole outline.
-    cut_by_frame : bool
-        The body reaches over the edge of the image.
-    ambiguous : bool
-        Another source that fits equally well lies in the search region.
-    overexposed : bool
-        All of the limb is saturated; only the wings of the point spread function are left.
+    off_px: (2,); estimated minus predicted position of the point for which the search was declared.
+    search_px: declared search: largest error of the prediction, in both coordinates.
+    range_ratio: ratio of predicted to estimated range: 1 + the relative error of the prediction.
+    search_range: declared search: largest relative error of the predicted range; infinite for estimators that keep the
+        range.
+    bounded: True for estimators that cannot leave ``search_px``: a fix at its edge may be the flank of a body outside.
+    n_used: observations used.
+    n_offered: observations used or rejected.
+    outline_share: ratio of the length of outline used to the whole outline.
+    cut_by_frame: the body reaches over the edge of the image.
+    ambiguous: another source that fits equally well lies in the search region.
+    overexposed: all of the limb is saturated; only the wings of the point spread function are left.
     """
 
     off_px: Float
@@ -146,16 +134,10 @@ class Facts(Value):
 class Judgement:
     """Evidence against a fix.
 
-    Parameters
-    ----------
-    alternatives : mapping of Alternative to float
-        Logarithms of the odds of other models of the image, each integrated over its parameters.
-    other_place : float
-        Logarithm of the odds that the body is at the best other position in the search region.
-    prediction_chance : float
-        p-value of the difference of fix and prediction.
-    false_alarm : float
-        Rate of false alarms of each test.
+    alternatives: logarithms of the odds of other models of the image, each integrated over its parameters.
+    other_place: logarithm of the odds that the body is at the best other position in the search region.
+    prediction_chance: p-value of the difference of fix and prediction.
+    false_alarm: rate of false alarms of each test.
 
     Notes
     -----

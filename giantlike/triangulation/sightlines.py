@@ -152,10 +152,7 @@ def sightline_of_pixel(
 
 
 def without_aberration(sightlines: Sequence[Sightline], velocity_km_s: ArrayLike) -> tuple[Sightline, ...]:
-    """Take stellar aberration out of lines of sight.
-
-    ``velocity_km_s`` in ICRF axes.
-    """
+    """Take stellar aberration out of lines of sight. ``velocity_km_s`` in ICRF axes."""
     velocity = as_finite(velocity_km_s, (3,), "velocity_km_s")
     return tuple(
         dataclasses.replace(

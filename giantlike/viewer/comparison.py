@@ -26,16 +26,10 @@ _OUTLINE_ANGLES = 720
 class RenderedMatch(Value):
     """A body rendered at a fix of it, in the units of the image.
 
-    Parameters
-    ----------
-    target, estimator : str
-        Estimator is empty for the prediction.
-    model_dn : (rows, columns) float64, DN
-        Rendered body, scaled to the image by least squares, on its background.
-    image_dn : (rows, columns) float64, DN
-    region : (rows, columns) bool
-        Good pixels of the template and its border.
-    template : Template
+    target, estimator: estimator is empty for the prediction.
+    model_dn: (rows, columns); rendered body, scaled to the image by least squares, on its background.
+    image_dn: (rows, columns).
+    region: (rows, columns); good pixels of the template and its border.
     """
 
     target: str
@@ -71,13 +65,9 @@ class RenderedMatch(Value):
 class LimbResiduals(Value):
     """Limb points of a fix, relative to the outline of the body there.
 
-    Parameters
-    ----------
-    points : (n, 2) float64, px
-    angle_deg : (n,) float64, deg
-        Around the center of the fix, from +x towards +y.
-    distance_px : (n,) float64, px
-        From the outline, positive outward.
+    points: (n, 2) px.
+    angle_deg: (n,); around the center of the fix, from +x towards +y.
+    distance_px: (n,); from the outline, positive outward.
     """
 
     points: Float

@@ -45,13 +45,8 @@ _EXPORTS = {
 class InputFile:
     """An input file of a run.
 
-    Parameters
-    ----------
-    role : str
-        Role in the campaign: ``image``, ``camera``, ``kernel``, ...
-    path : str
-        Relative to the dossier.
-    sha256 : str
+    role: role in the campaign: ``image``, ``camera``, ``kernel``, ...
+    path: relative to the dossier.
     """
 
     role: str

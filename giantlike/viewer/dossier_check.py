@@ -51,14 +51,9 @@ class _Dossier(BaseModel):
 class DossierCheck:
     """Comparison of a dossier and its inputs with their recorded hashes.
 
-    Parameters
-    ----------
-    same : int
-        Number of unchanged files.
-    changed, missing : tuple of str
-        Roles and paths of inputs, and files of the dossier.
-    versions : tuple of str
-        Packages that have another version here; they do not make the dossier wrong.
+    same: number of unchanged files.
+    changed, missing: roles and paths of inputs, and files of the dossier.
+    versions: packages that have another version here; they do not make the dossier wrong.
     """
 
     same: int

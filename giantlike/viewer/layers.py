@@ -34,22 +34,13 @@ LANDMARK, LANDMARK_REJECTED = "#22d3ff", MARKS["limb points rejected"]
 class MarkLayer(Value):
     """Marks of one meaning.
 
-    Parameters
-    ----------
-    name : str
-        One of ``LAYERS``.
-    title : str
-        Content, with target and estimator.
-    layer : Layer
-        Points, shape and color.
-    labels : sequence of str
-        Description of each point; empty where there is none.
-    names : sequence of str
-        Short text next to each point; empty where there is none. The most important points come first.
-    star_ids : sequence of int
-        Number of each point in the catalog; empty where points are not stars.
-    rejected : bool
-        True for what a user rejected.
+    name: one of ``LAYERS``.
+    title: content, with target and estimator.
+    layer: points, shape and color.
+    labels: description of each point; empty where there is none.
+    names: short text next to each point; empty where there is none. The most important points come first.
+    star_ids: number of each point in the catalog; empty where points are not stars.
+    rejected: True for what a user rejected.
     """
 
     name: str

@@ -121,10 +121,7 @@ def values_at(planes: Backplanes, pixel: tuple[int, int] | None = None) -> dict[
 
 
 def cube_of(planes: Backplanes) -> Float:
-    """Planes as one array.
-
-    Returns (p, rows, columns).
-    """
+    """Planes as one array. Returns (p, rows, columns)."""
     return np.stack(list(values_at(planes).values()))
 
 

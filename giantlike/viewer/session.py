@@ -31,21 +31,13 @@ from giantlike.scene import Scene, TargetGeometry
 class SeenImage:
     """Results of a run for one image, after edits.
 
-    Parameters
-    ----------
-    record : AttitudeRecord
-    observations : tuple of ObservationRecord
-    points : mapping of (str, str) to mapping
-        Lists of points as :meth:`~giantlike.campaign.store.run_folder.RunFolder.points` returns them, by target and
+    points: lists of points as :meth:`~giantlike.campaign.store.run_folder.RunFolder.points` returns them, by target and
         estimator of an observation; the lists of the image itself by two empty names.
-    targets : tuple of TargetRecord
-        A priori geometry and outlines.
-    edits : tuple of Edit
-        Rejections in effect.
-    rejected_fixes : tuple of ObservationRecord
-        Fixes that were rejected, as they were before.
-    terminators : mapping of str to tuple of (n, 2) float64, px
-        By target, where :func:`~giantlike.viewer.planes.with_terminators` traced them.
+    targets: A priori geometry and outlines.
+    edits: rejections in effect.
+    rejected_fixes: fixes that were rejected, as they were before.
+    terminators: mapping of str to tuple of (n, 2) px; by target, where
+        :func:`~giantlike.viewer.planes.with_terminators` traced them.
     """
 
     record: AttitudeRecord

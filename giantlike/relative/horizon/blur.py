@@ -22,14 +22,9 @@ _PIXEL_FOURTH_CUMULANT = -1.0 / 120.0
 class DepthBlur(Value):
     """A blur of some width at m distances from a horizon.
 
-    Parameters
-    ----------
-    width_px : float, px
-        Standard deviation.
-    depths_px : (q,) float64, px
-        Depths inside the horizon that the sum goes over.
-    kernels : (q, 7, m) float64
-        A Gaussian and its first six derivatives, times the weights of the depths.
+    width_px: standard deviation.
+    depths_px: (q,); depths inside the horizon that the sum goes over.
+    kernels: (q, 7, m); A Gaussian and its first six derivatives, times the weights of the depths.
     """
 
     width_px: float

@@ -101,16 +101,10 @@ px."""
 class CellMeasurement(LimbMeasurement):
     """Limb measured in cells, blur and law still to be solved for.
 
-    Parameters
-    ----------
-    fits : CellFits
-        Of the good cells.
-    shared : Layout
-        Of the shared errors: blur, law, other laws, wings, and ovality of the point spread function.
-    prior : Prior
-        Of the shared errors.
-    whole : bool
-        All of the arc was measured, not only a few cells of it.
+    fits: of the good cells.
+    shared: of the shared errors: blur, law, other laws, wings, and ovality of the point spread function.
+    prior: of the shared errors.
+    whole: all of the arc was measured, not only a few cells of it.
     """
 
     fits: CellFits
@@ -204,16 +198,8 @@ def _mostly_lost(settled: LimbMeasurement | Failure) -> bool:
 class CellScan(Value):
     """Measures a horizon in cells: a :class:`~giantlike.relative.limb.fix.LimbScan`.
 
-    Parameters
-    ----------
-    view : LimbView
-    figure : Figure
-    law : Reflectance
-    search : IteratedSearch
-    options : HorizonScan
-    held : bool
-        Hold blur, law and wings until the limb has converged: a short arc does not separate them from the position well
-        enough to converge with them free. They are estimated once at the end, and are in the covariance.
+    held: hold blur, law and wings until the limb has converged: a short arc does not separate them from the position
+        well enough to converge with them free. They are estimated once at the end, and are in the covariance.
     """
 
     view: LimbView

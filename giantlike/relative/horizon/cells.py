@@ -28,21 +28,13 @@ class CellFits(Value):
     coefficient of the next power of the cosine of emission, over the gain; and the share of each of the profiles that
     may be mixed in, where it is as bright as the law of the body.
 
-    Parameters
-    ----------
-    information : (c, 1 + s, 1 + s) float64
-    pull : (c, 1 + s) float64
-        Information times estimate.
-    chi2 : (c,) float64
-        Per degree of freedom, all free, by pixel noise.
-    gain_dn : (c,) float64, DN
-        Ratio of brightness to the law.
-    contrast : (c,) float64
-        Ratio of the brightness inside to the noise of the sky.
-    unexplained : (c,) float64
-        Root mean square of the residuals with all parameters free, relative to the brightness inside.
-    used : (c,) float64
-        Share of the usable pixels that were not left out for being too far from the fit.
+    information: (c, 1 + s, 1 + s).
+    pull: (c, 1 + s); information times estimate.
+    chi2: (c,); per degree of freedom, all free, by pixel noise.
+    gain_dn: (c,); ratio of brightness to the law.
+    contrast: (c,); ratio of the brightness inside to the noise of the sky.
+    unexplained: (c,); root mean square of the residuals with all parameters free, relative to the brightness inside.
+    used: (c,); share of the usable pixels that were not left out for being too far from the fit.
     """
 
     information: Float

@@ -124,15 +124,9 @@ class EllipsoidCRA(BodyEstimator[EllipsoidCRAOptions, PositionFix]):
 class EllipsoidStandIn(Value):
     """Ellipsoid that represents a body.
 
-    Parameters
-    ----------
-    figure : Figure
-    offset_camera_km : (3,) float64, km, camera axes
-        From the origin of the shape to the center of the ellipsoid.
-    position_camera_km : (3,) float64, km, camera axes
-        Predicted position of that center.
-    relief : SmoothError or None
-        Departure of the outline from the outline of the ellipsoid; None for a body that is an ellipsoid.
+    offset_camera_km: from the origin of the shape to the center of the ellipsoid.
+    position_camera_km: predicted position of that center.
+    relief: departure of the outline from the outline of the ellipsoid; None for a body that is an ellipsoid.
     """
 
     figure: Figure

@@ -50,14 +50,9 @@ class CraMethod(StrEnum):
 class Figure(Value):
     """Ellipsoid in its attitude before the camera.
 
-    Parameters
-    ----------
-    radii_km : (3,) float64, km
-        Semi-axes.
-    camera_from_axes : Rotation
-        Takes vectors along the principal axes to camera axes.
-    air : Air, optional
-        Over the ellipsoid.
+    radii_km: Semi-axes.
+    camera_from_axes: takes vectors along the principal axes to camera axes.
+    air: over the ellipsoid.
     """
 
     radii_km: Float
@@ -94,13 +89,8 @@ class Figure(Value):
 class Altitude:
     """Altitude above the surface at which the limb is seen, by an atmosphere or haze.
 
-    Parameters
-    ----------
-    altitude_km : float, km
-    sigma_km : float, km
-        Standard deviation; 0 where the altitude is known.
-    uneven : bool
-        True for haze, which is seen higher where the Sun is lower: by as much as it is uncertain.
+    sigma_km: standard deviation; 0 where the altitude is known.
+    uneven: True for haze, which is seen higher where the Sun is lower: by as much as it is uncertain.
     """
 
     altitude_km: float = 0.0
@@ -146,10 +136,8 @@ class Altitude:
 class PixelRays(Value):
     """Directions of pixels and their change with the pixel.
 
-    Parameters
-    ----------
-    directions : (n, 3) float64, unitless, camera axes
-    by_pixel : (n, 3, 2) float64, 1/px
+    directions: (n, 3), camera axes.
+    by_pixel: (n, 3, 2) 1/px.
     """
 
     directions: Float
@@ -262,10 +250,7 @@ def altitude_design(points_px: ArrayLike, model: CameraModel, figure: Figure, po
 
 
 def cone_weights(points_px: ArrayLike, model: CameraModel, figure: Figure, position_camera_km: ArrayLike) -> Float:
-    """Weights that points have in the unweighted equations of the cone.
-
-    ``points_px`` (n, 2); returns (n,) 1/px^2.
-    """
+    """Weights that points have in the unweighted equations of the cone. ``points_px`` (n, 2); returns (n,) 1/px^2."""
     points = _points(points_px)
     position = as_finite(position_camera_km, (3,), "position_camera_km")
     normal = figure.to_sphere @ position

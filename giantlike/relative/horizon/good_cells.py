@@ -36,18 +36,11 @@ _MAX_UNEXPLAINED, _MAX_UNEXPLAINED_FIRST = 0.12, 0.4
 class CellRules:
     """Parameters of the measurement of cells, and limits of good ones.
 
-    Parameters
-    ----------
-    window_px : float, px
-        Reach to both sides of the horizon.
-    cell_px : float, px
-        Length of a cell along it.
-    min_cells : int
-        Fewer good cells are no limb.
-    outlier_mad : float
-        Cells beyond so many robust sigmas are ignored in the test for relief.
-    first : bool
-        The horizon is known to a pixel or two only.
+    window_px: reach to both sides of the horizon.
+    cell_px: length of a cell along it.
+    min_cells: fewer good cells are no limb.
+    outlier_mad: cells beyond so many robust sigmas are ignored in the test for relief.
+    first: the horizon is known to a pixel or two only.
     """
 
     window_px: float
@@ -61,12 +54,8 @@ class CellRules:
 class NoCells(Value):
     """Too few good cells.
 
-    Parameters
-    ----------
-    good : (n,) bool
-        Which of the cells are.
-    rejected : mapping of str to int
-        Number of the others by reason.
+    good: (n,); which of the cells are.
+    rejected: number of the others by reason.
     """
 
     good: Mask
@@ -77,20 +66,12 @@ class NoCells(Value):
 class GoodCells(Value):
     """Good cells.
 
-    Parameters
-    ----------
-    fits : CellFits
-        Of n cells.
-    middles : (n,) int64
-        The points of the horizon in their middles.
-    shift_px : (n,) float64, px
-        From there outward to the limb, with the shared parameters as assumed.
-    spacing_px : float, px
-        From one cell to the next, good or not.
-    rejected : mapping of str to int
-        Number of the others by reason.
-    others : (k,) int64
-        The points of the horizon in the middles of these.
+    fits: of n cells.
+    middles: (n,); the points of the horizon in their middles.
+    shift_px: (n,); from there outward to the limb, with the shared parameters as assumed.
+    spacing_px: from one cell to the next, good or not.
+    rejected: number of the others by reason.
+    others: (k,); the points of the horizon in the middles of these.
     """
 
     fits: CellFits

@@ -18,26 +18,18 @@ _LAW_POWERS, _STEP_POWERS = 2, 3
 class HorizonScan(ScanOptions):
     """Options of the cells along the horizon of an ellipsoid.
 
-    Parameters
-    ----------
-    edges : EdgeModel
-        With ``TEMPLATE`` the brightness inside is that of the reflectance law times a line in the cosine of emission;
-        with ``STEP`` a parabola in that cosine under any law. With both, fractions of other laws are estimated.
-    window_px : float, px
-        Largest distance of pixels used, to both sides of the horizon.
-    cell_px : float, px
-        Length of the cells along the horizon, each with its own brightness; on small disks they are shorter.
-    min_cells : int
-        Fewer good cells than this are no limb.
-    min_contrast : float
-        Mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
-    psf_error : float
-        Relative standard deviation of the width of the camera's point spread function. The limb itself constrains the
-        width better: with one declared 30 % too wide or narrow, squared errors at 30 to 300 px are 0.6-1.1 per degree
-        of freedom with 0.1 to 0.4 here, and sigmas change by 2 %; with 0.05 they reach 2.2.
-    rings_km : (float, float), optional
-        Inner and outer radius of rings in the equator of the body, whose pixels and shadow are left out. Without them,
-        the rings of the target.
+    edges: with ``TEMPLATE`` the brightness inside is that of the reflectance law times a line in the cosine of
+        emission; with ``STEP`` a parabola in that cosine under any law. With both, fractions of other laws are
+        estimated.
+    window_px: largest distance of pixels used, to both sides of the horizon.
+    cell_px: length of the cells along the horizon, each with its own brightness; on small disks they are shorter.
+    min_cells: fewer good cells than this are no limb.
+    min_contrast: mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
+    psf_error: relative standard deviation of the width of the camera's point spread function. The limb itself
+        constrains the width better: with one declared 30 % too wide or narrow, squared errors at 30 to 300 px are
+        0.6-1.1 per degree of freedom with 0.1 to 0.4 here, and sigmas change by 2 %; with 0.05 they reach 2.2.
+    rings_km: inner and outer radius of rings in the equator of the body, whose pixels and shadow are left out. Without
+        them, the rings of the target.
     """
 
     cell_px: float = 7.0

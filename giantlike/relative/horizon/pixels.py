@@ -22,21 +22,13 @@ _ACROSS_STEP_PX, _ALONG_STEP_PX = 0.6, 0.7
 class LimbPixels(Value):
     """Pixels near a horizon, one cell of it after the other.
 
-    Parameters
-    ----------
-    columns, rows : (n,) int64, px
-    along_px : (n,) float64, px
-        Length of the horizon from its start to the point nearest to each.
-    outward_px : (n,) float64, px
-        Distance from the horizon.
-    along : (n,) float64
-        Place in the cell, over its length, from about -1/2 to 1/2.
-    first : (c + 1,) int64
-        The first pixel of each of c cells, and n.
-    middles : (c,) int64
-        The point of the horizon in the middle of each cell.
-    filled : (c,) float64
-        Share of the cell's area whose pixels are in the frame and usable.
+    columns, rows: (n,).
+    along_px: (n,); length of the horizon from its start to the point nearest to each.
+    outward_px: (n,); distance from the horizon.
+    along: (n,); place in the cell, over its length, from about -1/2 to 1/2.
+    first: (c + 1,); the first pixel of each of c cells, and n.
+    middles: (c,); the point of the horizon in the middle of each cell.
+    filled: (c,); share of the cell's area whose pixels are in the frame and usable.
     """
 
     columns: Indices
@@ -52,10 +44,7 @@ class LimbPixels(Value):
 def limb_pixels(
     arc: HorizonArc, usable: Mask, *, window_px: float, cell_px: float, displaced_px: Float
 ) -> LimbPixels | None:
-    """Gather the pixels near a horizon in cells.
-
-    ``displaced_px`` (k,); returns None where there is no usable pixel.
-    """
+    """Gather the pixels near a horizon in cells. ``displaced_px`` (k,); returns None where there is no usable pixel."""
     pieces = max(round(arc.spacing_px / _ALONG_STEP_PX), 1)
     nearest, corner = _nearest_points(
         arc.points_px,

@@ -57,11 +57,7 @@ _LIT_DEPTHS_PX = np.array([0.5, 2.0, 3.5])  # inside the horizon, where limb cou
 class PlacedFigure(Value):
     """An ellipsoid in front of the camera.
 
-    Parameters
-    ----------
-    figure : Figure
-    position_camera_km : (3,) float64, km, camera axes
-        Of its center.
+    position_camera_km: of its center.
     """
 
     figure: Figure
@@ -72,28 +68,16 @@ class PlacedFigure(Value):
 class HorizonArc(Value):
     """Points of a horizon in even steps along its image, those that the camera model images.
 
-    Parameters
-    ----------
-    points_px : (k, 2) float64, px
-    points_camera_km : (k, 3) float64, km, camera axes
-        The same points in space.
-    normals_px : (k, 2) float64, unitless
-        Outward.
-    design : (k, 3) float64, px/km
-        Outward motion with the position of the body.
-    along_px : (k,) float64, px
-        Length of the horizon from its start, without parts that are not imaged.
-    spacing_px, perimeter_px : float, px
-    complete : bool
-        All of the horizon has an image.
-    directions : (k, 3) float64, unitless, camera axes
-        Of the points.
-    by_pixel : (k, 3, 2) float64, 1/px
-        Change of the directions with the pixel.
-    curvature : (k,) float64, 1/px
-        Of the horizon in the image, positive where it bulges outward.
-    body : PlacedFigure
-        The ellipsoid.
+    points_px: (k, 2).
+    points_camera_km: (k, 3); the same points in space.
+    normals_px: (k, 2); outward.
+    design: (k, 3) px/km; outward motion with the position of the body.
+    along_px: (k,); length of the horizon from its start, without parts that are not imaged.
+    complete: all of the horizon has an image.
+    directions: (k, 3), camera axes; of the points.
+    by_pixel: (k, 3, 2) 1/px; change of the directions with the pixel.
+    curvature: (k,) 1/px; of the horizon in the image, positive where it bulges outward.
+    body: the ellipsoid.
     """
 
     points_px: Float
@@ -172,18 +156,12 @@ def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -
 class ProfileTable(Value):
     """Brightness across a horizon, by powers of the cosine of emission, tabulated on distances from it.
 
-    Parameters
-    ----------
-    knots_px : (k,) float64, px
-        Places along the horizon, as of ``HorizonArc.along_px``.
-    first_px, step_px : float, px
-        The distances are ``first + i step``, positive outward.
-    values : (k, m, 2 (p + q) + p) float64
-        Brightness at the knots and m distances, for p powers and q profiles that may be mixed in: other
-        laws, and the wings of the point spread function. Then its derivatives by distance, 1/px, and at last the second
+    knots_px: (k,); places along the horizon, as of ``HorizonArc.along_px``.
+    first_px, step_px: the distances are ``first + i step``, positive outward.
+    values: brightness at the knots and m distances, for p powers and q profiles that may be mixed in: other laws, and
+        the wings of the point spread function. Then its derivatives by distance, 1/px, and at last the second
         derivatives of the powers, 1/px^2.
-    powers : int
-        The number p.
+    powers: the number p.
     """
 
     knots_px: Float

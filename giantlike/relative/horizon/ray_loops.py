@@ -53,10 +53,7 @@ def distances(
 
 @compiled
 def curvatures(directions: Float, by_pixel: Float, normals_px: Float, conic: Float) -> Float:
-    """Curvature of a horizon in the image.
-
-    ``normals_px`` (n, 2); returns (n,) 1/px.
-    """
+    """Curvature of a horizon in the image. ``normals_px`` (n, 2); returns (n,) 1/px."""
     result = np.empty(len(directions))
     for k in range(len(directions)):
         slope = bend = 0.0

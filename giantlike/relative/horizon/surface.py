@@ -17,15 +17,10 @@ from giantlike.ray_tracing import Air, Reflectance
 class HorizonSurface(Value):
     """The surface at q depths inside k points of a horizon.
 
-    Parameters
-    ----------
-    meets : (k, q) bool
-        The ray meets the ellipsoid.
-    incidence, emission : (k, q) float64
-        Cosines of the angles to the Sun and to the camera.
-    phase_rad : (k, q) float64, rad
-    air : Air, optional
-        Over it.
+    meets: (k, q); the ray meets the ellipsoid.
+    incidence, emission: (k, q); cosines of the angles to the Sun and to the camera.
+    phase_rad: (k, q).
+    air: over it.
     """
 
     meets: Mask
@@ -35,10 +30,7 @@ class HorizonSurface(Value):
     air: Air | None = None
 
     def brightness(self, law: Reflectance | None) -> Float:
-        """Brightness of the surface.
-
-        Returns (k, q), 0 where a ray meets nothing.
-        """
+        """Brightness of the surface. Returns (k, q), 0 where a ray meets nothing."""
         if law is None:
             return self.meets.astype(np.float64)
         angles = self.incidence, self.emission, self.phase_rad

@@ -29,16 +29,10 @@ _MAX_SHIFT_PX = 1.5  # px from the correlation peak: beyond, that and the fit co
 class LandmarkMatch(Value):
     """A landmark found in the image.
 
-    Parameters
-    ----------
-    number : int
-        Number in the catalog.
-    offset_px : (2,) float64, px
-        Found minus predicted.
-    covariance_px2 : (2, 2) float64, px^2
-        Of the noise alone.
-    score : float
-        Correlation of image and template, -1 to 1.
+    number: number in the catalog.
+    offset_px: found minus predicted.
+    covariance_px2: of the noise alone.
+    score: correlation of image and template, -1 to 1.
     """
 
     number: int
@@ -65,10 +59,7 @@ def correlation_surface(pixels_dn: Float, usable: Mask, patch: Patch, search_px:
 
 
 def common_shift(surfaces: Sequence[Float], radii_px: Float) -> NDArray[np.int64]:
-    """Shift that most landmarks agree with.
-
-    ``surfaces`` sequence of (k, k); ``radii_px`` (n,); returns (2,) px.
-    """
+    """Shift that most landmarks agree with. ``surfaces`` sequence of (k, k); ``radii_px`` (n,); returns (2,) px."""
     total = np.zeros_like(surfaces[0])
     for surface, radius in zip(surfaces, radii_px, strict=True):
         side = 2 * math.ceil(float(radius)) + 1
@@ -81,10 +72,7 @@ def common_shift(surfaces: Sequence[Float], radii_px: Float) -> NDArray[np.int64
 
 
 def peak_near(surface: Float, shift_px: NDArray[np.int64], radius_px: float) -> tuple[Float, float] | None:
-    """Peak of a correlation surface near a shift.
-
-    ``surface`` (k, k); returns ``peak_px`` (2,) and ``score``.
-    """
+    """Peak of a correlation surface near a shift. ``surface`` (k, k); returns ``peak_px`` (2,) and ``score``."""
     half = (surface.shape[0] - 1) // 2
     reach = math.ceil(radius_px) + 1
     low = np.maximum(shift_px + half - reach, 0)

@@ -47,20 +47,12 @@ of 300 px, with opposite signs on its two sides."""
 class Patch(Value):
     """A landmark as rendered.
 
-    Parameters
-    ----------
-    number : int
-        Number in the catalog.
-    box : PixelBox
-        Its pixels in the image.
-    light : (h, w) float64
-        Brightness under the law of the target.
-    other : (h, w) float64, optional
-        Brightness under another law.
-    mask : (h, w) bool
-        The ground of the landmark; False in a border of :data:`BORDER_PX`.
-    whole : bool
-        True if the ground around it is rendered too.
+    number: number in the catalog.
+    box: its pixels in the image.
+    light: (h, w); brightness under the law of the target.
+    other: (h, w); brightness under another law.
+    mask: (h, w); the ground of the landmark; False in a border of :data:`BORDER_PX`.
+    whole: True if the ground around it is rendered too.
     """
 
     number: int
@@ -94,18 +86,10 @@ class _Images(Value):
 class TracedGround(Value):
     """Part of a shape, traced in one pose; images in nearby poses reuse its rays.
 
-    Parameters
-    ----------
-    body : Body
-        As traced.
-    plane : FocalPlane
-    box : PixelBox
-        Part of the image.
-    moved : MovedBody
-    rays : ShadedRays
-        Under the law of the body, and another one or none.
-    lit : (columns, rows) bool
-        Cells whose ray ends on a point in sunlight.
+    body: as traced.
+    box: part of the image.
+    rays: under the law of the body, and another one or none.
+    lit: (columns, rows); cells whose ray ends on a point in sunlight.
     """
 
     body: Body
@@ -153,20 +137,11 @@ class TracedGround(Value):
 class LandmarkRenderer(Value):
     """Renders landmarks of a target.
 
-    Parameters
-    ----------
-    catalog : LandmarkCatalog
-    plane : FocalPlane
-        With a camera model that can be cut to a window of its image.
-    sun_direction_camera : (3,) float64, unitless, camera axes
-        Unit vector from body to Sun.
-    max_size_px : float, px
-        Only the middle of larger landmarks is rendered.
-    rays_per_pixel_side : int
-    other_law : bool
-        True to render under another reflectance law as well.
-    surroundings : bool
-        True to render the ground around landmarks too, where it belongs to the shape.
+    plane: with a camera model that can be cut to a window of its image.
+    sun_direction_camera: unit vector from body to Sun.
+    max_size_px: only the middle of larger landmarks is rendered.
+    other_law: True to render under another reflectance law as well.
+    surroundings: True to render the ground around landmarks too, where it belongs to the shape.
 
     Notes
     -----

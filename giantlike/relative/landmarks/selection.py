@@ -30,16 +30,10 @@ _RAYS_AT_A_TIME = 200_000  # to bound the memory
 class LandmarkBuildOptions:
     """Options of :func:`build_landmarks`.
 
-    Parameters
-    ----------
-    count : int
-        Largest number of landmarks; fewer where they would lie on top of each other.
-    size_km : float, km, optional
-        Side of a landmark; a fifth of the mean radius if not given.
-    samples : int
-        Heights along each side of a map.
-    seed : int
-        Of the places that are tried.
+    count: largest number of landmarks; fewer where they would lie on top of each other.
+    size_km: side of a landmark; a fifth of the mean radius if not given.
+    samples: heights along each side of a map.
+    seed: of the places that are tried.
     """
 
     count: int = 150

@@ -30,18 +30,11 @@ _LEAST_INSIDE = 0.6  # of the points that must lie in the frame: see benchmarks/
 class VisibilityOptions:
     """Conditions under which a landmark is used.
 
-    Parameters
-    ----------
-    max_incidence_deg, max_emission_deg : float, deg
-        Largest angles of the Sun and of the camera from the normal of a landmark.
-    max_shadowed : float
-        Largest part of a landmark in the shadow of other ground.
-    min_size_px : float, px
-        Least width, foreshortened.
-    max_size_px : float, px
-        Of larger ones only the middle is used.
-    max_landmarks : int
-        If more can be used, those with the strongest texture, well spread over the image.
+    max_incidence_deg, max_emission_deg: largest angles of the Sun and of the camera from the normal of a landmark.
+    max_shadowed: largest part of a landmark in the shadow of other ground.
+    min_size_px: least width, foreshortened.
+    max_size_px: of larger ones only the middle is used.
+    max_landmarks: if more can be used, those with the strongest texture, well spread over the image.
 
     Notes
     -----
@@ -71,15 +64,10 @@ class VisibilityOptions:
 class SeenLandmarks(Value):
     """Landmarks that can be used, and the number of others by reason.
 
-    Parameters
-    ----------
-    numbers : (k,) int64
-        Numbers in the catalog.
-    predicted_px : (k, 2) float64, px
-    size_px : (k,) float64, px
-        Foreshortened width.
-    outside, oblique, hidden, dark, small : int
-        Numbers out of the frame, too oblique, occulted, not lit, too small.
+    numbers: (k,); numbers in the catalog.
+    predicted_px: (k, 2).
+    size_px: (k,); foreshortened width.
+    outside, oblique, hidden, dark, small: numbers out of the frame, too oblique, occulted, not lit, too small.
     """
 
     numbers: Indices

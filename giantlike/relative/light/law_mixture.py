@@ -55,14 +55,10 @@ _MOST = 1.0
 class LawMixture(Value):
     """A body under the assumed law, and the changes by other laws, from a flat one to one dark at the terminator.
 
-    Parameters
-    ----------
-    own : Template
-        Under the law that is assumed.
-    changes : (3, h, w) float64
-        Brightness under Lambert's law minus that under the law of Lommel and Seeliger, each normalized to sum 1; and,
-        rad, the normalized brightness under the assumed law, and the first change, both times the phase angle of each
-        pixel minus that at the center.
+    own: under the law that is assumed.
+    changes: (3, h, w); brightness under Lambert's law minus that under the law of Lommel and Seeliger, each normalized
+        to sum 1; and, rad, the normalized brightness under the assumed law, and the first change, both times the phase
+        angle of each pixel minus that at the center.
 
     Notes
     -----
@@ -113,26 +109,16 @@ class LawMixture(Value):
 class LawFit(Value):
     """Reflectance law estimated from the light of a body.
 
-    Parameters
-    ----------
-    shares : (3,) float64
-        Of the mixture.
-    sigma : float
-        Standard deviation of the first share.
-    covariance_px2 : (2, 2) float64, px^2
-        Of the correction, by the errors of the shares.
-    by_size_px : (2,) float64, px
-        Derivative of the correction by the relative size, including the law estimated for that size.
-    template : Template
-        The body under the law found.
-    unexplained_px2 : (2, 2) float64, px^2
-        Covariance of the center of light by residuals of the law: markings, or another kind of law.
-    markings : float
-        Relative standard deviation of the brightness of blocks about the template, without photon noise.
-    unexplained : float
-        Norm of image minus template divided by the norm of the light of the body, without noise.
-    residuals : (n,) float64
-        Image minus template in the bright pixels, divided by the brightest pixel of the template.
+    shares: (3,); of the mixture.
+    sigma: standard deviation of the first share.
+    covariance_px2: of the correction, by the errors of the shares.
+    by_size_px: (2,); derivative of the correction by the relative size, including the law estimated for that size.
+    template: the body under the law found.
+    unexplained_px2: (2, 2); covariance of the center of light by residuals of the law: markings, or another kind of
+        law.
+    markings: relative standard deviation of the brightness of blocks about the template, without photon noise.
+    unexplained: norm of image minus template divided by the norm of the light of the body, without noise.
+    residuals: (n,); image minus template in the bright pixels, divided by the brightest pixel of the template.
     """
 
     shares: Float

@@ -41,10 +41,7 @@ def require_correction(name: str) -> None:
 def phase_correction_px(
     kind: Correction, rendered_px: Float, geometry: TargetGeometry, model: CameraModel, *, radius_px: float
 ) -> Float:
-    """Correction from the center of the light to the center of the figure.
-
-    ``rendered_px`` (2,); returns (2,).
-    """
+    """Correction from the center of the light to the center of the figure. ``rendered_px`` (2,); returns (2,)."""
     if kind in (Correction.RENDERED, Correction.NONE):
         return rendered_px if kind is Correction.RENDERED else np.zeros(2)
     shape, position_km = geometry.target.shape, geometry.position_camera_km
@@ -62,10 +59,7 @@ def phase_correction_px(
 
 
 def sunlight_px(geometry: TargetGeometry, model: CameraModel) -> Float:
-    """Direction of the sunlight in the image at the predicted center.
-
-    Returns (2,), zero at zero phase.
-    """
+    """Direction of the sunlight in the image at the predicted center. Returns (2,), zero at zero phase."""
     along = model.project_jacobian(geometry.position_camera_km) @ geometry.sun_direction_camera
     length = float(np.linalg.norm(along))
     seen = length > _LEAST_ACROSS * model.focal_length_px / geometry.range_km

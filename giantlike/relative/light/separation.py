@@ -95,29 +95,16 @@ def seen_from(template: Template, corner_px: NDArray[np.int64]) -> Template:
 class SeparatedLight(Value):
     """The light of one body in a window of the image; positions are relative to the first pixel of the window.
 
-    Parameters
-    ----------
-    corner_px : (2,) int64, px
-        First pixel of the window in the image.
-    signal_dn : (rows, columns) float64, DN
-        Sky subtracted, bad pixels filled.
-    region : (rows, columns) bool
-        Pixels whose light is attributed to the body.
-    total_dn : float, DN
-        Sum of their signal.
-    expected : (rows, columns) bool
-        Pixels where light of the body is expected, with a margin.
-    threshold_dn : float, DN
-        Otsu's, above background.
-    ceiling_dn : float, DN
-        Minimum signal of a saturated pixel; infinite without one.
-    sky : SkyPlane
-    noise_variance_dn2 : callable
-        Variance, DN^2, of the noise of pixels of a given signal.
-    shift_px : (2,) int64, px
-        From a template at the predicted position to the light.
-    bad : (rows, columns) bool
-        Pixels that were filled.
+    corner_px: first pixel of the window in the image.
+    signal_dn: (rows, columns); sky subtracted, bad pixels filled.
+    region: (rows, columns); pixels whose light is attributed to the body.
+    total_dn: sum of their signal.
+    expected: (rows, columns); pixels where light of the body is expected, with a margin.
+    threshold_dn: otsu's, above background.
+    ceiling_dn: minimum signal of a saturated pixel; infinite without one.
+    noise_variance_dn2: variance, DN^2, of the noise of pixels of a given signal.
+    shift_px: from a template at the predicted position to the light.
+    bad: pixels that were filled.
     """
 
     corner_px: NDArray[np.int64]

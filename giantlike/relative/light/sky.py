@@ -24,20 +24,12 @@ _FIRST_CLIP_SIGMAS = 6.0
 class SkyPlane(Value):
     """Brightness of the sky as a plane, and its errors.
 
-    Parameters
-    ----------
-    middle_px : (2,) float64, px
-        Origin of the coordinates of the fit.
-    scale_px : float, px
-        Unit of the coordinates of the fit.
-    plane_dn : (3,) float64, DN
-        Level at the origin, and rise per unit along columns and rows.
-    covariance_dn2 : (3, 3) float64, DN^2
-        Of ``plane_dn``, by noise.
-    bend_dn : (6,) float64, DN
-        Paraboloid (1, x, y, x^2, x y, y^2) through the same pixels minus the plane: curvature of the sky.
-    sigma_dn : float, DN
-        Noise of a pixel about the plane.
+    middle_px: origin of the coordinates of the fit.
+    scale_px: unit of the coordinates of the fit.
+    plane_dn: (3,); level at the origin, and rise per unit along columns and rows.
+    covariance_dn2: of ``plane_dn``, by noise.
+    bend_dn: (6,); paraboloid (1, x, y, x^2, x y, y^2) through the same pixels minus the plane: curvature of the sky.
+    sigma_dn: noise of a pixel about the plane.
     """
 
     middle_px: Float

@@ -43,17 +43,11 @@ _EACH_LINE = 4
 class ClippedProfiles(Value):
     """Profiles of a clipped body, DN.
 
-    Parameters
-    ----------
-    values : (n, m) float64, DN
-    laws : (n, m, k) float64, DN
-        Change with the share of each of k other laws.
-    brightness : (n, m) float64, DN
-        Change with the logarithm of the brightness.
-    blur : (n, m) float64, DN/px^2
-        Change with the variance of the point spread function.
-    beyond : (n,) float64
-        Logarithm of the brightness of each line over the level, 0 where it is not clipped.
+    values: (n, m) DN.
+    laws: (n, m, k) DN; change with the share of each of k other laws.
+    brightness: (n, m) DN; change with the logarithm of the brightness.
+    blur: (n, m) DN/px^2; change with the variance of the point spread function.
+    beyond: (n,); logarithm of the brightness of each line over the level, 0 where it is not clipped.
     """
 
     values: Float

@@ -57,15 +57,9 @@ class EdgeModel(StrEnum):
 class ScanOptions:
     """Options of all ways to measure the points of a limb.
 
-    Parameters
-    ----------
-    edges : EdgeModel
-    window_px : float, px
-        Largest distance of pixels used, to both sides of the limb.
-    min_contrast : float
-        Mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
-    psf_error : float
-        Relative standard deviation of the width of the camera's point spread function.
+    window_px: largest distance of pixels used, to both sides of the limb.
+    min_contrast: mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
+    psf_error: relative standard deviation of the width of the camera's point spread function.
     """
 
     edges: EdgeModel = EdgeModel.TEMPLATE
@@ -167,16 +161,10 @@ def limb_view(inputs: EstimatorInputs) -> LimbView:
 class LimbState(Value):
     """State of the iteration.
 
-    Parameters
-    ----------
-    position_camera_km : (3,) float64, km, camera axes
-        Position of the body.
-    psf_px2 : float, px^2
-        Variance of the point spread function, for scans that estimate it.
-    iteration : int
-        Number of measurements made before.
-    moved_px : float, px
-        Largest motion of the limb in the step before; infinite at the start.
+    position_camera_km: position of the body.
+    psf_px2: variance of the point spread function, for scans that estimate it.
+    iteration: number of measurements made before.
+    moved_px: largest motion of the limb in the step before; infinite at the start.
     """
 
     position_camera_km: Float
@@ -189,13 +177,9 @@ class LimbState(Value):
 class LimbStep(Value):
     """Step of the iteration.
 
-    Parameters
-    ----------
-    position_km : (3,) float64, km, camera axes
-    keep : (n,) bool
-        Points consistent with the position.
-    psf_px2 : float, px^2
-        Change of the variance of the point spread function.
+    position_km: in camera axes.
+    keep: (n,); points consistent with the position.
+    psf_px2: change of the variance of the point spread function.
     """
 
     position_km: Float
@@ -283,20 +267,12 @@ def next_motion_px(before_px: float, moved_px: float) -> float:
 class LimbSolution(Value):
     """Position of a body from its limb.
 
-    Parameters
-    ----------
-    position_camera_km : (3,) float64, km, camera axes
-        Of the origin of the shape.
-    covariances_km2 : mapping of Cause to (3, 3) float64, km^2, camera axes
-        Covariance by each cause; they add up.
-    residuals_px : (m,) float64, px
-        Residuals of the points used, positive outward.
-    limb_px : (m, 2) float64, px
-        Those points in the image.
-    corrections : Corrections
-        For the altitude of the limb.
-    turn : BodyTurn or None
-        Where it was measured.
+    position_camera_km: of the origin of the shape.
+    covariances_km2: mapping of Cause to (3, 3), camera axes; covariance by each cause; they add up.
+    residuals_px: (m,); residuals of the points used, positive outward.
+    limb_px: (m, 2); those points in the image.
+    corrections: for the altitude of the limb.
+    turn: where it was measured.
     """
 
     position_camera_km: Float

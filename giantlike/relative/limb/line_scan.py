@@ -84,18 +84,11 @@ _MIN_WIDTH_PX = 0.3
 class LimbLines(Value):
     """Lines across an outline, by the directions of their intersections from the body's center.
 
-    Parameters
-    ----------
-    angles_rad : (k,) float64, rad
-        From +x towards +y.
-    brightness : (k,) float64
-        Just inside the outline, over the brightest place along it.
-    spacing_px : float, px
-        Between neighbors, along the limb.
-    perimeter_px : float, px
-        Length of the whole outline.
-    cut_by_frame : bool
-        Part of the outline lies outside the frame.
+    angles_rad: (k,); from +x towards +y.
+    brightness: (k,); just inside the outline, over the brightest place along it.
+    spacing_px: between neighbors, along the limb.
+    perimeter_px: length of the whole outline.
+    cut_by_frame: part of the outline lies outside the frame.
     """
 
     angles_rad: Float
@@ -115,12 +108,8 @@ class LimbLines(Value):
 class Outline(Value):
     """Whole outline of a body where it is predicted.
 
-    Parameters
-    ----------
-    silhouette : Silhouette
-        In even steps of the angle.
-    brightness : (k,) float64
-        Just inside the outline, over the brightest place along it.
+    silhouette: in even steps of the angle.
+    brightness: (k,); just inside the outline, over the brightest place along it.
     """
 
     silhouette: Silhouette
@@ -264,10 +253,7 @@ def measure_once(
 class LineMeasurement(LimbMeasurement):
     """Limb measured line by line.
 
-    Parameters
-    ----------
-    psf_px2 : float, px^2
-        Variance of the point spread function estimated from the lines.
+    psf_px2: variance of the point spread function estimated from the lines.
     """
 
     psf_px2: float
@@ -277,20 +263,10 @@ class LineMeasurement(LimbMeasurement):
 class LineScan(Value):
     """Measures a limb line by line: a :class:`~giantlike.relative.limb.fix.LimbScan`.
 
-    Parameters
-    ----------
-    view : LimbView
-    body : Body
-        Anywhere.
-    lines : LimbLines
-    search : IteratedSearch
-    options : LimbScanOptions
-    relief : SmoothError or None
-        Departure of the true outline from the modeled one; with it the limits on profiles are looser.
-    outline : Outline or None
-        Outline as located, the start of the first measurement; None to trace it.
-    other_laws : tuple of Reflectance
-        Laws mixed into the law of the body.
+    body: anywhere.
+    relief: departure of the true outline from the modeled one; with it the limits on profiles are looser.
+    outline: outline as located, the start of the first measurement; None to trace it.
+    other_laws: laws mixed into the law of the body.
     """
 
     view: LimbView

@@ -83,27 +83,15 @@ _MAX_NOISE_PX = 0.5
 class LimbScanOptions(ScanOptions):
     """Options of the lines across a limb.
 
-    Parameters
-    ----------
-    edges : EdgeModel
-    spacing_px : float, px
-        Between neighboring lines along the limb.
-    max_lines : int
-        On longer limbs the lines are farther apart.
-    min_lines : int
-        Fewer good lines than this are no limb.
-    window_px : float, px
-        Largest distance of compared profiles, to both sides of the limb.
-    local_search_px : float, px
-        Largest distance of the edge on a line from the outline that was located as a whole.
-    step_px : float, px
-        Between samples on a line.
-    rays_per_pixel_side : int
-        Of the rendered template where the outline lies; small bodies get more.
-    min_contrast : float
-        Mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
-    psf_error : float
-        Relative standard deviation of the width of the camera's point spread function.
+    spacing_px: between neighboring lines along the limb.
+    max_lines: on longer limbs the lines are farther apart.
+    min_lines: fewer good lines than this are no limb.
+    window_px: largest distance of compared profiles, to both sides of the limb.
+    local_search_px: largest distance of the edge on a line from the outline that was located as a whole.
+    step_px: between samples on a line.
+    rays_per_pixel_side: of the rendered template where the outline lies; small bodies get more.
+    min_contrast: mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
+    psf_error: relative standard deviation of the width of the camera's point spread function.
     """
 
     spacing_px: float = 1.5
@@ -132,20 +120,14 @@ class LimbScanOptions(ScanOptions):
 class ExpectedProfiles(Value):
     """Expected profiles of lines, and their derivatives by parameters that all lines share.
 
-    Parameters
-    ----------
-    values : (n, m) float64
-        Any unit.
-    changes : (n, m, c) float64
-        Derivative by each of c parameters.
-    layout : Layout
-        Of the parameters: shares of other laws and of wings, logarithm of a brightness that is clipped, and, px^2, the
-        variance of the point spread function, half the excess of that along columns over that along rows, and the
+    values: (n, m); any unit.
+    changes: (n, m, c); derivative by each of c parameters.
+    layout: of the parameters: shares of other laws and of wings, logarithm of a brightness that is clipped, and, px^2,
+        the variance of the point spread function, half the excess of that along columns over that along rows, and the
         covariance of both.
-    prior : Prior
-        Of the changes of the parameters from those of the profiles.
-    beyond : (n,) float64
-        Logarithm of the ratio of the brightness of each line to its clipping level; 0 where it is not clipped.
+    prior: of the changes of the parameters from those of the profiles.
+    beyond: (n,); logarithm of the ratio of the brightness of each line to its clipping level; 0 where it is not
+        clipped.
     """
 
     values: Float
@@ -164,19 +146,12 @@ class ExpectedProfiles(Value):
 class MatchedLines(Value):
     """Lines of an image matched with the profiles expected there.
 
-    Parameters
-    ----------
-    match : ProfileMatch
-        With the shared parameters as found.
-    good : (n,) bool
-    rejected : dict of str to int
-        Number of the others by reason.
-    common_px : dict of Cause to (n, c) float64, px
-        Shift of the lines by one standard deviation of each of the shared parameters.
-    psf_px2 : float, px^2
-        Change of the variance of the point spread function that was found.
-    extrapolated_px : float, px
-        Standard deviation of the limb by the extrapolation of its brightness above the clipping level.
+    match: with the shared parameters as found.
+    good: (n,).
+    rejected: number of the others by reason.
+    common_px: dict of Cause to (n, c); shift of the lines by one standard deviation of each of the shared parameters.
+    psf_px2: change of the variance of the point spread function that was found.
+    extrapolated_px: standard deviation of the limb by the extrapolation of its brightness above the clipping level.
     """
 
     match: ProfileMatch
@@ -197,10 +172,7 @@ def expected_profiles(
     *,
     first: bool,
 ) -> ExpectedProfiles | Failure:
-    """Compute the profiles expected along lines.
-
-    Fails as :func:`giantlike.ray_tracing.render_near`.
-    """
+    """Compute the profiles expected along lines. Fails as :func:`giantlike.ray_tracing.render_near`."""
     if options.edges is EdgeModel.STEP:
         return _alone(np.tile(_step_profile(scans, psf_px2), (len(scans.points_px), 1)))
     others = () if first else tuple(law for law in other_laws if law != body.reflectance)

@@ -19,14 +19,9 @@ from giantlike.relative.limb.fix import LimbSolution
 class Weighted(Value):
     """Generalized least squares of k parameters by the points of a limb.
 
-    Parameters
-    ----------
-    means : (b, n) float64
-        Averages n points to b.
-    gain : (k, b) float64
-        Takes the shifts of these, px, to the parameters.
-    own : mapping of Cause to (k, k) float64
-        Covariances by the errors of each point: noise, and relief.
+    means: (b, n); averages n points to b.
+    gain: (k, b); takes the shifts of these, px, to the parameters.
+    own: mapping of Cause to (k, k); covariances by the errors of each point: noise, and relief.
     """
 
     means: Float

@@ -28,16 +28,10 @@ _MOST_LOST = 0.2
 class Blocks(Value):
     """An image averaged over blocks of pixels.
 
-    Parameters
-    ----------
-    size : int, px
-        Pixels along the side of a block.
-    pixels : BoxPixels
-        Blocks are usable where all of their pixels are, and lower limits where one is and none is bad.
-    good : (rows, columns) bool
-        Blocks without bad pixels.
-    plane : FocalPlane
-        Of the blocks.
+    size: in px; pixels along the side of a block.
+    pixels: blocks are usable where all of their pixels are, and lower limits where one is and none is bad.
+    good: blocks without bad pixels.
+    plane: of the blocks.
     """
 
     size: int

@@ -46,12 +46,9 @@ _LEVERAGE_LIMIT = 0.95
 class VarianceModel(Value):
     """Variance of values: known noise, and kinds of error of unknown size.
 
-    Parameters
-    ----------
-    noise : (n,) float64
-        Variance of the noise.
-    shapes : (m, n) float64
-        Variance of each kind of error over its unknown size; the first kind is independent from value to value.
+    noise: (n,); variance of the noise.
+    shapes: (m, n); variance of each kind of error over its unknown size; the first kind is independent from value to
+        value.
     """
 
     noise: Float
@@ -66,16 +63,11 @@ class VarianceModel(Value):
 class RobustFit(Value):
     """Parameters of a linear model, and the sizes of its errors by the residuals.
 
-    Parameters
-    ----------
-    solution : Solution
-        Of the last step. Its data are what it explained, of a limit the value that stands for it, see
+    solution: of the last step. Its data are what it explained, of a limit the value that stands for it, see
         :meth:`Measured.explained`; no weight where a residual was clipped.
-    errors : (m,) float64
-        Sizes of the kinds of error.
-    noise, error : (h, w) float64
-        Variances: of the part that is independent from pixel to pixel, and of model errors that the point spread
-        function spreads.
+    errors: (m,); sizes of the kinds of error.
+    noise, error: (h, w); variances: of the part that is independent from pixel to pixel, and of model errors that the
+        point spread function spreads.
     """
 
     solution: Solution
@@ -98,14 +90,9 @@ class RobustFit(Value):
 class Measured(Value):
     """Values to explain, some of which are only a lower limit.
 
-    Parameters
-    ----------
-    values : (n,) float64
-    offered : (n,) bool
-        True where a value says something.
-    censored : (n,) bool
-        True where the true value is at least that.
-    variances : VarianceModel
+    values: (n,).
+    offered: (n,); True where a value says something.
+    censored: (n,); True where the true value is at least that.
     """
 
     values: Float

@@ -290,17 +290,9 @@ def _straight(pixels: BoxPixels, response: Response) -> BoxPixels:
 class TemplateMatch(Value):
     """A template found in an image and fitted to it.
 
-    Parameters
-    ----------
-    fit : TemplateFit
-    box : PixelBox
-        Pixels that were fitted; it may reach over the frame.
-    synthesis : callable
-        Renders the template into the box.
-    options : TemplateFitOptions
-    start : TemplateState
-        Start of the fits, without blur beyond that of the camera.
-    renderer : TemplateRenderer
+    box: pixels that were fitted; it may reach over the frame.
+    synthesis: renders the template into the box.
+    start: start of the fits, without blur beyond that of the camera.
     """
 
     fit: TemplateFit

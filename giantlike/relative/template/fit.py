@@ -64,37 +64,22 @@ _MAX_BLOCK_PX = 32  # px: enough blocks remain on large bodies
 class TemplateFitOptions:
     """Options of :func:`fit_template`.
 
-    Parameters
-    ----------
-    max_iterations : int
-        Renders at most.
-    tolerance_px : float, px
-        The fit has converged when a step from a fine render moves neither the center nor the limb by more.
-    clip_sigma : float
-        Pixels whose residual is larger than so many standard deviations (noise and model error) are rejected.
-    log_range_sigma : float
-        A priori standard deviation of the logarithm of the range; infinite lets the image alone decide.
-    blur_sigma_px2 : float, px^2
-        A priori standard deviation of the variance of the point spread function around that of the start.
-    relief_sigma : float
-        Standard deviation of the errors of the shape along its radii, as a fraction of the radius.
-    relief_length_px : float, px
-        Their correlation length: the correlation at a distance d is ``exp(-d^2 / (2 relief_length_px^2))``.
-    altitude_sigma : float
-        Standard deviation of the altitude of the limb by haze, as a fraction of the radius.
-    sun_direction : (float, float, float), unitless
-        Unit vector from body to Sun, along columns, rows and the line of sight.
-    radius_px : float, px
-        Radius of the body.
-    fine_at_once : bool
-        Render finely from the first: for bodies so small that rough renders save nothing, which then take one render
-        where the start is within ``tolerance_px``.
-    response : Response, optional
-        Response by which the pixels were linearized; its curvature is estimated along with the rest.
-    smear_sigma_px2 : float, px^2
-        A priori standard deviation of the variances of a smear.
-    complete : bool
-        The model is complete: undeclared effects are not tested for in the residuals.
+    max_iterations: renders at most.
+    tolerance_px: the fit has converged when a step from a fine render moves neither the center nor the limb by more.
+    clip_sigma: pixels whose residual is larger than so many standard deviations (noise and model error) are rejected.
+    log_range_sigma: A priori standard deviation of the logarithm of the range; infinite lets the image alone decide.
+    blur_sigma_px2: A priori standard deviation of the variance of the point spread function around that of the start.
+    relief_sigma: standard deviation of the errors of the shape along its radii, as a fraction of the radius.
+    relief_length_px: their correlation length: the correlation at a distance d is
+        ``exp(-d^2 / (2 relief_length_px^2))``.
+    altitude_sigma: standard deviation of the altitude of the limb by haze, as a fraction of the radius.
+    sun_direction: unit vector from body to Sun, along columns, rows and the line of sight.
+    radius_px: radius of the body.
+    fine_at_once: render finely from the first: for bodies so small that rough renders save nothing, which then take one
+        render where the start is within ``tolerance_px``.
+    response: response by which the pixels were linearized; its curvature is estimated along with the rest.
+    smear_sigma_px2: a priori standard deviation of the variances of a smear.
+    complete: the model is complete: undeclared effects are not tested for in the residuals.
     """
 
     max_iterations: int = 8
@@ -126,41 +111,24 @@ class TemplateFitOptions:
 class TemplateFit(Value):
     """A fitted template.
 
-    Parameters
-    ----------
-    state : TemplateState
-    parts : mapping of Cause to (3, 3) float64
-        Covariance of x and y in px and of the logarithm of the range, by cause.
-    gain_dn : float, DN
-        Signal of a surface of relative brightness 1.
-    offset_dn : float, DN
-        Background in the middle of the box.
-    signal_dn : (h, w) float64, DN
-        The model without its background.
-    score : float
-        Correlation coefficient of template and image over the pixels used.
-    residuals_dn : (h, w) float64, DN
-        Image minus model, also where pixels were not used.
-    model_dn : (h, w) float64, DN
-    used : (h, w) bool
-    n_rejected : int
-        Usable pixels that were clipped.
-    chi : float
-        Root mean square over the used pixels of residual over noise.
-    iterations : int
-    corner_px : (int, int), px
-        Column and row of the first element of the box.
-    columns : Columns
-        Of the last step.
-    log_variance : float
-        Mean logarithm of the variances of the pixels that were offered, with squared residuals of those rejected.
-    response, smear : Response and Smear
-        Estimated in the model or, where it has none, linearly from the residuals.
-    undeclared : mapping of str to Undeclared
-        Undeclared effects that the model leaves out, by name.
-    independent : IndependentParts
-    altitude_sigma : float
-        Standard deviation of the altitude of the limb relative to the radius, declared or by haze in the residuals.
+    parts: mapping of Cause to (3, 3); covariance of x and y in px and of the logarithm of the range, by cause.
+    gain_dn: signal of a surface of relative brightness 1.
+    offset_dn: background in the middle of the box.
+    signal_dn: (h, w); the model without its background.
+    score: correlation coefficient of template and image over the pixels used.
+    residuals_dn: (h, w); image minus model, also where pixels were not used.
+    model_dn: (h, w).
+    used: (h, w).
+    n_rejected: usable pixels that were clipped.
+    chi: root mean square over the used pixels of residual over noise.
+    corner_px: column and row of the first element of the box.
+    columns: of the last step.
+    log_variance: mean logarithm of the variances of the pixels that were offered, with squared residuals of those
+        rejected.
+    response, smear: estimated in the model or, where it has none, linearly from the residuals.
+    undeclared: undeclared effects that the model leaves out, by name.
+    altitude_sigma: standard deviation of the altitude of the limb relative to the radius, declared or by haze in the
+        residuals.
     """
 
     state: TemplateState

@@ -277,10 +277,7 @@ class LinearProblem:
 
 
 def unweighted(basis: Float, pixels: BoxPixels) -> Float:
-    """Plain least squares.
-
-    ``basis`` (k, h, w); returns (k,).
-    """
+    """Plain least squares. ``basis`` (k, h, w); returns (k,)."""
     rows, values = _chosen(basis, pixels.usable), pixels.values_dn[pixels.usable]
     normal = rows @ rows.T
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))

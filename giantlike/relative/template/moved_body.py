@@ -30,12 +30,8 @@ _REACH_SIGMA = 5.5
 class ShadedRays(Value):
     """Light that the rays of a body bring under k laws.
 
-    Parameters
-    ----------
-    cells : (columns, k, rows) float64
-        Brightness of whole cells; 0 in those that are split.
-    parts : (n, k) float64
-        Brightness of the parts of the others; none of a trace that is not refined.
+    cells: (columns, k, rows); brightness of whole cells; 0 in those that are split.
+    parts: (n, k); brightness of the parts of the others; none of a trace that is not refined.
     """
 
     cells: Float
@@ -50,21 +46,14 @@ class MovedBody(Value):
     of the ray, blurred by a Gaussian and summed over the pixel, exactly as in a render
     (:meth:`giantlike.ray_tracing.sampling.AxisCells.spread`), but with cells that lie anywhere and have any size.
 
-    Parameters
-    ----------
-    trace : Trace or RefinedTrace
-    state : TemplateState
-        Geometry of the trace.
+    state: geometry of the trace.
     """
 
     trace: Trace | RefinedTrace
     state: TemplateState
 
     def daylight(self, state: TemplateState) -> Daylight | None:
-        """Lit parts of the body, for a finer trace.
-
-        Returns None of a refined trace.
-        """
+        """Lit parts of the body, for a finer trace. Returns None of a refined trace."""
         if isinstance(self.trace, RefinedTrace):
             return None
         return Daylight(
@@ -87,10 +76,7 @@ class MovedBody(Value):
         return ShadedRays(cells=cells, parts=parts)
 
     def lights(self, box: PixelBox, state: TemplateState, rays: ShadedRays) -> tuple[Float, Callable[[Float], Float]]:
-        """Light on the pixels of a box, and its derivatives.
-
-        Returns ``lights`` (k, h, w) and ``derivatives``.
-        """
+        """Light on the pixels of a box, and its derivatives. Returns ``lights`` (k, h, w) and ``derivatives``."""
         x, y = self.trace.cells
         down = self._row(y, 1, state).on_pixels(box.y, box.height)
         first = _Grid(_Columns(self._row(x, 0, state).on_pixels(box.x, box.width)), down, rays.cells)

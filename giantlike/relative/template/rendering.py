@@ -83,18 +83,11 @@ _SMALL_RADIUS_PX = 10.0
 class TemplateRenderer(Value):
     """Renders a body at trial geometries.
 
-    Parameters
-    ----------
-    target : Body
-        At the predicted position.
-    plane : FocalPlane
-        With a point spread function.
-    sun_direction_camera : (3,) float64, unitless, camera axes
-        Unit vector from body to Sun.
-    rays_across : int
-        Rays across the body, about: small bodies get more to a pixel.
-    airless : bool
-        True where no residual can be haze.
+    target: at the predicted position.
+    plane: with a point spread function.
+    sun_direction_camera: unit vector from body to Sun.
+    rays_across: rays across the body, about: small bodies get more to a pixel.
+    airless: True where no residual can be haze.
     """
 
     target: Body

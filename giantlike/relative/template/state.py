@@ -22,15 +22,9 @@ FIT_BORDER_PX = 4
 class TemplateState(Value):
     """Geometry and blur that a template is rendered for.
 
-    Parameters
-    ----------
-    center_px : (2,) float64, px
-        Center of the body in the image.
-    log_range : float
-        Natural logarithm of the range over the a priori range.
-    psf_variance_px2 : float, px^2
-    smear : Smear, optional
-        Motion of the body in the image during the exposure.
+    center_px: center of the body in the image.
+    log_range: natural logarithm of the range over the a priori range.
+    smear: motion of the body in the image during the exposure.
     """
 
     center_px: Float
@@ -43,26 +37,18 @@ class TemplateState(Value):
 class TemplateImages(Value):
     """A body rendered into the box that is fitted.
 
-    Parameters
-    ----------
-    light : (h, w) float64
-        Brightness under the reflectance law of the target.
-    others : (k, h, w) float64
-        Brightness under k other laws, which the fit may mix in; none by default.
-    winged : bool
-        Estimate the share of the light that lies in wings of the point spread function.
-    untried : (h, w) float64, optional
-        Brightness under a law that the fit does not mix in; its effect enters the covariance.
-    veiled : callable, optional
-        Returns the brightness (3, h, w) under the laws of :func:`~giantlike.relative.template.haze.haze_laws`.
-    derivatives : callable, optional
-        Takes weights (1 + k,) and returns the derivatives (4, h, w) of the sum of ``light`` and ``others`` with these,
-        by x and y of the center in px, the logarithm of the range and the variance of the point spread function in
-        px^2; None takes them from differences of pixels. Those are off by a tenth where an image is as sharp as a
-        point spread function. With such errors shift, range, blur and law, which do nearly the same to the image of a
-        small body, seem to be distinguishable, and steps on coarse pixels end beside the solution.
-    by_smear : (2, h, w) float64, optional
-        Derivatives of ``light`` by the two variances of the motion that smears it, per px^2; None where none does.
+    light: (h, w); brightness under the reflectance law of the target.
+    others: (k, h, w); brightness under k other laws, which the fit may mix in; none by default.
+    winged: estimate the share of the light that lies in wings of the point spread function.
+    untried: (h, w); brightness under a law that the fit does not mix in; its effect enters the covariance.
+    veiled: returns the brightness (3, h, w) under the laws of :func:`~giantlike.relative.template.haze.haze_laws`.
+    derivatives: takes weights (1 + k,) and returns the derivatives (4, h, w) of the sum of ``light`` and ``others``
+        with these, by x and y of the center in px, the logarithm of the range and the variance of the point spread
+        function in px^2; None takes them from differences of pixels. Those are off by a tenth where an image is as
+        sharp as a point spread function. With such errors shift, range, blur and law, which do nearly the same to the
+        image of a small body, seem to be distinguishable, and steps on coarse pixels end beside the solution.
+    by_smear: (2, h, w); derivatives of ``light`` by the two variances of the motion that smears it, per px^2; None
+        where none does.
     """
 
     light: Float

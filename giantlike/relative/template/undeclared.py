@@ -22,12 +22,7 @@ _WIDTH = math.sqrt(8.0 * math.log(2.0))
 class Undeclared(Value):
     """An effect that a model leaves out.
 
-    Parameters
-    ----------
-    block : Block
-    chance : float
-        Probability of the effect, against the model without and against all other effects left out.
-    score : Score
+    chance: probability of the effect, against the model without and against all other effects left out.
     """
 
     block: Block
@@ -57,12 +52,8 @@ def undeclared_effects(fit: Solution, blocks: Mapping[Block, float]) -> dict[str
 class IndependentParts:
     """Number of independent values in pixels.
 
-    Parameters
-    ----------
-    of_surface : float
-        Where errors of the model are alike over a part of the surface.
-    of_edges : float
-        Where they are alike along a part of an edge, but not beside it.
+    of_surface: where errors of the model are alike over a part of the surface.
+    of_edges: where they are alike along a part of an edge, but not beside it.
     """
 
     of_surface: float

@@ -39,12 +39,8 @@ _REACHED = 0.05
 class CellScores:
     """Scores of alternatives in cells.
 
-    Parameters
-    ----------
-    solution : Solution
-        The fit of the body to the cells (n, n), around its position.
-    temper : float
-        Ratio of independent parts of a body to cells.
+    solution: the fit of the body to the cells (n, n), around its position.
+    temper: ratio of independent parts of a body to cells.
     """
 
     solution: Solution

@@ -44,28 +44,16 @@ _MOST_CELLS = 240
 class Cells(Value):
     """The image around a body in cells, with room for shifts of the body.
 
-    Parameters
-    ----------
-    values : (n, n) float64, DN
-        Means over the good pixels of each cell, bias subtracted.
-    variance : (n, n) float64, DN^2
-        Of their noise.
-    good : (n, n) bool
-        At least half of the pixels are good.
-    fresh : (n, n) bool
-        Good, and no pixel is saturated.
-    camera : Camera
-        Of an image whose pixels are the cells.
-    box : PixelBox
-        Of the cells, in the pixels of that image.
-    room : int
-        Cells around :attr:`inner` that are there for shifts.
-    radius : float
-        Mean radius of the body, cells.
-    size : int, px
-        Pixels along the side of a cell.
-    center_px : (2,) float64, px
-        Center of the body in the image.
+    values: (n, n) DN; means over the good pixels of each cell, bias subtracted.
+    variance: (n, n) DN^2; of their noise.
+    good: (n, n); at least half of the pixels are good.
+    fresh: (n, n); good, and no pixel is saturated.
+    camera: of an image whose pixels are the cells.
+    box: of the cells, in the pixels of that image.
+    room: cells around :attr:`inner` that are there for shifts.
+    radius: mean radius of the body, cells.
+    size: in px; pixels along the side of a cell.
+    center_px: center of the body in the image.
     """
 
     values: Float

@@ -125,10 +125,7 @@ def _own(fix: CenterFix) -> Float:
 
 
 def chance_of(difference: Float, covariance: Float) -> float:
-    """p-value of a difference under a covariance.
-
-    ``difference`` (k,); ``covariance`` (k, k).
-    """
+    """p-value of a difference under a covariance. ``difference`` (k,); ``covariance`` (k, k)."""
     return _chance(_squared(difference, covariance), len(difference))
 
 

@@ -96,11 +96,8 @@ degrees of phase) reached 0.51."""
 class Estimate(Value):
     """Unknowns of one effect.
 
-    Parameters
-    ----------
-    values : (k,) float64
-    covariance : (k, k) float64
-        By noise, and by errors of the model scaled to the residuals.
+    values: (k,).
+    covariance: (k, k); by noise, and by errors of the model scaled to the residuals.
     """
 
     values: Float
@@ -111,14 +108,9 @@ class Estimate(Value):
 class Omitted(Value):
     """Effects left out of a fit of cells, each estimated alone from the residuals; none by default.
 
-    Parameters
-    ----------
-    values : (a,) float64
-        Amplitude of the image of each effect in the residuals, with all fitted parameters free.
-    sigma : (a,) float64
-        Standard deviations.
-    explains : (a,) float64
-        Fraction of the squared residuals beyond noise that each of them explains.
+    values: (a,); amplitude of the image of each effect in the residuals, with all fitted parameters free.
+    sigma: (a,); standard deviations.
+    explains: (a,); fraction of the squared residuals beyond noise that each of them explains.
     """
 
     values: Float = field(default_factory=lambda: np.zeros(0))
@@ -130,31 +122,18 @@ class Omitted(Value):
 class CoarseFit(Value):
     """A body fitted to cells.
 
-    Parameters
-    ----------
-    gain_dn : float, DN
-        Signal of a surface seen and lit along its normal.
-    log_evidence : float
-        Logarithm of the tempered likelihood of the cells, up to a constant.
-    alternatives : mapping of Alternative to float
-        Logarithms of the odds of other models of the cells.
-    place : Estimate
-        Motion: x and y in px, and of the logarithm of the range.
-    strain : Estimate
-        Relative affine residual: shear along rows and along columns, and stretch along rows with shrinking along
+    gain_dn: signal of a surface seen and lit along its normal.
+    log_evidence: logarithm of the tempered likelihood of the cells, up to a constant.
+    alternatives: logarithms of the odds of other models of the cells.
+    place: motion: x and y in px, and of the logarithm of the range.
+    strain: relative affine residual: shear along rows and along columns, and stretch along rows with shrinking along
         columns.
-    blur : Estimate
-        Covariance of the blur beyond the point spread function: xx, xy and yy, px^2.
-    figure_px2 : (2, 2) float64, px^2
-        Covariance of the center of all light by an error of the shape, as shown by edges and strain; zero where they
-        are consistent with the shape.
-    response : Response
-        Response by which the values were linearized, if any, with the curvature estimated from the residuals.
-    bend_sigma : float
-        Standard deviation of its curvature.
-    bend_log_odds : float
-        Logarithm of the odds of a curvature other than the linearized one.
-    omitted : Omitted
+    blur: covariance of the blur beyond the point spread function: xx, xy and yy, px^2.
+    figure_px2: (2, 2); covariance of the center of all light by an error of the shape, as shown by edges and strain;
+        zero where they are consistent with the shape.
+    response: response by which the values were linearized, if any, with the curvature estimated from the residuals.
+    bend_sigma: standard deviation of its curvature.
+    bend_log_odds: logarithm of the odds of a curvature other than the linearized one.
     """
 
     gain_dn: float

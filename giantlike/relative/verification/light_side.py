@@ -36,12 +36,9 @@ ray per cell first; for smaller or more blurred bodies these are too coarse."""
 class LightSide:
     """Match of an image with a body lit from the Sun, and from the best of three other directions.
 
-    Parameters
-    ----------
-    unexplained, unexplained_by_other : float
-        Fraction of the variance of the pixels left by the body lit so, at the best shift.
-    log_odds : float
-        Log likelihood ratio of the other direction to the Sun.
+    unexplained, unexplained_by_other: fraction of the variance of the pixels left by the body lit so, at the best
+        shift.
+    log_odds: log likelihood ratio of the other direction to the Sun.
     """
 
     unexplained: float

@@ -17,18 +17,12 @@ from giantlike.relative.verification.cells import Cells
 class ShiftedMatches(Value):
     """Sums over the window of a template at each shift of it.
 
-    Parameters
-    ----------
-    size : (int, int)
-        Cells of the image in the transforms, padding included.
-    shifts : int
-        Number of shifts along each axis, of -n to n cells.
-    spectra : (2, rows, columns // 2 + 1) complex128
-        Transforms of the good cells and of their values.
-    number, total, variance : (shifts, shifts) float64
-        Good cells in the window, their sum and the sum of squares about their mean.
-    whole : bool
-        True where all cells are good: no sum of a template alone depends on the shift then.
+    size: cells of the image in the transforms, padding included.
+    shifts: number of shifts along each axis, of -n to n cells.
+    spectra: (2, rows, columns // 2 + 1); transforms of the good cells and of their values.
+    number, total, variance: (shifts, shifts); good cells in the window, their sum and the sum of squares about their
+        mean.
+    whole: True where all cells are good: no sum of a template alone depends on the shift then.
     """
 
     size: tuple[int, int]
