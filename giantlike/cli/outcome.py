@@ -25,8 +25,9 @@ class ExitCode(IntEnum):
     """All is done."""
     SOME_IMAGES_FAILED = 1
     """Finished with exceptions, which the output names: images without an attitude or not readable, computations that
-    broke down (`internal_error`), a calibration that is refused, a dossier that is no longer valid. Failed fixes, and
-    results that you reject, do not count."""
+    broke down (`internal_error`), a calibration that is refused, a dossier that is no longer valid. Failed fixes
+    do not count where another estimator found the body; neither do results that you reject, estimators that do not suit
+    a body, and targets that are not in the field."""
     GOALS_MISSED = 1
     """The demonstration, the gauntlet or a replay ran, and missed a goal."""
     BAD_INPUT = 2

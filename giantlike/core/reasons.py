@@ -286,10 +286,11 @@ class Quality(enum.Flag):
     Look at the image for shifted rows; check the shape, pole, rotation and epoch.
     """
     BLURRED = enum.auto()
-    """The stars are wider along one direction than the camera's optics make them, or narrower in all.
+    """The stars are wider along one direction than the camera's optics make them, or narrower in all, or odd rows are
+    shifted against even ones.
 
-    Check the motion during the exposure, and the psf of the camera. No fix of a body has it: there a blur makes the
-    sigma larger.
+    Check the motion during the exposure, the psf of the camera, and the order of the lines of an interlaced detector.
+    No fix of a body has it: there a blur makes the sigma larger.
     """
     DEFOCUSED = enum.auto()
     """The stars are much wider than the camera's point spread function, in all directions: no focus, or a wrong psf.

@@ -33,6 +33,7 @@ from giantlike.stars.apriori import Identification, identify_apriori
 from giantlike.stars.attitude import AttitudeSolution
 from giantlike.stars.consider import attitude_parts, response_to_camera
 from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky, half_diagonal_rad
+from giantlike.stars.interlace import is_interlaced
 from giantlike.stars.lost_in_space import identify_in_cone, identify_lost_in_space
 from giantlike.stars.matching import attitudes_within, predicted_in_frame
 from giantlike.stars.options import StarOptions, bright_enough
@@ -53,6 +54,8 @@ _LARGE_SHARED_PX = 0.5  # of errors that neighbors share: as large a shift hides
 _LARGE_BLUR = 1.3
 """Width of stars relative to the PSF of the camera. Measured on 260 star images: 0.97-1.01 without blur, 1.10-1.17 for
 motion of one pixel, 1.42-1.78 out of focus; the PSF varies over the field by 0.1-0.2."""
+_CLEAR_SNR = 10.0
+"""Minimum signal-to-noise ratio of stars in which odd and even rows are compared: centroids to a tenth of a width."""
 _ROUND = 0.25
 """Growth of the minor axis of stars relative to the major axis, above which a blur is isotropic."""
 _MOST_ALONE = 1 / 3
@@ -151,7 +154,25 @@ class StarNavigation:
                 break
             if _is_final(outcome):
                 break
-        return detections, outcome.fix if isinstance(outcome, _SolvedAttitude) else outcome
+        return detections, self._without_interlace(image, detections, outcome)
+
+    def _without_interlace(
+        self, image: Image, detections: Detections, outcome: _SolvedAttitude | Failure
+    ) -> AttitudeFix | Failure:
+        """Attitude of an outcome, flagged where odd and even rows are shifted against each other."""
+        if isinstance(outcome, Failure):
+            return outcome
+        fix = outcome.fix
+        stars = fix.detection_indices[detections.snr[fix.detection_indices] > _CLEAR_SNR]
+        shifted = is_interlaced(
+            image.linearized(self.camera.detector).pixels,
+            image.mask,
+            detections.points_px[stars],
+            detections.background_dn[stars],
+            detections.psf_sigma_px,
+            math.sqrt(float(fix.covariance_rad2[1, 1])) * fix.focal_length_px,
+        )
+        return replace(fix, flags=fix.flags | Quality.BLURRED) if shifted else fix
 
     @one_thread()
     def detect(self, image: Image, options: DetectionOptions | None = None) -> Detections | Failure:

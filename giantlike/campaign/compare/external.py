@@ -231,17 +231,23 @@ def _row(row: CsvRow) -> _Seen:
     )
 
 
-@reads("a CCSDS TDM")
 def _tdm(path: Path) -> list[_Seen]:
     """Pairs of right ascension and declination of a CCSDS TDM in its keyword form."""
+    seen, is_apparent = _read_tdm(path)
+    require(
+        is_apparent,
+        f"{path}: a comment says that {ABERRATION_REMOVED} from its angles, but apparent ones are compared: write "
+        "it with giantlike export --format tdm --angles apparent",
+    )
+    return seen
+
+
+@reads("a CCSDS TDM")
+def _read_tdm(path: Path) -> tuple[list[_Seen], bool]:
+    """Pairs of right ascension and declination of a CCSDS TDM, and True where they are apparent."""
     text = path.read_text(encoding="utf-8")
     if "CCSDS_TDM_VERS" not in text:
         raise DataError(path, "is no CCSDS TDM in keyword form: it has no CCSDS_TDM_VERS")
-    if ABERRATION_REMOVED in text:
-        raise InputError(
-            f"{path}: a comment says that {ABERRATION_REMOVED} from its angles, but apparent ones are compared: write "
-            "it with giantlike export --format tdm --angles apparent"
-        )
     seen = list[_Seen]()
     for segment in _META_START.split(text)[1:]:
         meta = {key: value.strip() for key, value in _TDM_ITEM.findall(segment.partition("DATA_START")[0])}
@@ -262,7 +268,7 @@ def _tdm(path: Path) -> list[_Seen]:
             for epoch, pair in angles.items()
             if len(pair) == 2
         ]
-    return seen
+    return seen, ABERRATION_REMOVED not in text
 
 
 def _observables(run: _Run, seen: Sequence[_Seen]) -> tuple[list[Difference], int]:
