@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,14 +24,20 @@ from giantlike.campaign.file.mission_defaults import with_mission
 from giantlike.campaign.file.schema import CampaignFile, TargetSection
 from giantlike.campaign.file.toml_file import checked_table, problems_of
 from giantlike.campaign.file.toml_lines import line_of, lines_of_keys
+from giantlike.campaign.run.image_loading import open_image, scene_of, targets_in
 from giantlike.campaign.store.odd_epochs import odd_epochs
+from giantlike.catalogs import load_catalog
 from giantlike.core.errors import DataError, InputError, OpNavError
+from giantlike.core.outcomes import Failure
 from giantlike.core.time import et_from_time
 from giantlike.image import Image
 from giantlike.io.geometry_table import GeometryTable
+from giantlike.io.spice import ellipsoid_from_pck, load_kernels
 from giantlike.presets import preset_names
 from giantlike.relative import ESTIMATORS
 from giantlike.shapes import Shape
+from giantlike.stars.matching import predicted_in_frame
+from giantlike.stars.navigation import sky_of
 
 _SECTIONS = "campaign|mission|images|camera|spice|stars|calibration|calibration_frames|targets|report"
 _KEY = re.compile(rf"\[?((?:{_SECTIONS})\b(?:[\w.]|\[\d+\])*)\]?:? ")
@@ -46,6 +53,9 @@ _ALONE: dict[str, Any] = {
     "rings": None,
 }
 """Placeholder keys of a target while one of them is checked."""
+_OTHER_UNIT = 100.0
+"""Ratio of two radii between a wrong unit, a factor of 1000, and different shapes of a body, logarithmically nearer to
+these."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +102,8 @@ def check_campaign(path: Path, *, all_images: bool = False) -> list[Mistake]:
         except OpNavError as error:
             check.add("", error)
         else:
-            _what_is_meant(check, campaign, all_images=all_images)
+            with nullcontext() if campaign.spice is None else load_kernels(campaign.spice.kernels, "."):
+                _what_is_meant(check, campaign, all_images=all_images)
     return sorted(check.found, key=lambda mistake: (not mistake.fatal, mistake.line or 0))
 
 
@@ -227,28 +238,72 @@ def _what_is_meant(check: _Check, campaign: Campaign, *, all_images: bool) -> No
             if name not in section["estimators"]:
                 text = f"options of {name}, which is not in estimators and does not run: add it there, or delete them"
                 check.add(f"targets[{number}].options.{name}", text, fatal=False)
+    shapes = dict[str, Shape]()
     for number, target in enumerate(campaign.targets):
         shape = check.attempt(f"targets[{number}].shape", target.load_shape)
         if shape is not None:
+            shapes[target.name] = shape
             _units(check, campaign, number, shape)
+            _size_in_kernels(check, campaign, number, shape)
     if campaign.frames is not None:
         load = partial(campaign.frames.load, rows=campaign.camera.rows, columns=campaign.camera.columns)
         check.attempt("calibration_frames", load)
     opened = campaign.images if all_images else campaign.images[:1]
     epochs = {key: known.epoch and et_from_time(known.epoch) for key, known in campaign.geometry.items()}
-    for entry in opened:
-        image = check.attempt("images.files", _opened, campaign, entry.path)
-        if image is not None:
-            check.attempt("camera", campaign.camera.require_image, image)
-            if epochs.get(entry.key) is None:
-                epochs[entry.key] = image.et
+    prepared = {entry.key: check.attempt("images.files", open_image, campaign, entry) for entry in opened}
+    images = [one.image for one in prepared.values() if one is not None]
+    for image in images:
+        if epochs.get(image.name) is None:
+            epochs[image.name] = image.et
+        _geometry_of_image(check, campaign, image, shapes)
     for key, years in odd_epochs(epochs).items():
         text = f"{key}: its epoch is {years:+g} years from those of the other images: is the clock of its header right?"
         check.add("images.files", text, fatal=False)
+    if all_images and images:
+        _attitudes(check, campaign, images)
 
 
-def _opened(campaign: Campaign, path: Path) -> Image:
-    return Image.open(path, hdu=campaign.hdu, bottom_up=campaign.bottom_up)
+def _geometry_of_image(check: _Check, campaign: Campaign, image: Image, shapes: Mapping[str, Shape]) -> None:
+    """Targets whose position, orientation or Sun in an image is not known, as the run finds out for each of them."""
+    for number, target in enumerate(campaign.targets):
+        if target not in targets_in(campaign, image.name) or target.name not in shapes:
+            continue
+        key = f"targets[{number}].name"
+        try:
+            scene = scene_of(campaign, image, target, shapes[target.name])
+            found = scene if isinstance(scene, Failure) else scene.apparent(image, scene.target())
+        except OpNavError as error:
+            check.add(key, f"{image.name}: {target.name}: {error}")
+            continue
+        if isinstance(found, Failure):
+            check.add(key, found.detail)
+
+
+def _attitudes(check: _Check, campaign: Campaign, images: Sequence[Image]) -> None:
+    """A run without any attitude, and fields with fewer catalog stars than an attitude needs."""
+    lost = campaign.stars is not None and campaign.stars.options.lost_in_space
+    if not lost and all(image.camera_from_inertial is None for image in images):
+        text = (
+            "no image has an a priori attitude (header, label, geometry table or C-kernel): give one, or set "
+            "stars.lost_in_space = true"
+        )
+        check.add("stars", text)
+    if campaign.stars is None:
+        return
+    options, catalog = campaign.stars.options, load_catalog(campaign.stars.catalog)
+    for image in images:
+        pointing, shortest_s = image.camera_from_inertial, campaign.stars.long_exposure_s
+        if pointing is None or (shortest_s is not None and (image.exposure_s or 0.0) < shortest_s):
+            continue
+        field = sky_of(image, catalog, options).field(campaign.camera, pointing)
+        places = predicted_in_frame(field.directions_inertial, campaign.camera, pointing, margin_px=0.0)
+        count = int(np.isfinite(places).all(axis=1).sum())
+        if count < options.min_matches:
+            text = (
+                f"{image.name}: {count} stars of the catalog lie in the predicted field, and an attitude needs "
+                f"{options.min_matches}: raise stars.max_magnitude, or take a deeper catalog"
+            )
+            check.add("stars.max_magnitude", text, fatal=False)
 
 
 def _units(check: _Check, campaign: Campaign, number: int, shape: Shape) -> None:
@@ -266,6 +321,21 @@ def _units(check: _Check, campaign: Campaign, number: int, shape: Shape) -> None
             f"{name} has a radius of {shape.circumscribing_radius_km:.4g} km, and the camera is within it in "
             f'{len(inside)} images ({inside[0]!r}: range {ranges[inside[0]]:.4g} km): is the shape in m (units = "m")?',
         )
+
+
+def _size_in_kernels(check: _Check, campaign: Campaign, number: int, shape: Shape) -> None:
+    """A shape of another unit than the radii in the loaded PCK."""
+    target = campaign.targets[number]
+    if campaign.spice is None:
+        return
+    try:
+        known_km = ellipsoid_from_pck(target.spice_body).mean_radius_km
+    except DataError:
+        return  # a body without radii in the kernels
+    ratio = shape.mean_radius_km / known_km
+    if not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
+        text = f"{target.name} has {ratio:.3g} times the mean radius in the loaded PCK ({known_km:.4g} km)"
+        check.add(f"targets[{number}].shape", f"{text}: is the shape in another unit?")
 
 
 def _nearest_inside(ranges: dict[str, float], radius_km: float) -> Sequence[str]:

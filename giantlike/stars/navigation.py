@@ -154,6 +154,7 @@ class StarNavigation:
                 break
             if _is_final(outcome):
                 break
+        assert isinstance(detections, Detections)
         return detections, self._without_interlace(image, detections, outcome)
 
     def _without_interlace(

@@ -109,7 +109,7 @@ def test_what_is_allowed_and_not_meant_is_told(folder: Path) -> None:
     assert "options of ellipse_fit, which is not in estimators and does not run" in texts
     assert "target 'GHOST': no row in" in texts
     assert "images.geometry" not in texts
-    assert "1 mistake, 3 warnings" in giantlike("check", path).stdout  # the third: no row for b.fits
+    assert "2 mistakes, 3 warnings" in giantlike("check", path).stdout  # the third: no row for b.fits
 
 
 def test_a_clock_that_was_never_set_is_told(folder: Path) -> None:
@@ -124,6 +124,14 @@ def test_a_clock_that_was_never_set_is_told(folder: Path) -> None:
     )
     assert "b.fits: its epoch is -34.3 years from those of the other images" in told
     assert "a.fits: its epoch" not in told
+
+
+def test_a_run_without_any_attitude_is_told_with_two_remedies(folder: Path) -> None:
+    path = folder / "campaign.toml"
+    path.write_text(tomli_w.dumps(campaign_table() | {"stars": {"lost_in_space": False}}))
+    told = " ".join(one["text"] for one in json.loads(giantlike("check", path, "--images", "--json").stdout)["found"])
+    assert "no image has an a priori attitude" in told
+    assert "lost_in_space = true" in told
 
 
 def test_a_misspelled_target_is_told_beside_an_unknown_key_with_where_options_belong(folder: Path) -> None:
@@ -143,7 +151,7 @@ def test_an_image_of_another_size_and_a_file_that_is_no_toml_are_told(folder: Pa
     write_fits(folder / "images" / "c.fits", np.zeros((10, 10), np.uint16))
     assert giantlike("check", path).exit_code == 0
     answer = json.loads(giantlike("check", path, "--images", "--json").stdout)["found"]
-    (small,) = [mistake["text"] for mistake in answer if mistake["fatal"]]
+    (small,) = [mistake["text"] for mistake in answer if mistake["fatal"] and "attitude" not in mistake["text"]]
     assert re.search(r"c\.fits.*10", small)
     path.write_text("[campaign]\nname = \n")
     assert "line 2" in " ".join(found(path).values())

@@ -17,6 +17,7 @@ SEED, IMAGES = 11, (11, 33)  # images of stars alone, as they should be
 @pytest.mark.parametrize("index", IMAGES)
 def test_shifted_odd_rows_make_an_attitude_suspect_and_others_do_not(index: int) -> None:
     stage = stage_of(SEED, index)
+    assert stage.catalog is not None
     navigation = StarNavigation(stage.camera, stage.catalog)
     for shift in (0, 1, 2):
         pixels = np.array(stage.image.pixels)
