@@ -12,7 +12,7 @@ Arguments = ParamSpec("Arguments")
 Answer = TypeVar("Answer")
 
 
-def moved(module: str, places: Mapping[str, str], *, until: str) -> Callable[[str], Any]:
+def forward_names(module: str, places: Mapping[str, str], *, until: str) -> Callable[[str], Any]:
     """Return a module-level ``__getattr__`` that answers for names that went elsewhere or were renamed.
 
     ``places`` maps each new module to the names that went there, separated by spaces; ``Old:New`` for a new name.
@@ -21,7 +21,8 @@ def moved(module: str, places: Mapping[str, str], *, until: str) -> Callable[[st
     --------
     In ``giantlike/calibration/__init__.py``::
 
-        __getattr__ = moved(__name__, {"giantlike.calibration": "CalibrationFix:CalibrationResult"}, until="0.4")
+        places = {"giantlike.calibration": "CalibrationFix:CalibrationResult"}
+        __getattr__ = forward_names(__name__, places, until="0.4")
     """
     home_of: dict[str, tuple[str, str]] = {}
     for home, names in places.items():

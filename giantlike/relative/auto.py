@@ -17,7 +17,7 @@ from giantlike.core.arrays import require
 from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.ray_tracing import trace_silhouette
-from giantlike.relative.consensus import agreement_of, confirming, fused
+from giantlike.relative.consensus import agreement_of, confirming, fuse
 from giantlike.relative.estimator import BodyEstimator, Estimator
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.inputs import EstimatorInputs
@@ -164,7 +164,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     covariances explain, these grow. An unconfirmed fix is flagged ``UNCHECKED``.
 
     The result is the fix of the chosen estimator, a :class:`~giantlike.core.outcomes.PositionFix` if it estimates the
-    range, under the name ``auto``, fused with the confirming fix (:func:`~giantlike.relative.consensus.fused`). Its
+    range, under the name ``auto``, fused with the confirming fix (:func:`~giantlike.relative.consensus.fuse`). Its
     ``findings`` are the estimator (``chosen``), the reason (``because``), the confirming estimator (``checked_by``),
     the p-value of the difference (``agreement``) and the weight of the chosen estimator in the position (``weight``).
     ``score``, residuals and counts are from the chosen estimator. A failure is that of the first choice; its text names
@@ -239,7 +239,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
         name, second = confirmed
         findings = replace(findings, checked_by=name, agreement=agreement_of(fix, second))
         fix = replace(fix, estimator=self.name, findings=findings)
-        return _with_turn(fused(fix, second, inputs.camera.model), second)
+        return _with_turn(fuse(fix, second, inputs.camera.model), second)
 
     def _choice(self, inputs: EstimatorInputs) -> Choice:
         diameter_px = 2.0 * inputs.radius_px

@@ -98,9 +98,9 @@ class LandmarkViewer:
         self._owner: Indices = np.repeat(np.arange(len(grids)), [len(grid) for grid in grids])
         mesh = shape.finest if isinstance(shape, LevelsOfDetail) else shape
         self._tracer: Tracer | None = tracer_for(mesh) if isinstance(mesh, TriangleMesh) else None
-        self._ground = self._lifted(np.concatenate(grids))
+        self._ground = self._lift(np.concatenate(grids))
 
-    def _lifted(self, points: Float) -> Float:
+    def _lift(self, points: Float) -> Float:
         """Points of the maps (g, 3), moved up where they would start under the shape."""
         up = self.normals_body[self._owner]
         lift = _LIFT * self.sizes_km[self._owner]

@@ -39,7 +39,7 @@ class Blocks(Value):
     good: Mask
     plane: FocalPlane
 
-    def unbinned(self, fit: TemplateFit) -> TemplateFit:
+    def unbin(self, fit: TemplateFit) -> TemplateFit:
         """Return a fit to blocks with its state and covariance in pixels; its images stay as they are."""
         state, scale = fit.state, np.diag([self.size, self.size, 1.0])
         native = replace(
