@@ -47,13 +47,13 @@ def renamed_keyword(
 
     def decorate(function: Callable[Arguments, Answer]) -> Callable[Arguments, Answer]:
         @functools.wraps(function)
-        def answering(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Answer:
+        def wrapper(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Answer:
             if old in kwargs:
                 message = f"{function.__name__}({old}=...) is now {new}=...; the old keyword goes in version {until}"
                 warnings.warn(message, DeprecationWarning, stacklevel=2)
                 kwargs[new] = kwargs.pop(old)
             return function(*args, **kwargs)
 
-        return answering
+        return wrapper
 
     return decorate

@@ -113,7 +113,7 @@ class Smear(_Stated):
         """Return the same motion in an image of blocks of pixels."""
         return Smear(straight_px2=self.straight_px2 / size**2, oblique_px2=self.oblique_px2 / size**2)
 
-    def less(self, other: Smear) -> Smear:
+    def subtract(self, other: Smear) -> Smear:
         """Return the difference to another smear."""
         return Smear(
             straight_px2=self.straight_px2 - other.straight_px2, oblique_px2=self.oblique_px2 - other.oblique_px2
@@ -146,7 +146,7 @@ class Smear(_Stated):
 
         ``images`` (..., h, w); returns (..., h, w).
         """
-        return self._spread(images, lambda along: np.sinc(self.length_px * along))
+        return self._filter(images, lambda along: np.sinc(self.length_px * along))
 
     def blur_double_exposure(self, images: Float, share: float) -> Float:
         """Return images blurred by two exposures, the second with a share of the light, of the same second moments.
@@ -155,11 +155,11 @@ class Smear(_Stated):
         """
         apart = math.sqrt(2.0 * self.size_px2 / (share * (1.0 - share)))
         first, second = (2j * math.pi * apart * place for place in (share, share - 1.0))
-        return self._spread(
+        return self._filter(
             images, lambda along: (1.0 - share) * np.exp(first * along) + share * np.exp(second * along)
         )
 
-    def _spread(self, images: Float, transfer: Callable[[Float], Any]) -> Float:
+    def _filter(self, images: Float, transfer: Callable[[Float], Any]) -> Float:
         """Images (..., h, w) filtered by a function of the frequency along the motion, cycles per pixel."""
         from scipy.fft import irfft2, next_fast_len, rfft2
 

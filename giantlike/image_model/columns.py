@@ -333,7 +333,7 @@ class Solution(Value):
         flat = weighted.reshape(len(matrix), -1)
         own, shared = matrix.reshape(len(matrix), -1) @ flat.T, self.columns.rows @ flat.T
         if markings is not None and self.columns.eliminated is not None:
-            own = own - self.columns.eliminated.taken(markings.products(weighted))
+            own = own - self.columns.eliminated.find_lost_information(markings.products(weighted))
         return Score(self.columns, matrix, flat @ self.residuals.ravel(), shared, own, prior)
 
 

@@ -218,7 +218,7 @@ class FieldSolution(Value):
         scores = root[:, None] * modes.gram(weights) * root
         return max(4.0 * math.pi * length_px**2, 1.0) * float(np.vdot(np.linalg.inv(self.whitened), scores))
 
-    def taken(self, products: Float) -> Float:
+    def find_lost_information(self, products: Float) -> Float:
         """Loss of information (j, j) by the field, of columns with weighted products (j, m) with its modes."""
         scaled = np.sqrt(self.variances) * products
         return np.asarray(scaled @ np.linalg.solve(self.whitened, scaled.T))

@@ -17,7 +17,7 @@ from giantlike.core.arrays import require
 from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.ray_tracing import trace_silhouette
-from giantlike.relative.consensus import agreement_of, confirming, fuse
+from giantlike.relative.consensus import agreement_of, find_confirming, fuse
 from giantlike.relative.estimator import BodyEstimator, Estimator
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.inputs import EstimatorInputs
@@ -226,13 +226,13 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
                     outcomes[name] = begun(name) if name in sure else estimate(name)
                 return outcomes[name]
 
-            taken = _taken(choice, outcome)
+            taken = _choose_fix(choice, outcome)
             if taken is None:
-                return _nothing(choice, outcomes)
+                return _join_failures(choice, outcomes)
             fix = outcome(taken)
             assert isinstance(fix, CenterFix)
             seconds = ((name, outcome(name)) for name in choice.checks_of(taken))
-            confirmed = None if fix.flags.suspect else confirming(fix, seconds)
+            confirmed = None if fix.flags.suspect else find_confirming(fix, seconds)
         findings = replace(fix.findings, chosen=taken, because=choice.because)
         if confirmed is None:
             return replace(fix, estimator=self.name, flags=fix.flags | Quality.UNCHECKED, findings=findings)
@@ -277,7 +277,7 @@ def _with_turn(fix: CenterFix, second: CenterFix) -> CenterFix:
     return fix
 
 
-def _taken(choice: Choice, outcome: Callable[[str], CenterFix | Failure]) -> str | None:
+def _choose_fix(choice: Choice, outcome: Callable[[str], CenterFix | Failure]) -> str | None:
     """Name of the first fix without objection, else of the first fix."""
     suspect = None
     for name in choice.estimators:
@@ -290,7 +290,7 @@ def _taken(choice: Choice, outcome: Callable[[str], CenterFix | Failure]) -> str
     return suspect
 
 
-def _nothing(choice: Choice, outcomes: Mapping[str, CenterFix | Failure]) -> Failure:
+def _join_failures(choice: Choice, outcomes: Mapping[str, CenterFix | Failure]) -> Failure:
     """Return the failure of the first estimator tried, which names the others."""
     failures = [(name, one) for name, one in outcomes.items() if isinstance(one, Failure)]
     if not failures:

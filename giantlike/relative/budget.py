@@ -99,7 +99,7 @@ def with_budget(
         radius_km = geometry.target.shape.mean_radius_km
         response = camera_response(camera, position_km, radius_km, geometry.sun_direction_camera, size=size)
         in_camera = in_camera + _propagate(response, known.covariance)
-        partials[Cause.CAMERA] = response + turn @ _attitude_by_camera(image, camera)
+        partials[Cause.CAMERA] = response + turn @ _d_attitude_d_camera(image, camera)
         added[Cause.CAMERA] = _propagate(partials[Cause.CAMERA], known.covariance)
     sigma_km = geometry.target.uncertainty.ephemeris_km
     if sigma_km > 0.0:
@@ -256,7 +256,7 @@ def _attitude_parts(image: Image, camera: Camera, turn: Float) -> dict[Cause, Fl
     return {cause: _propagate(turn, part) for cause, part in parts.items()}
 
 
-def _attitude_by_camera(image: Image, camera: Camera) -> Float:
+def _d_attitude_d_camera(image: Image, camera: Camera) -> Float:
     """Derivative (3, k) of the attitude by the uncertain parameters of the camera; zero where it is not from stars."""
     assert camera.uncertainty is not None
     names, by_camera = camera.model.parameter_names, image.attitude_errors.by_camera

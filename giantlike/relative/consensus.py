@@ -25,7 +25,7 @@ _WEIGHTS = np.linspace(0.0, 1.0, 21)
 """Trial weights of the first of two fixes: an error of a weight by 0.025 costs less than a percent of sigma."""
 
 
-def confirming(fix: CenterFix, seconds: Iterable[tuple[str, CenterFix | Failure]]) -> tuple[str, CenterFix] | None:
+def find_confirming(fix: CenterFix, seconds: Iterable[tuple[str, CenterFix | Failure]]) -> tuple[str, CenterFix] | None:
     """Return the first of other fixes of the same body that can check one, in order.
 
     Returns None where none is both precise enough and not suspect; a suspect one cannot confirm the first.
@@ -105,7 +105,7 @@ def fuse(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     if isinstance(first, PositionFix) and isinstance(second, PositionFix):
         range_km = math.exp(weight * math.log(first.range_km) + (1.0 - weight) * math.log(second.range_km))
         position_km = range_km * model.unproject(center_px)
-        by_camera = weight * _by_camera(first, model) + (1.0 - weight) * _by_camera(second, model)
+        by_camera = weight * _camera_covariance(first, model) + (1.0 - weight) * _camera_covariance(second, model)
         changes["position_camera_km"] = position_km
         changes["covariance_camera_km2"] = position_covariance(model, position_km, sum_parts(parts)) + by_camera
     return replace(first, **changes)  # type: ignore[arg-type]
@@ -131,7 +131,7 @@ def _fused_partials(first: CenterFix, second: CenterFix, weight: float) -> dict[
     return {cause: weight * first.partials[cause] + (1.0 - weight) * second.partials[cause] for cause in both}
 
 
-def _by_camera(fix: PositionFix, model: CameraModel) -> Float:
+def _camera_covariance(fix: PositionFix, model: CameraModel) -> Float:
     """Covariance (3, 3), km^2, of a position by the camera model."""
     if Cause.CAMERA not in fix.parts:
         return np.zeros((3, 3))

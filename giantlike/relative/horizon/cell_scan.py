@@ -155,7 +155,7 @@ def measure_by_cells(
     of s px leaves errors of s^2 divided by the width of the blur, about a pixel.
     """
     scan = CellScan(view=view, figure=figure, law=law, search=search, options=options)
-    lit = scan.lit(position_camera_km, reach_px=search.search_px)
+    lit = scan.find_lit_arc(position_camera_km, reach_px=search.search_px)
     if isinstance(lit, Failure):
         return lit
     arc, light, _ = lit
@@ -235,7 +235,7 @@ class CellScan(Value):
         """Length of the cells, px."""
         return max(min(self.options.cell_px, _CELL_RADII * self.view.radius_px), _LEAST_CELL_PX)
 
-    def lit(self, position_km: Float, *, reach_px: float) -> tuple[HorizonArc, Float, bool] | Failure:
+    def find_lit_arc(self, position_km: Float, *, reach_px: float) -> tuple[HorizonArc, Float, bool] | Failure:
         """Part of the horizon that is lit and in the frame, or not farther outside than ``reach_px``.
 
         ``position_km`` in camera axes; returns ``arc``, ``light`` (k,) and ``cut_by_frame``.
@@ -262,7 +262,7 @@ class CellScan(Value):
 
     def measure(self, state: LimbState) -> CellMeasurement | Failure:
         """Measure the horizon at a position; at first in few cells, with more blur and a stiff profile."""
-        lit = self.lit(state.position_camera_km, reach_px=0.0)
+        lit = self.find_lit_arc(state.position_camera_km, reach_px=0.0)
         if isinstance(lit, Failure):
             return lit
         arc, _, cut_by_frame = lit

@@ -280,7 +280,7 @@ def fit_limb_ellipse(
     plane = _Plane.touching(unit(stand_in.position_camera_km))
     points = plane.points(model, observed_px)
     scale = plane.scale(model, observed_px, measured.normals_px)
-    kept = _agreeing(points, np.hypot(measured.sigma_px, measured.relief_px) * scale, options)
+    kept = _select_agreeing(points, np.hypot(measured.sigma_px, measured.relief_px) * scale, options)
     if isinstance(kept, Failure):
         return kept
     order = np.argsort(np.arctan2(*(points[kept] - points[kept].mean(axis=0)).T))
@@ -386,7 +386,7 @@ def _smooth(values: Float, normals: Float, outlier_mad: float) -> tuple[Float, F
     return result, scatter * np.linalg.solve(triangle.T, design.T).T
 
 
-def _agreeing(points: Float, sigma: Float, options: EllipseFitOptions) -> Mask | Failure:
+def _select_agreeing(points: Float, sigma: Float, options: EllipseFitOptions) -> Mask | Failure:
     """Points that lie on one ellipse within noise and scatter."""
     middle = points.mean(axis=0)
     size = float(np.sqrt(points.var(axis=0).sum()))

@@ -260,10 +260,10 @@ class _Search:
     def solve(self) -> LandmarkFix | Failure:
         """Match, solve and render until the pose converges."""
         body, change_px = self.start, math.inf
-        seen, traced = self._seen(body), None
+        seen, traced = self._find_visible(body), None
         near, rough = (None, None) if isinstance(seen, Failure) else self._in_cells(seen)
         if near is not None:
-            body, seen = near, self._seen(near)
+            body, seen = near, self._find_visible(near)
         fine: _Found | None = None
         for iteration in range(int(near is not None), self.options.max_iterations):
             if isinstance(seen, Failure):
@@ -272,7 +272,7 @@ class _Search:
                 patches, rough = self.renderer.roughly().patches(body, seen)
             else:
                 patches, traced = self.renderer.patches(body, seen, traced, rough)
-            found = self._found(body, patches, first=iteration == 0, before=fine)
+            found = self._find_pose(body, patches, first=iteration == 0, before=fine)
             if isinstance(found, Failure):
                 return found
             fine = found if iteration > 0 else None
@@ -282,7 +282,7 @@ class _Search:
             if iteration > 0 and (change_px < self.options.tolerance_px or _within_noise(before, found.pose)):
                 return self._fix(body, found)
             again = replace(seen, predicted_px=self._project(body)[seen.numbers])
-            seen = self._seen(body) if iteration == 0 else again
+            seen = self._find_visible(body) if iteration == 0 else again
         detail = f"the pose still moves by {change_px:.3f} px after {self.options.max_iterations} renders"
         return Failure(Reason.NOT_CONVERGED, detail)
 
@@ -296,12 +296,12 @@ class _Search:
         rough = _Search(in_cells(self.inputs, size), self.catalog, options)
         predicted_px = rough._project(self.start)[seen.numbers]
         patches, ground = rough.renderer.roughly().patches(self.start, replace(seen, predicted_px=predicted_px))
-        found = rough._found(self.start, patches, first=True)
+        found = rough._find_pose(self.start, patches, first=True)
         return (None, None) if isinstance(found, Failure) else (_move_body(self.start, found.pose, 1.0), ground)
 
-    def _seen(self, body: Body) -> SeenLandmarks | Failure:
+    def _find_visible(self, body: Body) -> SeenLandmarks | Failure:
         options = self.options
-        seen = self.viewer.seen(
+        seen = self.viewer.find_visible(
             body,
             self.renderer.plane,
             sun_direction_camera=self.inputs.geometry.sun_direction_camera,
@@ -320,11 +320,13 @@ class _Search:
         points = body.to_camera(self.viewer.points_body_km) + body.position_camera_km
         return self.inputs.camera.model.project(points)
 
-    def _found(
+    def _find_pose(
         self, body: Body, patches: tuple[Patch, ...], *, first: bool, before: _Found | None = None
     ) -> _Found | Failure:
         """Find the landmarks of some patches, and the pose that they agree on; near their places before, if known."""
-        matches = self._matches(body, patches, first=first) if before is None else self._again(body, patches, before)
+        matches = (
+            self._matches(body, patches, first=first) if before is None else self._refit_matches(body, patches, before)
+        )
         if isinstance(matches, Failure):
             return matches
         numbers = np.array([match.number for match in matches], dtype=np.int64)
@@ -377,7 +379,9 @@ class _Search:
             return Failure(Reason.LOW_CORRELATION, detail)
         return Failure(Reason.TOO_FEW_MATCHES, detail)
 
-    def _again(self, body: Body, patches: tuple[Patch, ...], before: _Found) -> tuple[LandmarkMatch, ...] | Failure:
+    def _refit_matches(
+        self, body: Body, patches: tuple[Patch, ...], before: _Found
+    ) -> tuple[LandmarkMatch, ...] | Failure:
         """Landmarks of the last iteration, fitted where they were found."""
         pixels, predicted_px = self.inputs.pixels, self._project(body)
         known = {match.number: (match, px) for match, px in zip(before.matches, before.observed_px, strict=True)}

@@ -112,7 +112,7 @@ class LandmarkViewer:
             lift = lift + np.where(near, np.maximum(over, 0.0), 0.0)
         return np.asarray(points + lift[:, None] * up)
 
-    def seen(
+    def find_visible(
         self,
         body: Body,
         plane: FocalPlane,
@@ -149,7 +149,7 @@ class LandmarkViewer:
                 blocked[look] = self._tracer.occluded(ground, toward)
                 which[:] = self._share(blocked) > limit
         useful = np.flatnonzero(framed & facing & lit & large & ~hidden & ~dark)
-        useful = self._spread(useful, predicted, options.max_landmarks)
+        useful = self._select_apart(useful, predicted, options.max_landmarks)
         return SeenLandmarks(
             numbers=useful,
             predicted_px=predicted[useful],
@@ -167,7 +167,7 @@ class LandmarkViewer:
         totals = np.bincount(self._owner, minlength=count)
         return np.asarray(np.bincount(self._owner, weights=marked, minlength=count) / np.maximum(totals, 1))
 
-    def _spread(self, numbers: Indices, predicted_px: Float, count: int) -> Indices:
+    def _select_apart(self, numbers: Indices, predicted_px: Float, count: int) -> Indices:
         """At most ``count`` landmarks, each the one with the most texture times distance from those before it."""
         if numbers.size <= count:
             return numbers

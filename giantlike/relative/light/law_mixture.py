@@ -90,7 +90,7 @@ class LawMixture(Value):
 
     def resize(self, scale: float) -> LawMixture:
         """Return the body larger by a factor about its center."""
-        return self if scale == 1.0 else self.map_images(_resizing(self.own, scale))
+        return self if scale == 1.0 else self.map_images(_make_resizer(self.own, scale))
 
     def seen_from(self, corner_px: NDArray[np.int64]) -> LawMixture:
         """Return the mixture in coordinates that start at a pixel (2,)."""
@@ -145,7 +145,7 @@ class _LawBlocks(Value):
     number: NDArray[np.int64]
     cells: NDArray[np.int64]
 
-    def clustering(self, marks: Float) -> float:
+    def count_clustered(self, marks: Float) -> float:
         """Number of blocks that share a marking, from the correlation of the marks (blocks,) of neighbors.
 
         A correlation ``exp(-d^2 / 2 l^2)`` of blocks at a distance d has the sum ``2 pi l^2``, and for neighbors
@@ -195,7 +195,7 @@ class _Weighing(Value):
             left = left - float(left.sum()) / float(level.sum()) * level
             slopes = changes_dn - np.outer(changes_dn.sum(axis=1) / float(level.sum()), level)
             marked = max(float(np.sum(left**2 - photon)), 0.0) / float(np.sum(level**2))
-            errors = photon + marked * self.blocks.clustering(left / level) * level**2
+            errors = photon + marked * self.blocks.count_clustered(left / level) * level**2
             prior = np.full(_SHARES, 1.0 / _SHARE_SIGMA**2)
             if first and number == 0:
                 prior[0] = 1e-12
@@ -210,10 +210,10 @@ class _Weighing(Value):
 
 def resize_template(template: Template, scale: float) -> Template:
     """Return a template of a body that is larger by a factor about its center."""
-    return replace(template, brightness=np.maximum(_resizing(template, scale)(template.brightness), 0.0))
+    return replace(template, brightness=np.maximum(_make_resizer(template, scale)(template.brightness), 0.0))
 
 
-def _resizing(template: Template, scale: float) -> Callable[[Float], Float]:
+def _make_resizer(template: Template, scale: float) -> Callable[[Float], Float]:
     """Map of images (h, w) on the pixels of a template that makes them larger about its center."""
     along, down = (
         _interpolation(at + (np.arange(count) - at) / scale, count)
@@ -361,7 +361,7 @@ def _estimate_scatter(
     lever = values[:, None] * (np.stack([columns, rows], axis=-1) - center_px)
     held = light.signal_dn[blocks.rows, blocks.columns][:, None] * arms
     outside = math.sqrt(float((lever**2).sum()) / max(float((held**2).sum()), 1e-300))
-    shared = blocks.clustering(marks)
+    shared = blocks.count_clustered(marks)
     fitted = min(_FITTED * shared / len(marks), _MOST_FITTED)
     photon = blocks.photon(light) / whole**2
     scatter = math.sqrt(max(float(np.mean(marks**2 - photon)), 0.0))

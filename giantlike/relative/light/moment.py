@@ -27,11 +27,11 @@ from giantlike.ray_tracing.block_templates import BlockedPlane, block_templates
 from giantlike.relative.estimator import BodyEstimator
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.judge import Facts
-from giantlike.relative.light.averaged import average_blocks, on_pixels
+from giantlike.relative.light.averaging import average_blocks, on_pixels
 from giantlike.relative.light.law_mixture import LawMixture, fit_law
 from giantlike.relative.light.lit_size import first_scale, measured_size
 from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
-from giantlike.relative.light.separation import MIN_AREA_PX, TRACE, Prediction, SeparatedLight, light_of
+from giantlike.relative.light.separation import MIN_AREA_PX, TRACE, Prediction, SeparatedLight, separate_light
 from giantlike.relative.light.wings import WING_UNKNOWN, wing_share, with_wings
 from giantlike.relative.place import apparent_radius_px
 from giantlike.scene import TargetGeometry
@@ -148,13 +148,13 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
         size = int(math.sqrt(2.0 * inputs.radius_px / _AVERAGED_PX))
         if size >= _LEAST_BLOCK_PX:
             options = replace(self.options, search_px=max(self.options.search_px / size, 1.0))
-            fix = _found(average_blocks(inputs, size), options)
+            fix = _find_body(average_blocks(inputs, size), options)
             if not isinstance(fix, Failure):
                 return on_pixels(fix, inputs, size)
-        return _found(inputs, self.options)
+        return _find_body(inputs, self.options)
 
 
-def _found(inputs: EstimatorInputs, options: MomentOptions) -> CenterFix | Failure:
+def _find_body(inputs: EstimatorInputs, options: MomentOptions) -> CenterFix | Failure:
     """Find the body in unaveraged pixels."""
     search_px = options.search_px
     laws = _laws(inputs, math.ceil(search_px))
@@ -168,7 +168,7 @@ def _found(inputs: EstimatorInputs, options: MomentOptions) -> CenterFix | Failu
         template=laws.own,
         others=_other_targets(inputs),
     )
-    light = light_of(inputs.pixels, inputs.masked, inputs.saturated, prediction)
+    light = separate_light(inputs.pixels, inputs.masked, inputs.saturated, prediction)
     return light if isinstance(light, Failure) else _fix(inputs, laws, light, options)
 
 

@@ -229,7 +229,7 @@ def kept_center_of(light: Float, threshold_dn: float) -> Float:
     return np.array([x, y]) if total > 0.0 else center_of(light)
 
 
-def light_of(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Prediction) -> SeparatedLight | Failure:
+def separate_light(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Prediction) -> SeparatedLight | Failure:
     """Find the light of the body and separate it from the sky background and from other bodies."""
     sky = _sky(image, prediction)
     if isinstance(sky, Failure):
@@ -448,7 +448,7 @@ def _regions(template: Template, shift_px: NDArray[np.int64], blob: Mask, radius
     trace = template.brightness > TRACE * float(template.brightness.max())
     expected = PixelBox(x=0, y=0, width=columns, height=rows).cut(trace, (x, y))
     margin = _REGION_MARGIN_PX + math.ceil(_REGION_MARGIN * radius_px)
-    region, expected = _grown(expected | blob, margin), _grown(expected, margin)
+    region, expected = _dilate(expected | blob, margin), _dilate(expected, margin)
     around = np.zeros(region.shape, dtype=bool)
     if region.any():
         more = math.ceil(_OTSU_MARGIN * radius_px)
@@ -457,7 +457,7 @@ def _regions(template: Template, shift_px: NDArray[np.int64], blob: Mask, radius
     return region, expected, around
 
 
-def _grown(pixels: Mask, margin_px: int) -> Mask:
+def _dilate(pixels: Mask, margin_px: int) -> Mask:
     """Pixels not farther than a margin from some."""
     result = np.zeros(pixels.shape, dtype=bool)
     rows, columns = (np.flatnonzero(pixels.any(axis=axis)) for axis in (1, 0))

@@ -151,7 +151,7 @@ class Outline(Value):
         points = center_px + scale * (old.points_px - old.center_px)
         return replace(self, silhouette=replace(old, points_px=points, center_px=center_px))
 
-    def seen(self, view: LimbView, lines: LimbLines, margin_px: float) -> PredictedLimb:
+    def intersect(self, view: LimbView, lines: LimbLines, margin_px: float) -> PredictedLimb:
         """Interpolate the limb where ``lines`` meet it in the frame, ``margin_px`` from its edge."""
         limb = self.at(lines)
         return select_rows(limb, view.contains(limb.points_px, margin_px=margin_px))
@@ -422,7 +422,7 @@ class LineScan(Value):
     def _limb(self, body: Body, *, first: bool) -> PredictedLimb | Failure:
         """The limb where lines meet it in the frame; at first as located, which is accurate enough."""
         if first and self.outline is not None and self.options.edges is EdgeModel.TEMPLATE:
-            limb = self.outline.seen(self.view, self.lines, self.options.margin_px)
+            limb = self.outline.intersect(self.view, self.lines, self.options.margin_px)
             if limb.points_px.size:
                 return limb
         return _trace_limb(self.view, body, self.lines, self.options)

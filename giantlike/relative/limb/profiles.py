@@ -174,7 +174,7 @@ def expected_profiles(
 ) -> ExpectedProfiles | Failure:
     """Compute the profiles expected along lines. Fails as :func:`giantlike.ray_tracing.render_near`."""
     if options.edges is EdgeModel.STEP:
-        return _alone(np.tile(_step_profile(scans, psf_px2), (len(scans.points_px), 1)))
+        return _without_shared(np.tile(_step_profile(scans, psf_px2), (len(scans.points_px), 1)))
     others = () if first else tuple(law for law in other_laws if law != body.reflectance)
     if others and body.air is not None:
         others = (*others, Black())
@@ -204,7 +204,7 @@ def expected_profiles(
         values, beyond = clipped.values, clipped.beyond
         changes, blur = [*np.moveaxis(clipped.laws, -1, 0), clipped.brightness], clipped.blur
     if first:
-        return _alone(values)
+        return _without_shared(values)
     changes += [blur, *(blur * part[:, None] for part in ovality(scans.normals_px))]
     layout = _layout(laws=len(laws), wings=level_dn is None, brightness=level_dn is not None, blur=True)
     sigmas = {"laws": LAW_SIGMA, "wings": _WING_SIGMA, "brightness": LOG_GAIN_SIGMA}
@@ -241,7 +241,7 @@ def _wings(values: Float, scans: Scans, psf_px2: float, window_px: float) -> Flo
     return result
 
 
-def _alone(values: Float) -> ExpectedProfiles:
+def _without_shared(values: Float) -> ExpectedProfiles:
     """Profiles (n, m) without shared parameters."""
     return ExpectedProfiles(
         values=values,

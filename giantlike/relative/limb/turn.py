@@ -93,7 +93,7 @@ def _solve_step(
     step = gain @ measured.shift_px[keep]
     even_gain = solution_gain(design, np.zeros((0, 0)), weights=np.ones(len(design)))
     covariance = sum_parts(add_parts(solved.own, measured.smooth_covariances(even_gain)), tuple(Cause))
-    covariance[3, 3] += _by_camera(measured, camera, gain[3])
+    covariance[3, 3] += _camera_variance(measured, camera, gain[3])
     if not covariance[3, 3] < _MOST_SIGMA_RAD**2:
         return None
     position_km = measured.position_camera_km + step[:3]
@@ -109,7 +109,7 @@ def _solve_step(
     return _Step(position_camera_km=position_km, found=found, moved_px=abs(float(step[3])) * lever_rms_px)
 
 
-def _by_camera(measured: LimbMeasurement, camera: Camera, gain: Float) -> float:
+def _camera_variance(measured: LimbMeasurement, camera: Camera, gain: Float) -> float:
     """Variance, by the camera model, of the shifts of the kept points multiplied by a gain (m,)."""
     known, model = camera.uncertainty, camera.model
     if known is None or not known.estimated:

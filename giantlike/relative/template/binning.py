@@ -58,7 +58,7 @@ class Blocks(Value):
         return result
 
 
-def blocks_of(inputs: EstimatorInputs) -> Blocks:
+def make_blocks(inputs: EstimatorInputs) -> Blocks:
     """Average the image of an estimator over blocks as large as the body allows."""
     wanted = max(round(math.sqrt(2.0 * inputs.radius_px / _DIAMETER_PX)), 1)
     sound = float(np.count_nonzero(inputs.usable))

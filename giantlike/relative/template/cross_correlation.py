@@ -26,7 +26,7 @@ from giantlike.relative.judge import SHORT_ARC_SHARE, Facts
 from giantlike.relative.place import limb_in_frame, position_of_center
 from giantlike.relative.response import MOST_BEND
 from giantlike.relative.template.align import align_template
-from giantlike.relative.template.binning import Blocks, blocks_of
+from giantlike.relative.template.binning import Blocks, make_blocks
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
 from giantlike.relative.template.moved_body import MovedBody
 from giantlike.relative.template.rendering import (
@@ -222,7 +222,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         self, inputs: EstimatorInputs, response: Response | None = None, smear: Smear | None = None
     ) -> tuple[Blocks, TemplateMatch | Failure]:
         """Match the template to the image of some inputs, averaged over blocks."""
-        blocks = blocks_of(inputs)
+        blocks = make_blocks(inputs)
         body = inputs.geometry.seen_body()
         renderer = TemplateRenderer(
             target=body,
@@ -231,7 +231,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             airless=inputs.geometry.target.airless,
         )
         match = match_template(
-            blocks.pixels if response is None else _straight(blocks.pixels, response),
+            blocks.pixels if response is None else _linearize_pixels(blocks.pixels, response),
             blocks.good,
             renderer,
             psf_known=inputs.psf_sigma_px is not None,
@@ -254,8 +254,8 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             response = match.fit.response
             response = replace(response, bend=min(max(response.bend, 0.0), MOST_BEND))
             straight = inputs.linearize(response)
-            blocks = blocks_of(straight)
-            again = match.refit(_straight(blocks.pixels, response), response=response)
+            blocks = make_blocks(straight)
+            again = match.refit(_linearize_pixels(blocks.pixels, response), response=response)
             if isinstance(again, Failure):
                 return None
             match = again
@@ -276,7 +276,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         return replace(inputs, corrections=inputs.corrections | moved), blocks, again
 
 
-def _straight(pixels: BoxPixels, response: Response) -> BoxPixels:
+def _linearize_pixels(pixels: BoxPixels, response: Response) -> BoxPixels:
     """Linearized pixels, their noise variance scaled by the squared slope of the response."""
     noise = pixels.noise_variance_dn2
 

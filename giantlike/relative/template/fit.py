@@ -324,7 +324,7 @@ class _SolvedStep:
         """Change of the variance of the point spread function or of a smear, px^2."""
         known, smear, smeared = self.state.psf_variance_px2, self.state.smear, self._next_smear
         blurred_px2 = abs(float(np.clip(known + self._blur_step_px2, 0.0, _MAX_PSF_VARIANCE_PX2)) - known)
-        return blurred_px2 if smear is None or smeared is None else max(blurred_px2, smeared.less(smear).size_px2)
+        return blurred_px2 if smear is None or smeared is None else max(blurred_px2, smeared.subtract(smear).size_px2)
 
     def returns(self, last: _SolvedStep) -> bool:
         """Return True if the step reverses most of the last one: renders flicker, or the step was too long."""
@@ -421,9 +421,9 @@ class _SolvedStep:
             blocks[law] = surface
         if options.complete:
             return blocks
-        blocks[_block("strain", Cause.RELIEF, problem.by_strain(self.state), 3 * [_STRAIN_SIGMA])] = surface
+        blocks[_block("strain", Cause.RELIEF, problem.d_dstrain(self.state), 3 * [_STRAIN_SIGMA])] = surface
         if self.state.smear is None:
-            blocks[_block("smear", Cause.PSF, np.stack(problem.by_smear()), 2 * [options.smear_sigma_px2])] = edges
+            blocks[_block("smear", Cause.PSF, np.stack(problem.d_dsmear()), 2 * [options.smear_sigma_px2])] = edges
         if options.response is None:
             bend = -response.changes_dn(fit.model)[:1]
             blocks[_block("bend", Cause.REFLECTANCE, bend, [BEND_SIGMA])] = surface

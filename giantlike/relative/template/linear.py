@@ -131,7 +131,7 @@ class LinearProblem:
         else:
             moved[:] = 0.0
         if images.derivatives is None or wings.any():  # wings are wide enough for differences of pixels
-            moved += _by_differences(by_differences, x, y, spread)
+            moved += _differentiate(by_differences, x, y, spread)
         by_x, by_y = self["center"]
         self._slope2 = by_x**2 + by_y**2
         self._slope_moments = _moments(np.where(self.constraint_mask, self._slope2, 0.0), x, y[:, 0])
@@ -179,7 +179,7 @@ class LinearProblem:
         squares = (x**2 + y**2) * total - 2.0 * growth * (x * by_x + y * by_y) + growth**2 * by_square
         return math.sqrt(max(float(squares), 0.0) / max(total, 1e-300))
 
-    def by_strain(self, state: TemplateState) -> Float:
+    def d_dstrain(self, state: TemplateState) -> Float:
         """Change of the model (3, h, w) by a strain about its center.
 
         Shear along rows and along columns, and stretch along rows with shrinking along columns.
@@ -189,7 +189,7 @@ class LinearProblem:
         by_x, by_y = self["center"]
         return np.stack([by_x * y, by_y * x, by_x * x - by_y * y])
 
-    def by_smear(self) -> tuple[Float, Float]:
+    def d_dsmear(self) -> tuple[Float, Float]:
         """Change of the model (h, w) by the two variances of a short smear, without its isotropic part."""
         along, across = (_filter(self.signal, *each) for each in (_TWICE_ALONG_X, _TWICE_ALONG_Y))
         return 0.5 * (along - across), _filter(self.signal, _FIRST_DERIVATIVE, _FIRST_DERIVATIVE)
@@ -199,13 +199,13 @@ class LinearProblem:
         if self.veiled is None:
             return None
         taken, sent, even = self.veiled()
-        _, _, by_log_range, _ = _by_differences(even, *self._from_center)
+        _, _, by_log_range, _ = _differentiate(even, *self._from_center)
         return np.stack([taken, sent, by_log_range])
 
     def misfit_dn2(self) -> float:
         """Mean square of image minus model, with the best-fitting brightness."""
         use = self._short
-        basis, values = _chosen(self["gain", "smear"], use), self.pixels.values_dn[use]
+        basis, values = _select_pixels(self["gain", "smear"], use), self.pixels.values_dn[use]
         found = np.linalg.lstsq(basis @ basis.T, basis @ values, rcond=None)[0]
         return float(np.sum((values - found @ basis) ** 2)) / max(int(np.count_nonzero(self.constraint_mask)), 1)
 
@@ -281,14 +281,14 @@ class LinearProblem:
 
 def fit_unweighted(basis: Float, pixels: BoxPixels) -> Float:
     """Plain least squares. ``basis`` (k, h, w); returns (k,)."""
-    rows, values = _chosen(basis, pixels.usable), pixels.values_dn[pixels.usable]
+    rows, values = _select_pixels(basis, pixels.usable), pixels.values_dn[pixels.usable]
     normal = rows @ rows.T
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = np.linalg.lstsq(normal / np.outer(scale, scale), rows @ values / scale, rcond=None)[0]
     return np.asarray(scaled / scale, dtype=np.float64)
 
 
-def _chosen(images: Float, use: Mask) -> Float:
+def _select_pixels(images: Float, use: Mask) -> Float:
     """Values (k, n) of images (k, h, w) where ``use`` (h, w) is True; no copy if it is True everywhere."""
     return images.reshape(len(images), -1) if use.all() else images[:, use]
 
@@ -317,7 +317,7 @@ def _moments(weights: Float, x: Float, y: Float) -> tuple[float, float, float, f
     return float(by_row.sum()), float(by_column @ x), float(by_row @ y), squares
 
 
-def _by_differences(image: Float, x: Float, y: Float, spread: float) -> Float:
+def _differentiate(image: Float, x: Float, y: Float, spread: float) -> Float:
     """Derivatives (4, h, w) of an image at x (w,) and y (h, 1) from its center, by center, log range and blur.
 
     ``spread`` is the variance of the blur, px^2, which does not grow with the body.

@@ -183,12 +183,12 @@ def _odds(coarse: _Coarse, inputs: EstimatorInputs, search_px: float) -> tuple[d
     if side is not None:
         alternatives[Alternative.OTHER_SUN] = side.log_odds
     elif cells.has_face:
-        return alternatives, _NOTHING_THERE if _dark(coarse.fit) else -math.inf
+        return alternatives, _NOTHING_THERE if _fits_dark_body(coarse.fit) else -math.inf
     albedo = geometry.target.uncertainty.albedo
     if cells.has_face:
         alternatives[Alternative.OTHER_SIZE] = other_size_log_odds(cells, own, albedo)
     rival = rival_log_odds(cells, own, inputs.predicted_px, search_px, albedo)
-    return alternatives, max(rival, _NOTHING_THERE) if _dark(coarse.fit) else rival
+    return alternatives, max(rival, _NOTHING_THERE) if _fits_dark_body(coarse.fit) else rival
 
 
 def _second_exposure_log_odds(fix: CenterFix, smear: Smear, coarse: _Coarse, inputs: EstimatorInputs) -> float:
@@ -206,7 +206,7 @@ def _second_exposure_log_odds(fix: CenterFix, smear: Smear, coarse: _Coarse, inp
     return float(np.logaddexp.reduce(twice)) - math.log(len(twice)) - moved if moved > -math.inf else -math.inf
 
 
-def _dark(fit: CoarseFit | None) -> bool:
+def _fits_dark_body(fit: CoarseFit | None) -> bool:
     """True where the image fits a dark body better than a bright one."""
     return fit is not None and not fit.gain_dn > 0.0
 

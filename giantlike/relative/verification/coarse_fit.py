@@ -216,7 +216,7 @@ class _FittedDesign(Value):
     @cached_property
     def lit(self) -> Mask:
         """Counted cells (n, n) where the body is lit."""
-        return self.fresh & _lit(self.design.own)
+        return self.fresh & _find_lit(self.design.own)
 
     @cached_property
     def scores(self) -> CellScores:
@@ -254,7 +254,7 @@ def fit_cells(
     cells hold the body.
     """
     fresh, design = cells.crop(cells.fresh), _design(cells, trace, own, motion)
-    if np.count_nonzero(fresh & _lit(design.own)) <= design.layout.count:
+    if np.count_nonzero(fresh & _find_lit(design.own)) <= design.layout.count:
         return None
     sigma, edge = _model_sigma(design, turn_rad, cells)
     fitted = _fit_design(cells, design, sigma, edge, cells.place(own.coverage, own))
@@ -275,7 +275,7 @@ def fit_cells(
         place=place,
         strain=strain,
         blur=blur,
-        figure_px2=_by_figure(fitted, strain),
+        figure_px2=_figure_covariance(fitted, strain),
         response=bent,
         bend_sigma=bend_sigma,
         bend_log_odds=bend_log_odds,
@@ -303,7 +303,7 @@ def motion_log_evidence(cells: Cells, trace: Trace, own: Template, motion: Calla
     return fitted.solution.columns.extend([relief]).log_evidence(parts)
 
 
-def _lit(light: Float) -> Mask:
+def _find_lit(light: Float) -> Mask:
     """Cells (n, n) that are not much fainter than the brightest."""
     return np.asarray(light > _LIT * float(light.max()))
 
@@ -536,7 +536,7 @@ def _covariance(influence: Float, noise: Float, model_sigma: Float, cells: Cells
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
-def _by_figure(fitted: _FittedDesign, strain: Estimate) -> Float:
+def _figure_covariance(fitted: _FittedDesign, strain: Estimate) -> Float:
     """Covariance (2, 2), px^2, of the center of all light by an error of the shape.
 
     A strain (3,) about the center hardly moves light, but an error of the shape that strains the image also moves it:

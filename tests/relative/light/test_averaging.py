@@ -19,7 +19,7 @@ from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, Recorder
 from giantlike.relative.inputs import EstimatorInputs, gather
-from giantlike.relative.light.averaged import average_blocks
+from giantlike.relative.light.averaging import average_blocks
 from giantlike.relative.light.moment import Moment
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
