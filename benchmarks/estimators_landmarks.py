@@ -133,7 +133,7 @@ def bound(one: Draw, fix: LandmarkFix) -> tuple[float, float]:
         rays_per_pixel_side=2 * rays_for(CAMERA.psf.sigma_px),
         other_law=False,
     )
-    seen = viewer.seen(one.body, plane, sun_direction_camera=one.sun, options=VisibilityOptions())
+    seen = viewer.find_visible(one.body, plane, sun_direction_camera=one.sun, options=VisibilityOptions())
     used = {landmark: place for place, landmark in enumerate(item.name for item in catalog.landmarks)}
     wanted = np.array([used[name] for name in fix.landmark_names])
     keep = np.isin(seen.numbers, wanted)

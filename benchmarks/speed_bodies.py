@@ -24,7 +24,7 @@ from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.ray_tracing.tracer import tracer_for
 from giantlike.relative import ESTIMATORS
 from giantlike.relative.inputs import EstimatorInputs, gather
-from giantlike.relative.verification import verified
+from giantlike.relative.verification import verify
 from giantlike.shapes import TriangleMesh
 
 ROCK = Case(
@@ -116,7 +116,7 @@ def jobs() -> list[Job]:
             name="verification, 300 px",
             goal_u=0.17,
             fresh=found,
-            run=lambda one: verified(one.fix, one.inputs, 40.0),
+            run=lambda one: verify(one.fix, one.inputs, 40.0),
             judge=lambda one, fix: judge(one.draw, fix),
         ),
     ]

@@ -56,7 +56,7 @@ from yield_frames import NAMES, Trial
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float
-from giantlike.core.causes import IN_IMAGE, IN_POSITION, summed
+from giantlike.core.causes import IN_IMAGE, IN_POSITION, sum_parts
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.image import Image
 from giantlike.relative import Auto, AutoOptions, Estimator
@@ -200,8 +200,8 @@ def _covariance(trial: Trial, fix: CenterFix) -> Float:
         position = fix.position_camera_km
         jacobian = np.vstack([trial.camera.model.project_jacobian(position), position / (position @ position)])
         return np.asarray(jacobian @ fix.covariance_camera_km2 @ jacobian.T)
-    covariance = summed(fix.parts, IN_IMAGE)
-    covariance[2, 2] = summed(fix.parts, IN_POSITION)[2, 2]
+    covariance = sum_parts(fix.parts, IN_IMAGE)
+    covariance[2, 2] = sum_parts(fix.parts, IN_POSITION)[2, 2]
     return covariance
 
 

@@ -121,7 +121,7 @@ def sun_position_km(et: float) -> Float:
     return -np.asarray(erfa.epv00(J2000_JD, et / 86_400.0)[0]["p"]) * AU_KM
 
 
-def splined(position_km: Callable[[float], Float], first: float, last: float) -> Callable[[float], Float]:
+def fit_spline(position_km: Callable[[float], Float], first: float, last: float) -> Callable[[float], Float]:
     """Positions by a cubic spline through hourly ones, in a tenth of the time.
 
     ``first``, ``last`` in TDB seconds past J2000.
@@ -148,7 +148,7 @@ def cislunar(first: float | None = None, last: float | None = None) -> PointMass
     """
     places: tuple[Callable[[float], Float], ...] = (moon_position_km, sun_position_km)
     if first is not None and last is not None:
-        places = tuple(splined(place, first, last) for place in places)
+        places = tuple(fit_spline(place, first, last) for place in places)
     pulls = zip((GM_MOON_KM3_S2, GM_SUN_KM3_S2), places, strict=True)
     return PointMasses(GM_EARTH_KM3_S2, tuple(ThirdBody(gm, place) for gm, place in pulls))
 

@@ -92,7 +92,9 @@ class Rings:
         points = rotate(to_axes, points_km - center_km)
         toward_camera = rotate(to_axes, -points_km)
         toward_sun = rotate(to_axes, sun_direction_camera)
-        return self._crossed(points, toward_camera) | self._crossed(points, np.broadcast_to(toward_sun, points.shape))
+        return self._intersects(points, toward_camera) | self._intersects(
+            points, np.broadcast_to(toward_sun, points.shape)
+        )
 
     def cover(self, plane: FocalPlane, center_km: Float, camera_from_axes: Rotation, *, widened_px: float) -> Mask:
         """Find the pixels on which the rings lie, before or behind the body.
@@ -169,10 +171,10 @@ class Rings:
         seen = (crossing > 0.0) & (crossing < depth) & (radius > self.inner_km) & (radius < self.outer_km)
         surface = eye + np.where(hit, depth, 0.0)[:, None] * sights
         toward_sun = np.broadcast_to(rotate(to_axes, sun_direction_camera), surface.shape)
-        result: Mask = (seen | (hit & self._crossed(surface, toward_sun))).reshape(rays_camera.shape[:-1])
+        result: Mask = (seen | (hit & self._intersects(surface, toward_sun))).reshape(rays_camera.shape[:-1])
         return result
 
-    def _crossed(self, points: Float, directions: Float) -> Mask:
+    def _intersects(self, points: Float, directions: Float) -> Mask:
         """True for half-lines from points (n, 3) along directions (n, 3), principal axes, that meet the annulus."""
         with np.errstate(divide="ignore", invalid="ignore"):
             length = -points[:, 2] / directions[:, 2]

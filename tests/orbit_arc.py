@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.campaign.store.observables import observables_metadata
 from giantlike.core.arrays import Float
-from giantlike.core.causes import Cause, summed
+from giantlike.core.causes import Cause, sum_parts
 from giantlike.core.frames import rotate, skew
 from giantlike.core.light import boosted
 from giantlike.core.outcomes import PositionFix
@@ -132,7 +132,7 @@ def _fix(center_px: Float, position_km: Float) -> PositionFix:
         Cause.SHAPE_SCALE: SCALE**2 * by_scale @ by_scale.T,
         Cause.ATTITUDE: (attitude + attitude.T) / 2.0,
     }
-    in_image = summed(parts)
+    in_image = sum_parts(parts)
     return PositionFix(
         estimator="cross_correlation",
         target="BENNU",

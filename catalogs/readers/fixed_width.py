@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike._system.reading import reads, unzipped
+from giantlike._system.reading import decompress_gzip, reads
 from giantlike.catalogs.readers.rows import CLOSE_ARCSEC, HIPPARCOS_EPOCH, ReadStars, parsed, rms, stars_of
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
@@ -70,7 +70,7 @@ class FileLines(Value):
 
 def lines_of(path: Path, widths: tuple[int, ...]) -> FileLines:
     """Lines of a file, gzipped or not, whose first and longest line has one of the given widths."""
-    lines = unzipped(path.read_bytes()).splitlines()
+    lines = decompress_gzip(path.read_bytes()).splitlines()
     width = len(lines[0]) if lines else 0
     if width not in widths:
         expected = " or ".join(str(number) for number in widths)

@@ -17,7 +17,7 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from giantlike._system.reading import check, check_declared_bytes, unzipped
+from giantlike._system.reading import check, check_declared_bytes, decompress_gzip
 from giantlike.catalogs.readers.rows import parsed
 from giantlike.core.arrays import Mask
 from giantlike.core.errors import DataError
@@ -133,7 +133,7 @@ def text_table(content: bytes) -> Table:
     import pyarrow as pa
     import pyarrow.csv
 
-    content = unzipped(content)
+    content = decompress_gzip(content)
     comments, start = [], 0
     while content[start : start + 1] == b"#":
         end = content.find(b"\n", start)
@@ -212,7 +212,7 @@ def _fits_table(path: Path) -> Table:
 
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as stored:
         packed = stored[:2] == b"\x1f\x8b"
-        content = unzipped(stored[:]) if packed else b""
+        content = decompress_gzip(stored[:]) if packed else b""
         require_whole_fits(content if packed else stored)
     with fits.open(io.BytesIO(content) if packed else path) as file:
         found = next((hdu for hdu in file if isinstance(hdu, fits.BinTableHDU | fits.TableHDU)), None)
@@ -231,7 +231,7 @@ def _masked(values: NDArray[Any], null: int | None) -> NDArray[Any]:
 def _votable(path: Path) -> Table:
     from astropy.io import votable
 
-    content = unzipped(path.read_bytes())
+    content = decompress_gzip(path.read_bytes())
     _check_votable(content)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # astropy warns of every deviation from the standard

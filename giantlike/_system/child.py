@@ -80,15 +80,15 @@ class _Template:
         """Archive that the function of a request returned; empty if its process broke down."""
         with self._lock:
             try:
-                return self._asked(request)
+                return self._send_request(request)
             except BrokenPipeError:  # somebody ended the template between two calls
                 self.end()
-                return self._asked(request)
+                return self._send_request(request)
             except BaseException:  # its answer to this request must not be mistaken for the answer to the next
                 self.end()
                 raise
 
-    def _asked(self, request: Mapping[str, Any]) -> bytes:
+    def _send_request(self, request: Mapping[str, Any]) -> bytes:
         if self._socket is None:
             self._start()
         assert self._socket is not None
@@ -108,7 +108,9 @@ class _Template:
         ours, theirs = socket.socketpair()
         with theirs:
             self._socket = ours
-            self._process = _started("serve", str(theirs.fileno()), pass_fds=[theirs.fileno()], start_new_session=True)
+            self._process = _start_process(
+                "serve", str(theirs.fileno()), pass_fds=[theirs.fileno()], start_new_session=True
+            )
 
     def end(self) -> None:
         """End the process, if there is one."""
@@ -128,7 +130,7 @@ class _Template:
         self.__init__()  # type: ignore[misc]
 
 
-def _started(function: str, *arguments: str, **options: Any) -> subprocess.Popen[bytes]:
+def _start_process(function: str, *arguments: str, **options: Any) -> subprocess.Popen[bytes]:
     """New Python process that calls a function of this module."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, "-c", f"from giantlike._system.child import {function}; {function}()", *arguments]
@@ -139,7 +141,7 @@ def _started(function: str, *arguments: str, **options: Any) -> subprocess.Popen
 
 def _answer_of_new_process(request: Mapping[str, Any]) -> bytes:
     """Archive that the function of a request returned; empty if its process broke down."""
-    with _started("main", json.dumps(request), stdout=subprocess.PIPE) as process:
+    with _start_process("main", json.dumps(request), stdout=subprocess.PIPE) as process:
         content, _ = process.communicate()
     return content if process.returncode == 0 else b""
 

@@ -68,7 +68,7 @@ def reads(what: str) -> _Decorator:
 
     def decorate(read: Callable[Arguments, Answer]) -> Callable[Arguments, Answer]:
         @functools.wraps(read)
-        def guarded(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Answer:
+        def wrapper(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Answer:
             try:
                 return read(*args, **kwargs)
             except DataError:
@@ -79,7 +79,7 @@ def reads(what: str) -> _Decorator:
                 path = cast(Path, args[0] if args else kwargs["path"])
                 raise DataError(path, problem_text(error, what)) from error
 
-        return guarded
+        return wrapper
 
     return decorate
 
@@ -128,7 +128,7 @@ def _require_64_bits(value: object) -> None:
         raise ValueError(f"needed whole numbers of 64 bits, got one of {value.bit_length()}")
 
 
-def unzipped(content: bytes) -> bytes:
+def decompress_gzip(content: bytes) -> bytes:
     """Content of a file without its gzip compression, if it has one."""
     if not content.startswith(b"\x1f\x8b"):
         return content

@@ -1,8 +1,8 @@
 """Deprecated: names of :mod:`giantlike.viewer` by their old place, with a warning."""
 
-from giantlike.core.deprecation import moved
+from giantlike.core.deprecation import forward_names
 
-__getattr__ = moved(
+__getattr__ = forward_names(
     __name__,
     {
         "giantlike.viewer": "Session backplanes_of explain layers_of",

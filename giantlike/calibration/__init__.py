@@ -6,7 +6,7 @@ from giantlike.calibration.observations import ImageObservations
 from giantlike.calibration.options import CalibrationOptions
 from giantlike.calibration.result import CalibrationResult
 from giantlike.calibration.star_images import calibrate_stars, identify_first
-from giantlike.core.deprecation import moved
+from giantlike.core.deprecation import forward_names
 
 __all__ = [
     "CalibrationOptions",
@@ -19,7 +19,7 @@ __all__ = [
     "map_difference",
 ]
 
-__getattr__ = moved(
+__getattr__ = forward_names(
     __name__,
     {
         "giantlike.calibration": "CalibrationFix:CalibrationResult",

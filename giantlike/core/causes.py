@@ -75,7 +75,7 @@ six digits in float64. Parts of lower rank are positive semi-definite to as many
 """
 
 
-def summed(parts: Mapping[Cause, Float], causes: Iterable[Cause] = IN_IMAGE) -> Float:
+def sum_parts(parts: Mapping[Cause, Float], causes: Iterable[Cause] = IN_IMAGE) -> Float:
     """Sum of the parts of a covariance.
 
     ``parts`` mapping of Cause to (k, k); returns (k, k), zero where none of the causes is in ``parts``.
@@ -83,7 +83,7 @@ def summed(parts: Mapping[Cause, Float], causes: Iterable[Cause] = IN_IMAGE) -> 
     Examples
     --------
     >>> parts = {Cause.NOISE: np.eye(2), Cause.RELIEF: 2.0 * np.eye(2), Cause.CAMERA: np.eye(2)}
-    >>> summed(parts)
+    >>> sum_parts(parts)
     array([[3., 0.],
            [0., 3.]])
     """
@@ -94,14 +94,14 @@ def summed(parts: Mapping[Cause, Float], causes: Iterable[Cause] = IN_IMAGE) -> 
     return total
 
 
-def added(first: Mapping[Cause, Float], second: Mapping[Cause, Float]) -> dict[Cause, Float]:
+def add_parts(first: Mapping[Cause, Float], second: Mapping[Cause, Float]) -> dict[Cause, Float]:
     """Add two covariances by cause.
 
     ``first``, ``second`` mapping of Cause to (k, k); returns dict of Cause to (k, k).
 
     Examples
     --------
-    >>> both = added({Cause.NOISE: np.eye(1)}, {Cause.NOISE: np.eye(1), Cause.RELIEF: np.eye(1)})
+    >>> both = add_parts({Cause.NOISE: np.eye(1)}, {Cause.NOISE: np.eye(1), Cause.RELIEF: np.eye(1)})
     >>> both[Cause.NOISE], both[Cause.RELIEF]
     (array([[2.]]), array([[1.]]))
     """
@@ -148,7 +148,7 @@ def require_sum(parts: Mapping[Cause, Float], causes: Iterable[Cause], covarianc
     elements, is not checked).
     """
     count = len(covariance)
-    total = summed(parts, causes)[:count, :count]
+    total = sum_parts(parts, causes)[:count, :count]
     if not (np.isfinite(total).all() and np.isfinite(covariance).all()):
         return
     sigma = np.sqrt(np.maximum(np.diagonal(covariance), np.diagonal(total)))

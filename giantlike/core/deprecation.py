@@ -12,7 +12,7 @@ Arguments = ParamSpec("Arguments")
 Answer = TypeVar("Answer")
 
 
-def moved(module: str, places: Mapping[str, str], *, until: str) -> Callable[[str], Any]:
+def forward_names(module: str, places: Mapping[str, str], *, until: str) -> Callable[[str], Any]:
     """Return a module-level ``__getattr__`` that answers for names that went elsewhere or were renamed.
 
     ``places`` maps each new module to the names that went there, separated by spaces; ``Old:New`` for a new name.
@@ -21,7 +21,8 @@ def moved(module: str, places: Mapping[str, str], *, until: str) -> Callable[[st
     --------
     In ``giantlike/calibration/__init__.py``::
 
-        __getattr__ = moved(__name__, {"giantlike.calibration": "CalibrationFix:CalibrationResult"}, until="0.4")
+        places = {"giantlike.calibration": "CalibrationFix:CalibrationResult"}
+        __getattr__ = forward_names(__name__, places, until="0.4")
     """
     home_of: dict[str, tuple[str, str]] = {}
     for home, names in places.items():
@@ -46,13 +47,13 @@ def renamed_keyword(
 
     def decorate(function: Callable[Arguments, Answer]) -> Callable[Arguments, Answer]:
         @functools.wraps(function)
-        def answering(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Answer:
+        def wrapper(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Answer:
             if old in kwargs:
                 message = f"{function.__name__}({old}=...) is now {new}=...; the old keyword goes in version {until}"
                 warnings.warn(message, DeprecationWarning, stacklevel=2)
                 kwargs[new] = kwargs.pop(old)
             return function(*args, **kwargs)
 
-        return answering
+        return wrapper
 
     return decorate

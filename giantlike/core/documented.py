@@ -12,10 +12,10 @@ Class = TypeVar("Class", bound=type)
 def documented_by(*sources: type) -> Callable[[Class], Class]:
     """Return a class decorator that gives methods without a docstring that of the same method of a source."""
 
-    def documented(cls: Class) -> Class:
+    def copy_docstrings(cls: Class) -> Class:
         for name, method in vars(cls).items():
             if inspect.isfunction(method) and method.__doc__ is None:
                 method.__doc__ = next((vars(each)[name].__doc__ for each in sources if name in vars(each)), None)
         return cls
 
-    return documented
+    return copy_docstrings

@@ -39,10 +39,10 @@ def _text(value: Any, digits: int | None) -> str:
     return str(value) if digits is None else f"{value:.{digits}g}"
 
 
-def _rounded(value: Any, digits: int | None) -> Any:
+def _round_value(value: Any, digits: int | None) -> Any:
     """A number rounded to the digits with which it is reported; a value with all of its numbers rounded."""
     if isinstance(value, _Stated):
-        known = {one.name: _rounded(getattr(value, one.name), one.metadata.get("digits")) for one in fields(value)}
+        known = {one.name: _round_value(getattr(value, one.name), one.metadata.get("digits")) for one in fields(value)}
         return replace(value, **known)
     return value if value is None or digits is None else float(f"{value:.{digits}g}")
 
@@ -113,7 +113,7 @@ class Smear(_Stated):
         """Return the same motion in an image of blocks of pixels."""
         return Smear(straight_px2=self.straight_px2 / size**2, oblique_px2=self.oblique_px2 / size**2)
 
-    def less(self, other: Smear) -> Smear:
+    def subtract(self, other: Smear) -> Smear:
         """Return the difference to another smear."""
         return Smear(
             straight_px2=self.straight_px2 - other.straight_px2, oblique_px2=self.oblique_px2 - other.oblique_px2
@@ -141,25 +141,25 @@ class Smear(_Stated):
         even = self.size_px2
         return np.array([even + self.straight_px2, self.oblique_px2, even - self.straight_px2])
 
-    def smeared(self, images: Float) -> Float:
+    def blur(self, images: Float) -> Float:
         """Return images blurred by the motion; edge values are repeated beyond the images.
 
         ``images`` (..., h, w); returns (..., h, w).
         """
-        return self._spread(images, lambda along: np.sinc(self.length_px * along))
+        return self._filter(images, lambda along: np.sinc(self.length_px * along))
 
-    def doubled(self, images: Float, share: float) -> Float:
+    def blur_double_exposure(self, images: Float, share: float) -> Float:
         """Return images blurred by two exposures, the second with a share of the light, of the same second moments.
 
         ``images`` (..., h, w); returns (..., h, w).
         """
         apart = math.sqrt(2.0 * self.size_px2 / (share * (1.0 - share)))
         first, second = (2j * math.pi * apart * place for place in (share, share - 1.0))
-        return self._spread(
+        return self._filter(
             images, lambda along: (1.0 - share) * np.exp(first * along) + share * np.exp(second * along)
         )
 
-    def _spread(self, images: Float, transfer: Callable[[Float], Any]) -> Float:
+    def _filter(self, images: Float, transfer: Callable[[Float], Any]) -> Float:
         """Images (..., h, w) filtered by a function of the frequency along the motion, cycles per pixel."""
         from scipy.fft import irfft2, next_fast_len, rfft2
 
@@ -198,7 +198,7 @@ class Corrections(_Stated):
 
     def __post_init__(self) -> None:
         for one in fields(self):
-            object.__setattr__(self, one.name, _rounded(getattr(self, one.name), one.metadata.get("digits")))
+            object.__setattr__(self, one.name, _round_value(getattr(self, one.name), one.metadata.get("digits")))
 
     def __or__(self, other: Corrections) -> Corrections:
         known = {one.name: getattr(other, one.name) for one in fields(other)}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, require
-from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, checked_partials, checked_parts, require_sum, summed
+from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, checked_partials, checked_parts, require_sum, sum_parts
 from giantlike.core.display import Pictured
 from giantlike.core.errors import EstimationError
 from giantlike.core.findings import Corrections, Findings
@@ -93,7 +93,7 @@ class AttitudeErrors(Value):
         """
         if self.by_camera is None or Cause.CAMERA not in self.parts:
             return covariance_rad2
-        return summed(self.parts, [cause for cause in Cause if cause is not Cause.CAMERA])
+        return sum_parts(self.parts, [cause for cause in Cause if cause is not Cause.CAMERA])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -306,10 +306,10 @@ class CenterFix(Pictured, Value):
     def covariance_total(self) -> Float:
         """Covariance of observed minus computed, (k, k) as ``parts``: the sum of all causes.
 
-        ``summed(fix.parts, causes)`` of :mod:`giantlike.core.causes` sums a choice of them, such as all but the
+        ``sum_parts(fix.parts, causes)`` of :mod:`giantlike.core.causes` sums a choice of them, such as all but the
         ephemeris for the position in inertial axes.
         """
-        return summed(self.parts, tuple(Cause)) if self.parts else np.array(self.covariance_px2)
+        return sum_parts(self.parts, tuple(Cause)) if self.parts else np.array(self.covariance_px2)
 
     def unwrap(self) -> Self:
         """Return the fix itself (a :class:`Failure` raises instead).

@@ -35,7 +35,7 @@ class PixelBox:
         (x, y), (width, height) = low.tolist(), (np.ceil(high_px).astype(np.int64) + margin_px - low).tolist()
         return cls(x=x, y=y, width=width, height=height)
 
-    def limited(self, columns: int, rows: int, border_px: int = 0) -> PixelBox:
+    def clip(self, columns: int, rows: int, border_px: int = 0) -> PixelBox:
         """Return the part of the box within a frame."""
         end = np.array([columns, rows]) + border_px
         corner = np.array([self.x, self.y])

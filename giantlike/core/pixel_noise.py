@@ -136,7 +136,7 @@ class _NoiseBlocks:
     freedom: int
 
     @classmethod
-    def of(cls, pixels: NDArray[Any], mask: Mask | None) -> _NoiseBlocks:
+    def from_pixels(cls, pixels: NDArray[Any], mask: Mask | None) -> _NoiseBlocks:
         """Blocks of the good pixels of an image."""
         side = min(_BLOCK_PX, *pixels.shape)
         blocks = _blocks(pixels, side).astype(np.float64)
@@ -182,7 +182,7 @@ def sky_noise(pixels: NDArray[Any], mask: Mask | None = None) -> float:
     ``pixels`` in DN; returned in DN, 0 where most of the background has equal pixels, as in a render without noise or
     in a clipped image.
     """
-    return math.sqrt(_NoiseBlocks.of(pixels, mask).sky_variance)
+    return math.sqrt(_NoiseBlocks.from_pixels(pixels, mask).sky_variance)
 
 
 def estimate_noise(pixels: NDArray[Any], mask: Mask | None = None, *, step_dn: float) -> EstimatedNoise:
@@ -195,7 +195,7 @@ def estimate_noise(pixels: NDArray[Any], mask: Mask | None = None, *, step_dn: f
     variance for their signal: an upper bound where nothing in the image is smooth. At the brightest block it is at
     least the variance of the sky, since a smaller one cannot be distinguished.
     """
-    blocks, quantization = _NoiseBlocks.of(pixels, mask), step_dn**2 / 12.0
+    blocks, quantization = _NoiseBlocks.from_pixels(pixels, mask), step_dn**2 / 12.0
     dark, slope = blocks.sky_variance, blocks.variance_per_light()
     reach = float(blocks.levels.max() - blocks.levels.min())
     if dark > 0.0 or (slope is not None and step_dn > 0.0):

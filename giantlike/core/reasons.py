@@ -169,7 +169,7 @@ class Outcome(StrEnum):
         return "not in the field" if self is Outcome.NOT_IN_FIELD else self.value.replace("_", " ")
 
     @property
-    def tried(self) -> bool:
+    def is_attempt(self) -> bool:
         """True for a result, and for a failure to get one."""
         return self in (Outcome.OK, Outcome.SUSPECT, Outcome.FAILED)
 

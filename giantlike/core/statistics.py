@@ -26,7 +26,7 @@ def quartile_sigma(values: ArrayLike) -> float:
     return float(high - low) / IQR_PER_SIGMA
 
 
-def whitened(values: Float, covariance: Float) -> Float:
+def whiten(values: Float, covariance: Float) -> Float:
     """Values (n, 2, ...) in the units of their errors: solutions of ``L x = value`` with ``L L^T`` the covariance.
 
     ``values`` (n, 2, ...); ``covariance`` (n, 2, 2), positive definite.
@@ -49,7 +49,7 @@ def squared_residuals(residuals: Float, covariance: Float) -> Float:
     """
     if residuals.shape[1] == 2:
         with np.errstate(invalid="ignore"):
-            squares: Float = np.sum(whitened(residuals, covariance) ** 2, axis=1)
+            squares: Float = np.sum(whiten(residuals, covariance) ** 2, axis=1)
     else:
         squares = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(covariance), residuals)
     return np.where(np.isfinite(squares), squares, np.inf)
@@ -62,7 +62,7 @@ def error_floor(residuals: Float, covariance: Float, *, freedom: int | None = No
     larger.
     """
     variances, axes = _principal(covariance)
-    return _floor_along(_turned(residuals, axes) ** 2, variances, freedom)
+    return _floor_along(_rotate(residuals, axes) ** 2, variances, freedom)
 
 
 def _floor_along(squares: Float, variances: Float, freedom: int | None) -> float:
@@ -91,7 +91,7 @@ def _principal(covariance: Float) -> tuple[Float, Float]:
     return np.stack([least, middle + spread], axis=1), np.stack([-s, c, c, s], axis=1).reshape(-1, 2, 2)
 
 
-def _turned(values: Float, axes: Float) -> Float:
+def _rotate(values: Float, axes: Float) -> Float:
     """Values (n, 2, ...) along axes (n, 2, 2) in columns."""
     result: Float = np.swapaxes(axes, 1, 2) @ values.reshape(len(values), 2, -1)
     return result.reshape(values.shape)
@@ -140,16 +140,16 @@ def error_terms(residuals: Float, covariance: Float, *, freedom: int) -> tuple[f
     ``floor``: at least 0.
     """
     variances, axes = _principal(covariance)
-    along = _turned(residuals, axes) ** 2
+    along = _rotate(residuals, axes) ** 2
     most = math.sqrt(max(float(np.sum(along / variances)) / freedom, 1.0))
 
-    def of(factor: float) -> tuple[float, float, float]:
+    def fit_floor(factor: float) -> tuple[float, float, float]:
         floor = _floor_along(along, factor**2 * variances, freedom)
         total = factor**2 * variances + floor**2
         return float(np.sum(np.log(total) + along / total)), factor, floor
 
-    alone = of(1.0)
-    best = min(of(factor) for factor in np.geomspace(1.0, most, _FACTORS).tolist())
+    alone = fit_floor(1.0)
+    best = min(fit_floor(factor) for factor in np.geomspace(1.0, most, _FACTORS).tolist())
     _, factor, floor = best if best[0] < alone[0] - _COST else alone
     return factor, floor
 

@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from giantlike.core.arrays import Float
-from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, summed
+from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, sum_parts
 from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, PositionFix
 from giantlike.gauntlet.rule import STARS, Facts, Verdict, facts_of, fits, solvable
 from giantlike.gauntlet.stage import Stage
@@ -160,12 +160,12 @@ def place_error(stage: Stage, fix: CenterFix) -> Answer:
     error = fix.center_px - stage.world.center_px
     parts = fix.parts or {Cause.NOISE: _own_covariance(stage, fix)}
     stated = {cause: part for cause, part in parts.items() if cause in _STATED}
-    prior = summed(stated | _zero(parts), Cause)
-    seen = summed({cause: part for cause, part in stated.items() if cause in IN_IMAGE} | _zero(parts), Cause)
+    prior = sum_parts(stated | _zero(parts), Cause)
+    seen = sum_parts({cause: part for cause, part in stated.items() if cause in IN_IMAGE} | _zero(parts), Cause)
     answer = _of_center(error, fix.covariance_px2, seen[:2, :2])
     if not isinstance(fix, PositionFix):
         return answer
-    ratio, sigma = math.log(fix.range_km / stage.world.range_km), math.sqrt(summed(parts, IN_POSITION)[2, 2])
+    ratio, sigma = math.log(fix.range_km / stage.world.range_km), math.sqrt(sum_parts(parts, IN_POSITION)[2, 2])
     return replace(
         answer,
         range_error=ratio,

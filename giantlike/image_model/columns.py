@@ -177,13 +177,13 @@ class Columns(Value):
         Value.__post_init__(self)
 
     @classmethod
-    def of(cls, blocks: Sequence[Block], data: Float, weights: Float) -> Columns:
+    def from_blocks(cls, blocks: Sequence[Block], data: Float, weights: Float) -> Columns:
         """Return the model with the unknowns of blocks."""
-        return cls(*_stacked(blocks), data, weights)
+        return cls(*_stack_blocks(blocks), data, weights)
 
-    def extended(self, blocks: Sequence[Block]) -> Columns:
+    def extend(self, blocks: Sequence[Block]) -> Columns:
         """Return the model with the unknowns of further blocks after its own."""
-        layout, matrix, prior = _stacked(blocks)
+        layout, matrix, prior = _stack_blocks(blocks)
         return replace(
             self,
             layout=Layout(self.layout.effects + layout.effects),
@@ -243,7 +243,7 @@ class Columns(Value):
 
         ``parts`` as for :meth:`log_evidence`.
         """
-        return self.extended(blocks).log_evidence(parts) - self.log_evidence(parts)
+        return self.extend(blocks).log_evidence(parts) - self.log_evidence(parts)
 
     def propagate(self, scatter: Float) -> Float:
         """Return the covariance (k, k) of the unknowns from the covariance of their scores."""
@@ -328,12 +328,12 @@ class Solution(Value):
         complement, ``B^T W B - B^T W A H^-1 A^T W B``. Both are exact at the solution, where the model's own gradient
         vanishes.
         """
-        _, matrix, prior = _stacked(blocks)
+        _, matrix, prior = _stack_blocks(blocks)
         weighted, markings = self.columns.weights * matrix, self.columns.markings
         flat = weighted.reshape(len(matrix), -1)
         own, shared = matrix.reshape(len(matrix), -1) @ flat.T, self.columns.rows @ flat.T
         if markings is not None and self.columns.eliminated is not None:
-            own = own - self.columns.eliminated.taken(markings.products(weighted))
+            own = own - self.columns.eliminated.find_lost_information(markings.products(weighted))
         return Score(self.columns, matrix, flat @ self.residuals.ravel(), shared, own, prior)
 
 
@@ -421,7 +421,7 @@ class Score(Value):
         return self.gradient + self.prior.information * self.prior.mean
 
 
-def _stacked(blocks: Sequence[Block]) -> tuple[Layout, Float, Prior]:
+def _stack_blocks(blocks: Sequence[Block]) -> tuple[Layout, Float, Prior]:
     """Layout, derivatives (k, ...) and prior of the unknowns of blocks."""
     layout = Layout(tuple((block.effect, block.cause, len(block.matrix)) for block in blocks))
     prior = Prior(*(np.concatenate(part) for part in zip(*(block.prior.parts for block in blocks), strict=True)))

@@ -137,7 +137,7 @@ class FieldSums(Value):
         The likelihood is that of the values with the columns integrated out (restricted likelihood).
         """
         variances = AMPLITUDES**2
-        explained, log_volumes = self._restricted(spectra, variances)
+        explained, log_volumes = self._explain_by_fields(spectra, variances)
         log_likelihood = 0.5 * (explained - log_volumes) + np.log(prior_of_amplitudes())
         chances = np.exp(log_likelihood - log_likelihood.max())
         return np.asarray(np.einsum("la,a,lm->m", chances / chances.sum(), variances, spectra))
@@ -147,14 +147,14 @@ class FieldSums(Value):
 
         ``spectra`` (n, m).
         """
-        explained, log_volumes = self._restricted(spectra, AMPLITUDES**2)
+        explained, log_volumes = self._explain_by_fields(spectra, AMPLITUDES**2)
         left = self.squares - float(self.right @ np.linalg.solve(self.information, self.right)) - explained
         chances = prior_of_amplitudes() / len(spectra)
         misfit = parts * (np.log(np.maximum(left, 1e-300) / parts) + 1.0)
         log_likelihood = -0.5 * (misfit + log_volumes) + np.log(chances)
         return float(np.logaddexp.reduce(log_likelihood, axis=None) - 0.5 * np.linalg.slogdet(self.information)[1])
 
-    def _restricted(self, spectra: Float, variances: Float) -> tuple[Float, Float]:
+    def _explain_by_fields(self, spectra: Float, variances: Float) -> tuple[Float, Float]:
         """Squares explained by fields, and their contributions to the log determinant: (lengths, amplitudes)."""
         solved = np.linalg.solve(self.information, np.column_stack([self.cross, self.right]))
         gram, scores = self.gram - self.cross.T @ solved[:, :-1], self.scores - self.cross.T @ solved[:, -1]
@@ -208,7 +208,7 @@ class FieldSolution(Value):
     variances: Float
     whitened: Float
 
-    def absorbed(self, modes: MarkingModes, weights: Float, length_px: float) -> float:
+    def find_absorbed_squares(self, modes: MarkingModes, weights: Float, length_px: float) -> float:
         """Return the weighted squares absorbed by the field of errors correlated like ``exp(-d^2 / (4 length^2))``.
 
         ``weights`` (h, w).
@@ -218,7 +218,7 @@ class FieldSolution(Value):
         scores = root[:, None] * modes.gram(weights) * root
         return max(4.0 * math.pi * length_px**2, 1.0) * float(np.vdot(np.linalg.inv(self.whitened), scores))
 
-    def taken(self, products: Float) -> Float:
+    def find_lost_information(self, products: Float) -> Float:
         """Loss of information (j, j) by the field, of columns with weighted products (j, m) with its modes."""
         scaled = np.sqrt(self.variances) * products
         return np.asarray(scaled @ np.linalg.solve(self.whitened, scaled.T))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike._system.reading import reads, unzipped
+from giantlike._system.reading import decompress_gzip, reads
 from giantlike.core.arrays import Mask
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.observer import ObserverState
@@ -228,7 +228,7 @@ def _content(path: Path) -> bytes:
 
 @reads("a gzip file")
 def _unzipped(path: Path, data: bytes) -> bytes:
-    return unzipped(data)
+    return decompress_gzip(data)
 
 
 def _sniff(data: bytes) -> str | None:

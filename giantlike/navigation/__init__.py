@@ -1,8 +1,8 @@
 """Deprecated: names of triangulation, passes, cislunar, autonomy and dynamics by their old place, with a warning."""
 
-from giantlike.core.deprecation import moved
+from giantlike.core.deprecation import forward_names
 
-__getattr__ = moved(
+__getattr__ = forward_names(
     __name__,
     {
         "giantlike.autonomy": "ModeMachine expected_dn find_patches identify_body pose_of_pair",

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, unit
-from giantlike.core.causes import Cause, summed
+from giantlike.core.causes import Cause, sum_parts
 from giantlike.core.frames import east_north, quaternion_xyzw, radec_from_direction, rotate, skew
 from giantlike.core.light import aberrate
 from giantlike.core.observer import ObserverState
@@ -405,7 +405,7 @@ class _Point(Value):
         }
         if Cause.ATTITUDE not in parts:
             return cells
-        total = summed(parts, [cause for cause in Cause if cause not in _ESTIMATED_LATER])
+        total = sum_parts(parts, [cause for cause in Cause if cause not in _ESTIMATED_LATER])
         cells |= _covariance_cells(total) | self.sky_errors(total)
         if self.ranged:
             units = np.array([1.0, 1.0, 1.0 / float(np.linalg.norm(self.apparent_km))])

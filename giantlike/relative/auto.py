@@ -17,7 +17,7 @@ from giantlike.core.arrays import require
 from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.ray_tracing import trace_silhouette
-from giantlike.relative.consensus import agreement_of, confirming, fused
+from giantlike.relative.consensus import agreement_of, find_confirming, fuse
 from giantlike.relative.estimator import BodyEstimator, Estimator
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.inputs import EstimatorInputs
@@ -164,7 +164,7 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     covariances explain, these grow. An unconfirmed fix is flagged ``UNCHECKED``.
 
     The result is the fix of the chosen estimator, a :class:`~giantlike.core.outcomes.PositionFix` if it estimates the
-    range, under the name ``auto``, fused with the confirming fix (:func:`~giantlike.relative.consensus.fused`). Its
+    range, under the name ``auto``, fused with the confirming fix (:func:`~giantlike.relative.consensus.fuse`). Its
     ``findings`` are the estimator (``chosen``), the reason (``because``), the confirming estimator (``checked_by``),
     the p-value of the difference (``agreement``) and the weight of the chosen estimator in the position (``weight``).
     ``score``, residuals and counts are from the chosen estimator. A failure is that of the first choice; its text names
@@ -226,20 +226,20 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
                     outcomes[name] = begun(name) if name in sure else estimate(name)
                 return outcomes[name]
 
-            taken = _taken(choice, outcome)
+            taken = _choose_fix(choice, outcome)
             if taken is None:
-                return _nothing(choice, outcomes)
+                return _join_failures(choice, outcomes)
             fix = outcome(taken)
             assert isinstance(fix, CenterFix)
             seconds = ((name, outcome(name)) for name in choice.checks_of(taken))
-            confirmed = None if fix.flags.suspect else confirming(fix, seconds)
+            confirmed = None if fix.flags.suspect else find_confirming(fix, seconds)
         findings = replace(fix.findings, chosen=taken, because=choice.because)
         if confirmed is None:
             return replace(fix, estimator=self.name, flags=fix.flags | Quality.UNCHECKED, findings=findings)
         name, second = confirmed
         findings = replace(findings, checked_by=name, agreement=agreement_of(fix, second))
         fix = replace(fix, estimator=self.name, findings=findings)
-        return _with_turn(fused(fix, second, inputs.camera.model), second)
+        return _with_turn(fuse(fix, second, inputs.camera.model), second)
 
     def _choice(self, inputs: EstimatorInputs) -> Choice:
         diameter_px = 2.0 * inputs.radius_px
@@ -277,7 +277,7 @@ def _with_turn(fix: CenterFix, second: CenterFix) -> CenterFix:
     return fix
 
 
-def _taken(choice: Choice, outcome: Callable[[str], CenterFix | Failure]) -> str | None:
+def _choose_fix(choice: Choice, outcome: Callable[[str], CenterFix | Failure]) -> str | None:
     """Name of the first fix without objection, else of the first fix."""
     suspect = None
     for name in choice.estimators:
@@ -290,7 +290,7 @@ def _taken(choice: Choice, outcome: Callable[[str], CenterFix | Failure]) -> str
     return suspect
 
 
-def _nothing(choice: Choice, outcomes: Mapping[str, CenterFix | Failure]) -> Failure:
+def _join_failures(choice: Choice, outcomes: Mapping[str, CenterFix | Failure]) -> Failure:
     """Return the failure of the first estimator tried, which names the others."""
     failures = [(name, one) for name, one in outcomes.items() if isinstance(one, Failure)]
     if not failures:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.camera_models import CameraModel, ifov_rad
 from giantlike.core.arrays import Float
-from giantlike.core.causes import Cause, summed
+from giantlike.core.causes import Cause, sum_parts
 from giantlike.core.frames import rotate, skew
 from giantlike.core.outcomes import AttitudeErrors, CenterFix, Failure, PositionFix
 from giantlike.core.statistics import excess
@@ -92,22 +92,22 @@ def with_budget(
     partials = by_body | {Cause.ATTITUDE: turn}
     added, in_camera = (
         body | _attitude_parts(image, camera, turn),
-        summed({**body, Cause.NOISE: np.zeros((size, size))}),
+        sum_parts({**body, Cause.NOISE: np.zeros((size, size))}),
     )
     known = camera.uncertainty
     if known is not None and known.estimated and Cause.CAMERA not in parts:
         radius_km = geometry.target.shape.mean_radius_km
         response = camera_response(camera, position_km, radius_km, geometry.sun_direction_camera, size=size)
-        in_camera = in_camera + _propagated(response, known.covariance)
-        partials[Cause.CAMERA] = response + turn @ _attitude_by_camera(image, camera)
-        added[Cause.CAMERA] = _propagated(partials[Cause.CAMERA], known.covariance)
+        in_camera = in_camera + _propagate(response, known.covariance)
+        partials[Cause.CAMERA] = response + turn @ _d_attitude_d_camera(image, camera)
+        added[Cause.CAMERA] = _propagate(partials[Cause.CAMERA], known.covariance)
     sigma_km = geometry.target.uncertainty.ephemeris_km
     if sigma_km > 0.0:
-        added[Cause.EPHEMERIS] = _propagated(place_per_km[:size], sigma_km**2 * np.eye(3))
+        added[Cause.EPHEMERIS] = _propagate(place_per_km[:size], sigma_km**2 * np.eye(3))
     new = {cause: part for cause, part in added.items() if cause not in parts}
     changes: dict[str, object] = {"parts": parts | new, "partials": partials | dict(fix.partials)}
     if body:
-        changes["covariance_px2"] = fix.covariance_px2 + summed(body)[:2, :2]
+        changes["covariance_px2"] = fix.covariance_px2 + sum_parts(body)[:2, :2]
     if isinstance(fix, PositionFix) and in_camera.any():
         added_km2 = position_covariance(model, position_km, in_camera)
         changes["covariance_camera_km2"] = fix.covariance_camera_km2 + added_km2
@@ -127,8 +127,8 @@ def with_larger_errors(fix: AnyFix, model: CameraModel, factor: float, causes: I
     own = {cause: fix.parts[cause] for cause in causes if cause in fix.parts and cause not in DECLARED}
     if not own:
         return fix
-    total = summed(own, own)
-    declared = summed(fix.parts, DECLARED)
+    total = sum_parts(own, own)
+    declared = sum_parts(fix.parts, DECLARED)
     if declared.any():
         added, whole = excess(declared, (factor - 1.0) * total), np.trace(total[:2, :2])
         grown = {cause: part + np.trace(part[:2, :2]) / whole * added for cause, part in own.items()}
@@ -169,7 +169,7 @@ def position_covariance(model: CameraModel, position_camera_km: Float, covarianc
     ``covariance``: of x, y in px and of the natural logarithm of the range; returns (3, 3) km^2, camera axes.
     """
     km_per_place = np.asarray(np.linalg.inv(place_jacobian(model, position_camera_km)), dtype=np.float64)
-    return _propagated(km_per_place, covariance)
+    return _propagate(km_per_place, covariance)
 
 
 def camera_response(
@@ -193,17 +193,17 @@ def camera_response(
     rays, outward = _circle(axis, half_angle)
     lit = outward @ sun_direction_camera >= 0.0
     seen = lit & np.nan_to_num(camera.contains(model.project(rays))).astype(bool)
-    response = _followed(model, chosen, axis, half_angle, (rays[seen], outward[seen]), size)
+    response = _fit_motion(model, chosen, axis, half_angle, (rays[seen], outward[seen]), size)
     if response is None:
         nearest_px = np.clip(model.project(axis), -0.5, [camera.columns - 0.5, camera.rows - 0.5])
         axis = model.unproject(nearest_px)
         half_angle = _LEAST_RADIUS_PX * float(ifov_rad(model, nearest_px))
-        response = _followed(model, chosen, axis, half_angle, _circle(axis, half_angle), size)
+        response = _fit_motion(model, chosen, axis, half_angle, _circle(axis, half_angle), size)
         assert response is not None
     return response
 
 
-def _followed(
+def _fit_motion(
     model: CameraModel, chosen: list[int], axis: Float, half_angle: float, outline: tuple[Float, Float], size: int
 ) -> Float | None:
     """Motion (size, k) of a circle of rays fitted to the shifts of its points; None where the arc is too short."""
@@ -247,16 +247,16 @@ def attitude_parts_rad2(covariance_rad2: Float | None, errors: AttitudeErrors, c
     if camera.uncertainty is not None:
         covariance_rad2 = errors.apart_from_camera(covariance_rad2)
     apart = {cause: errors.parts[cause] for cause in (Cause.ABERRATION, Cause.EPOCH) if cause in errors.parts}
-    return {Cause.ATTITUDE: covariance_rad2 - (summed(apart, apart) if apart else 0.0), **apart}
+    return {Cause.ATTITUDE: covariance_rad2 - (sum_parts(apart, apart) if apart else 0.0), **apart}
 
 
 def _attitude_parts(image: Image, camera: Camera, turn: Float) -> dict[Cause, Float]:
     """Parts of the attitude by the derivative of the position by a rotation of the camera."""
     parts = attitude_parts_rad2(image.attitude_covariance_rad2, image.attitude_errors, camera)
-    return {cause: _propagated(turn, part) for cause, part in parts.items()}
+    return {cause: _propagate(turn, part) for cause, part in parts.items()}
 
 
-def _attitude_by_camera(image: Image, camera: Camera) -> Float:
+def _d_attitude_d_camera(image: Image, camera: Camera) -> Float:
     """Derivative (3, k) of the attitude by the uncertain parameters of the camera; zero where it is not from stars."""
     assert camera.uncertainty is not None
     names, by_camera = camera.model.parameter_names, image.attitude_errors.by_camera
@@ -297,7 +297,7 @@ def _body_parts(partials: Mapping[Cause, Float], geometry: TargetGeometry) -> di
     known = geometry.target.uncertainty
     sigmas = {Cause.SHAPE_SCALE: known.scale, Cause.POLE: known.pole_rad, Cause.SPIN: known.spin_rad}
     return {
-        cause: _propagated(partial, sigmas[cause] ** 2 * np.eye(partial.shape[1]))
+        cause: _propagate(partial, sigmas[cause] ** 2 * np.eye(partial.shape[1]))
         for cause, partial in partials.items()
         if sigmas[cause] > 0.0
     }
@@ -382,11 +382,11 @@ def _least_step_rad(radius_px: float) -> float:
 def _own_covariance(fix: CenterFix, place_per_km: Float) -> Float:
     """Covariance reported by the estimator, as a part."""
     if isinstance(fix, PositionFix):
-        return _propagated(place_per_km, fix.covariance_camera_km2)
+        return _propagate(place_per_km, fix.covariance_camera_km2)
     return fix.covariance_px2
 
 
-def _propagated(jacobian: Float, covariance: Float) -> Float:
+def _propagate(jacobian: Float, covariance: Float) -> Float:
     """Covariance through a linear map, symmetric to the last digit."""
     result: Float = jacobian @ covariance @ jacobian.T
     return (result + result.T) / 2.0

@@ -11,7 +11,7 @@ from scipy.special import chdtrc
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float
-from giantlike.core.causes import IN_IMAGE, Cause, summed
+from giantlike.core.causes import IN_IMAGE, Cause, sum_parts
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.statistics import nearest_covariance
 from giantlike.relative.budget import position_covariance, with_larger_errors
@@ -25,7 +25,7 @@ _WEIGHTS = np.linspace(0.0, 1.0, 21)
 """Trial weights of the first of two fixes: an error of a weight by 0.025 costs less than a percent of sigma."""
 
 
-def confirming(fix: CenterFix, seconds: Iterable[tuple[str, CenterFix | Failure]]) -> tuple[str, CenterFix] | None:
+def find_confirming(fix: CenterFix, seconds: Iterable[tuple[str, CenterFix | Failure]]) -> tuple[str, CenterFix] | None:
     """Return the first of other fixes of the same body that can check one, in order.
 
     Returns None where none is both precise enough and not suspect; a suspect one cannot confirm the first.
@@ -63,7 +63,7 @@ def _squared_difference(first: CenterFix, second: CenterFix) -> tuple[float, int
 def _own_covariance(fix: CenterFix) -> Float:
     """Covariance of a fix without errors shared by all fixes of an image: the camera and the scale of the shape."""
     if fix.parts:
-        return summed(fix.parts, _OWN)
+        return sum_parts(fix.parts, _OWN)
     if not isinstance(fix, PositionFix):
         return fix.covariance_px2
     covariance = np.diag([0.0, 0.0, (fix.sigma_range_km / fix.range_km) ** 2])
@@ -71,7 +71,7 @@ def _own_covariance(fix: CenterFix) -> Float:
     return covariance
 
 
-def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
+def fuse(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     """Fuse two fixes that agree.
 
     The position is a weighted mean of both; its covariance, cause by cause, holds for any correlation of their errors.
@@ -87,7 +87,7 @@ def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     if not first.parts or not second.parts or isinstance(first, PositionFix) != isinstance(second, PositionFix):
         return with_larger_errors(first, model, grown, _OWN)
     fusions = [_fused_parts(first, second, float(weight)) for weight in _WEIGHTS]
-    sizes = [float(np.linalg.slogdet(summed(parts, _OWN))[1]) for parts in fusions]
+    sizes = [float(np.linalg.slogdet(sum_parts(parts, _OWN))[1]) for parts in fusions]
     best = int(np.argmin(sizes))
     weight, parts = float(_WEIGHTS[best]), fusions[best]
     if weight == 1.0:
@@ -96,7 +96,7 @@ def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     center_px = weight * first.center_px + (1.0 - weight) * second.center_px
     changes: dict[str, object] = {
         "center_px": center_px,
-        "covariance_px2": summed(parts)[:2, :2],
+        "covariance_px2": sum_parts(parts)[:2, :2],
         "parts": parts,
         "partials": _fused_partials(first, second, weight),
         "flags": first.flags | second.flags,
@@ -105,9 +105,9 @@ def fused(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     if isinstance(first, PositionFix) and isinstance(second, PositionFix):
         range_km = math.exp(weight * math.log(first.range_km) + (1.0 - weight) * math.log(second.range_km))
         position_km = range_km * model.unproject(center_px)
-        by_camera = weight * _by_camera(first, model) + (1.0 - weight) * _by_camera(second, model)
+        by_camera = weight * _camera_covariance(first, model) + (1.0 - weight) * _camera_covariance(second, model)
         changes["position_camera_km"] = position_km
-        changes["covariance_camera_km2"] = position_covariance(model, position_km, summed(parts)) + by_camera
+        changes["covariance_camera_km2"] = position_covariance(model, position_km, sum_parts(parts)) + by_camera
     return replace(first, **changes)  # type: ignore[arg-type]
 
 
@@ -131,9 +131,9 @@ def _fused_partials(first: CenterFix, second: CenterFix, weight: float) -> dict[
     return {cause: weight * first.partials[cause] + (1.0 - weight) * second.partials[cause] for cause in both}
 
 
-def _by_camera(fix: PositionFix, model: CameraModel) -> Float:
+def _camera_covariance(fix: PositionFix, model: CameraModel) -> Float:
     """Covariance (3, 3), km^2, of a position by the camera model."""
     if Cause.CAMERA not in fix.parts:
         return np.zeros((3, 3))
-    in_image = position_covariance(model, fix.position_camera_km, summed(fix.parts))
+    in_image = position_covariance(model, fix.position_camera_km, sum_parts(fix.parts))
     return nearest_covariance(fix.covariance_camera_km2 - in_image)

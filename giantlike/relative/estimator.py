@@ -23,7 +23,7 @@ from giantlike.relative.budget import STRAIN_TENSION, place_difference, with_bud
 from giantlike.relative.inputs import EstimatorInputs, gather
 from giantlike.relative.judge import FALSE_ALARM
 from giantlike.relative.response import BEND_STEP
-from giantlike.relative.verification import verified
+from giantlike.relative.verification import verify
 from giantlike.rings import Rings
 from giantlike.scene import Scene, TargetGeometry
 
@@ -149,23 +149,23 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
 
     def _estimate_and_verify(self, inputs: EstimatorInputs) -> Fix | Failure:
         """Find the body, with the error budget of its position and the checks of a fix."""
-        result = self._budgeted(inputs)
+        result = self._estimate_with_budget(inputs)
         if isinstance(result, Failure):
             return inputs.fail(result.reason, result.detail, not_applicable=result.not_applicable)
         if self.of_fixes:
             return result
         response = result.corrections.response
-        seen = inputs if response is None else inputs.linearized(response)
-        again = None if self.finds_response else self._budgeted
+        seen = inputs if response is None else inputs.linearize(response)
+        again = None if self.finds_response else self._estimate_with_budget
         search_px, scan = getattr(self.options, "search_px", 0.0), getattr(self.options, "scan", None)
         rings_km, geometry = getattr(scan, "rings_km", None), seen.geometry
         if rings_km is not None and geometry.target.rings is None:
             ringed = replace(geometry.target, rings=Rings(*rings_km))
             seen = replace(seen, geometry=replace(geometry, target=ringed))
         alarm = self._false_alarm
-        return verified(result, seen, search_px, by_light=self.by_light, again=again, false_alarm=alarm)
+        return verify(result, seen, search_px, by_light=self.by_light, again=again, false_alarm=alarm)
 
-    def _budgeted(self, inputs: EstimatorInputs) -> Fix | Failure:
+    def _estimate_with_budget(self, inputs: EstimatorInputs) -> Fix | Failure:
         """Find the body, with the error budget of its position."""
         solved = self._solve(inputs)
         if isinstance(solved, Failure):

@@ -159,7 +159,7 @@ class EstimatorInputs(Value):
         psf = GaussianPsf(sigma_px=UNKNOWN_PSF_SIGMA_PX if known is None else known)
         return FocalPlane(model=self.camera.model, columns=self.camera.columns, rows=self.camera.rows, psf=psf)
 
-    def linearized(self, response: Response) -> EstimatorInputs:
+    def linearize(self, response: Response) -> EstimatorInputs:
         """Return the inputs with linearized values."""
         corrections = self.corrections | Corrections(response=response)
         return replace(self, pixels_dn=response.light_dn(self.pixels_dn), corrections=corrections)
@@ -231,7 +231,7 @@ class _Readout(Value):
     """The image that these are of, where its values were linearized by a declared gamma."""
 
     @classmethod
-    def of(cls, image: Image, detector: Detector) -> _Readout:
+    def from_image(cls, image: Image, detector: Detector) -> _Readout:
         """Readout of an image with the declared detector of its camera, or with the noise estimated from the image."""
         stored, image = image, image.linearized(detector)
         detector = image.detector or detector
@@ -262,7 +262,7 @@ def _readout(image: Image, detector: Detector) -> _Readout:
         for known, stated, readout in _LATEST:
             if known() is image and stated == detector:
                 return readout
-        readout = _Readout.of(image, detector)
+        readout = _Readout.from_image(image, detector)
         _LATEST[:] = [(weakref.ref(image, lambda _: _LATEST.clear()), detector, readout)]
         return readout
 

@@ -118,7 +118,7 @@ class Facts(Value):
     @property
     def flags(self) -> Quality:
         """Flags raised by the facts."""
-        return _raised(
+        return _collect_flags(
             {
                 Quality.CUT_BY_FRAME: self.cut_by_frame,
                 Quality.SHORT_ARC: self.outline_share < SHORT_ARC_SHARE,
@@ -158,8 +158,8 @@ class Judgement:
         if self.alternatives:
             likeliest = max(self.alternatives, key=lambda one: self.alternatives[one])
             total = float(np.logaddexp.reduce([*self.alternatives.values()])) + math.log(_WEIGHT)
-            flags |= _raised({_FLAGS[likeliest]: total > limit})
-        return flags | _raised(
+            flags |= _collect_flags({_FLAGS[likeliest]: total > limit})
+        return flags | _collect_flags(
             {
                 Quality.AMBIGUOUS: self.other_place > -limit,
                 Quality.FAR_FROM_PREDICTION: self.prediction_chance < self.false_alarm,
@@ -212,7 +212,7 @@ def explaining_inflation(difference: Float, own: Float, other: Float, false_alar
     return math.exp(longest if excess(longest) > 0.0 else float(brentq(excess, 0.0, longest)))
 
 
-def _raised(checks: Mapping[Quality, bool]) -> Quality:
+def _collect_flags(checks: Mapping[Quality, bool]) -> Quality:
     """The flags whose checks are true."""
     flags = Quality.NONE
     for flag, raised in checks.items():

@@ -25,7 +25,7 @@ larger; the rest is estimated linearly."""
 Trial = TypeVar("Trial")
 
 
-def settled(
+def find_response(
     first: Response, tried: Callable[[Response], Trial | None], asked: Callable[[Trial], tuple[Response, float]]
 ) -> Trial | None:
     """Linearize values by the curvature estimated from residuals, until it converges.

@@ -1,6 +1,6 @@
 """Attitude from stars: identification with and without an a priori attitude, and the weighted fit."""
 
-from giantlike.core.deprecation import moved
+from giantlike.core.deprecation import forward_names
 from giantlike.stars.navigation import StarNavigation
 from giantlike.stars.options import StarOptions
 from giantlike.stars.transfer import TransferOptions, carry_attitude
@@ -12,7 +12,7 @@ __all__ = [
     "carry_attitude",
 ]
 
-__getattr__ = moved(
+__getattr__ = forward_names(
     __name__,
     {
         "giantlike.stars.apriori": "Identification identify_apriori",

@@ -17,7 +17,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.frames import rotate, turned_about
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.core.statistics import error_floor, error_terms, squared_residuals, whitened
+from giantlike.core.statistics import error_floor, error_terms, squared_residuals, whiten
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import WahbaMethod, solve_wahba
 from giantlike.stars.smooth_errors import MOST_WEIGHED, AttitudeResiduals, unmodeled_errors
@@ -255,7 +255,7 @@ def _gauss_newton(state: _AttitudeState, stars: _Stars, scale: Scale) -> tuple[_
         if not np.isfinite(residuals).all():
             return Failure(Reason.NOT_CONVERGED, "a star left the region that the camera model can project")
         table = np.concatenate([state.jacobian(stars.directions, scale), residuals[..., None]], axis=-1)
-        table = whitened(table, stars.covariance_px2).reshape(2 * len(residuals), -1)
+        table = whiten(table, stars.covariance_px2).reshape(2 * len(residuals), -1)
         products = table.T @ table
         normal, gradient = products[:-1, :-1], products[:-1, -1]
         units = 1.0 / np.sqrt(np.diag(normal))

@@ -19,7 +19,7 @@ from giantlike.camera import Camera
 from giantlike.camera_models import model_to_mapping
 from giantlike.catalogs import StarCatalog, proper_names
 from giantlike.core.arrays import Float
-from giantlike.core.causes import Cause, summed
+from giantlike.core.causes import Cause, sum_parts
 from giantlike.core.errors import BREAKDOWNS, breakdown_text
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import AttitudeFix, Failure, Quality, Reason
@@ -338,7 +338,7 @@ class StarNavigation:
         focal = solution.model.focal_length_px
         return AttitudeFix(
             camera_from_inertial=solution.camera_from_inertial,
-            covariance_rad2=summed(parts, tuple(Cause)),
+            covariance_rad2=sum_parts(parts, tuple(Cause)),
             star_ids=field.stars.ids,
             detection_indices=indices.astype(np.int64),
             observed_px=detections.points_px[indices],

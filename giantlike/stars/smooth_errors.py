@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from giantlike.core.arrays import Float
-from giantlike.core.statistics import whitened
+from giantlike.core.statistics import whiten
 from giantlike.core.values import Value
 
 MOST_WEIGHED = 50
@@ -128,14 +128,14 @@ def unmodeled_errors(left: AttitudeResiduals, *, own_told: bool = False) -> Unmo
     move the whole field alike leave no residuals and are not observable.
     """
     n = len(left.points_px)
-    design = whitened(left.jacobian, left.covariance_px2).reshape(2 * n, -1)
+    design = whiten(left.jacobian, left.covariance_px2).reshape(2 * n, -1)
     freedom = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
-    rest = freedom.T @ whitened(left.residuals_px, left.covariance_px2).ravel()
+    rest = freedom.T @ whiten(left.residuals_px, left.covariance_px2).ravel()
     sigma = math.sqrt(float(np.median(np.trace(left.covariance_px2, axis1=1, axis2=2))) / 2.0)
     rms = math.sqrt(float(np.mean(left.residuals_px**2)))
     sizes = np.geomspace(_LEAST * sigma, max(_MOST * sigma, _BEYOND * rms), _SIZES)
     pattern = left.scaling_px / max(math.sqrt(float(np.mean(left.scaling_px**2))), 1e-9)
-    whole = whitened(pattern, left.covariance_px2).ravel()
+    whole = whiten(pattern, left.covariance_px2).ravel()
     seen = freedom.T @ whole
     total = 1.0 + sizes**2 * float(seen @ seen)
     scaled = 0.5 * (sizes**2 * float(seen @ rest) ** 2 / total - np.log(total) - float(rest @ rest))
@@ -143,7 +143,7 @@ def unmodeled_errors(left: AttitudeResiduals, *, own_told: bool = False) -> Unmo
     larger = sizes**2 / sigma**2
     louder = -0.5 * (rest.size * np.log1p(larger) + float(rest @ rest) / (1.0 + larger))
     alike = _kernels(left.points_px)
-    unit = whitened(np.tile(np.eye(2), (n, 1, 1)), left.covariance_px2).reshape(2 * n, 2)
+    unit = whiten(np.tile(np.eye(2), (n, 1, 1)), left.covariance_px2).reshape(2 * n, 2)
     spread = (unit @ unit.T) * alike.repeat(2, axis=1).repeat(2, axis=2)
     powers, axes = np.linalg.eigh(freedom.T @ spread @ freedom)
     totals = 1.0 + sizes[:, None] ** 2 * np.maximum(powers, 0.0)[:, None]

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike._system.processes import one_thread
 from giantlike.core.arrays import Float, as_finite, require, require_number
-from giantlike.core.causes import Cause, summed
+from giantlike.core.causes import Cause, sum_parts
 from giantlike.core.errors import InputError
 from giantlike.core.frames import skew
 from giantlike.core.outcomes import AttitudeErrors, Failure, Quality, Reason
@@ -282,7 +282,7 @@ def _carried(stars: Sequence[StarAttitude], by_stars: Sequence[Float], drift: Fl
         flags |= star.errors.flags
     turned = [by @ each for by, each in zip(by_stars, known, strict=True)] if len(known) == len(stars) else []
     by_camera = sum(turned[1:], turned[0]) if turned else None
-    return summed(total, tuple(Cause)), AttitudeErrors(parts=total, by_camera=by_camera, flags=flags)
+    return sum_parts(total, tuple(Cause)), AttitudeErrors(parts=total, by_camera=by_camera, flags=flags)
 
 
 def _root(matrix: Float) -> Float:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.catalogs import StarTable, et_of_julian_year
 from giantlike.core.arrays import Float, as_finite, require, require_number, symmetric, unit
-from giantlike.core.causes import IN_IMAGE, Cause, summed
+from giantlike.core.causes import IN_IMAGE, Cause, sum_parts
 from giantlike.core.frames import direction_from_radec, east_north, rotate
 from giantlike.core.light import aberrate
 from giantlike.core.outcomes import CenterFix, Failure, Reason
@@ -97,7 +97,7 @@ def sightline_of_fix(fix: CenterFix, image: Image, camera: Camera) -> Sightline 
     """
     covariance_px2 = fix.covariance_px2
     if fix.parts:
-        covariance_px2 = summed(fix.parts, (*IN_IMAGE, Cause.CAMERA))[:2, :2]
+        covariance_px2 = sum_parts(fix.parts, (*IN_IMAGE, Cause.CAMERA))[:2, :2]
     return sightline_of_pixel(fix.target, fix.center_px, covariance_px2, image, camera)
 
 

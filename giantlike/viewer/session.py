@@ -84,7 +84,7 @@ def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]
     order = (Outcome.OK, Outcome.SUSPECT, Outcome.FAILED)
     best: dict[str, Outcome] = {}
     for one in observations:
-        if one.outcome.tried:
+        if one.outcome.is_attempt:
             best[one.target] = min(best.get(one.target, Outcome.FAILED), one.outcome, key=order.index)
     return str(max([record.outcome, *best.values()], key=order.index))
 

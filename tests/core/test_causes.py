@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import BrownModel
-from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, summed
+from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, sum_parts
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import AttitudeFix, CenterFix, PositionFix
 from giantlike.relative.place import place_covariance, position_of_center
@@ -36,24 +36,24 @@ def center_fix(**values: Any) -> CenterFix:
 
 def test_parts_in_the_image_sum_to_the_covariance_and_the_others_stand_beside_it() -> None:
     parts = {Cause.RELIEF: RELIEF[:2, :2], Cause.ATTITUDE: np.eye(2), Cause.NOISE: NOISE[:2, :2]}
-    fix = center_fix(covariance_px2=summed(parts), parts=parts)
+    fix = center_fix(covariance_px2=sum_parts(parts), parts=parts)
     assert list(fix.parts) == [Cause.NOISE, Cause.RELIEF, Cause.ATTITUDE]
     assert_allclose(fix.covariance_total, np.diag([1.04, 1.03]), rtol=0, atol=1e-15)
     with pytest.raises(InputError, match="parts must sum to covariance_px2"):
-        center_fix(covariance_px2=summed(parts, tuple(Cause)), parts=parts)
+        center_fix(covariance_px2=sum_parts(parts, tuple(Cause)), parts=parts)
 
 
 def test_a_position_has_the_camera_in_kilometers_and_not_in_pixels() -> None:
     model = BrownModel(fx_px=2000.0, fy_px=2010.0, cx_px=500.0, cy_px=400.0, k1=-0.05)
     center, range_km = np.array([812.0, 97.0]), 4.0e5
     parts = {Cause.NOISE: NOISE, Cause.RELIEF: RELIEF, Cause.CAMERA: CAMERA}
-    position, covariance = position_of_center(model, center, range_km, summed(parts, IN_POSITION))
+    position, covariance = position_of_center(model, center, range_km, sum_parts(parts, IN_POSITION))
     values = {"position_camera_km": position, "limb_px": np.zeros((0, 2)), "parts": parts}
-    fix = center_fix(covariance_px2=summed(parts, IN_IMAGE)[:2, :2], covariance_camera_km2=covariance, **values)
+    fix = center_fix(covariance_px2=sum_parts(parts, IN_IMAGE)[:2, :2], covariance_camera_km2=covariance, **values)
     assert_allclose(
-        place_covariance(model, position, covariance), summed(fix.parts, IN_POSITION), rtol=1e-9, atol=1e-15
+        place_covariance(model, position, covariance), sum_parts(fix.parts, IN_POSITION), rtol=1e-9, atol=1e-15
     )
-    without_camera = position_of_center(model, center, range_km, summed(parts, IN_IMAGE))[1]
+    without_camera = position_of_center(model, center, range_km, sum_parts(parts, IN_IMAGE))[1]
     with pytest.raises(InputError, match="relative variance of range"):
         center_fix(covariance_px2=fix.covariance_px2, covariance_camera_km2=without_camera, **values)
 

@@ -34,7 +34,7 @@ def data_and_weights() -> tuple[Float, Float]:
 
 
 def solved(*blocks: Block) -> Solution:
-    found = Columns.of(blocks, *data_and_weights()).solve()
+    found = Columns.from_blocks(blocks, *data_and_weights()).solve()
     assert found is not None
     return found
 
@@ -62,7 +62,7 @@ def test_a_solution_is_that_of_dense_least_squares_with_the_prior_as_equations()
 
 
 def test_unknowns_that_data_do_not_determine_have_no_solution() -> None:
-    assert Columns.of([PLACE, block("twin", 3, 1)], *data_and_weights()).solve() is None
+    assert Columns.from_blocks([PLACE, block("twin", 3, 1)], *data_and_weights()).solve() is None
 
 
 def test_a_block_that_is_scored_moves_the_model_to_where_both_are_solved_together() -> None:
@@ -105,11 +105,11 @@ def test_a_considered_block_makes_the_covariance_of_drawn_errors() -> None:
     data, weights = data_and_weights()
     moved = []
     for error in 0.7 * considered.matrix:
-        one, other = (Columns.of([PLACE, LAWS], each, weights).solve() for each in (data + error, data))
+        one, other = (Columns.from_blocks([PLACE, LAWS], each, weights).solve() for each in (data + error, data))
         assert one is not None
         assert other is not None
         moved.append(one.values - other.values)
-    found = Columns.of([PLACE, LAWS], data, weights).consider(considered)
+    found = Columns.from_blocks([PLACE, LAWS], data, weights).consider(considered)
     assert_allclose(found, sum(np.outer(one, one) for one in moved), rtol=0, atol=ROUNDING)
 
 

@@ -24,7 +24,7 @@ from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Re
 from giantlike.image import Image
 from giantlike.relative import ESTIMATORS, Auto, AutoOptions, CrossCorrelation, Estimator, LimbMatching
 from giantlike.relative.auto import choose
-from giantlike.relative.consensus import agreement_of, fused
+from giantlike.relative.consensus import agreement_of, fuse
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid, TriangleMesh
@@ -298,9 +298,9 @@ def _with_parts(center_px: tuple[float, float], **variances: float) -> CenterFix
 
 def test_what_two_fixes_share_does_not_average_out_and_what_one_has_alone_does() -> None:
     model = body_image(MOON, 1, phase_deg=50.0).camera.model
-    shared = fused(_with_parts((10.0, 10.0), reflectance=0.01), _with_parts((10.1, 10.0), reflectance=0.01), model)
+    shared = fuse(_with_parts((10.0, 10.0), reflectance=0.01), _with_parts((10.1, 10.0), reflectance=0.01), model)
     assert_allclose(shared.covariance_px2, 0.01 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
-    alone = fused(_with_parts((10.0, 10.0), albedo=0.01), _with_parts((10.1, 10.0), edge=0.01), model)
+    alone = fuse(_with_parts((10.0, 10.0), albedo=0.01), _with_parts((10.1, 10.0), edge=0.01), model)
     assert_allclose(alone.covariance_px2, 0.005 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
     assert_allclose(alone.center_px, [10.05, 10.0], rtol=0, atol=FLOAT64_SUM)
     assert alone.findings.weight == 0.5
@@ -309,7 +309,7 @@ def test_what_two_fixes_share_does_not_average_out_and_what_one_has_alone_does()
 def test_the_scale_of_the_shape_that_both_share_does_not_count_in_the_weights() -> None:
     model = body_image(MOON, 1, phase_deg=50.0).camera.model
     weights = [
-        fused(
+        fuse(
             _with_parts((10.0, 10.0), albedo=0.01, shape_scale=first),
             _with_parts((10.0, 10.0), edge=0.02, shape_scale=second),
             model,
@@ -324,7 +324,7 @@ def test_the_scale_of_the_shape_that_both_share_does_not_count_in_the_weights() 
 def test_a_fused_covariance_holds_for_errors_that_are_independent_or_the_same() -> None:
     """10,000 draws; the sigma of a mean square of 20,000 numbers is one percent."""
     model, rng = body_image(MOON, 1, phase_deg=50.0).camera.model, np.random.default_rng(2)
-    stated = fused(_with_parts((0, 0), noise=0.01, albedo=0.01), _with_parts((0, 0), noise=0.02, edge=0.01), model)
+    stated = fuse(_with_parts((0, 0), noise=0.01, albedo=0.01), _with_parts((0, 0), noise=0.02, edge=0.01), model)
     weight = stated.findings.weight
     assert weight is not None
     draws = rng.normal(size=(4, 10_000, 2))
@@ -336,7 +336,7 @@ def test_a_fused_covariance_holds_for_errors_that_are_independent_or_the_same() 
 
 def test_fixes_that_differ_by_more_than_their_errors_are_less_certain_together() -> None:
     model = body_image(MOON, 1, phase_deg=50.0).camera.model
-    apart = fused(_with_parts((10.0, 10.0), albedo=0.01), _with_parts((10.5, 10.0), edge=0.01), model)
+    apart = fuse(_with_parts((10.0, 10.0), albedo=0.01), _with_parts((10.5, 10.0), edge=0.01), model)
     ratio = 0.5 * (1.0 + 0.5**2 / 0.02 / 2.0)  # squared difference over its covariance, two degrees of freedom
     assert_allclose(apart.covariance_px2, ratio * 0.005 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
 
@@ -345,11 +345,11 @@ def test_a_vague_second_fix_that_differs_by_more_than_its_errors_makes_the_first
     """Its best weight is zero; the difference tells all the same that errors are larger than they say."""
     model = body_image(MOON, 1, phase_deg=50.0).camera.model
     first, vague = _with_parts((10.0, 10.0), noise=0.01), _with_parts((16.0, 10.0), noise=1.0)
-    apart = fused(first, vague, model)
+    apart = fuse(first, vague, model)
     ratio = 0.5 * (1.0 + 6.0**2 / 1.01 / 2.0)
     assert_allclose(apart.covariance_px2, ratio * 0.01 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
     assert_allclose(apart.center_px, first.center_px, rtol=0, atol=0)
-    near = fused(first, _with_parts((11.0, 10.0), noise=1.0), model)
+    near = fuse(first, _with_parts((11.0, 10.0), noise=1.0), model)
     assert_allclose(near.covariance_px2, first.covariance_px2, rtol=0, atol=FLOAT64_SUM)
 
 

@@ -13,7 +13,7 @@ from giantlike import ApparentGeometry, Auto, Camera, Detector, GaussianPsf, Ima
 from giantlike.camera import ModelUncertainty
 from giantlike.camera_models import BrownModel
 from giantlike.core.arrays import Float
-from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, summed
+from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, sum_parts
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import AttitudeErrors, PositionFix
 from giantlike.image import AttitudeSource
@@ -117,9 +117,9 @@ def test_the_direction_of_a_body_in_a_corner_has_the_error_of_the_calibrated_cam
         fix = LimbMatching().estimate(image, drawn, here).unwrap()
         assert not fix.flags.suspect
         error = place_error(drawn, fix, position)
-        image_alone += float(error @ np.linalg.solve(summed(fix.parts, IN_IMAGE), error))
-        with_camera += float(error @ np.linalg.solve(summed(fix.parts, IN_POSITION), error))
-        np.testing.assert_allclose(fix.covariance_px2, summed(fix.parts)[:2, :2], rtol=1e-9)
+        image_alone += float(error @ np.linalg.solve(sum_parts(fix.parts, IN_IMAGE), error))
+        with_camera += float(error @ np.linalg.solve(sum_parts(fix.parts, IN_POSITION), error))
+        np.testing.assert_allclose(fix.covariance_px2, sum_parts(fix.parts)[:2, :2], rtol=1e-9)
     low, high = (float(chi2.ppf(tail, 3 * draws)) for tail in (FALSE_ALARM, 1.0 - FALSE_ALARM))
     assert low < with_camera < high
     assert image_alone > high  # without the part of the camera the test fails
@@ -150,7 +150,7 @@ def test_errors_of_the_camera_that_the_attitude_from_its_stars_follows_cancel_in
         fix = LimbMatching().estimate(sensed, drawn, here).unwrap()
         seen = rotate(turn, fix.position_camera_km)  # by the attitude that the stars gave, in inertial axes
         off = place_error(drawn, fix, fix.position_camera_km + position - seen)
-        total = summed(fix.parts, [cause for cause in Cause if cause is not Cause.EPHEMERIS])
+        total = sum_parts(fix.parts, [cause for cause in Cause if cause is not Cause.EPHEMERIS])
         squared += float(off @ np.linalg.solve(total, off))
         in_camera_axes = place_covariance(drawn.model, fix.position_camera_km, fix.covariance_camera_km2)
         assert np.sqrt(in_camera_axes[0, 0] / total[0, 0]) > 5.0
@@ -173,9 +173,9 @@ def test_scale_and_orientation_of_a_body_are_in_its_covariance() -> None:
         fix = LimbMatching().estimate(image, camera(), here).unwrap()
         assert not fix.flags.suspect
         error = place_error(camera(), fix, position)
-        added = summed(fix.parts, (Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN))
-        with_body += float(error @ np.linalg.solve(summed(fix.parts), error))
-        exact += float(error @ np.linalg.solve(summed(fix.parts) - added, error))
+        added = sum_parts(fix.parts, (Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN))
+        with_body += float(error @ np.linalg.solve(sum_parts(fix.parts), error))
+        exact += float(error @ np.linalg.solve(sum_parts(fix.parts) - added, error))
     low, high = (float(chi2.ppf(tail, 3 * draws)) for tail in (FALSE_ALARM, 1.0 - FALSE_ALARM))
     assert low < with_body < high
     assert exact > high  # without the parts of the body the test fails
@@ -198,8 +198,8 @@ def test_a_body_turned_with_an_uncertain_attitude_is_found_elsewhere_and_says_so
         )
         fix = LimbMatching().estimate(image, camera(), here).unwrap()
         error = place_error(camera(), fix, position)
-        turned += float(error @ np.linalg.solve(summed(fix.parts), error))
-        exact += float(error @ np.linalg.solve(summed(upright.parts), error))
+        turned += float(error @ np.linalg.solve(sum_parts(fix.parts), error))
+        exact += float(error @ np.linalg.solve(sum_parts(upright.parts), error))
     low, high = (float(chi2.ppf(tail, 3 * draws)) for tail in (FALSE_ALARM, 1.0 - FALSE_ALARM))
     assert low < turned < high
     assert exact > high

@@ -13,7 +13,7 @@ from giantlike.campaign.store.records import Attitude, AttitudeRecord, Observati
 from giantlike.campaign.store.results import RunResult, load_result
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import Float, require
-from giantlike.core.causes import Cause, summed
+from giantlike.core.causes import Cause, sum_parts
 from giantlike.core.frames import rotation_between
 from giantlike.core.units import ARCSEC_PER_RAD
 
@@ -164,8 +164,8 @@ def _unshared(both: Iterable[Mapping[Cause, Float] | None], shared: Iterable[Cau
     for parts in both:
         if not parts:
             return None
-        unshared = unshared + summed(parts, causes)
-        total = total + summed(parts, Cause)
+        unshared = unshared + sum_parts(parts, causes)
+        total = total + sum_parts(parts, Cause)
     nothing = np.diag(unshared) <= _ROUNDING * np.diag(total)
     unshared[nothing, :] = 0.0
     unshared[:, nothing] = 0.0

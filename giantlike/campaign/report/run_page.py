@@ -130,7 +130,7 @@ def _untried(result: RunResult) -> list[tuple[str, str, str]]:
     return [
         (stage, record.outcome.words, str(record.problem.reason))
         for stage, record in _steps(result)
-        if record.problem is not None and not record.outcome.tried
+        if record.problem is not None and not record.outcome.is_attempt
     ]
 
 

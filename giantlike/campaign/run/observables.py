@@ -12,7 +12,7 @@ from giantlike.camera import Camera
 from giantlike.campaign.store.record_values import Landmarks, Residuals, SightingRecord, StarMatches, Status, TurnRecord
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord
 from giantlike.core.arrays import Float, finite_or_none
-from giantlike.core.causes import Cause, summed
+from giantlike.core.causes import Cause, sum_parts
 from giantlike.core.errors import InputError
 from giantlike.core.frames import pointing_deg, quaternion_xyzw, radec_from_direction, rotate, skew
 from giantlike.core.observer import ObserverState
@@ -223,7 +223,7 @@ def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry
         record = record.replace(position_inertial_km=(camera_from_inertial.T @ position).tolist())
     if Cause.ATTITUDE not in fix.parts:
         return record
-    total = summed(fix.parts, [cause for cause in Cause if cause is not Cause.EPHEMERIS])
+    total = sum_parts(fix.parts, [cause for cause in Cause if cause is not Cause.EPHEMERIS])
     record = record.replace(covariance_with_attitude_px2=total[:2, :2].tolist())
     if isinstance(fix, PositionFix):
         inertial = camera_from_inertial.T @ position_covariance(camera.model, position, total) @ camera_from_inertial

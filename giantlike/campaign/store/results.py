@@ -53,7 +53,7 @@ class StatusCounts:
     @property
     def untried(self) -> dict[str, int]:
         """Numbers of records that are neither results nor failures, by outcome in words; those that are not 0."""
-        counts = {one.words: int(getattr(self, one)) for one in Outcome if not one.tried}
+        counts = {one.words: int(getattr(self, one)) for one in Outcome if not one.is_attempt}
         return {words: count for words, count in counts.items() if count}
 
 

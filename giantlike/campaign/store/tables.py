@@ -15,7 +15,7 @@ import numpy as np
 from giantlike.campaign.store.record_values import Matrix
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.core.arrays import require
-from giantlike.core.causes import IN_IMAGE, Cause, summed
+from giantlike.core.causes import IN_IMAGE, Cause, sum_parts
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.io.run_tables import AttitudeRow, ObservationRow
 from giantlike.io.tables import columns_of, write_rows
@@ -123,7 +123,7 @@ def _range_correlations(record: ObservationRecord, causes: Iterable[Cause]) -> l
     """Correlations of x and y with the range, by some causes; None where no range was estimated."""
     if record.range_km is None or not record.parts:
         return None
-    total = summed({cause: np.array(part) for cause, part in record.parts.items()}, causes)
+    total = sum_parts({cause: np.array(part) for cause, part in record.parts.items()}, causes)
     sigmas = np.sqrt(np.diag(total))
     product = sigmas[:2] * sigmas[2]
     return (total[:2, 2] / product).tolist() if (product > 0.0).all() else None

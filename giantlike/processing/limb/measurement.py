@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float, Mask, unit
-from giantlike.core.causes import Cause, added
+from giantlike.core.causes import Cause, add_parts
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import solution_gain
@@ -182,7 +182,7 @@ class LimbMeasurement(Value):
         for cause, common_px in self.common_px.items():
             moved = gain @ common_px[self.keep]
             parts[cause] = moved @ moved.T
-        return added(parts, smooth_parts(self.smooth_errors, self.predicted_px[self.keep], gain))
+        return add_parts(parts, smooth_parts(self.smooth_errors, self.predicted_px[self.keep], gain))
 
     @property
     def even_gain(self) -> Float:
@@ -214,7 +214,7 @@ def smooth_parts(errors: Iterable[SmoothError], points_px: Float, gain: Float) -
     parts: dict[Cause, Float] = {}
     for error in errors:
         part = gain @ error.covariance_px2(points_px) @ gain.T
-        parts = added(parts, {error.cause: (part + part.T) / 2.0})
+        parts = add_parts(parts, {error.cause: (part + part.T) / 2.0})
     return parts
 
 

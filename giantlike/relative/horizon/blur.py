@@ -32,7 +32,7 @@ class DepthBlur(Value):
     kernels: Float
 
     @classmethod
-    def of(cls, width_px: float, offsets_px: Float, count: int) -> DepthBlur:
+    def from_width(cls, width_px: float, offsets_px: Float, count: int) -> DepthBlur:
         """Make the weights of a blur.
 
         ``offsets_px`` (m,), distances from the horizon, positive outward (the first is the innermost).
@@ -44,7 +44,7 @@ class DepthBlur(Value):
         kernels = _kernels(offsets_px[None] + depths[:, None], width_px) * weights[:, None]
         return cls(width_px=width_px, depths_px=depths, kernels=np.ascontiguousarray(np.swapaxes(kernels, 0, 1)))
 
-    def applied(self, light: Float, curvature: Float, normals_px: Float) -> Float:
+    def apply(self, light: Float, curvature: Float, normals_px: Float) -> Float:
         """Blur brightness inside points of a horizon.
 
         ``light`` (b, k, q); ``curvature`` (k,) 1/px; ``normals_px`` (k, 2); returns (b, k, 3, m).

@@ -155,7 +155,7 @@ def measure_by_cells(
     of s px leaves errors of s^2 divided by the width of the blur, about a pixel.
     """
     scan = CellScan(view=view, figure=figure, law=law, search=search, options=options)
-    lit = scan.lit(position_camera_km, reach_px=search.search_px)
+    lit = scan.find_lit_arc(position_camera_km, reach_px=search.search_px)
     if isinstance(lit, Failure):
         return lit
     arc, light, _ = lit
@@ -235,7 +235,7 @@ class CellScan(Value):
         """Length of the cells, px."""
         return max(min(self.options.cell_px, _CELL_RADII * self.view.radius_px), _LEAST_CELL_PX)
 
-    def lit(self, position_km: Float, *, reach_px: float) -> tuple[HorizonArc, Float, bool] | Failure:
+    def find_lit_arc(self, position_km: Float, *, reach_px: float) -> tuple[HorizonArc, Float, bool] | Failure:
         """Part of the horizon that is lit and in the frame, or not farther outside than ``reach_px``.
 
         ``position_km`` in camera axes; returns ``arc``, ``light`` (k,) and ``cut_by_frame``.
@@ -262,17 +262,17 @@ class CellScan(Value):
 
     def measure(self, state: LimbState) -> CellMeasurement | Failure:
         """Measure the horizon at a position; at first in few cells, with more blur and a stiff profile."""
-        lit = self.lit(state.position_camera_km, reach_px=0.0)
+        lit = self.find_lit_arc(state.position_camera_km, reach_px=0.0)
         if isinstance(lit, Failure):
             return lit
         arc, _, cut_by_frame = lit
         every = math.ceil(len(arc.points_px) * arc.spacing_px / self.cell_px / _FIRST_CELLS)
         if every > 1 and state.iteration == 0:
-            few = arc.thinned(self.cell_px, every)
-            return self._measured(few, state, cut_by_frame=cut_by_frame, whole=False)
-        return self._measured(arc, state, cut_by_frame=cut_by_frame, whole=True)
+            few = arc.thin(self.cell_px, every)
+            return self._measure_arc(few, state, cut_by_frame=cut_by_frame, whole=False)
+        return self._measure_arc(arc, state, cut_by_frame=cut_by_frame, whole=True)
 
-    def _measured(
+    def _measure_arc(
         self, arc: HorizonArc, state: LimbState, *, cut_by_frame: bool, whole: bool
     ) -> CellMeasurement | Failure:
         """Measure the cells of an arc."""
@@ -301,7 +301,7 @@ class CellScan(Value):
         cells = good_cells(view, arc, table, self._clear(position), rules)
         if isinstance(cells, NoCells):
             return too_few(view, area, cells.good, cells.rejected, needed=options.min_cells)
-        shared, sigmas = self._shared(first)
+        shared, sigmas = self._list_shared_unknowns(first)
         oval = shared.vector({"ovality": 1.0}).any()
         fits = cells.fits if not oval else cells.fits.with_ovality(ovality(arc.normals_px[cells.middles]))
         mean = shared.vector({"blur": self.nominal_psf_px2 - psf_px2})
@@ -334,7 +334,7 @@ class CellScan(Value):
         known = self.view.psf_sigma_px is not None
         stiff = _STIFF if self.held or (known and state.iteration < _STIFF_STEPS) else 0.0
         sigma = measured.sigma_px[keep] * math.sqrt(measured.noise_scale2)
-        design = np.concatenate([measured.design, measured.fits.shared], axis=1)[keep] / sigma[:, None]
+        design = np.concatenate([measured.design, measured.fits.shared_shifts], axis=1)[keep] / sigma[:, None]
         information, pull = measured.about_shared()
         layout = Layout((("position", Cause.NOISE, 3), *measured.shared.effects))
         shared, normal = layout.span("blur", "ovality"), design.T @ design
@@ -347,7 +347,7 @@ class CellScan(Value):
         psf_px2 = 0.0 if state.iteration == 0 or stiff else blur_px2
         return LimbStep(position_km=solution[layout.span("position")], keep=keep, psf_px2=psf_px2)
 
-    def settled(self, measured: CellMeasurement, step: LimbStep, moved_px: float, state: LimbState) -> bool:
+    def has_converged(self, measured: CellMeasurement, step: LimbStep, moved_px: float, state: LimbState) -> bool:
         """Return True if the square of the step is small, or noise explains it, and the blur has converged too."""
         kept = replace(measured, keep=step.keep)
         blurred_px2 = step.psf_px2 or float(kept.blur_and_law()[0][kept.shared.span("blur")][0])
@@ -362,23 +362,23 @@ class CellScan(Value):
         """Return the shifts with blur and law as estimated from the cells, and the effect of their errors on them."""
         kept = replace(measured, keep=step.keep)
         estimate, covariance = kept.blur_and_law()
-        layout, shared_px = kept.shared, kept.fits.shared @ np.linalg.cholesky(covariance)
+        layout, shared_px = kept.shared, kept.fits.shared_shifts @ np.linalg.cholesky(covariance)
         (wider_px2,) = (estimate - kept.prior.mean)[layout.span("blur")].tolist()
         radius_px = self.view.radius_px
         lawless = 0.0
         if self.options.edges is EdgeModel.STEP:
-            lawless = _STEP_LAW_SIGMA * float(np.median(np.abs(kept.fits.shared[kept.keep, layout.span("law")])))
+            lawless = _STEP_LAW_SIGMA * float(np.median(np.abs(kept.fits.shared_shifts[kept.keep, layout.span("law")])))
         brightness_px = math.hypot(lawless, (_SMALL_DISK_PX / radius_px) ** 2)
         known = self.view.psf_sigma_px is not None
         return replace(
             kept,
             wider_px2=wider_px2 if known else None,
-            shift_px=kept.shift_px - kept.fits.shared @ estimate,
+            shift_px=kept.shift_px - kept.fits.shared_shifts @ estimate,
             common_px={cause: shared_px[:, layout.of_cause(cause)] for cause in (Cause.PSF, Cause.REFLECTANCE)},
             smooth_errors=(SmoothError(cause=Cause.REFLECTANCE, sigma_px=brightness_px, length_px=radius_px),),
         )
 
-    def _shared(self, first: bool) -> tuple[Layout, Float]:
+    def _list_shared_unknowns(self, first: bool) -> tuple[Layout, Float]:
         """Blur, the power of the law, other laws, wings and ovality, with their a priori standard deviations.
 
         Ovality of declared optics only: of unknown ones the blur itself is a rough estimate.

@@ -21,7 +21,7 @@ _TINY = float(np.finfo(np.float64).tiny)
 
 
 @compiled
-def fitted(
+def fit_profiles(
     first: Indices,
     data_dn: Float,
     along: Float,
@@ -59,7 +59,7 @@ def fitted(
             for k in range(n):
                 count += kept[k]
             freedom = count - inner - outer
-            remains = _reduced(terms, inner, data, weights, freedom, information[cell], pull[cell], left)
+            remains = _eliminate_profile(terms, inner, data, weights, freedom, information[cell], pull[cell], left)
             step = max(inside, _TINY)  # not 0, for the largest may be infinite
             far = 0
             for k in range(n):
@@ -141,7 +141,7 @@ def _other_terms(
 
 
 @compiled
-def _reduced(
+def _eliminate_profile(
     terms: Float, inner: int, data: Float, weights: Float, freedom: int, information: Float, pull: Float, left: Float
 ) -> float:
     """Weighted squares that a cell leaves with all free; fill in what it says of the last of its terms and residuals.

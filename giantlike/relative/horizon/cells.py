@@ -15,7 +15,7 @@ import numpy as np
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.detector import Detector
 from giantlike.core.values import Value
-from giantlike.relative.horizon.cell_sums import fitted
+from giantlike.relative.horizon.cell_sums import fit_profiles
 from giantlike.relative.horizon.pixels import LimbPixels
 from giantlike.relative.horizon.profile import ProfileTable
 
@@ -52,7 +52,7 @@ class CellFits(Value):
         return result
 
     @property
-    def shared(self) -> Float:
+    def shared_shifts(self) -> Float:
         """Shift (c, s) taken for a unit of each of the shared errors."""
         result: Float = self.information[:, 0, 1:] / self.information[:, 0, :1]
         return result
@@ -79,7 +79,7 @@ class CellFits(Value):
         ``keep`` (c,); returns ``information`` (s, s) and ``pull`` (s,).
         """
         crossed = self.information[keep, 1:, 0]
-        gained = self.information[keep, 1:, 1:] - crossed[:, :, None] * self.shared[keep, None, :]
+        gained = self.information[keep, 1:, 1:] - crossed[:, :, None] * self.shared_shifts[keep, None, :]
         pull = self.pull[keep, 1:] - crossed * self.raw_shift_px[keep, None]
         return gained.sum(axis=0), pull.sum(axis=0)
 
@@ -99,7 +99,7 @@ def fit_cells(
     Least squares weighted by the noise of the fitted brightness, linear in everything but the shift, for which the
     profile is linearized; blur enters through half the second derivative of the profile.
     """
-    information, pull, rest = fitted(
+    information, pull, rest = fit_profiles(
         pixels.first,
         data_dn[pixels.rows, pixels.columns],
         pixels.along,

@@ -144,10 +144,10 @@ class EllipseFit(BodyEstimator[EllipseFitOptions, PositionFix]):
     options_type = EllipseFitOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> PositionFix | Failure:
-        stand_in = EllipsoidStandIn.of(inputs, self.options.max_relief)
+        stand_in = EllipsoidStandIn.from_inputs(inputs, self.options.max_relief)
         if isinstance(stand_in, Failure):
             return stand_in
-        altitude = Altitude.of(inputs.geometry)
+        altitude = Altitude.from_geometry(inputs.geometry)
         stand_in = replace(stand_in, figure=altitude.above(stand_in.figure))
         view = limb_view(inputs)
         measured = limb_edges(view, stand_in, sunlight_px(inputs.geometry, inputs.camera.model), self.options)
@@ -226,7 +226,7 @@ def limb_edges(
             curvature_px=1.0 / view.radius_px,
         )
         both.append(_near_prediction(view, found.moved(box.corner_px), stand_in, sunlight, options))
-    small, large = _paired(*both)
+    small, large = _pair_edges(*both)
     if len(small) < options.min_edges:
         light = (view.usable & (view.pixels_dn > threshold)) | view.clipped
         good = np.arange(max(len(seeds), len(small))) < len(small)
@@ -280,7 +280,7 @@ def fit_limb_ellipse(
     plane = _Plane.touching(unit(stand_in.position_camera_km))
     points = plane.points(model, observed_px)
     scale = plane.scale(model, observed_px, measured.normals_px)
-    kept = _agreeing(points, np.hypot(measured.sigma_px, measured.relief_px) * scale, options)
+    kept = _select_agreeing(points, np.hypot(measured.sigma_px, measured.relief_px) * scale, options)
     if isinstance(kept, Failure):
         return kept
     order = np.argsort(np.arctan2(*(points[kept] - points[kept].mean(axis=0)).T))
@@ -337,7 +337,7 @@ def _search_box(view: LimbView, stand_in: EllipsoidStandIn, options: EllipseFitO
         return PixelBox(x=0, y=0, width=columns, height=rows)
     radius_px = _longest_px(view, stand_in.figure)
     reach = _STRETCH * (1.0 + options.search_range) * radius_px + options.search_px + _BOX_MARGIN_PX
-    return PixelBox.spanning(center_px - reach, center_px + reach + 1.0).limited(columns, rows)
+    return PixelBox.spanning(center_px - reach, center_px + reach + 1.0).clip(columns, rows)
 
 
 def _longest_px(view: LimbView, figure: Figure) -> float:
@@ -365,7 +365,7 @@ def _near_prediction(
     return select_rows(found, np.flatnonzero(good & strong))
 
 
-def _paired(small: EdgePoints, large: EdgePoints) -> tuple[EdgePoints, EdgePoints]:
+def _pair_edges(small: EdgePoints, large: EdgePoints) -> tuple[EdgePoints, EdgePoints]:
     """Edges that both windows measured about the same pixel, in one order."""
     width = 1 + max(int(found.pixels_px.max(initial=0)) for found in (small, large))
     keys = [found.pixels_px[:, 1] * width + found.pixels_px[:, 0] for found in (small, large)]
@@ -386,7 +386,7 @@ def _smooth(values: Float, normals: Float, outlier_mad: float) -> tuple[Float, F
     return result, scatter * np.linalg.solve(triangle.T, design.T).T
 
 
-def _agreeing(points: Float, sigma: Float, options: EllipseFitOptions) -> Mask | Failure:
+def _select_agreeing(points: Float, sigma: Float, options: EllipseFitOptions) -> Mask | Failure:
     """Points that lie on one ellipse within noise and scatter."""
     middle = points.mean(axis=0)
     size = float(np.sqrt(points.var(axis=0).sum()))

@@ -110,10 +110,10 @@ class EllipsoidCRA(BodyEstimator[EllipsoidCRAOptions, PositionFix]):
     options_type = EllipsoidCRAOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> PositionFix | Failure:
-        stand_in = EllipsoidStandIn.of(inputs, self.options.max_relief)
+        stand_in = EllipsoidStandIn.from_inputs(inputs, self.options.max_relief)
         if isinstance(stand_in, Failure):
             return stand_in
-        outcome = _fitted(inputs, stand_in, self.options)
+        outcome = _fit_position(inputs, stand_in, self.options)
         if isinstance(outcome, Failure):
             return outcome
         measured, solution = outcome
@@ -135,7 +135,7 @@ class EllipsoidStandIn(Value):
     relief: SmoothError | None
 
     @classmethod
-    def of(cls, inputs: EstimatorInputs, max_relief: float) -> EllipsoidStandIn | Failure:
+    def from_inputs(cls, inputs: EstimatorInputs, max_relief: float) -> EllipsoidStandIn | Failure:
         """Replace a body by its best-fit ellipsoid; ``WRONG_SHAPE`` if the body departs from it too far."""
         geometry, shape = inputs.geometry, inputs.geometry.target.shape
         if not shape.mean_radius_km > 0.0:
@@ -177,7 +177,7 @@ def relief_sigma_km(shape: TriangleMesh, placed: PlacedEllipsoid) -> float:
     return float(np.sqrt(np.average(distance**2, weights=shape.areas_km2)))
 
 
-def _fitted(
+def _fit_position(
     inputs: EstimatorInputs, stand_in: EllipsoidStandIn, options: EllipsoidCRAOptions
 ) -> tuple[LimbMeasurement, LimbSolution] | Failure:
     """The limb as measured, and the position by the Christian-Robinson algorithm."""

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, as_floats, require, require_number
-from giantlike.core.causes import Cause, added
+from giantlike.core.causes import Cause, add_parts
 from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
@@ -102,7 +102,7 @@ class Altitude:
         require_number(self.sigma_km, "altitude_sigma_km", least=0.0)
 
     @classmethod
-    def of(cls, geometry: TargetGeometry) -> Altitude:
+    def from_geometry(cls, geometry: TargetGeometry) -> Altitude:
         """Altitude of the limb of a target by its atmosphere, if it has one."""
         return cls(*geometry.limb_altitude_km, uneven=geometry.target.atmosphere is not None)
 
@@ -206,7 +206,9 @@ def christian_robinson(
     position: Float = np.linalg.solve(figure.to_sphere, normal) / np.sqrt(excess)
     if method is not CraMethod.MAXIMUM_LIKELIHOOD:
         return position
-    return _refined(points, model, figure, position, np.broadcast_to(as_floats(sigma_px, (), "sigma_px"), len(points)))
+    return _refine_position(
+        points, model, figure, position, np.broadcast_to(as_floats(sigma_px, (), "sigma_px"), len(points))
+    )
 
 
 def horizon_residuals(
@@ -301,8 +303,8 @@ def fit_horizon(
     left = residuals - design @ step
     return LimbSolution(
         position_camera_km=start_km + step,
-        covariances_km2=added(
-            {cause: gain @ part @ gain.T for cause, part in added(own, others).items()},
+        covariances_km2=add_parts(
+            {cause: gain @ part @ gain.T for cause, part in add_parts(own, others).items()},
             smooth_parts(measured.smooth_errors, measured.predicted_px[keep], measured.even_gain),
         ),
         residuals_px=left,
@@ -366,7 +368,9 @@ def ray_residuals(
     return distances(rays.directions, rays.by_pixel, pull, conic, figure.shape_matrix, steps)
 
 
-def _refined(points_px: Float, model: CameraModel, figure: Figure, start_km: Float, sigma_px: Float) -> Float | Failure:
+def _refine_position(
+    points_px: Float, model: CameraModel, figure: Figure, start_km: Float, sigma_px: Float
+) -> Float | Failure:
     """Gauss-Newton on the distances in the image."""
     position = start_km
     rays = PixelRays.through(points_px, model)

@@ -92,7 +92,7 @@ def good_cells(
     relief of 0.6 px.
     """
     displaced_px = np.zeros(len(arc.points_px))
-    cells = _fitted(view, arc, table, clear, displaced_px, rules)
+    cells = _fit_cells(view, arc, table, clear, displaced_px, rules)
     for _ in range(0 if rules.first else _ROUNDS):
         if isinstance(cells, NoCells):
             break
@@ -102,11 +102,11 @@ def good_cells(
         if off_px < max(_RELIEF_PX, _RELIEF_NOISE * float(np.median(sigma_px))):
             break
         displaced_px = np.interp(arc.along_px, arc.along_px[cells.middles], cells.shift_px)
-        cells = _fitted(view, arc, table, clear, displaced_px, rules)
+        cells = _fit_cells(view, arc, table, clear, displaced_px, rules)
     return cells
 
 
-def _fitted(
+def _fit_cells(
     view: LimbView, arc: HorizonArc, table: ProfileTable, clear: Mask, displaced_px: Float, rules: CellRules
 ) -> GoodCells | NoCells:
     """Fit the cells about a horizon that is displaced (k,), px, from that of the ellipsoid."""

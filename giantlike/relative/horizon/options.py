@@ -95,4 +95,4 @@ class HorizonSearch(IteratedSearch):
         Altitude
         """
         own = Altitude(self.limb_altitude_km, self.altitude_sigma_km)
-        return Altitude.of(geometry) if own == Altitude() else own
+        return Altitude.from_geometry(geometry) if own == Altitude() else own

@@ -24,7 +24,7 @@ from giantlike.ray_tracing import Reflectance
 from giantlike.relative.horizon.blur import DepthBlur
 from giantlike.relative.horizon.geometry import Figure, PixelRays, ray_residuals
 from giantlike.relative.horizon.ray_loops import curvatures
-from giantlike.relative.horizon.surface import HorizonSurface, traced
+from giantlike.relative.horizon.surface import HorizonSurface, trace_rays
 from giantlike.shapes import Ellipsoid
 from giantlike.shapes.limbs import limb_ellipse
 
@@ -104,7 +104,7 @@ class HorizonArc(Value):
         result: Float = -(self.by_pixel @ self.normals_px[..., None])[..., 0]
         return result
 
-    def thinned(self, cell_px: float, every: int) -> HorizonArc:
+    def thin(self, cell_px: float, every: int) -> HorizonArc:
         """Return the points in every so many-th of the cells of a length, px."""
         return select_rows(self, (self.along_px / cell_px).astype(np.int64) % every == 0)
 
@@ -175,11 +175,11 @@ class ProfileTable(Value):
 
         ``along_px``, ``outward_px`` (n,); returns ``value`` (n, p + q) and ``slope``, ``curve`` (n, p).
         """
-        return _interpolated(self.knots_px, self.first_px, self.step_px, self.values, self.powers, along_px, outward_px)
+        return _interpolate(self.knots_px, self.first_px, self.step_px, self.values, self.powers, along_px, outward_px)
 
 
 @compiled
-def _interpolated(
+def _interpolate(
     knots_px: Float, first_px: float, step_px: float, values: Float, powers: int, along_px: Float, outward_px: Float
 ) -> tuple[Float, Float, Float]:
     """Interpolate a table at n places, with its fields and with results as of :class:`ProfileTable`.
@@ -245,8 +245,8 @@ def profile_table(
     offsets = np.asarray(np.arange(-count, count + 1) * step, dtype=np.float64)
     knots = select_rows(arc, _knots(arc, sun_direction_camera, law))
     blurs = [
-        DepthBlur.of(width_px, offsets, _DEPTHS),
-        *(DepthBlur.of(wing_px, offsets, _WING_DEPTHS) for wing_px in wings_px),
+        DepthBlur.from_width(width_px, offsets, _DEPTHS),
+        *(DepthBlur.from_width(wing_px, offsets, _WING_DEPTHS) for wing_px in wings_px),
     ]
     surface = _surface(knots, np.concatenate([blur.depths_px for blur in blurs]), sun_direction_camera)
     own = surface.to_depth(_DEPTHS)
@@ -256,7 +256,7 @@ def profile_table(
         np.stack([*(first * own.emission**power for power in range(powers)), *(own.brightness(law) for law in others)]),
         *(wing[None] for wing in wings),
     ]
-    parts = [blur.applied(basis, knots.curvature, knots.normals_px) for blur, basis in zip(blurs, bases, strict=True)]
+    parts = [blur.apply(basis, knots.curvature, knots.normals_px) for blur, basis in zip(blurs, bases, strict=True)]
     values = [*(part[:, :, 0] for part in parts), *(part[:, :, 1] for part in parts), parts[0][:powers, :, 2]]
     return ProfileTable(
         knots_px=knots.along_px,
@@ -300,7 +300,7 @@ def _surface(arc: HorizonArc, depths_px: Float, sun: Float) -> HorizonSurface:
     """The surface at depths (q,) inside points of the horizon."""
     figure, position_km = arc.body.figure, arc.body.position_camera_km
     _, conic = figure.cone(position_km)
-    meets, incidence, emission, phase_rad = traced(
+    meets, incidence, emission, phase_rad = trace_rays(
         arc.directions, arc.inward, depths_px, position_km, figure.shape_matrix, conic, sun
     )
     return HorizonSurface(meets=meets, incidence=incidence, emission=emission, phase_rad=phase_rad, air=figure.air)

@@ -49,7 +49,7 @@ class HorizonSurface(Value):
 
 
 @compiled
-def traced(
+def trace_rays(
     directions: Float,
     inward: Float,
     depths_px: Float,

@@ -14,7 +14,7 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
 from giantlike.processing.correlate import find_peak, normalized_correlation
-from giantlike.relative.landmarks.patch_sums import SHARED, modeled, normal_equations, pixels_of
+from giantlike.relative.landmarks.patch_sums import SHARED, compute_light, normal_equations, pixels_of
 from giantlike.relative.landmarks.rendering import Patch
 
 _ROUNDS = 3  # linear fits of a fraction of a pixel: each leaves a small part of the last step
@@ -115,7 +115,7 @@ def fit_patch(pixels: BoxPixels, patch: Patch, shift_px: NDArray[np.int64], scor
         inverse = (axes / widths) @ axes.T / np.outer(scale, scale)
         solution, covariance = inverse @ right, inverse[:2, :2]
         offset, gains = solution[:2], solution[2:]
-        noise = pixels.noise_variance_dn2(np.maximum(modeled(seen, gains), 0.0))
+        noise = pixels.noise_variance_dn2(np.maximum(compute_light(seen, gains), 0.0))
     if not float(np.abs(offset).max()) <= _MAX_SHIFT_PX:
         return None
     return LandmarkMatch(number=patch.number, offset_px=offset + shift_px, covariance_px2=covariance, score=score)

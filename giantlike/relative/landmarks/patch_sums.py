@@ -85,7 +85,7 @@ def normal_equations(pixels: Float, gains: Float, noise: Float) -> tuple[Float, 
 
 
 @compiled
-def modeled(pixels: Float, gains: Float) -> Float:
+def compute_light(pixels: Float, gains: Float) -> Float:
     """Light (n,) of a patch by its gains; see :func:`normal_equations`."""
     result = np.empty(len(pixels))
     for number in range(len(pixels)):

@@ -172,7 +172,7 @@ class LandmarkRenderer(Value):
         landmarks = [self.catalog.landmarks[number] for number in seen.numbers]
         outlines = [self._outline(body, landmark) for landmark in landmarks]
         boxes = [self._box(outline, center) for outline, center in zip(outlines, seen.predicted_px, strict=True)]
-        masks = [_filled(outline, box) for outline, box in zip(outlines, boxes, strict=True)]
+        masks = [_fill_outline(outline, box) for outline, box in zip(outlines, boxes, strict=True)]
         own_shape = self.catalog.shape_sha256 == body.shape.sha256
         rendered: list[_Images | None]
         if own_shape:
@@ -253,7 +253,7 @@ class LandmarkRenderer(Value):
             return None
         moved = MovedBody(trace=trace, state=_state(body, body, self.plane, box))
         laws = (body.reflectance, *contrasting_laws(body.reflectance)[: int(self.other_law)])
-        return TracedGround(body, self.plane, box, moved, moved.shaded(laws), trace.lit_cells)
+        return TracedGround(body, self.plane, box, moved, moved.shade(laws), trace.lit_cells)
 
     def _trace(
         self, body: Body, box: PixelBox, wanted: Mask | None = None, daylight: Daylight | None = None
@@ -302,7 +302,7 @@ def _outline_body_km(landmark: Landmark) -> Float:
     return frozen(landmark.grid_body_km(_OUTLINE_POINTS))
 
 
-def _filled(outline: Float, box: PixelBox) -> Mask:
+def _fill_outline(outline: Float, box: PixelBox) -> Mask:
     """Pixels (h, w) of a box within an outline, none in the border."""
     image = np.zeros((box.height, box.width), np.uint8)
     corners = np.rint((outline - box.corner_px) * 2**_OUTLINE_BITS).astype(np.int32)

@@ -70,7 +70,7 @@ def build_landmarks(mesh: TriangleMesh, options: LandmarkBuildOptions = DEFAULT_
     )
     points, normals = _places(mesh, size_km, options)
     looked_at = _maps(mesh, points, normals, size_km, min(_LOOK_SAMPLES, options.samples))
-    chosen = _spread(looked_at, np.sqrt(mesh.area_km2 / options.count), size_km, options.count)
+    chosen = _select_apart(looked_at, np.sqrt(mesh.area_km2 / options.count), size_km, options.count)
     points, normals = (np.array([getattr(one, name) for one in chosen]).reshape(-1, 3) for name in _PLACE)
     found = _maps(mesh, points, normals, size_km, options.samples)
     if not found:
@@ -169,7 +169,7 @@ def _axes(normal: Float) -> Float:
     return np.stack([np.cross(east, normal), east, normal], axis=-1)
 
 
-def _spread(found: list[Landmark], side_km: float, size_km: float, count: int) -> list[Landmark]:
+def _select_apart(found: list[Landmark], side_km: float, size_km: float, count: int) -> list[Landmark]:
     """The strongest of the landmarks, apart from each other; at most ``count``."""
     order = np.argsort([-landmark.texture for landmark in found], kind="stable")
     places = np.array([found[number].point_body_km for number in order]).reshape(-1, 3)

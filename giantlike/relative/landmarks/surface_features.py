@@ -207,7 +207,7 @@ class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
     def _estimate(self, inputs: EstimatorInputs) -> LandmarkFix | Failure:
         """Find the body of gathered inputs."""
         catalog = self._landmarks(inputs)
-        return catalog if isinstance(catalog, Failure) else _Search(inputs, catalog, self.options).settled()
+        return catalog if isinstance(catalog, Failure) else _Search(inputs, catalog, self.options).solve()
 
     def _landmarks(self, inputs: EstimatorInputs) -> LandmarkCatalog | Failure:
         """The landmarks of the file, read once, or those of the target's mesh."""
@@ -221,7 +221,7 @@ class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
         return landmarks_of(mesh)
 
 
-def _moved(body: Body, pose: PnpFix, share: float) -> Body:
+def _move_body(body: Body, pose: PnpFix, share: float) -> Body:
     """Body moved by a fraction of the way to a pose."""
     turn = (pose.camera_from_body * body.camera_from_body.inv()).as_rotvec()
     return replace(
@@ -257,13 +257,13 @@ class _Search:
             other_law=options.free_reflectance,
         )
 
-    def settled(self) -> LandmarkFix | Failure:
+    def solve(self) -> LandmarkFix | Failure:
         """Match, solve and render until the pose converges."""
         body, change_px = self.start, math.inf
-        seen, traced = self._seen(body), None
+        seen, traced = self._find_visible(body), None
         near, rough = (None, None) if isinstance(seen, Failure) else self._in_cells(seen)
         if near is not None:
-            body, seen = near, self._seen(near)
+            body, seen = near, self._find_visible(near)
         fine: _Found | None = None
         for iteration in range(int(near is not None), self.options.max_iterations):
             if isinstance(seen, Failure):
@@ -272,17 +272,17 @@ class _Search:
                 patches, rough = self.renderer.roughly().patches(body, seen)
             else:
                 patches, traced = self.renderer.patches(body, seen, traced, rough)
-            found = self._found(body, patches, first=iteration == 0, before=fine)
+            found = self._find_pose(body, patches, first=iteration == 0, before=fine)
             if isinstance(found, Failure):
                 return found
             fine = found if iteration > 0 else None
-            before, moved = body, _moved(body, found.pose, 1.0 if iteration < _DAMPED_AFTER else 0.5)
-            change_px = float(np.abs((self._projected(moved) - self._projected(body))[seen.numbers]).max())
+            before, moved = body, _move_body(body, found.pose, 1.0 if iteration < _DAMPED_AFTER else 0.5)
+            change_px = float(np.abs((self._project(moved) - self._project(body))[seen.numbers]).max())
             body = moved
             if iteration > 0 and (change_px < self.options.tolerance_px or _within_noise(before, found.pose)):
                 return self._fix(body, found)
-            again = replace(seen, predicted_px=self._projected(body)[seen.numbers])
-            seen = self._seen(body) if iteration == 0 else again
+            again = replace(seen, predicted_px=self._project(body)[seen.numbers])
+            seen = self._find_visible(body) if iteration == 0 else again
         detail = f"the pose still moves by {change_px:.3f} px after {self.options.max_iterations} renders"
         return Failure(Reason.NOT_CONVERGED, detail)
 
@@ -294,14 +294,14 @@ class _Search:
         visibility = replace(self.options.visibility, max_size_px=max(self.options.visibility.max_size_px / size, 10.0))
         options = replace(self.options, search_px=math.ceil(self.options.search_px / size), visibility=visibility)
         rough = _Search(in_cells(self.inputs, size), self.catalog, options)
-        predicted_px = rough._projected(self.start)[seen.numbers]
+        predicted_px = rough._project(self.start)[seen.numbers]
         patches, ground = rough.renderer.roughly().patches(self.start, replace(seen, predicted_px=predicted_px))
-        found = rough._found(self.start, patches, first=True)
-        return (None, None) if isinstance(found, Failure) else (_moved(self.start, found.pose, 1.0), ground)
+        found = rough._find_pose(self.start, patches, first=True)
+        return (None, None) if isinstance(found, Failure) else (_move_body(self.start, found.pose, 1.0), ground)
 
-    def _seen(self, body: Body) -> SeenLandmarks | Failure:
+    def _find_visible(self, body: Body) -> SeenLandmarks | Failure:
         options = self.options
-        seen = self.viewer.seen(
+        seen = self.viewer.find_visible(
             body,
             self.renderer.plane,
             sun_direction_camera=self.inputs.geometry.sun_direction_camera,
@@ -316,19 +316,21 @@ class _Search:
             reason = Reason.OUT_OF_FRAME
         return Failure(reason, f"{seen}; needed {options.min_landmarks}")
 
-    def _projected(self, body: Body) -> Float:
+    def _project(self, body: Body) -> Float:
         points = body.to_camera(self.viewer.points_body_km) + body.position_camera_km
         return self.inputs.camera.model.project(points)
 
-    def _found(
+    def _find_pose(
         self, body: Body, patches: tuple[Patch, ...], *, first: bool, before: _Found | None = None
     ) -> _Found | Failure:
         """Find the landmarks of some patches, and the pose that they agree on; near their places before, if known."""
-        matches = self._matches(body, patches, first=first) if before is None else self._again(body, patches, before)
+        matches = (
+            self._matches(body, patches, first=first) if before is None else self._refit_matches(body, patches, before)
+        )
         if isinstance(matches, Failure):
             return matches
         numbers = np.array([match.number for match in matches], dtype=np.int64)
-        observed = self._projected(body)[numbers] + np.array([match.offset_px for match in matches]).reshape(-1, 2)
+        observed = self._project(body)[numbers] + np.array([match.offset_px for match in matches]).reshape(-1, 2)
         options = self.options
         pose = solve_pnp(
             self.viewer.points_body_km[numbers],
@@ -377,9 +379,11 @@ class _Search:
             return Failure(Reason.LOW_CORRELATION, detail)
         return Failure(Reason.TOO_FEW_MATCHES, detail)
 
-    def _again(self, body: Body, patches: tuple[Patch, ...], before: _Found) -> tuple[LandmarkMatch, ...] | Failure:
+    def _refit_matches(
+        self, body: Body, patches: tuple[Patch, ...], before: _Found
+    ) -> tuple[LandmarkMatch, ...] | Failure:
         """Landmarks of the last iteration, fitted where they were found."""
-        pixels, predicted_px = self.inputs.pixels, self._projected(body)
+        pixels, predicted_px = self.inputs.pixels, self._project(body)
         known = {match.number: (match, px) for match, px in zip(before.matches, before.observed_px, strict=True)}
         matches = []
         for patch in patches:
@@ -397,7 +401,7 @@ class _Search:
         """Largest distances (n,), px, of landmarks from the common shift, by errors of range and attitude."""
         numbers = [patch.number for patch in patches]
         model = self.inputs.camera.model
-        arms = np.linalg.norm(self._projected(body)[numbers] - self.inputs.predicted_px, axis=1)
+        arms = np.linalg.norm(self._project(body)[numbers] - self.inputs.predicted_px, axis=1)
         turn = 3.0 * self.options.attitude_sigma_deg * RAD_PER_DEG
         levers = np.linalg.norm(self.viewer.points_body_km[numbers], axis=1) * model.focal_length_px
         levers = levers / float(np.linalg.norm(body.position_camera_km))
@@ -414,7 +418,7 @@ class _Search:
         covariance = pose.covariance[:3, :3]
         center, covariance_px2 = center_of_position(inputs.camera.model, pose.position_camera_km, covariance)
         score = float(np.mean([match.score for match in used]))
-        observed, projected = found.observed_px[pose.inliers], self._projected(body)
+        observed, projected = found.observed_px[pose.inliers], self._project(body)
         known, identity = inputs.geometry.camera_from_body, inputs.identity
         identity["provenance"] = {**inputs.provenance, "landmarks_sha256": self.catalog.sha256}
         return LandmarkFix(

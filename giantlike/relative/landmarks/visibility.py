@@ -98,9 +98,9 @@ class LandmarkViewer:
         self._owner: Indices = np.repeat(np.arange(len(grids)), [len(grid) for grid in grids])
         mesh = shape.finest if isinstance(shape, LevelsOfDetail) else shape
         self._tracer: Tracer | None = tracer_for(mesh) if isinstance(mesh, TriangleMesh) else None
-        self._ground = self._lifted(np.concatenate(grids))
+        self._ground = self._lift(np.concatenate(grids))
 
-    def _lifted(self, points: Float) -> Float:
+    def _lift(self, points: Float) -> Float:
         """Points of the maps (g, 3), moved up where they would start under the shape."""
         up = self.normals_body[self._owner]
         lift = _LIFT * self.sizes_km[self._owner]
@@ -112,7 +112,7 @@ class LandmarkViewer:
             lift = lift + np.where(near, np.maximum(over, 0.0), 0.0)
         return np.asarray(points + lift[:, None] * up)
 
-    def seen(
+    def find_visible(
         self,
         body: Body,
         plane: FocalPlane,
@@ -149,7 +149,7 @@ class LandmarkViewer:
                 blocked[look] = self._tracer.occluded(ground, toward)
                 which[:] = self._share(blocked) > limit
         useful = np.flatnonzero(framed & facing & lit & large & ~hidden & ~dark)
-        useful = self._spread(useful, predicted, options.max_landmarks)
+        useful = self._select_apart(useful, predicted, options.max_landmarks)
         return SeenLandmarks(
             numbers=useful,
             predicted_px=predicted[useful],
@@ -167,7 +167,7 @@ class LandmarkViewer:
         totals = np.bincount(self._owner, minlength=count)
         return np.asarray(np.bincount(self._owner, weights=marked, minlength=count) / np.maximum(totals, 1))
 
-    def _spread(self, numbers: Indices, predicted_px: Float, count: int) -> Indices:
+    def _select_apart(self, numbers: Indices, predicted_px: Float, count: int) -> Indices:
         """At most ``count`` landmarks, each the one with the most texture times distance from those before it."""
         if numbers.size <= count:
             return numbers

@@ -15,7 +15,7 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Template
-from giantlike.relative.light.light_sums import mixed
+from giantlike.relative.light.light_sums import mix_laws
 from giantlike.relative.light.separation import SeparatedLight, kept_center_of, seen_from
 
 _SHARE_SIGMA = 1.0 / math.sqrt(6.0)
@@ -71,7 +71,7 @@ class LawMixture(Value):
     changes: Float
 
     @classmethod
-    def of(cls, own: Template, *, flat: Float, dark: Float, phase_per_px: Float) -> LawMixture:
+    def from_template(cls, own: Template, *, flat: Float, dark: Float, phase_per_px: Float) -> LawMixture:
         """Return the mixture of brightness (h, w) under a flat law and under one dark towards the terminator.
 
         ``phase_per_px`` (2,), rad, is the change of the phase angle from pixel to pixel.
@@ -83,14 +83,14 @@ class LawMixture(Value):
         share = own.brightness / float(own.brightness.sum())
         return cls(own=own, changes=np.stack([change, beyond * share, beyond * change]))
 
-    def mapped(self, of_image: Callable[[Float], Float]) -> LawMixture:
+    def map_images(self, of_image: Callable[[Float], Float]) -> LawMixture:
         """Return the mixture after a linear map of images (h, w)."""
         own = replace(self.own, brightness=np.maximum(of_image(self.own.brightness), 0.0))
         return LawMixture(own=own, changes=np.stack([of_image(each) for each in self.changes]))
 
-    def resized(self, scale: float) -> LawMixture:
+    def resize(self, scale: float) -> LawMixture:
         """Return the body larger by a factor about its center."""
-        return self if scale == 1.0 else self.mapped(_resizing(self.own, scale))
+        return self if scale == 1.0 else self.map_images(_make_resizer(self.own, scale))
 
     def seen_from(self, corner_px: NDArray[np.int64]) -> LawMixture:
         """Return the mixture in coordinates that start at a pixel (2,)."""
@@ -102,7 +102,7 @@ class LawMixture(Value):
         ``shares`` (3,); the first, toward the dark law, keeps the total light. The others are per rad.
         """
         own, changes = np.ascontiguousarray(self.own.brightness), np.ascontiguousarray(self.changes)
-        return replace(self.own, brightness=mixed(own, changes, shares * float(own.sum())))
+        return replace(self.own, brightness=mix_laws(own, changes, shares * float(own.sum())))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -145,7 +145,7 @@ class _LawBlocks(Value):
     number: NDArray[np.int64]
     cells: NDArray[np.int64]
 
-    def clustering(self, marks: Float) -> float:
+    def count_clustered(self, marks: Float) -> float:
         """Number of blocks that share a marking, from the correlation of the marks (blocks,) of neighbors.
 
         A correlation ``exp(-d^2 / 2 l^2)`` of blocks at a distance d has the sum ``2 pi l^2``, and for neighbors
@@ -179,7 +179,7 @@ class _Weighing(Value):
     light_dn: Float
     photon_dn2: Float
 
-    def solved(self, expected_dn: Float, changes_dn: Float, at: Float, *, first: bool) -> tuple[Float, Float, Float]:
+    def solve(self, expected_dn: Float, changes_dn: Float, at: Float, *, first: bool) -> tuple[Float, Float, Float]:
         """Shares (3,), their covariance, and their derivatives by errors of the light (3, blocks).
 
         From the light (blocks,) expected at some shares and its changes (3, blocks) by them. The first time
@@ -195,7 +195,7 @@ class _Weighing(Value):
             left = left - float(left.sum()) / float(level.sum()) * level
             slopes = changes_dn - np.outer(changes_dn.sum(axis=1) / float(level.sum()), level)
             marked = max(float(np.sum(left**2 - photon)), 0.0) / float(np.sum(level**2))
-            errors = photon + marked * self.blocks.clustering(left / level) * level**2
+            errors = photon + marked * self.blocks.count_clustered(left / level) * level**2
             prior = np.full(_SHARES, 1.0 / _SHARE_SIGMA**2)
             if first and number == 0:
                 prior[0] = 1e-12
@@ -203,17 +203,17 @@ class _Weighing(Value):
             gains = covariance @ (slopes / errors)
             change = gains @ left - covariance @ (found * prior)
             before, found = found, np.clip(found + change, -_MOST, _MOST)
-            if number > 0 and _settled(found - before, covariance):
+            if number > 0 and _has_converged(found - before, covariance):
                 break
         return found, covariance, gains - (gains @ level)[:, None] / float(level.sum())
 
 
-def resized(template: Template, scale: float) -> Template:
+def resize_template(template: Template, scale: float) -> Template:
     """Return a template of a body that is larger by a factor about its center."""
-    return replace(template, brightness=np.maximum(_resizing(template, scale)(template.brightness), 0.0))
+    return replace(template, brightness=np.maximum(_make_resizer(template, scale)(template.brightness), 0.0))
 
 
-def _resizing(template: Template, scale: float) -> Callable[[Float], Float]:
+def _make_resizer(template: Template, scale: float) -> Callable[[Float], Float]:
     """Map of images (h, w) on the pixels of a template that makes them larger about its center."""
     along, down = (
         _interpolation(at + (np.arange(count) - at) / scale, count)
@@ -222,7 +222,7 @@ def _resizing(template: Template, scale: float) -> Callable[[Float], Float]:
     return lambda image: np.ascontiguousarray((along @ np.ascontiguousarray((down @ image).T)).T)
 
 
-def _settled(change: Float, covariance: Float) -> bool:
+def _has_converged(change: Float, covariance: Float) -> bool:
     return bool((np.abs(change) < _SETTLED * np.sqrt(np.diag(covariance))).all())
 
 
@@ -240,23 +240,23 @@ def fit_law(light: SeparatedLight, laws: LawMixture, *, radius_px: float) -> Law
     problem = _Weighing(blocks=blocks, light_dn=blocks.sums(light.signal_dn), photon_dn2=blocks.photon(light))
     shares, template, changes_at = np.zeros(_SHARES), laws.own, np.full(_SHARES, np.inf)
     changes_dn, slopes_px = np.zeros((_SHARES, len(blocks.cells))), np.zeros((_SHARES, 2))
-    expected, place_px = _placed(light, template, center)
+    expected, place_px = _place_template(light, template, center)
     for number in range(_ROUNDS):
         expected_dn = blocks.sums(expected)
         if np.abs(shares - changes_at).max() > _LINEAR:
-            moved = [_placed(light, laws.at(shares + step), center) for step in steps]
+            moved = [_place_template(light, laws.at(shares + step), center) for step in steps]
             changes_dn = (np.array([blocks.sums(image) for image, _ in moved]) - expected_dn) / _STEP
             changes_at, slopes_px = shares, (place_px - np.array([place for _, place in moved])) / _STEP
-        found, covariance, gains = problem.solved(expected_dn, changes_dn, shares, first=number == 0)
-        if _settled(found - shares, covariance):
+        found, covariance, gains = problem.solve(expected_dn, changes_dn, shares, first=number == 0)
+        if _has_converged(found - shares, covariance):
             break
         shares, template = found, laws.at(found)
-        expected, place_px = _placed(light, template, center)
-    larger, larger_px = _placed(light, resized(template, 1.0 + _GROWN), center)
+        expected, place_px = _place_template(light, template, center)
+    larger, larger_px = _place_template(light, resize_template(template, 1.0 + _GROWN), center)
     by_size = gains @ (blocks.sums(larger) - blocks.sums(expected)) / _GROWN
     by_size_px = (place_px - larger_px) / _GROWN - slopes_px.T @ by_size
     residuals = light.signal_dn - expected
-    unexplained_px2, markings = _unexplained(light, expected, center, blocks)
+    unexplained_px2, markings = _estimate_scatter(light, expected, center, blocks)
     seen = light.signal_dn[light.region]
     excess = float((residuals[light.region] ** 2 - light.variance_dn2(np.maximum(seen, 0.0))).sum())
     return LawFit(
@@ -307,7 +307,7 @@ def _in_blocks(pixels: Mask, center_px: Float, side_px: float) -> _LawBlocks:
     return _LawBlocks(places=places, rows=rows, columns=columns, number=number, cells=cells)
 
 
-def _placed(light: SeparatedLight, template: Template, center_px: Float) -> tuple[Float, Float]:
+def _place_template(light: SeparatedLight, template: Template, center_px: Float) -> tuple[Float, Float]:
     """Signal (rows, columns), DN, of a template laid on the center of light of the image, and its own center (2,)."""
     expected = light.expected_dn(template.brightness)
     place_px = kept_center_of(expected, light.threshold_dn)
@@ -342,7 +342,7 @@ def _through_six(places: Float, *, first: int) -> Float:
     return np.asarray(((places[:, None, None] - others) / (nodes[:, None] - others)).prod(axis=-1))
 
 
-def _unexplained(
+def _estimate_scatter(
     light: SeparatedLight, expected_dn: Float, center_px: Float, blocks: _LawBlocks
 ) -> tuple[Float, float]:
     """Covariance (2, 2) of the center by the residuals of the blocks, each as one sigma, and their scatter.
@@ -361,7 +361,7 @@ def _unexplained(
     lever = values[:, None] * (np.stack([columns, rows], axis=-1) - center_px)
     held = light.signal_dn[blocks.rows, blocks.columns][:, None] * arms
     outside = math.sqrt(float((lever**2).sum()) / max(float((held**2).sum()), 1e-300))
-    shared = blocks.clustering(marks)
+    shared = blocks.count_clustered(marks)
     fitted = min(_FITTED * shared / len(marks), _MOST_FITTED)
     photon = blocks.photon(light) / whole**2
     scatter = math.sqrt(max(float(np.mean(marks**2 - photon)), 0.0))

@@ -31,7 +31,7 @@ def kept_center(signal_dn: Float, threshold_dn: float, width: float) -> tuple[fl
 
 
 @compiled
-def mixed(own: Float, changes: Float, shares: Float) -> Float:
+def mix_laws(own: Float, changes: Float, shares: Float) -> Float:
     """Light (h, w) of one law (h, w) and shares (k,) of changes (k, h, w), none below 0."""
     rows, columns = own.shape
     result = np.empty((rows, columns))

@@ -88,7 +88,7 @@ def measured_size(
     levels = level * np.exp2(np.arange(max(math.ceil(math.log2(_TOP * peak / level)), 1), dtype=np.float64))
     seen, own = _areas(signal, levels), _areas(expected, levels)
     width_px = 0.5 * math.pi * radius_px / own  # of the size, relative, by that of the edge of the lit side
-    variance = _counted(own) ** 2 + (_EDGE_PX * width_px) ** 2
+    variance = _estimate_counting_error(own) ** 2 + (_EDGE_PX * width_px) ** 2
     variance += (0.5 * math.hypot(_FADE, law.sigma) * (1.0 - own / own[0])) ** 2
     by_width = psf_sigma_px * width_px * ndtri(1.0 - np.minimum(levels / peak, 0.5))
     design = np.stack([np.ones_like(levels), by_width], axis=1)
@@ -121,6 +121,6 @@ def _areas(signal_dn: Float, levels_dn: Float | float) -> Float:
     return np.maximum(counts, 1).astype(np.float64)
 
 
-def _counted(areas_px: Float) -> Float:
+def _estimate_counting_error(areas_px: Float) -> Float:
     """Relative error of the size of lit areas that are counted in pixels."""
     return np.asarray(0.5 * _COUNT_PX * np.sqrt(2.0 * np.sqrt(math.pi * areas_px)) / areas_px)

@@ -11,7 +11,7 @@ import numpy as np
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, require, unit
-from giantlike.core.causes import Cause, summed
+from giantlike.core.causes import Cause, sum_parts
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import CenterFix, Failure
@@ -27,11 +27,11 @@ from giantlike.ray_tracing.block_templates import BlockedPlane, block_templates
 from giantlike.relative.estimator import BodyEstimator
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.judge import Facts
-from giantlike.relative.light.averaged import averaged, on_pixels
+from giantlike.relative.light.averaging import average_blocks, on_pixels
 from giantlike.relative.light.law_mixture import LawMixture, fit_law
 from giantlike.relative.light.lit_size import first_scale, measured_size
 from giantlike.relative.light.phase_correction import Correction, phase_correction_px, require_correction
-from giantlike.relative.light.separation import MIN_AREA_PX, TRACE, Prediction, SeparatedLight, light_of
+from giantlike.relative.light.separation import MIN_AREA_PX, TRACE, Prediction, SeparatedLight, separate_light
 from giantlike.relative.light.wings import WING_UNKNOWN, wing_share, with_wings
 from giantlike.relative.place import apparent_radius_px
 from giantlike.scene import TargetGeometry
@@ -148,13 +148,13 @@ class Moment(BodyEstimator[MomentOptions, CenterFix]):
         size = int(math.sqrt(2.0 * inputs.radius_px / _AVERAGED_PX))
         if size >= _LEAST_BLOCK_PX:
             options = replace(self.options, search_px=max(self.options.search_px / size, 1.0))
-            fix = _found(averaged(inputs, size), options)
+            fix = _find_body(average_blocks(inputs, size), options)
             if not isinstance(fix, Failure):
                 return on_pixels(fix, inputs, size)
-        return _found(inputs, self.options)
+        return _find_body(inputs, self.options)
 
 
-def _found(inputs: EstimatorInputs, options: MomentOptions) -> CenterFix | Failure:
+def _find_body(inputs: EstimatorInputs, options: MomentOptions) -> CenterFix | Failure:
     """Find the body in unaveraged pixels."""
     search_px = options.search_px
     laws = _laws(inputs, math.ceil(search_px))
@@ -168,7 +168,7 @@ def _found(inputs: EstimatorInputs, options: MomentOptions) -> CenterFix | Failu
         template=laws.own,
         others=_other_targets(inputs),
     )
-    light = light_of(inputs.pixels, inputs.masked, inputs.saturated, prediction)
+    light = separate_light(inputs.pixels, inputs.masked, inputs.saturated, prediction)
     return light if isinstance(light, Failure) else _fix(inputs, laws, light, options)
 
 
@@ -183,7 +183,7 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: SeparatedLight, optio
     ranged = partial(measured_size, range_sigma=options.range_sigma, trace=max(TRACE, share))
     first = first_scale(light, laws, range_sigma=options.range_sigma, trace=max(TRACE, share))
     for _ in range(_SIZES):
-        law = fit_law(light, laws.resized(first), radius_px=first * inputs.radius_px)
+        law = fit_law(light, laws.resize(first), radius_px=first * inputs.radius_px)
         size = ranged(light, laws, law, psf_sigma_px=psf_sigma_px, radius_px=inputs.radius_px)
         rest = size.scale / first
         if abs(math.log(rest)) < _SETTLED_SIZE:
@@ -224,7 +224,7 @@ def _fix(inputs: EstimatorInputs, laws: LawMixture, light: SeparatedLight, optio
     return CenterFix(
         **identity,
         center_px=light.corner_px + center_px + offset,
-        covariance_px2=summed(parts),
+        covariance_px2=sum_parts(parts),
         parts=parts,
         residuals=law.residuals,
         residuals_at_px=(np.argwhere(bright)[:, ::-1] + light.corner_px).astype(np.float64),
@@ -264,7 +264,7 @@ def _laws(inputs: EstimatorInputs, margin_px: int) -> LawMixture | Failure:
         return templates
     own, flat, dark = templates
     per_px = _phase_per_px(geometry, camera)
-    return LawMixture.of(own, flat=flat.brightness, dark=dark.brightness, phase_per_px=per_px)
+    return LawMixture.from_template(own, flat=flat.brightness, dark=dark.brightness, phase_per_px=per_px)
 
 
 def _phase_per_px(geometry: TargetGeometry, camera: Camera) -> Float:
@@ -284,11 +284,11 @@ def _other_targets(inputs: EstimatorInputs) -> list[ExpectedBlob]:
             continue
         geometry = inputs.scene.geometry(inputs.image, target.name)
         if not isinstance(geometry, Failure):
-            found += _expected(geometry, inputs.camera)
+            found += _predict_blobs(geometry, inputs.camera)
     return found
 
 
-def _expected(geometry: TargetGeometry, camera: Camera) -> list[ExpectedBlob]:
+def _predict_blobs(geometry: TargetGeometry, camera: Camera) -> list[ExpectedBlob]:
     """Light of a sphere at the position of a body; none where it is not in the frame or only a point."""
     center = camera.model.project(geometry.position_camera_km)
     if not np.isfinite(center).all() or geometry.range_km <= geometry.target.shape.circumscribing_radius_km:

@@ -78,7 +78,7 @@ class Prediction(Value):
             reach = math.sqrt(one.area_px) + self.search_px + _WINDOW_MARGIN_PX
             center = np.array(one.center_px)
             low, high = np.minimum(low, center - reach), np.maximum(high, center + reach)
-        return PixelBox.spanning(low, high).limited(columns, rows)
+        return PixelBox.spanning(low, high).clip(columns, rows)
 
 
 def seen_from(template: Template, corner_px: NDArray[np.int64]) -> Template:
@@ -124,12 +124,12 @@ class SeparatedLight(Value):
         """Pixels of the body above threshold."""
         return np.asarray(self.region & (self.signal_dn > self.threshold_dn))
 
-    def trimmed(self) -> SeparatedLight:
+    def trim(self) -> SeparatedLight:
         """Return the light in the smallest window that holds the region and some sky around it."""
         columns, rows = (np.flatnonzero(self.region.any(axis=axis)) for axis in (0, 1))
         low = np.array([columns[0], rows[0]], dtype=np.float64)
         high = np.array([columns[-1], rows[-1]], dtype=np.float64) + 1.0
-        box = PixelBox.spanning(low, high, _WINDOW_MARGIN_PX).limited(*self.region.shape[::-1])
+        box = PixelBox.spanning(low, high, _WINDOW_MARGIN_PX).clip(*self.region.shape[::-1])
         corner = np.array(box.corner_px)
         return replace(
             self,
@@ -196,7 +196,7 @@ class SeparatedLight(Value):
         if filled and self.bad.any():
             x, y = (template.corner_px + self.shift_px).tolist()
             box = PixelBox(x=x, y=y, width=expected.shape[1], height=expected.shape[0])
-            expected = _filled(expected, box.cut(self.bad))
+            expected = _fill_bad_pixels(expected, box.cut(self.bad))
         return np.asarray(template.center_px - kept_center_of(expected, threshold_dn) - template.corner_px)
 
 
@@ -229,7 +229,7 @@ def kept_center_of(light: Float, threshold_dn: float) -> Float:
     return np.array([x, y]) if total > 0.0 else center_of(light)
 
 
-def light_of(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Prediction) -> SeparatedLight | Failure:
+def separate_light(image: BoxPixels, bad: Mask, saturated: Mask, prediction: Prediction) -> SeparatedLight | Failure:
     """Find the light of the body and separate it from the sky background and from other bodies."""
     sky = _sky(image, prediction)
     if isinstance(sky, Failure):
@@ -289,7 +289,7 @@ class _Window(Value):
 def _light_in(window: _Window, sky: SkyPlane, prediction: Prediction) -> SeparatedLight | Failure | None:
     """Light of the body in a window, all in its coordinates; None where it reaches beyond it."""
     template, bad, saturated = prediction.template, window.bad, window.saturated
-    signal = _filled(window.image.values_dn, bad) - sky.levels_dn(bad.shape)
+    signal = _fill_bad_pixels(window.image.values_dn, bad) - sky.levels_dn(bad.shape)
     chosen = _blob_of(signal, sky, prediction, window)
     if chosen is None or isinstance(chosen, Failure):
         return chosen
@@ -334,7 +334,7 @@ def _light_in(window: _Window, sky: SkyPlane, prediction: Prediction) -> Separat
         return Failure(
             Reason.SATURATED, f"{clipped:.0%} of the bright pixels are saturated, allowed {_MAX_SATURATED:.0%}"
         )
-    return light.trimmed()
+    return light.trim()
 
 
 def _blob_of(
@@ -428,7 +428,7 @@ def _sky(image: BoxPixels, prediction: Prediction) -> SkyPlane | Failure:
     return SkyPlane.through(values, dark, step_px=step, least_sigma_dn=max(0.1 * floor, 1e-9))
 
 
-def _filled(values_dn: Float, bad: Mask) -> Float:
+def _fill_bad_pixels(values_dn: Float, bad: Mask) -> Float:
     """Pixels with bad ones replaced by the mean of good neighbors."""
     if not bad.any():
         return values_dn
@@ -448,7 +448,7 @@ def _regions(template: Template, shift_px: NDArray[np.int64], blob: Mask, radius
     trace = template.brightness > TRACE * float(template.brightness.max())
     expected = PixelBox(x=0, y=0, width=columns, height=rows).cut(trace, (x, y))
     margin = _REGION_MARGIN_PX + math.ceil(_REGION_MARGIN * radius_px)
-    region, expected = _grown(expected | blob, margin), _grown(expected, margin)
+    region, expected = _dilate(expected | blob, margin), _dilate(expected, margin)
     around = np.zeros(region.shape, dtype=bool)
     if region.any():
         more = math.ceil(_OTSU_MARGIN * radius_px)
@@ -457,7 +457,7 @@ def _regions(template: Template, shift_px: NDArray[np.int64], blob: Mask, radius
     return region, expected, around
 
 
-def _grown(pixels: Mask, margin_px: int) -> Mask:
+def _dilate(pixels: Mask, margin_px: int) -> Mask:
     """Pixels not farther than a margin from some."""
     result = np.zeros(pixels.shape, dtype=bool)
     rows, columns = (np.flatnonzero(pixels.any(axis=axis)) for axis in (1, 0))

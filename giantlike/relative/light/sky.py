@@ -54,14 +54,14 @@ class SkyPlane(Value):
         first = background_of(values)
         kept = np.abs(values - first.level_dn) <= _FIRST_CLIP_SIGMAS * max(first.sigma_dn, least_sigma_dn)
         for _ in range(_ROUNDS):
-            plane = _fitted(basis[kept, :3], values[kept])
+            plane = _fit_basis(basis[kept, :3], values[kept])
             away = values - basis[:, :3] @ plane
             sigma = max(robust_sigma(away[kept], 0.0), least_sigma_dn)
             before, kept = kept, np.abs(away) <= _CLIP_SIGMAS * sigma
             if np.count_nonzero(kept) < _N_BEND or bool((kept == before).all()):
                 kept = before
                 break
-        bend = _fitted(basis[kept], values[kept])
+        bend = _fit_basis(basis[kept], values[kept])
         bend[:3] -= plane
         covariance = sigma**2 * np.linalg.pinv(basis[kept, :3].T @ basis[kept, :3])
         return cls(
@@ -94,7 +94,7 @@ class SkyPlane(Value):
 _N_BEND = 6  # terms of a paraboloid
 
 
-def _fitted(basis: Float, values: Float) -> Float:
+def _fit_basis(basis: Float, values: Float) -> Float:
     """Least-squares coefficients (k,) of a basis (n, k)."""
     return np.asarray(np.linalg.lstsq(basis.T @ basis, basis.T @ values, rcond=None)[0], dtype=np.float64)
 

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require
-from giantlike.core.causes import Cause, summed
+from giantlike.core.causes import Cause, sum_parts
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.outcomes import CenterFix, Failure, Reason
 from giantlike.core.pixel_box import BoxPixels, PixelBox
@@ -151,7 +151,9 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
         if isinstance(offset, Failure):
             return offset
         start_px = measured.point_px + offset
-        fit = _fitted(inputs, renderer, MovedBody(trace=trace, state=renderer.start), template, start_px, options)
+        fit = _fit_traced_body(
+            inputs, renderer, MovedBody(trace=trace, state=renderer.start), template, start_px, options
+        )
         if isinstance(fit, Failure):
             return fit
         rendered_px = template.center_px - template.photocenter_px
@@ -172,7 +174,7 @@ class Unresolved(BodyEstimator[UnresolvedOptions, CenterFix]):
         return CenterFix(
             **inputs.identity,
             center_px=fit.state.center_px + shift_px,
-            covariance_px2=summed(parts),
+            covariance_px2=sum_parts(parts),
             parts=parts,
             residuals=fit.residuals_dn[fit.used] / float(fit.signal_dn.max()),
             residuals_at_px=fit.used_at_px(),
@@ -229,7 +231,7 @@ def _brightest(
     return points[near][order[0]], bool(rivals)
 
 
-def _fitted(
+def _fit_traced_body(
     inputs: EstimatorInputs,
     renderer: TemplateRenderer,
     traced: MovedBody,
@@ -314,7 +316,7 @@ def _box_around(center_px: Float, half_px: float, image: BoxPixels) -> PixelBox:
     """Box of the image within ``half_px`` of a point, cut at the frame."""
     box = PixelBox.spanning(center_px - half_px, center_px + half_px + 1.0)
     rows, columns = image.usable.shape
-    return box.limited(columns, rows)
+    return box.clip(columns, rows)
 
 
 def _disk(image: BoxPixels, center_px: Float, radius_px: float) -> tuple[Mask, tuple[int, int]]:

@@ -32,7 +32,7 @@ def wing_share(light: SeparatedLight, template: Template, *, psf_sigma_px: float
     Returns 0 where the sky around the body shows none.
     """
     expected = light.expected_dn(template.brightness)
-    wings = _blurred(expected, _WIDTHS * psf_sigma_px)
+    wings = _blur(expected, _WIDTHS * psf_sigma_px)
     margin = _LIMB_PX + math.ceil(_LIMB * radius_px)
     disk = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
     lit = cv2.dilate((expected > _DARK * float(expected.max())).astype(np.uint8), disk) > 0
@@ -52,11 +52,11 @@ def with_wings(laws: LawMixture, share: float, psf_sigma_px: float) -> LawMixtur
     """Return the body with a share of its light in wings."""
 
     def spread(brightness: Float) -> Float:
-        return (1.0 - share) * brightness + share * _blurred(brightness, _WIDTHS * psf_sigma_px)
+        return (1.0 - share) * brightness + share * _blur(brightness, _WIDTHS * psf_sigma_px)
 
-    return laws.mapped(spread)
+    return laws.map_images(spread)
 
 
-def _blurred(image: Float, sigma_px: float) -> Float:
+def _blur(image: Float, sigma_px: float) -> Float:
     """Blur an image (h, w) by a round Gaussian; black outside."""
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT), dtype=np.float64)

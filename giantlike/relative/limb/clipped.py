@@ -78,7 +78,7 @@ def clipped_profiles(
     """
     variance = view.detector.variance_dn2
 
-    def sampled(image: Float) -> Float:
+    def sample(image: Float) -> Float:
         values: Float = values_on_lines(image[None], scans.points_px, scans.normals_px, scans.offsets_px)[0]
         return values
 
@@ -88,7 +88,7 @@ def clipped_profiles(
         return clipped_mean(image, level_dn, np.sqrt(variance(image)))
 
     def misfit(gain: float) -> float:
-        expected = sampled(clip(gain * images[0])[0])[::_EACH_LINE]
+        expected = sample(clip(gain * images[0])[0])[::_EACH_LINE]
         match = match_profiles(few, expected, variance_dn2=variance, window_px=window_px, search_px=search_px)
         counted = match.complete & (match.gain_dn > 0.0)
         return float(np.median(match.unexplained[counted])) if counted.any() else np.inf
@@ -98,14 +98,14 @@ def clipped_profiles(
     gain = min(gain * _FINER_GAINS, key=misfit)
     body = gain * images[0]
     mean, below = clip(body)
-    height = sampled(body).max(axis=1)
-    others = [sampled((gain * law - body) * below) for law in images[1:]]
+    height = sample(body).max(axis=1)
+    others = [sample((gain * law - body) * below) for law in images[1:]]
     return ClippedProfiles(
-        values=sampled(mean),
+        values=sample(mean),
         beyond=np.log(np.maximum(height / level_dn, 1.0)),
         laws=np.stack(others, axis=-1) if others else np.zeros((*scans.values_dn.shape, 0)),
-        brightness=sampled(body * below),
-        blur=sampled(np.asarray(0.5 * cv2.Laplacian(body, cv2.CV_64F) * below, dtype=np.float64)),
+        brightness=sample(body * below),
+        blur=sample(np.asarray(0.5 * cv2.Laplacian(body, cv2.CV_64F) * below, dtype=np.float64)),
     )
 
 

@@ -12,7 +12,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require, require_number
-from giantlike.core.causes import Cause, summed
+from giantlike.core.causes import Cause, sum_parts
 from giantlike.core.findings import Corrections, Findings
 from giantlike.core.outcomes import BodyTurn, Failure, PositionFix, Quality, Reason
 from giantlike.core.values import Value
@@ -198,7 +198,7 @@ class LimbScan(Protocol[Measured]):
         """Compute the step of the body from the points."""
         ...
 
-    def settled(self, measured: Measured, step: LimbStep, moved_px: float, state: LimbState) -> bool:
+    def has_converged(self, measured: Measured, step: LimbStep, moved_px: float, state: LimbState) -> bool:
         """Return True if another measurement is not needed, the limb moving by ``moved_px`` in the shortened step."""
         ...
 
@@ -220,7 +220,7 @@ def settle_limb(
         share = _share(step, state)
         moved_px = share * float(np.max(np.abs(measured.design[step.keep] @ step.position_km)))
         _LOG.debug("limb moved by %.3g px in iteration %d", moved_px, state.iteration + 1)
-        if scan.settled(measured, step, moved_px, state):
+        if scan.has_converged(measured, step, moved_px, state):
             if step.keep.sum() >= min_points:
                 return scan.finish(measured, step)
             text = (
@@ -285,7 +285,7 @@ class LimbSolution(Value):
     @property
     def covariance_camera_km2(self) -> Float:
         """Covariance (3, 3) of the position by all causes, km^2, camera axes."""
-        return summed(self.covariances_km2)
+        return sum_parts(self.covariances_km2)
 
 
 def limb_fix(
@@ -297,8 +297,8 @@ def limb_fix(
     allowed_rms_px: float = math.inf,
 ) -> PositionFix | Failure:
     """Classify a position from a limb and put it into a :class:`PositionFix`."""
-    place = _Place.of(inputs, solution)
-    refused = _refused(place, inputs, measured, search, allowed_rms_px)
+    place = _Place.from_solution(inputs, solution)
+    refused = _check_solution(place, inputs, measured, search, allowed_rms_px)
     if refused is not None:
         return refused
     facts = _facts(place, inputs, measured, search)
@@ -351,7 +351,7 @@ class _Place(Value):
     rms_px: float
 
     @classmethod
-    def of(cls, inputs: EstimatorInputs, solution: LimbSolution) -> _Place:
+    def from_solution(cls, inputs: EstimatorInputs, solution: LimbSolution) -> _Place:
         position_km, covariance_km2 = solution.position_camera_km, solution.covariance_camera_km2
         center_px, covariance_px2 = center_of_position(inputs.camera.model, position_km, covariance_km2)
         range_km = float(np.linalg.norm(position_km))
@@ -369,7 +369,7 @@ class _Place(Value):
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance_px2)[-1]))
 
 
-def _refused(
+def _check_solution(
     place: _Place, inputs: EstimatorInputs, measured: LimbMeasurement, search: LimbSearch, allowed_rms_px: float
 ) -> Failure | None:
     """Failure of a solution with too large residuals or covariance; None otherwise."""

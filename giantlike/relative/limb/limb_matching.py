@@ -146,15 +146,17 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
 
     def _turn(self, measured: LineMeasurement, view: LimbView, body: Body, inputs: EstimatorInputs) -> BodyTurn | None:
         options, scan = self.options, self.options.scan
-        share = _by_attitude(inputs, unit(measured.position_camera_km))
+        share = _attitude_share(inputs, unit(measured.position_camera_km))
 
-        def again(position_camera_km: Float, turn_rad: Float) -> LimbMeasurement | Failure:
+        def measure_turned(position_camera_km: Float, turn_rad: Float) -> LimbMeasurement | Failure:
             turned = replace(body, camera_from_body=Rotation.from_rotvec(turn_rad) * body.camera_from_body)
             sun = rotate(Rotation.from_rotvec(share * turn_rad), view.sun_direction_camera)
             lit = replace(view, sun_direction_camera=sun)
             return measure_once(lit, turned.at(position_camera_km), options, scan, psf_px2=measured.psf_px2)
 
-        return limb_turn(measured, again, inputs.camera, view.radius_px, search=options, min_length_px=scan.spacing_px)
+        return limb_turn(
+            measured, measure_turned, inputs.camera, view.radius_px, search=options, min_length_px=scan.spacing_px
+        )
 
 
 def _with_facets(measured: LimbMeasurement, mesh: TriangleMesh) -> LimbMeasurement:
@@ -170,7 +172,7 @@ def _with_facets(measured: LimbMeasurement, mesh: TriangleMesh) -> LimbMeasureme
     return replace(measured, common_px=common_px)
 
 
-def _by_attitude(inputs: EstimatorInputs, sight: Float) -> float:
+def _attitude_share(inputs: EstimatorInputs, sight: Float) -> float:
     """Fraction of a turn about the line of sight (3,) attributed to the camera, which turns the Sun too."""
     known, covariance_rad2 = inputs.geometry.target.uncertainty, inputs.image.attitude_covariance_rad2
     if covariance_rad2 is None:

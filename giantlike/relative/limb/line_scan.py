@@ -97,7 +97,7 @@ class LimbLines(Value):
     perimeter_px: float
     cut_by_frame: bool
 
-    def thinned(self, count: int) -> LimbLines:
+    def thin(self, count: int) -> LimbLines:
         """Return about ``count`` of the lines, evenly chosen; all where there are fewer."""
         step = max(self.angles_rad.size // count, 1)
         angles, brightness = self.angles_rad[::step], self.brightness[::step]
@@ -116,7 +116,7 @@ class Outline(Value):
     brightness: Float
 
     @classmethod
-    def traced(cls, view: LimbView, body: Body) -> Outline:
+    def from_body(cls, view: LimbView, body: Body) -> Outline:
         """Trace the outline of a body all around and the light just inside it."""
         model, sun = view.model, view.sun_direction_camera
         silhouette = trace_silhouette(body, model, _OVERVIEW_RAD, sun_direction_camera=sun)
@@ -145,13 +145,13 @@ class Outline(Value):
             brightness=lines.brightness[known],
         )
 
-    def moved(self, center_px: Float, scale: float) -> Outline:
+    def move(self, center_px: Float, scale: float) -> Outline:
         """Return the outline moved to another center (2,), px, and scaled, to about a pixel."""
         old = self.silhouette
         points = center_px + scale * (old.points_px - old.center_px)
         return replace(self, silhouette=replace(old, points_px=points, center_px=center_px))
 
-    def seen(self, view: LimbView, lines: LimbLines, margin_px: float) -> PredictedLimb:
+    def intersect(self, view: LimbView, lines: LimbLines, margin_px: float) -> PredictedLimb:
         """Interpolate the limb where ``lines`` meet it in the frame, ``margin_px`` from its edge."""
         limb = self.at(lines)
         return select_rows(limb, view.contains(limb.points_px, margin_px=margin_px))
@@ -197,7 +197,7 @@ def measure_by_lines(
     other_laws: tuple[Reflectance, ...] = OTHER_LAWS,
 ) -> LineMeasurement | Failure:
     """Find the limb of a body and measure it line by line until convergence."""
-    outline = Outline.traced(view, body)
+    outline = Outline.from_body(view, body)
     lines = lay_lines(
         view, outline, spacing_px=_COARSE_SPACING_PX, max_lines=_COARSE_LINES, margin_px=-search.search_px
     )
@@ -214,7 +214,7 @@ def measure_by_lines(
     if isinstance(found, Failure):
         return found
     position, coarse = found
-    moved = outline.moved(outline.silhouette.center_px + coarse.shift_px, coarse.scale)
+    moved = outline.move(outline.silhouette.center_px + coarse.shift_px, coarse.scale)
     lines = lay_lines(
         view, moved, spacing_px=options.spacing_px, max_lines=options.max_lines, margin_px=options.margin_px
     )
@@ -239,14 +239,14 @@ def measure_once(
     view: LimbView, body: Body, search: IteratedSearch, options: LimbScanOptions, *, psf_px2: float
 ) -> LineMeasurement | Failure:
     """Measure the limb of a body line by line at its given position."""
-    outline = Outline.traced(view, body)
+    outline = Outline.from_body(view, body)
     lines = lay_lines(
         view, outline, spacing_px=options.spacing_px, max_lines=options.max_lines, margin_px=options.margin_px
     )
     if lines is None:
         return _not_seen(view, outline.silhouette, body, options.margin_px)
     scan = LineScan(view=view, body=body, lines=lines, search=search, options=options)
-    return scan.measured(body.position_camera_km, psf_px2=max(psf_px2, LEAST_PSF_PX2))
+    return scan.measure_at(body.position_camera_km, psf_px2=max(psf_px2, LEAST_PSF_PX2))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -286,16 +286,16 @@ class LineScan(Value):
     def measure(self, state: LimbState) -> LineMeasurement | Failure:
         """Measure the limb across the body in a state, roughly at first."""
         if state.iteration > 0:
-            return self.measured(state.position_camera_km, psf_px2=state.psf_px2)
-        scan = replace(self, lines=self.lines.thinned(_FIRST_LINES))
-        return scan.measured(state.position_camera_km, extra_px=_FIRST_SEARCH_PX)
+            return self.measure_at(state.position_camera_km, psf_px2=state.psf_px2)
+        scan = replace(self, lines=self.lines.thin(_FIRST_LINES))
+        return scan.measure_at(state.position_camera_km, extra_px=_FIRST_SEARCH_PX)
 
     def step(self, measured: LineMeasurement, state: LimbState) -> LimbStep:
         """Robust least-squares step, and the width of the point spread function estimated from the lines."""
         step = agreeing_step(measured, self.search.outlier_mad)
         return replace(step, psf_px2=measured.psf_px2 - state.psf_px2)
 
-    def settled(self, measured: LineMeasurement, step: LimbStep, moved_px: float, state: LimbState) -> bool:
+    def has_converged(self, measured: LineMeasurement, step: LimbStep, moved_px: float, state: LimbState) -> bool:
         """Return True if the next step would be small, or in the end if noise explains this one."""
         if state.iteration == 0 or abs(step.psf_px2) > _PSF_STEP * state.psf_px2:
             return False
@@ -309,7 +309,7 @@ class LineScan(Value):
         """Return the measurement with the points that agree."""
         return replace(measured, keep=step.keep)
 
-    def measured(
+    def measure_at(
         self, position_camera_km: Float, *, psf_px2: float | None = None, extra_px: float = 0.0
     ) -> LineMeasurement | Failure:
         """Measure the limb across the body at a position."""
@@ -325,12 +325,12 @@ class LineScan(Value):
         profiles = expected_profiles(view, body, scans, width**2, options, self.other_laws, first=first)
         if isinstance(profiles, Failure):
             return profiles
-        found = self._matched(position_camera_km, limb, scans, profiles, width)
+        found = self._match(position_camera_km, limb, scans, profiles, width)
         if isinstance(found, Failure) or psf_px2 is not None:
             return found
-        return self._rematched(found, limb, profiles, width, offsets_px=scans.offsets_px)
+        return self._rematch(found, limb, profiles, width, offsets_px=scans.offsets_px)
 
-    def _rematched(
+    def _rematch(
         self,
         found: LineMeasurement,
         limb: PredictedLimb,
@@ -350,7 +350,7 @@ class LineScan(Value):
             points_km = limb.points_camera_km + step_km
             moved_px = model.project(points_km) - model.project(limb.points_camera_km)
             moved = replace(limb, points_px=limb.points_px + moved_px, points_camera_km=points_km)
-            again = self._matched(found.position_camera_km, moved, self._scans(moved, offsets_px), profiles, width)
+            again = self._match(found.position_camera_km, moved, self._scans(moved, offsets_px), profiles, width)
             if isinstance(again, Failure):
                 return first
             found = replace(again, shift_px=again.shift_px + again.design @ step_km)
@@ -374,7 +374,7 @@ class LineScan(Value):
         usable = view.with_clipped if self.options.edges is EdgeModel.TEMPLATE else view.usable
         return scan_lines(view.pixels_dn, usable, limb.points_px, limb.normals_px, offsets_px)
 
-    def _matched(
+    def _match(
         self, position_camera_km: Float, limb: PredictedLimb, scans: Scans, profiles: ExpectedProfiles, width: float
     ) -> LineMeasurement | Failure:
         """Match lines with their profiles, which were made with a point spread function of some ``width``, px."""
@@ -422,13 +422,13 @@ class LineScan(Value):
     def _limb(self, body: Body, *, first: bool) -> PredictedLimb | Failure:
         """The limb where lines meet it in the frame; at first as located, which is accurate enough."""
         if first and self.outline is not None and self.options.edges is EdgeModel.TEMPLATE:
-            limb = self.outline.seen(self.view, self.lines, self.options.margin_px)
+            limb = self.outline.intersect(self.view, self.lines, self.options.margin_px)
             if limb.points_px.size:
                 return limb
-        return _traced(self.view, body, self.lines, self.options)
+        return _trace_limb(self.view, body, self.lines, self.options)
 
 
-def _traced(view: LimbView, body: Body, lines: LimbLines, options: LimbScanOptions) -> PredictedLimb | Failure:
+def _trace_limb(view: LimbView, body: Body, lines: LimbLines, options: LimbScanOptions) -> PredictedLimb | Failure:
     """The limb of a body where lines meet it in the frame; for steps only where no shadow lies along it."""
     margin_px = options.margin_px
     outline = trace_silhouette(body, view.model, lines.angles_rad, sun_direction_camera=view.sun_direction_camera)

@@ -136,7 +136,7 @@ class ExpectedProfiles(Value):
     prior: Prior
     beyond: Float
 
-    def moved(self, step: Float) -> ExpectedProfiles:
+    def apply_step(self, step: Float) -> ExpectedProfiles:
         """Return the profiles with parameters (c,) changed by a step."""
         prior = replace(self.prior, mean=self.prior.mean - step)
         return replace(self, values=self.values + self.changes @ step, prior=prior)
@@ -174,12 +174,12 @@ def expected_profiles(
 ) -> ExpectedProfiles | Failure:
     """Compute the profiles expected along lines. Fails as :func:`giantlike.ray_tracing.render_near`."""
     if options.edges is EdgeModel.STEP:
-        return _alone(np.tile(_step_profile(scans, psf_px2), (len(scans.points_px), 1)))
+        return _without_shared(np.tile(_step_profile(scans, psf_px2), (len(scans.points_px), 1)))
     others = () if first else tuple(law for law in other_laws if law != body.reflectance)
     if others and body.air is not None:
         others = (*others, Black())
     rays = _FIRST_RAYS if first else options.rays_per_pixel_side
-    rendered = _rendered(view, body, scans, psf_px2, options, others, rays=rays)
+    rendered = _render_images(view, body, scans, psf_px2, options, others, rays=rays)
     if isinstance(rendered, Failure):
         return rendered
     images, there = rendered.images, replace(scans, points_px=scans.points_px - rendered.corner_px)
@@ -204,7 +204,7 @@ def expected_profiles(
         values, beyond = clipped.values, clipped.beyond
         changes, blur = [*np.moveaxis(clipped.laws, -1, 0), clipped.brightness], clipped.blur
     if first:
-        return _alone(values)
+        return _without_shared(values)
     changes += [blur, *(blur * part[:, None] for part in ovality(scans.normals_px))]
     layout = _layout(laws=len(laws), wings=level_dn is None, brightness=level_dn is not None, blur=True)
     sigmas = {"laws": LAW_SIGMA, "wings": _WING_SIGMA, "brightness": LOG_GAIN_SIGMA}
@@ -241,7 +241,7 @@ def _wings(values: Float, scans: Scans, psf_px2: float, window_px: float) -> Flo
     return result
 
 
-def _alone(values: Float) -> ExpectedProfiles:
+def _without_shared(values: Float) -> ExpectedProfiles:
     """Profiles (n, m) without shared parameters."""
     return ExpectedProfiles(
         values=values,
@@ -293,7 +293,7 @@ def match_lines(
             shared=profiles.changes,
             about_px=about_px,
         )
-        good, rejected = _judged(match, loose=loose)
+        good, rejected = _judge_lines(match, loose=loose)
         estimate = none
         if found.size == 0 or not good.any():
             break
@@ -305,7 +305,7 @@ def match_lines(
         if last or number == _ROUNDS - 1:
             break
         about_px = smooth_places(match, good) - match.shared_px @ estimate.values
-        profiles, found = profiles.moved(estimate.values), found + estimate.values
+        profiles, found = profiles.apply_step(estimate.values), found + estimate.values
     match = replace(match, shift_px=match.shift_px - match.shared_px @ estimate.values)
     by_sigma = match.shared_px @ _root(estimate.covariance)
     return MatchedLines(
@@ -346,7 +346,7 @@ def _step_profile(scans: Scans, psf_px2: float) -> Float:
     return step_profile(scans.offsets_px, math.sqrt(psf_px2 + PIXEL_VARIANCE_PX2 + SAMPLING_VARIANCE_PX2))
 
 
-def _rendered(
+def _render_images(
     view: LimbView,
     body: Body,
     scans: Scans,
@@ -377,7 +377,7 @@ def _rays_for(radius_px: float, rays: int) -> int:
     return max(min(math.ceil(more * rays), _MAX_RAYS), rays)
 
 
-def _judged(match: ProfileMatch, *, loose: bool) -> tuple[Mask, dict[str, int]]:
+def _judge_lines(match: ProfileMatch, *, loose: bool) -> tuple[Mask, dict[str, int]]:
     """Good lines and the number of others by reason; loose where the expected profile is not of the body."""
     alike: Mask = match.correlation >= (_MIN_CORRELATION_LOOSE if loose else _MIN_CORRELATION)
     alike &= match.unexplained <= (_MAX_UNEXPLAINED_LOOSE if loose else _MAX_UNEXPLAINED)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from giantlike.core.arrays import Float
-from giantlike.core.causes import Cause, added
+from giantlike.core.causes import Cause, add_parts
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import solution_gain
 from giantlike.processing.limb.measurement import LimbMeasurement
@@ -29,7 +29,7 @@ class Weighted(Value):
     own: dict[Cause, Float]
 
 
-def weighted(measured: LimbMeasurement, design: Float, radius_px: float, *, min_length_px: float) -> Weighted:
+def weight_points(measured: LimbMeasurement, design: Float, radius_px: float, *, min_length_px: float) -> Weighted:
     """Weight the points that are kept by the errors that their residuals show.
 
     ``design`` (n, k), outward motion of the n points that are kept with each parameter, px per unit.
@@ -51,11 +51,11 @@ def solve_limb(measured: LimbMeasurement, radius_px: float, *, min_length_px: fl
     """Take the last step of the iteration, with the covariance that the residuals show."""
     keep = measured.keep
     shift_px, design = measured.shift_px[keep], measured.design[keep]
-    solved = weighted(measured, design, radius_px, min_length_px=min_length_px)
+    solved = weight_points(measured, design, radius_px, min_length_px=min_length_px)
     step_km = solved.gain @ (solved.means @ shift_px)
     return LimbSolution(
         position_camera_km=measured.position_camera_km + step_km,
-        covariances_km2=added(solved.own, measured.smooth_covariances(measured.even_gain)),
+        covariances_km2=add_parts(solved.own, measured.smooth_covariances(measured.even_gain)),
         residuals_px=shift_px - design @ step_km,
         limb_px=measured.seen_px[keep],
     )

@@ -52,9 +52,9 @@ def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
     if freedom < _LEAST_FREEDOM:
         return 1.0
     shift_px, sigma_px, points = measured.shift_px[keep], measured.sigma_px[keep], measured.predicted_px[keep]
-    design = np.concatenate([measured.design[keep], _strained(points, measured.normals_px[keep])], axis=1)
+    design = np.concatenate([measured.design[keep], _model_strain(points, measured.normals_px[keep])], axis=1)
     by_noise = means**2 @ sigma_px**2
-    if _squared(means @ shift_px, means @ design, np.diag(by_noise), known) <= _STRAINS:
+    if _squared_strain(means @ shift_px, means @ design, np.diag(by_noise), known) <= _STRAINS:
         return 1.0
     radius_px = measured.perimeter_px / (2.0 * np.pi)
     errors = outline_errors(shift_px, design, sigma_px, points, radius=radius_px, least_length=measured.spacing_px)
@@ -65,10 +65,10 @@ def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
         covariance = covariance + shared_px @ shared_px.T
     for error in measured.smooth_errors:
         covariance = covariance + error.covariance_px2(means @ points)
-    return inflation(_squared(means @ shift_px, means @ design, covariance, known), _STRAINS)
+    return inflation(_squared_strain(means @ shift_px, means @ design, covariance, known), _STRAINS)
 
 
-def _strained(points_px: Float, normals_px: Float) -> Float:
+def _model_strain(points_px: Float, normals_px: Float) -> Float:
     """Outward motion (n, 2), px, of points with a strain: growth along x with shrinking along y, and along diagonals.
 
     Of other centers than the mean of the points a strain differs by a motion, which is fitted beside it.
@@ -78,7 +78,7 @@ def _strained(points_px: Float, normals_px: Float) -> Float:
     return np.stack([x * by_x - y * by_y, x * by_y + y * by_x], axis=-1)
 
 
-def _squared(shift_px: Float, design: Float, covariance: Float, known: float) -> float:
+def _squared_strain(shift_px: Float, design: Float, covariance: Float, known: float) -> float:
     """Squared strain over its covariance in a fit of shifts (b,) with a covariance (b, b).
 
     ``known`` is the standard deviation of the strain of a correct body.

@@ -74,7 +74,7 @@ def with_terrain(
         shared.append(measured.common_px[Cause.RELIEF])
     after = replace(measured, shift_px=shift_px, keep=keep)
     known_px = math.hypot(profile.sigma_km * scale, SLOPE_ERROR * float(np.std(terrain_px)))
-    log_odds, misfit = judged(after, terrain_px, known_px=known_px, scatter_px=profile.scatter_km * scale)
+    log_odds, misfit = judge_relief(after, terrain_px, known_px=known_px, scatter_px=profile.scatter_km * scale)
     return replace(
         after,
         common_px={**measured.common_px, Cause.RELIEF: np.concatenate(shared, axis=1)},
@@ -90,7 +90,9 @@ def with_terrain(
     )
 
 
-def judged(measured: LimbMeasurement, terrain_px: Float, *, known_px: float, scatter_px: float) -> tuple[float, float]:
+def judge_relief(
+    measured: LimbMeasurement, terrain_px: Float, *, known_px: float, scatter_px: float
+) -> tuple[float, float]:
     """Compare a limb with and without its relief.
 
     ``terrain_px`` (n,); returns ``log_odds`` and ``misfit``.

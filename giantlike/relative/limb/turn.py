@@ -14,13 +14,13 @@ import numpy as np
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, unit
-from giantlike.core.causes import Cause, added, summed
+from giantlike.core.causes import Cause, add_parts, sum_parts
 from giantlike.core.outcomes import BodyTurn, Failure
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import robust_solution, solution_gain
 from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.relative.limb.fix import IteratedSearch, next_motion_px
-from giantlike.relative.limb.solution import weighted
+from giantlike.relative.limb.solution import weight_points
 from giantlike.relative.place import place_jacobian
 
 _LEAST_LEVER = 1e-3
@@ -45,7 +45,7 @@ def limb_turn(
     """
     axis, turn_rad, before_px = unit(measured.position_camera_km), 0.0, math.inf
     for _ in range(search.max_iterations):
-        step = _solved(measured, camera, radius_px, outlier_mad=search.outlier_mad, min_length_px=min_length_px)
+        step = _solve_step(measured, camera, radius_px, outlier_mad=search.outlier_mad, min_length_px=min_length_px)
         if step is None:
             return None
         turn_rad += step.found.turn_rad
@@ -68,7 +68,7 @@ class _Step(Value):
     moved_px: float
 
 
-def _solved(
+def _solve_step(
     measured: LimbMeasurement, camera: Camera, radius_px: float, *, outlier_mad: float, min_length_px: float
 ) -> _Step | None:
     """Solve for position and rotation; None where the outline is too round.
@@ -88,12 +88,12 @@ def _solved(
     lever_rms_px = float(np.sqrt(np.mean(lever_px**2)))
     if lever_rms_px < _LEAST_LEVER * radius_px:
         return None
-    solved = weighted(measured, design, radius_px, min_length_px=min_length_px)
+    solved = weight_points(measured, design, radius_px, min_length_px=min_length_px)
     gain = solved.gain @ solved.means
     step = gain @ measured.shift_px[keep]
     even_gain = solution_gain(design, np.zeros((0, 0)), weights=np.ones(len(design)))
-    covariance = summed(added(solved.own, measured.smooth_covariances(even_gain)), tuple(Cause))
-    covariance[3, 3] += _by_camera(measured, camera, gain[3])
+    covariance = sum_parts(add_parts(solved.own, measured.smooth_covariances(even_gain)), tuple(Cause))
+    covariance[3, 3] += _camera_variance(measured, camera, gain[3])
     if not covariance[3, 3] < _MOST_SIGMA_RAD**2:
         return None
     position_km = measured.position_camera_km + step[:3]
@@ -109,7 +109,7 @@ def _solved(
     return _Step(position_camera_km=position_km, found=found, moved_px=abs(float(step[3])) * lever_rms_px)
 
 
-def _by_camera(measured: LimbMeasurement, camera: Camera, gain: Float) -> float:
+def _camera_variance(measured: LimbMeasurement, camera: Camera, gain: Float) -> float:
     """Variance, by the camera model, of the shifts of the kept points multiplied by a gain (m,)."""
     known, model = camera.uncertainty, camera.model
     if known is None or not known.estimated:

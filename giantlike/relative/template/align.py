@@ -12,7 +12,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.blocks import block_sums
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.relative.template.linear import LinearProblem
-from giantlike.relative.template.state import TemplateImages, TemplateState, warped
+from giantlike.relative.template.state import TemplateImages, TemplateState, warp
 
 _RADII_PX = (12.0, 40.0)
 """Radii, px, of the body in the reduced images: errors of half of it are still found, then refined."""
@@ -41,7 +41,7 @@ def align_template(
         summed = _mean_over(np.where(known, pixels.values_dn, 0.0), factor)
         limits = None if pixels.censored is None else _mean_over(pixels.censored.astype(np.float64), factor) > 0.0
         small = BoxPixels(
-            values_dn=_softened(summed) / np.maximum(_softened(share), 1e-6),
+            values_dn=_soften(summed) / np.maximum(_soften(share), 1e-6),
             usable=(share > 0.5) if limits is None else (share > 0.5) & ~limits,
             censored=limits,
             corner_px=(0, 0),
@@ -50,13 +50,13 @@ def align_template(
         parts = [_mean_over(light, first) for light in lights]
         tried: list[tuple[float, TemplateState]] = []
         for _ in range(_STEPS):
-            ends = _reduced(rendered, pixels.corner_px, first), _reduced(state, pixels.corner_px, first)
+            ends = _reduce_state(rendered, pixels.corner_px, first), _reduce_state(state, pixels.corner_px, first)
             rows, columns = small.usable.shape
-            moved = [_softened(_mean_over(warped(part, (0, 0), *ends), last))[:rows, :columns] for part in parts]
+            moved = [_soften(_mean_over(warp(part, (0, 0), *ends), last))[:rows, :columns] for part in parts]
             if not float(moved[0].sum()) > 0.0:
                 break
             images = TemplateImages(light=moved[0], others=moved[1:])
-            problem = LinearProblem(small, images, _reduced(state, pixels.corner_px, factor), None)
+            problem = LinearProblem(small, images, _reduce_state(state, pixels.corner_px, factor), None)
             tried.append((problem.misfit_dn2(), state))
             step = problem.plain_step(_STEP_PX)
             if problem.motion_px(step) < _STILL_PX:
@@ -70,7 +70,7 @@ def align_template(
     return state
 
 
-def _reduced(state: TemplateState, corner_px: tuple[int, int], factor: int) -> TemplateState:
+def _reduce_state(state: TemplateState, corner_px: tuple[int, int], factor: int) -> TemplateState:
     """Return a state in the pixels of a box that was reduced in size."""
     center = (state.center_px - corner_px + 0.5) / factor - 0.5
     return replace(state, center_px=center, psf_variance_px2=_BLUR_PX**2)
@@ -84,6 +84,6 @@ def _mean_over(image: Float, factor: int) -> Float:
     return block_sums(image, factor) / factor**2
 
 
-def _softened(image: Float) -> Float:
+def _soften(image: Float) -> Float:
     """An image blurred a little, so that its slopes can be taken."""
     return np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX, borderType=cv2.BORDER_REPLICATE), np.float64)

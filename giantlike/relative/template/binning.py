@@ -39,7 +39,7 @@ class Blocks(Value):
     good: Mask
     plane: FocalPlane
 
-    def unbinned(self, fit: TemplateFit) -> TemplateFit:
+    def unbin(self, fit: TemplateFit) -> TemplateFit:
         """Return a fit to blocks with its state and covariance in pixels; its images stay as they are."""
         state, scale = fit.state, np.diag([self.size, self.size, 1.0])
         native = replace(
@@ -58,7 +58,7 @@ class Blocks(Value):
         return result
 
 
-def blocks_of(inputs: EstimatorInputs) -> Blocks:
+def make_blocks(inputs: EstimatorInputs) -> Blocks:
     """Average the image of an estimator over blocks as large as the body allows."""
     wanted = max(round(math.sqrt(2.0 * inputs.radius_px / _DIAMETER_PX)), 1)
     sound = float(np.count_nonzero(inputs.usable))

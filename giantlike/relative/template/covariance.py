@@ -64,7 +64,7 @@ class RobustFit(Value):
     """Parameters of a linear model, and the sizes of its errors by the residuals.
 
     solution: of the last step. Its data are what it explained, of a limit the value that stands for it, see
-        :meth:`Measured.explained`; no weight where a residual was clipped.
+        :meth:`Measured.reweight`; no weight where a residual was clipped.
     errors: (m,); sizes of the kinds of error.
     noise, error: (h, w); variances: of the part that is independent from pixel to pixel, and of model errors that the
         point spread function spreads.
@@ -109,7 +109,7 @@ class Measured(Value):
             else VarianceModel(self.variances.noise[known], self.variances.shapes[:, known])
         )
 
-    def explained(self, model: Float, variance: Float, clip_sigma: float) -> tuple[Float, Float]:
+    def reweight(self, model: Float, variance: Float, clip_sigma: float) -> tuple[Float, Float]:
         """Values and weights (n,) of the next least-squares step, from a model (n,) nearby.
 
         A value is itself, with the weight of its variance, and none where it is clipped. A limit ``c`` below a model
@@ -156,14 +156,14 @@ def robust_fit(
     noise, shapes = variances.noise, variances.shapes
     known = None if markings is None or not approach else markings.first_variances
 
-    def solved(values: Float, weights: Float, markings: MarkingModes | None) -> Solution | None:
+    def solve(values: Float, weights: Float, markings: MarkingModes | None) -> Solution | None:
         data = values.reshape(shape), weights.reshape(shape)
         return Columns(layout, matrix, prior, *data, markings, None if markings is None else known).solve()
 
     first = np.zeros(len(shapes)) if start is None else start
     total = variances.total(first)
     weights = np.divide(certain, total, out=np.zeros(certain.size), where=certain & (total > 0.0))
-    solution = solved(measured.values, weights, markings if approach else None)
+    solution = solve(measured.values, weights, markings if approach else None)
     if solution is None:
         return None
     sample = measured.certain()
@@ -171,8 +171,8 @@ def robust_fit(
     for _ in range(_REWEIGHTINGS if start is None else 1):
         if not approach:
             errors = model_errors(solution.residuals.ravel()[certain], sample, errors, clip_sigma=clip_sigma)
-        values, weights = measured.explained(solution.model.ravel(), variances.total(errors), clip_sigma)
-        solution = solved(values, weights, markings)
+        values, weights = measured.reweight(solution.model.ravel(), variances.total(errors), clip_sigma)
+        solution = solve(values, weights, markings)
         if solution is None:
             return None
     noise, error = noise + errors[0] * shapes[0], errors[1:] @ shapes[1:]
@@ -232,7 +232,7 @@ class LinearFit(Solution):
         """
         columns = self.columns
         scores = columns.projected * (columns.weights * error)
-        return columns.propagate(_correlated(scores, length_px / math.sqrt(2.0)))
+        return columns.propagate(_compute_covariance(scores, length_px / math.sqrt(2.0)))
 
     def full_covariance(self, error: Float, *, of_noise: Float, blur_px: float, block_px: int) -> Float:
         """Covariance of the parameters from noise and from correlated errors of the model.
@@ -250,10 +250,10 @@ class LinearFit(Solution):
         """
         columns, weights = self.columns, self.columns.weights
         length_px = _correlation_length_px(self.residuals, weights, error, blur_px, block_px)
-        correlated = _correlated(columns.projected * (weights * np.sqrt(error)), length_px)
+        correlated = _compute_covariance(columns.projected * (weights * np.sqrt(error)), length_px)
         absorbed = float(np.vdot(np.linalg.inv(columns.information), correlated))
         if columns.eliminated is not None and columns.markings is not None:
-            absorbed += columns.eliminated.absorbed(columns.markings, weights**2 * error, length_px)
+            absorbed += columns.eliminated.find_absorbed_squares(columns.markings, weights**2 * error, length_px)
         whole = float(np.vdot(weights, error))
         scale = whole / max(whole - absorbed, _LEAST_LEFT * whole, 1e-300)
         sandwich = of_noise + columns.propagate(scale * correlated)
@@ -321,7 +321,7 @@ def _correlation_length_px(residuals: Float, weights: Float, error: Float, least
     return float(np.clip((total + 0.5) / math.sqrt(math.pi), least_px, max(most_px, least_px)))
 
 
-def _correlated(scores: Float, length_px: float) -> Float:
+def _compute_covariance(scores: Float, length_px: float) -> Float:
     """Covariance (k, k) of the sum of scores (k, h, w), correlated as in :meth:`LinearFit.full_covariance`.
 
     For long correlation lengths scores are first summed over small blocks.

@@ -26,7 +26,7 @@ from giantlike.relative.judge import SHORT_ARC_SHARE, Facts
 from giantlike.relative.place import limb_in_frame, position_of_center
 from giantlike.relative.response import MOST_BEND
 from giantlike.relative.template.align import align_template
-from giantlike.relative.template.binning import Blocks, blocks_of
+from giantlike.relative.template.binning import Blocks, make_blocks
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
 from giantlike.relative.template.moved_body import MovedBody
 from giantlike.relative.template.rendering import (
@@ -35,7 +35,7 @@ from giantlike.relative.template.rendering import (
     UNKNOWN_BLUR_SIGMA_PX2,
     TemplateRenderer,
     contrasting_laws,
-    placed,
+    place_template,
 )
 from giantlike.relative.template.state import Synthesis, TemplateState
 from giantlike.scene import TargetGeometry
@@ -183,20 +183,20 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         if altitude_km:
             inputs = replace(inputs, corrections=inputs.corrections | Corrections(limb_altitude_km=altitude_km))
         response, smear = inputs.corrections.response, inputs.corrections.smear
-        inputs = inputs if response is None else inputs.linearized(response)
-        blocks, match = self._matched(inputs, response, smear)
+        inputs = inputs if response is None else inputs.linearize(response)
+        blocks, match = self._match_template(inputs, response, smear)
         if isinstance(match, Failure):
             return match
         if not inputs.place_alone:
-            inputs, blocks, match = self._completed(inputs, blocks, match)
+            inputs, blocks, match = self._add_effects(inputs, blocks, match)
         declared = inputs.geometry.limb_altitude_km[1] > 0.0
         if declared or match.fit.chance("haze") > 0.5:
             sigma_km = match.fit.altitude_sigma * inputs.geometry.seen_body().shape.mean_radius_km
             inputs = replace(inputs, corrections=inputs.corrections | Corrections(altitude_sigma_km=sigma_km))
-        fix = _fix(inputs, blocks, replace(match, fit=blocks.unbinned(match.fit)), self.options)
+        fix = _fix(inputs, blocks, replace(match, fit=blocks.unbin(match.fit)), self.options)
         return fix if isinstance(fix, Failure) else Solved(fix, _response_of(inputs.geometry, blocks, match, fix))
 
-    def _completed(
+    def _add_effects(
         self, inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch
     ) -> tuple[EstimatorInputs, Blocks, TemplateMatch]:
         """Add effects that are more probable than not to the model, as long as the likelihood increases.
@@ -204,7 +204,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         The shift of the position by an effect, times the probability of the rejected model, is an error.
         """
         independent = match.fit.independent
-        tries = (self._straightened, independent.of_surface), (self._smeared, independent.of_edges)
+        tries = (self._fit_linearized, independent.of_surface), (self._fit_smeared, independent.of_edges)
         for with_effect, parts in tries:
             again = with_effect(inputs, blocks, match)
             if again is None:
@@ -218,11 +218,11 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             match = replace(match, fit=replace(match.fit, parts={**match.fit.parts, Cause.REFLECTANCE: total}))
         return inputs, blocks, match
 
-    def _matched(
+    def _match_template(
         self, inputs: EstimatorInputs, response: Response | None = None, smear: Smear | None = None
     ) -> tuple[Blocks, TemplateMatch | Failure]:
         """Match the template to the image of some inputs, averaged over blocks."""
-        blocks = blocks_of(inputs)
+        blocks = make_blocks(inputs)
         body = inputs.geometry.seen_body()
         renderer = TemplateRenderer(
             target=body,
@@ -231,7 +231,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             airless=inputs.geometry.target.airless,
         )
         match = match_template(
-            blocks.pixels if response is None else _straight(blocks.pixels, response),
+            blocks.pixels if response is None else _linearize_pixels(blocks.pixels, response),
             blocks.good,
             renderer,
             psf_known=inputs.psf_sigma_px is not None,
@@ -243,7 +243,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         )
         return blocks, match
 
-    def _straightened(
+    def _fit_linearized(
         self, inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch
     ) -> tuple[EstimatorInputs, Blocks, TemplateMatch] | None:
         """Fit linearized values; None where a nonlinear response is improbable."""
@@ -253,9 +253,9 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         for _ in range(_ROUNDS):
             response = match.fit.response
             response = replace(response, bend=min(max(response.bend, 0.0), MOST_BEND))
-            straight = inputs.linearized(response)
-            blocks = blocks_of(straight)
-            again = match.fitted(_straight(blocks.pixels, response), response=response)
+            straight = inputs.linearize(response)
+            blocks = make_blocks(straight)
+            again = match.refit(_linearize_pixels(blocks.pixels, response), response=response)
             if isinstance(again, Failure):
                 return None
             match = again
@@ -263,20 +263,20 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
                 break
         return straight, blocks, match
 
-    def _smeared(
+    def _fit_smeared(
         self, inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch
     ) -> tuple[EstimatorInputs, Blocks, TemplateMatch] | None:
         """Fit with a smeared template; None where a smear is improbable."""
         if match.fit.chance("smear") < 0.5:
             return None
-        again = match.fitted(blocks.pixels, smear=match.fit.smear)
+        again = match.refit(blocks.pixels, smear=match.fit.smear)
         if isinstance(again, Failure):
             return None
         moved = Corrections(smear=again.fit.smear.on_blocks(1.0 / blocks.size))
         return replace(inputs, corrections=inputs.corrections | moved), blocks, again
 
 
-def _straight(pixels: BoxPixels, response: Response) -> BoxPixels:
+def _linearize_pixels(pixels: BoxPixels, response: Response) -> BoxPixels:
     """Linearized pixels, their noise variance scaled by the squared slope of the response."""
     noise = pixels.noise_variance_dn2
 
@@ -308,7 +308,7 @@ class TemplateMatch(Value):
         change_dn = float(fit.signal_dn.sum()) / max(float(light.sum()), 1e-300) * (other - light)
         return np.asarray(-np.tensordot(fit.columns.gain("center", "range"), change_dn, 2))
 
-    def fitted(
+    def refit(
         self, image: BoxPixels, *, response: Response | None = None, smear: Smear | None = None
     ) -> TemplateMatch | Failure:
         """Return the match with a response or a smear estimated in addition."""
@@ -332,14 +332,14 @@ def match_template(
 ) -> TemplateMatch | Failure:
     """Find a body in an image by correlation with its template, and fit the template to the pixels."""
     radius_px = renderer.radius_px
-    located = _located(image, good, renderer, options)
+    located = _locate(image, good, renderer, options)
     if isinstance(located, Failure):
         return located
     start, template, peak = located.traced.state, located.template, located.peak
     shift = np.rint(peak.offset_px).astype(np.int64)
     low, high = _lit_part(template)
     box = renderer.box(low + shift, high + shift, _BOX_MARGIN_PX + math.ceil(_BOX_MARGIN * radius_px))
-    pixels, light = image.cut(box), placed(template, box, shift)
+    pixels, light = image.cut(box), place_template(template, box, shift)
     within = box.cut(np.ones_like(good))
     if not float(light[within].sum()) > 0.0:
         return Failure(Reason.OUT_OF_FRAME, "the best correlation lies outside the frame")
@@ -351,7 +351,7 @@ def match_template(
     if radius_px >= _ALIGN_RADIUS_PX:
         rendered = replace(state, center_px=template.center_px + shift)
         other = located.trace.with_reflectance(contrasting_laws(renderer.target.reflectance)[0]).template()
-        lights = [light] if isinstance(other, Failure) else [light, placed(other, box, shift)]
+        lights = [light] if isinstance(other, Failure) else [light, place_template(other, box, shift)]
         state = align_template(pixels, lights, rendered, state, radius_px=radius_px)
         scale = math.exp(rendered.log_range - state.log_range)
         low, high = (state.center_px + scale * (end - template.center_px) for end in (low, high))
@@ -392,23 +392,23 @@ class _Located(Value):
     peak: CorrelationPeak
 
 
-def _located(
+def _locate(
     image: BoxPixels, good: Mask, renderer: TemplateRenderer, options: CrossCorrelationOptions
 ) -> _Located | Failure:
     """Find the template within the declared search or, failing that, the best match in a wider region."""
-    found = _correlated(image, good, renderer, renderer.start, options.search_px, options.min_score)
+    found = _correlate(image, good, renderer, renderer.start, options.search_px, options.min_score)
     if not isinstance(found, Failure) or found.reason not in _SEARCHED_WIDER:
         return found
     wider_px = min(round(_WIDER * options.search_px), _WIDEST_PX)
     tried = [
-        _correlated(image, good, renderer, replace(renderer.start, log_range=log_range), wider_px, options.min_score)
+        _correlate(image, good, renderer, replace(renderer.start, log_range=log_range), wider_px, options.min_score)
         for log_range in _WIDER_LOG_RANGES
     ]
     wide = [one for one in tried if not isinstance(one, Failure)]
     return max(wide, key=lambda one: one.peak.score) if wide else found
 
 
-def _correlated(
+def _correlate(
     image: BoxPixels, good: Mask, renderer: TemplateRenderer, state: TemplateState, search_px: int, min_score: float
 ) -> _Located | Failure:
     """Find the template of a state by correlation, clipped like the image."""
@@ -439,7 +439,7 @@ def _fit_options(
     return TemplateFitOptions(
         max_iterations=options.max_iterations,
         clip_sigma=options.clip_sigma,
-        log_range_sigma=math.inf if _scaled(options, radius_px) else options.range_sigma,
+        log_range_sigma=math.inf if _is_range_estimated(options, radius_px) else options.range_sigma,
         blur_sigma_px2=(KNOWN_BLUR_SIGMA_PX2 if psf_known else UNKNOWN_BLUR_SIGMA_PX2) / block_px**2,
         relief_sigma=options.relief_sigma,
         relief_length_px=options.relief_length_rad * radius_px,
@@ -447,7 +447,7 @@ def _fit_options(
     )
 
 
-def _scaled(options: CrossCorrelationOptions, radius_px: float) -> bool:
+def _is_range_estimated(options: CrossCorrelationOptions, radius_px: float) -> bool:
     """Return True if the range is estimated."""
     wide = 2.0 * radius_px >= options.min_scale_diameter_px
     return wide if options.estimate_scale is None else options.estimate_scale
@@ -472,7 +472,7 @@ def _fix(
         flags=_flags(inputs, blocks, match, lit, options),
         parts={cause: part[:2, :2] for cause, part in fit.parts.items()},
     )
-    if not _scaled(options, inputs.radius_px):
+    if not _is_range_estimated(options, inputs.radius_px):
         return center
     range_km = inputs.geometry.range_km * math.exp(fit.state.log_range)
     position, covariance = position_of_center(model, fit.state.center_px, range_km, fit.covariance)

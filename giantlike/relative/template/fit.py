@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require
-from giantlike.core.causes import Cause, summed
+from giantlike.core.causes import Cause, sum_parts
 from giantlike.core.findings import Response, Smear
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
@@ -179,12 +179,12 @@ class TemplateFit(Value):
     @property
     def covariance(self) -> Float:
         """Covariance (3, 3) of x and y in px and of the logarithm of the range, from all causes."""
-        return summed(self.parts)
+        return sum_parts(self.parts)
 
     @property
     def noise_covariance(self) -> Float:
         """Part of the covariance by detector noise, with all parameters estimated along with the geometry."""
-        return summed(self.parts, _OF_NOISE)
+        return sum_parts(self.parts, _OF_NOISE)
 
 
 def fit_template(
@@ -233,8 +233,8 @@ def fit_template(
             )
             errors, objective = np.array([sigma_dn**2, 0.0, 0.0]), problem.objective(markings, sigma_dn)
         if last is not None and last.motion_px > _ROUGH_STEP_PX and objective > last.objective:
-            last = last.shortened(_RETREAT)
-            trial = last.stepped()
+            last = last.shorten(_RETREAT)
+            trial = last.take_step()
             continue
         prior = _prior(trial, start, problem, options)
         last_render = iteration == options.max_iterations
@@ -249,8 +249,8 @@ def fit_template(
             flicker = solved["center", "range"] * (0.0 if settled else 1.0)
             return solved.result(flicker, iteration, options)
         if iteration > _DAMPED_AFTER or (last is not None and solved.returns(last)):
-            solved = solved.shortened(0.5)
-        trial, fine, last = solved.stepped(), fine or solved.motion_px < _ROUGH_STEP_PX, solved
+            solved = solved.shorten(0.5)
+        trial, fine, last = solved.take_step(), fine or solved.motion_px < _ROUGH_STEP_PX, solved
     return Failure(Reason.NOT_CONVERGED, f"still moving by {moved_px:.2f} px after {options.max_iterations} renders")
 
 
@@ -302,7 +302,7 @@ class _SolvedStep:
         return max(float(np.hypot(x, y)), abs(float(growth)) * self.problem.reach_px, _BLUR_MOVES * self._blurred_px2)
 
     @property
-    def _smeared(self) -> Smear | None:
+    def _next_smear(self) -> Smear | None:
         """Smear after the step, which adds a limited variance or at most doubles its width."""
         known = self.state.smear
         if known is None:
@@ -322,9 +322,9 @@ class _SolvedStep:
     @property
     def _blurred_px2(self) -> float:
         """Change of the variance of the point spread function or of a smear, px^2."""
-        known, smear, smeared = self.state.psf_variance_px2, self.state.smear, self._smeared
+        known, smear, smeared = self.state.psf_variance_px2, self.state.smear, self._next_smear
         blurred_px2 = abs(float(np.clip(known + self._blur_step_px2, 0.0, _MAX_PSF_VARIANCE_PX2)) - known)
-        return blurred_px2 if smear is None or smeared is None else max(blurred_px2, smeared.less(smear).size_px2)
+        return blurred_px2 if smear is None or smeared is None else max(blurred_px2, smeared.subtract(smear).size_px2)
 
     def returns(self, last: _SolvedStep) -> bool:
         """Return True if the step reverses most of the last one: renders flicker, or the step was too long."""
@@ -332,11 +332,11 @@ class _SolvedStep:
         one, two = scale * self._place, scale * last._place
         return float(one @ two) < -0.5 * float(two @ two)
 
-    def shortened(self, share: float) -> _SolvedStep:
+    def shorten(self, share: float) -> _SolvedStep:
         """Return the problem with a shorter step."""
         return replace(self, share=share * self.share)
 
-    def stepped(self) -> TemplateState:
+    def take_step(self) -> TemplateState:
         """State after the step, limited by the motion of the image, with center and range scaled alike."""
         state, step = self.state, self._place
         longest = min(
@@ -349,17 +349,17 @@ class _SolvedStep:
             center_px=state.center_px + np.array([x, y]),
             log_range=state.log_range + growth,
             psf_variance_px2=float(np.clip(state.psf_variance_px2 + blur, 0.0, _MAX_PSF_VARIANCE_PX2)),
-            smear=self._smeared,
+            smear=self._next_smear,
         )
 
     def result(self, last_step: Float, iterations: int, options: TemplateFitOptions) -> TemplateFit:
         """The fit after its last step (3,)."""
-        problem, solution, state = self.problem, self.solution, self.stepped()
-        used = problem.offered & solution.kept
+        problem, solution, state = self.problem, self.solution, self.take_step()
+        used = problem.constraint_mask & solution.kept
         fit = LinearFit(solution.solution.columns, solution.parameters)
         columns, values, noise, error = fit.columns, fit.columns.data, solution.noise, solution.error
         signal = fit.model - np.tensordot(fit["background"], columns["background"], 1)
-        independent = IndependentParts.of(int(np.count_nonzero(used)), options.radius_px, self._blur_px)
+        independent = IndependentParts.from_size(int(np.count_nonzero(used)), options.radius_px, self._blur_px)
         response = self._response(fit, options.response)
         left_out = undeclared_effects(fit, self._left_out(fit, response, independent, options))
         smear = state.smear
@@ -372,11 +372,13 @@ class _SolvedStep:
         options = replace(options, altitude_sigma=altitude_sigma)
         parts = self._parts(fit, (noise, error), left_out, options)
         parts[Cause.NOISE] = parts[Cause.NOISE] + np.outer(last_step, last_step)
-        n_rejected = int(np.count_nonzero(problem.offered & ~solution.kept))
-        clipped = n_rejected / max(int(np.count_nonzero(problem.offered)), 1)
-        log_variance = float(np.mean(np.log((noise + error)[problem.offered]))) + options.clip_sigma**2 * clipped
+        n_rejected = int(np.count_nonzero(problem.constraint_mask & ~solution.kept))
+        clipped = n_rejected / max(int(np.count_nonzero(problem.constraint_mask)), 1)
+        log_variance = (
+            float(np.mean(np.log((noise + error)[problem.constraint_mask]))) + options.clip_sigma**2 * clipped
+        )
         if options.response is not None:
-            slopes = options.response.slope_at(fit.model[problem.offered])
+            slopes = options.response.slope_at(fit.model[problem.constraint_mask])
             log_variance -= 2.0 * float(np.mean(np.log(np.maximum(slopes, 1e-9))))
         return TemplateFit(
             state=state,
@@ -419,9 +421,9 @@ class _SolvedStep:
             blocks[law] = surface
         if options.complete:
             return blocks
-        blocks[_block("strain", Cause.RELIEF, problem.by_strain(self.state), 3 * [_STRAIN_SIGMA])] = surface
+        blocks[_block("strain", Cause.RELIEF, problem.d_dstrain(self.state), 3 * [_STRAIN_SIGMA])] = surface
         if self.state.smear is None:
-            blocks[_block("smear", Cause.PSF, np.stack(problem.by_smear()), 2 * [options.smear_sigma_px2])] = edges
+            blocks[_block("smear", Cause.PSF, np.stack(problem.d_dsmear()), 2 * [options.smear_sigma_px2])] = edges
         if options.response is None:
             bend = -response.changes_dn(fit.model)[:1]
             blocks[_block("bend", Cause.REFLECTANCE, bend, [BEND_SIGMA])] = surface

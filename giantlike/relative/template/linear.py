@@ -86,7 +86,7 @@ class LinearProblem:
         total = float(images.light.sum())
         differences = [_difference(other, images.light) for other in images.others]
         widths = _WING_WIDTHS if images.winged else ()
-        differences += [_winged(images.light, state.psf_variance_px2, width) - images.light for width in widths]
+        differences += [_add_wings(images.light, state.psf_variance_px2, width) - images.light for width in widths]
         self.untried = None if images.untried is None else _difference(images.untried, images.light)
         self.layout = layout_of(
             laws=len(images.others),
@@ -97,7 +97,7 @@ class LinearProblem:
         self.matrix = np.empty((self.layout.count, *images.light.shape))
         seen = np.stack((images.light, *_background(images.light.shape), *differences), out=self["gain", "wings"])
         if photometry is None:
-            photometry = unweighted(self["gain", "background"], pixels)
+            photometry = fit_unweighted(self["gain", "background"], pixels)
         photometry = np.pad(photometry, (0, len(seen) - len(photometry)))  # of wings, after a render without
         known = self.layout.vector({})
         known[self.layout.span("gain", "wings")] = photometry
@@ -108,7 +108,10 @@ class LinearProblem:
         split = np.stack([known - under, under])[:, self.layout.span("gain", "wings")]
         self.signal, background = np.tensordot(split, seen, 1)
         self.model = self.signal + background
-        seen_dn, offered = np.where(self.offered, pixels.values_dn - background, 0.0), self.signal[self.offered]
+        seen_dn, offered = (
+            np.where(self.constraint_mask, pixels.values_dn - background, 0.0),
+            self.signal[self.constraint_mask],
+        )
         self._shown = float(np.vdot(seen_dn, self.signal)) / max(float(offered @ offered), 1e-300)
         self._center = state.center_px - np.array(pixels.corner_px)
         if response is not None:
@@ -128,10 +131,10 @@ class LinearProblem:
         else:
             moved[:] = 0.0
         if images.derivatives is None or wings.any():  # wings are wide enough for differences of pixels
-            moved += _by_differences(by_differences, x, y, spread)
+            moved += _differentiate(by_differences, x, y, spread)
         by_x, by_y = self["center"]
         self._slope2 = by_x**2 + by_y**2
-        self._slope_moments = _moments(np.where(self.offered, self._slope2, 0.0), x, y[:, 0])
+        self._slope_moments = _moments(np.where(self.constraint_mask, self._slope2, 0.0), x, y[:, 0])
         self.reach_px = math.sqrt(_moments(images.light, x, y[:, 0])[3] / total)
 
     def __getitem__(self, effects: str | tuple[str, str]) -> Float:
@@ -152,7 +155,7 @@ class LinearProblem:
         return MarkingModes.across(self._shown * self.signal, self._center, radius_px)
 
     @property
-    def offered(self) -> Mask:
+    def constraint_mask(self) -> Mask:
         """Pixels (h, w) that constrain the model: usable ones, and those known to be at least so bright."""
         pixels = self.pixels
         return pixels.usable if pixels.censored is None else pixels.usable | pixels.censored
@@ -176,7 +179,7 @@ class LinearProblem:
         squares = (x**2 + y**2) * total - 2.0 * growth * (x * by_x + y * by_y) + growth**2 * by_square
         return math.sqrt(max(float(squares), 0.0) / max(total, 1e-300))
 
-    def by_strain(self, state: TemplateState) -> Float:
+    def d_dstrain(self, state: TemplateState) -> Float:
         """Change of the model (3, h, w) by a strain about its center.
 
         Shear along rows and along columns, and stretch along rows with shrinking along columns.
@@ -186,25 +189,25 @@ class LinearProblem:
         by_x, by_y = self["center"]
         return np.stack([by_x * y, by_y * x, by_x * x - by_y * y])
 
-    def by_smear(self) -> tuple[Float, Float]:
+    def d_dsmear(self) -> tuple[Float, Float]:
         """Change of the model (h, w) by the two variances of a short smear, without its isotropic part."""
-        along, across = (_filtered(self.signal, *each) for each in (_TWICE_ALONG_X, _TWICE_ALONG_Y))
-        return 0.5 * (along - across), _filtered(self.signal, _FIRST_DERIVATIVE, _FIRST_DERIVATIVE)
+        along, across = (_filter(self.signal, *each) for each in (_TWICE_ALONG_X, _TWICE_ALONG_Y))
+        return 0.5 * (along - across), _filter(self.signal, _FIRST_DERIVATIVE, _FIRST_DERIVATIVE)
 
     def veils(self) -> Float | None:
         """Haze templates (3, h, w) for :func:`~giantlike.relative.template.haze.haze_altitude`, if any."""
         if self.veiled is None:
             return None
         taken, sent, even = self.veiled()
-        _, _, by_log_range, _ = _by_differences(even, *self._from_center)
+        _, _, by_log_range, _ = _differentiate(even, *self._from_center)
         return np.stack([taken, sent, by_log_range])
 
     def misfit_dn2(self) -> float:
         """Mean square of image minus model, with the best-fitting brightness."""
         use = self._short
-        basis, values = _chosen(self["gain", "smear"], use), self.pixels.values_dn[use]
+        basis, values = _select_pixels(self["gain", "smear"], use), self.pixels.values_dn[use]
         found = np.linalg.lstsq(basis @ basis.T, basis @ values, rcond=None)[0]
-        return float(np.sum((values - found @ basis) ** 2)) / max(int(np.count_nonzero(self.offered)), 1)
+        return float(np.sum((values - found @ basis) ** 2)) / max(int(np.count_nonzero(self.constraint_mask)), 1)
 
     def objective(self, markings: MarkingModes, sigma_dn: float) -> float:
         """Squared residuals divided by a variance, plus priors, with best-fitting brightness, laws and markings.
@@ -218,7 +221,7 @@ class LinearProblem:
             self.layout.part(first, last),
             self.matrix[span],
             Prior(prior.mean[span], prior.information[span]),
-            np.where(self.offered, self.pixels.values_dn, 0.0),
+            np.where(self.constraint_mask, self.pixels.values_dn, 0.0),
             self._short / variance,
             markings,
             markings.first_variances,
@@ -229,7 +232,7 @@ class LinearProblem:
     def plain_step(self, longest_px: float) -> Float:
         """Unweighted step (3,) in x, y and logarithm of the range, brightness free, not longer than ``longest_px``."""
         basis = np.concatenate([self["center", "range"], self["gain", "laws"]])
-        step = unweighted(basis, replace(self.pixels, usable=self._short))[self.layout.span("center", "range")]
+        step = fit_unweighted(basis, replace(self.pixels, usable=self._short))[self.layout.span("center", "range")]
         x, y, growth = step.tolist()
         length_px = max(float(np.hypot(x, y)), abs(growth) * self.reach_px, 1e-12)
         return np.asarray(step * min(1.0, longest_px / length_px))
@@ -252,7 +255,7 @@ class LinearProblem:
         """Weighted least squares, with variances of model errors estimated from the residuals or, at first, given."""
         pixels, signal = self.pixels, self.signal.ravel()
         shapes = np.stack([np.ones(signal.size), self._slope2.ravel(), signal**2])
-        offered = self.offered.ravel()
+        offered = self.constraint_mask.ravel()
         measured = Measured(
             np.where(offered, pixels.values_dn.ravel(), 0.0),
             offered,
@@ -276,16 +279,16 @@ class LinearProblem:
         return fit
 
 
-def unweighted(basis: Float, pixels: BoxPixels) -> Float:
+def fit_unweighted(basis: Float, pixels: BoxPixels) -> Float:
     """Plain least squares. ``basis`` (k, h, w); returns (k,)."""
-    rows, values = _chosen(basis, pixels.usable), pixels.values_dn[pixels.usable]
+    rows, values = _select_pixels(basis, pixels.usable), pixels.values_dn[pixels.usable]
     normal = rows @ rows.T
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = np.linalg.lstsq(normal / np.outer(scale, scale), rows @ values / scale, rcond=None)[0]
     return np.asarray(scaled / scale, dtype=np.float64)
 
 
-def _chosen(images: Float, use: Mask) -> Float:
+def _select_pixels(images: Float, use: Mask) -> Float:
     """Values (k, n) of images (k, h, w) where ``use`` (h, w) is True; no copy if it is True everywhere."""
     return images.reshape(len(images), -1) if use.all() else images[:, use]
 
@@ -295,7 +298,7 @@ def _difference(other: Float, light: Float) -> Float:
     return np.asarray(other * (float(light.sum()) / max(float(other.sum()), 1e-300)) - light)
 
 
-def _winged(light: Float, psf_variance_px2: float, width: float) -> Float:
+def _add_wings(light: Float, psf_variance_px2: float, width: float) -> Float:
     """Light (h, w) convolved with the wings of the point spread function; the box is extended by its edge."""
     sigma_px = width * math.sqrt(max(psf_variance_px2, PIXEL_VARIANCE_PX2))
     return np.asarray(cv2.GaussianBlur(light, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), np.float64)
@@ -314,7 +317,7 @@ def _moments(weights: Float, x: Float, y: Float) -> tuple[float, float, float, f
     return float(by_row.sum()), float(by_column @ x), float(by_row @ y), squares
 
 
-def _by_differences(image: Float, x: Float, y: Float, spread: float) -> Float:
+def _differentiate(image: Float, x: Float, y: Float, spread: float) -> Float:
     """Derivatives (4, h, w) of an image at x (w,) and y (h, 1) from its center, by center, log range and blur.
 
     ``spread`` is the variance of the blur, px^2, which does not grow with the body.
@@ -325,11 +328,11 @@ def _by_differences(image: Float, x: Float, y: Float, spread: float) -> Float:
 
 def _derivatives(image: Float) -> tuple[Float, Float, Float]:
     """Slopes along x and y and the Laplacian (h, w), by differences of sixth order."""
-    curvature: Float = _filtered(image, *_TWICE_ALONG_X) + _filtered(image, *_TWICE_ALONG_Y)
-    return _filtered(image, _FIRST_DERIVATIVE, _AS_IT_IS), _filtered(image, _AS_IT_IS, _FIRST_DERIVATIVE), curvature
+    curvature: Float = _filter(image, *_TWICE_ALONG_X) + _filter(image, *_TWICE_ALONG_Y)
+    return _filter(image, _FIRST_DERIVATIVE, _AS_IT_IS), _filter(image, _AS_IT_IS, _FIRST_DERIVATIVE), curvature
 
 
-def _filtered(image: Float, along_x: Float, along_y: Float) -> Float:
+def _filter(image: Float, along_x: Float, along_y: Float) -> Float:
     """Image (h, w) after a filter along x and one along y."""
     filtered = cv2.sepFilter2D(image, cv2.CV_64F, along_x, along_y, borderType=cv2.BORDER_REPLICATE)
     return filtered.astype(np.float64, copy=False)

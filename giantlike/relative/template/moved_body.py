@@ -16,7 +16,7 @@ from giantlike.ray_tracing import Reflectance, Trace
 from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.refined import RefinedTrace
 from giantlike.ray_tracing.sampling import AxisCells
-from giantlike.relative.template.spread_parts import banded, spread
+from giantlike.relative.template.spread_parts import spread, spread_along_axis
 from giantlike.relative.template.state import TemplateState
 
 _LEAST_BLUR_PX = 1e-3
@@ -64,7 +64,7 @@ class MovedBody(Value):
             scale=math.exp(self.state.log_range - state.log_range),
         )
 
-    def shaded(self, laws: tuple[Reflectance, ...]) -> ShadedRays:
+    def shade(self, laws: tuple[Reflectance, ...]) -> ShadedRays:
         """Light that the rays bring."""
         trace, (x, y) = self.trace, self.trace.cells
         cells = np.empty((x.count, len(laws), y.count))
@@ -114,7 +114,7 @@ class _Shares:
 
     def lights(self, light: Float) -> Float:
         """Light (m, k) of that (n, k) of cells."""
-        return np.asarray(banded(self.values[:1], self.first, light)[0])
+        return np.asarray(spread_along_axis(self.values[:1], self.first, light)[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ class _Columns:
 
     def with_derivatives(self, light: Float) -> Float:
         """Light (rows, 4, w) of that (columns, rows) of cells, and derivatives by center, log range and variance."""
-        return np.ascontiguousarray(banded(self.shares.values, self.shares.first, light).transpose(2, 0, 1))
+        return np.ascontiguousarray(spread_along_axis(self.shares.values, self.shares.first, light).transpose(2, 0, 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +186,7 @@ class _Grid:
         width = columns.shape[2]
         by_x, by_log_range, by_variance = np.split(self.down.lights(columns[:, 1:].reshape(-1, 3 * width)), 3, axis=1)
         shares = self.down.values[1:]
-        by_y, down_by_log_range, down_by_variance = banded(shares, self.down.first, columns[:, 0].copy())
+        by_y, down_by_log_range, down_by_variance = spread_along_axis(shares, self.down.first, columns[:, 0].copy())
         return np.stack([by_x, by_y, by_log_range + down_by_log_range, by_variance + down_by_variance])
 
 

@@ -149,7 +149,7 @@ class TemplateRenderer(Value):
     def light(self, box: PixelBox, state: TemplateState) -> Float | Failure:
         """Brightness (h, w) in a box."""
         law = self.target.reflectance
-        made = self._traced(state, (law,), fine=True, daylight=None)
+        made = self._trace(state, (law,), fine=True, daylight=None)
         return made if isinstance(made, Failure) else made[0].lights(box, state, made[1])[0][0]
 
     def sampling(self, margin_px: int, *, spacing: float = 1.0, min_rays: int = 1) -> RenderOptions:
@@ -168,7 +168,7 @@ class TemplateRenderer(Value):
     def box(self, low_px: Float, high_px: Float, margin_px: int) -> PixelBox:
         """Return the box from pixel ``low_px`` (2,) to ``high_px`` (2,) and a margin, limited to what can be fitted."""
         box = PixelBox.spanning(low_px, high_px, margin_px)
-        return box.limited(self.plane.columns, self.plane.rows, FIT_BORDER_PX)
+        return box.clip(self.plane.columns, self.plane.rows, FIT_BORDER_PX)
 
     def synthesis(
         self, box: PixelBox, *, other_law: bool, most_laws: int | None = None, traced: MovedBody | None = None
@@ -192,35 +192,35 @@ class TemplateRenderer(Value):
         few = laws[: 2 if air is None else 3]
         kept: dict[bool, tuple[MovedBody, ShadedRays]] = {}
         if traced is not None:
-            kept[False] = traced, traced.shaded(few)
+            kept[False] = traced, traced.shade(few)
 
         def images(state: TemplateState, fine: bool) -> TemplateImages | Failure:
             fine = fine and not small
             untried, mixed = fine and other_law, every if fine else few
             if fine not in kept or not self._near(kept[fine][0].state, state, fine=fine or small):
                 known = self._daylight(kept[False][0], state) if False in kept and not small else None
-                made = self._traced(state, (*mixed, _UNTRIED_LAW) if untried else mixed, fine=fine, daylight=known)
+                made = self._trace(state, (*mixed, _UNTRIED_LAW) if untried else mixed, fine=fine, daylight=known)
                 if isinstance(made, Failure):
                     return made
                 kept[fine] = made
             body, rays = kept[fine]
             lights, derivatives = body.lights(box, state, rays)
 
-            def veiled() -> Float:
-                return body.lights(box, state, body.shaded(haze_laws(laws[0])))[0]
+            def render_veil() -> Float:
+                return body.lights(box, state, body.shade(haze_laws(laws[0])))[0]
 
             return TemplateImages(
                 light=lights[0],
                 others=list(lights[1 : len(mixed)]),
                 winged=fine,
                 untried=lights[-1] if untried else None,
-                veiled=veiled if untried and airy else None,
+                veiled=render_veil if untried and airy else None,
                 derivatives=derivatives,
             )
 
         return images
 
-    def _traced(
+    def _trace(
         self, state: TemplateState, laws: tuple[Reflectance, ...], *, fine: bool, daylight: Daylight | None
     ) -> tuple[MovedBody, ShadedRays] | Failure:
         """Trace the body at a state, and shade it under some laws."""
@@ -235,7 +235,7 @@ class TemplateRenderer(Value):
             return Failure(Reason.NOT_LIT, "no part of the body that the camera sees is lit by the Sun")
         parts = _SMOOTH_PARTS if isinstance(self.target.shape, Ellipsoid) else _PARTS
         body = MovedBody(trace=refined(trace, parts) if fine else trace, state=state)
-        return body, body.shaded(laws)
+        return body, body.shade(laws)
 
     def _daylight(self, rough: MovedBody, state: TemplateState) -> Daylight | None:
         """Light and dark parts of the body at a state; None where the perspective of a rough trace differs."""
@@ -274,7 +274,7 @@ def _law_of_phase(law: Reflectance) -> Reflectance:
     return LommelSeeliger() if isinstance(law, McEwen) else McEwen()
 
 
-def placed(template: Template, box: PixelBox, shift_px: NDArray[np.int64] | None = None) -> Float:
+def place_template(template: Template, box: PixelBox, shift_px: NDArray[np.int64] | None = None) -> Float:
     """Return the light (h, w) of a template, shifted by whole pixels (2,), in a box; zero around it."""
     x, y = template.corner_px if shift_px is None else template.corner_px + shift_px
     return box.cut(template.brightness, (int(x), int(y)))

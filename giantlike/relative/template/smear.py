@@ -23,7 +23,7 @@ def smeared_renders(synthesize: Synthesis) -> Synthesis:
         if isinstance(made, Failure) or smear is None:
             return made
         seen = [made.light, *made.others, *([] if made.untried is None else [made.untried])]
-        light, *rest = smear.smeared(np.stack(seen))
+        light, *rest = smear.blur(np.stack(seen))
         others, last = rest[: len(made.others)], rest[len(made.others) :]
         sharp, veiled = made.derivatives, made.veiled
         return replace(
@@ -31,8 +31,8 @@ def smeared_renders(synthesize: Synthesis) -> Synthesis:
             light=light,
             others=others,
             untried=last[0] if last else None,
-            veiled=None if veiled is None else lambda: smear.smeared(veiled()),
-            derivatives=None if sharp is None else lambda weights: smear.smeared(sharp(weights)),
+            veiled=None if veiled is None else lambda: smear.blur(veiled()),
+            derivatives=None if sharp is None else lambda weights: smear.blur(sharp(weights)),
             by_smear=_changes(smear, made.light),
         )
 
@@ -43,7 +43,7 @@ def _changes(smear: Smear, image: Float) -> Float:
     """Derivatives (2, h, w) of an image (h, w), smeared, by both variances, from central differences."""
     step = _STEP * max(smear.size_px2, _STEP)
     high_x, low_x, high_y, low_y = (
-        replace(smear, straight_px2=smear.straight_px2 + x, oblique_px2=smear.oblique_px2 + y).smeared(image)
+        replace(smear, straight_px2=smear.straight_px2 + x, oblique_px2=smear.oblique_px2 + y).blur(image)
         for x, y in ((step, 0.0), (-step, 0.0), (0.0, step), (0.0, -step))
     )
     return np.stack([high_x - low_x, high_y - low_y]) / (2.0 * step)

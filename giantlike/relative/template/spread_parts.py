@@ -31,7 +31,7 @@ def spread(
 
 
 @compiled
-def banded(shares: Float, first: Indices, light: Float) -> Float:
+def spread_along_axis(shares: Float, first: Indices, light: Float) -> Float:
     """Sum the light of cells along one axis over pixels.
 
     ``shares`` (m, p, w); ``first`` (p,); ``light`` (n, k); returns (m, p, k).

@@ -64,7 +64,7 @@ Synthesis = Callable[[TemplateState, bool], TemplateImages | Failure]
 """Renders the body for a state into the fitted box; finely (True) at the end of the fit, roughly on the way."""
 
 
-def warped(light: Float, corner_px: tuple[int, int], rendered: TemplateState, to: TemplateState) -> Float:
+def warp(light: Float, corner_px: tuple[int, int], rendered: TemplateState, to: TemplateState) -> Float:
     """Move and scale a template to another state within the same box.
 
     ``light`` (h, w); ``corner_px``: column and row of its first element; returns (h, w).

@@ -60,7 +60,7 @@ class IndependentParts:
     of_edges: float
 
     @classmethod
-    def of(cls, n_used: int, radius_px: float, blur_px: float) -> IndependentParts:
+    def from_size(cls, n_used: int, radius_px: float, blur_px: float) -> IndependentParts:
         """Return them for a number of pixels, a body of a radius and a blur of a standard deviation."""
         side_px = max(PART_RADII * radius_px, 1.0) if np.isfinite(radius_px) else 1.0
         return cls(n_used / side_px**2, n_used / (side_px * min(max(_WIDTH * blur_px, 1.0), side_px)))

@@ -127,9 +127,9 @@ def second_light(scores: CellScores, light: Float, radius: float, blur: float) -
         if not gain[row, column] > 0.0:
             break
         at = rows[row, column], columns[row, column]
-        images.append(_shifted(light, *at))
+        images.append(_shift(light, *at))
         gain[np.hypot(rows - at[0], columns - at[1]) < 2.0] = 0.0
-    return _averaged(scores, images, _LIGHT_SIGMA, np.count_nonzero(allowed) / (math.pi * 2.0**2))
+    return _average_odds(scores, images, _LIGHT_SIGMA, np.count_nonzero(allowed) / (math.pi * 2.0**2))
 
 
 def shifted_lines(scores: CellScores, motion: Float, axis: int) -> float:
@@ -143,10 +143,10 @@ def shifted_lines(scores: CellScores, motion: Float, axis: int) -> float:
         return -math.inf
     beyond = np.arange(size) >= np.arange(told[0] + 1, told[-1] + 1)[:, None]
     images = motion * (beyond[:, :, None] if axis == 0 else beyond[:, None])
-    return _averaged(scores, images, _SHIFT_SIGMA, len(images))
+    return _average_odds(scores, images, _SHIFT_SIGMA, len(images))
 
 
-def _averaged(scores: CellScores, images: Sequence[Float] | Float, sigma: float, count: float) -> float:
+def _average_odds(scores: CellScores, images: Sequence[Float] | Float, sigma: float, count: float) -> float:
     """Logarithm of the mean odds over ``count`` images, of which those not given have odds of zero."""
     if not len(images):
         return -math.inf
@@ -155,7 +155,7 @@ def _averaged(scores: CellScores, images: Sequence[Float] | Float, sigma: float,
     return most + math.log(float(np.sum(np.exp(odds - most))) / max(count, len(odds)))
 
 
-def _shifted(light: Float, rows: int, columns: int) -> Float:
+def _shift(light: Float, rows: int, columns: int) -> Float:
     """Light (n, n) moved by whole cells, dark where it comes from outside."""
     moved, size = np.zeros_like(light), len(light)
     to = [slice(max(step, 0), min(size + step, size)) for step in (rows, columns)]

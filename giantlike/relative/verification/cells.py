@@ -89,7 +89,7 @@ class Cells(Value):
         middles = np.stack([columns + self.box.x, rows + self.box.y], axis=-1).astype(np.float64)
         return self.camera.model.unproject(middles)
 
-    def cropped(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
+    def crop(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
         """Return the part in :attr:`inner` of an array (n, n) of the whole region."""
         within = slice(self.room, self.box.width - self.room)
         return values[within, within]

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
-from giantlike.core.causes import IN_IMAGE, Cause, summed
+from giantlike.core.causes import IN_IMAGE, Cause, sum_parts
 from giantlike.core.findings import Smear
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.values import Value
@@ -53,7 +53,7 @@ _OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause not in (Cause.SHAPE_SCA
 """Causes of errors that a fix does not share with the coarse fit of the same shape."""
 
 
-def verified(
+def verify(
     fix: AnyFix,
     inputs: EstimatorInputs,
     search_px: float,
@@ -116,17 +116,17 @@ def tension_of(fix: CenterFix, fit: CoarseFit, *, psf_known: bool) -> float:
 
 def _inflation(difference: Float, covariance: Float) -> float:
     """Factor by which a covariance (k, k) is too small for a difference (k,)."""
-    return inflation(_squared(difference, covariance), len(difference))
+    return inflation(_squared_distance(difference, covariance), len(difference))
 
 
 def _own(fix: CenterFix) -> Float:
     """Covariance of center and logarithm of the range of a fix, without errors shared with the coarse fit."""
-    return summed(fix.parts, _OF_ITS_OWN) if fix.parts else fix.covariance_px2
+    return sum_parts(fix.parts, _OF_ITS_OWN) if fix.parts else fix.covariance_px2
 
 
 def chance_of(difference: Float, covariance: Float) -> float:
     """p-value of a difference under a covariance. ``difference`` (k,); ``covariance`` (k, k)."""
-    return _chance(_squared(difference, covariance), len(difference))
+    return _chance(_squared_distance(difference, covariance), len(difference))
 
 
 def _chance(squared: float, freedom: int) -> float:
@@ -136,7 +136,7 @@ def _chance(squared: float, freedom: int) -> float:
     return float(chdtrc(freedom, max(squared, 0.0)))
 
 
-def _squared(difference: Float, covariance: Float) -> float:
+def _squared_distance(difference: Float, covariance: Float) -> float:
     """Squared Mahalanobis distance of a difference (k,) under its covariance (k, k)."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     whitened = np.linalg.lstsq(covariance / np.outer(scale, scale), difference / scale, rcond=None)[0]
@@ -183,12 +183,12 @@ def _odds(coarse: _Coarse, inputs: EstimatorInputs, search_px: float) -> tuple[d
     if side is not None:
         alternatives[Alternative.OTHER_SUN] = side.log_odds
     elif cells.has_face:
-        return alternatives, _NOTHING_THERE if _dark(coarse.fit) else -math.inf
+        return alternatives, _NOTHING_THERE if _fits_dark_body(coarse.fit) else -math.inf
     albedo = geometry.target.uncertainty.albedo
     if cells.has_face:
         alternatives[Alternative.OTHER_SIZE] = other_size_log_odds(cells, own, albedo)
     rival = rival_log_odds(cells, own, inputs.predicted_px, search_px, albedo)
-    return alternatives, max(rival, _NOTHING_THERE) if _dark(coarse.fit) else rival
+    return alternatives, max(rival, _NOTHING_THERE) if _fits_dark_body(coarse.fit) else rival
 
 
 def _second_exposure_log_odds(fix: CenterFix, smear: Smear, coarse: _Coarse, inputs: EstimatorInputs) -> float:
@@ -201,12 +201,12 @@ def _second_exposure_log_odds(fix: CenterFix, smear: Smear, coarse: _Coarse, inp
     def evidence(motion: Callable[[Float], Float]) -> float:
         return motion_log_evidence(fine.cells, fine.trace, fine.own, motion)
 
-    moved = evidence(in_cells.smeared)
-    twice = [evidence(partial(in_cells.doubled, share=share)) for share in _SECOND_SHARES]
+    moved = evidence(in_cells.blur)
+    twice = [evidence(partial(in_cells.blur_double_exposure, share=share)) for share in _SECOND_SHARES]
     return float(np.logaddexp.reduce(twice)) - math.log(len(twice)) - moved if moved > -math.inf else -math.inf
 
 
-def _dark(fit: CoarseFit | None) -> bool:
+def _fits_dark_body(fit: CoarseFit | None) -> bool:
     """True where the image fits a dark body better than a bright one."""
     return fit is not None and not fit.gain_dn > 0.0
 
@@ -293,7 +293,7 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float | None, fix: Cente
             albedo=inputs.geometry.target.uncertainty.albedo,
             turn_rad=inputs.turn_rad,
             response=fix.corrections.response,
-            motion=None if fix.corrections.smear is None else fix.corrections.smear.on_blocks(cells.size).smeared,
+            motion=None if fix.corrections.smear is None else fix.corrections.smear.on_blocks(cells.size).blur,
             asked=veils(cells, trace) if may_be_hazy(fix, inputs) else None,
         )
     return _Coarse(cells=cells, trace=trace, own=own, fit=fit)

@@ -216,7 +216,7 @@ class _FittedDesign(Value):
     @cached_property
     def lit(self) -> Mask:
         """Counted cells (n, n) where the body is lit."""
-        return self.fresh & _lit(self.design.own)
+        return self.fresh & _find_lit(self.design.own)
 
     @cached_property
     def scores(self) -> CellScores:
@@ -224,7 +224,7 @@ class _FittedDesign(Value):
         return CellScores(solution=self.solution, temper=1.0 / max((BLOCK * self.cells.radius) ** 2, 1.0))
 
     @cached_property
-    def normalized(self) -> Float:
+    def normalized_residuals(self) -> Float:
         """Residuals (n, n) over their standard deviations; 0 where a cell does not count."""
         return np.asarray(self.solution.residuals * np.sqrt(self.solution.columns.weights))
 
@@ -233,7 +233,7 @@ class _FittedDesign(Value):
 
         ``noise`` (n, n), squares of the normalized residuals, is not counted as an error of the model.
         """
-        scale = _scale(self.normalized, self.lit, self.edge, least=self.least, noise=noise)
+        scale = _scale(self.normalized_residuals, self.lit, self.edge, least=self.least, noise=noise)
         return _covariance(influence, self.noise, scale * self.model_sigma, self.cells)
 
 
@@ -253,17 +253,19 @@ def fit_cells(
     ``motion`` blurs images in cells; ``asked`` (a, n, n) are images tested for in the residuals. None where too few
     cells hold the body.
     """
-    fresh, design = cells.cropped(cells.fresh), _design(cells, trace, own, motion)
-    if np.count_nonzero(fresh & _lit(design.own)) <= design.layout.count:
+    fresh, design = cells.crop(cells.fresh), _design(cells, trace, own, motion)
+    if np.count_nonzero(fresh & _find_lit(design.own)) <= design.layout.count:
         return None
     sigma, edge = _model_sigma(design, turn_rad, cells)
-    fitted = _fitted(cells, design, sigma, edge, cells.place(own.coverage, own))
+    fitted = _fit_design(cells, design, sigma, edge, cells.place(own.coverage, own))
     if fitted is None:
         return _nothing_alike()
     if not fitted.lit.any():
         return None
     place, strain, blur = _geometry(fitted)
-    plain = _fitted(cells, design.plain, np.hypot(sigma, albedo * design.around), edge, cells.place(own.coverage, own))
+    plain = _fit_design(
+        cells, design.plain, np.hypot(sigma, albedo * design.around), edge, cells.place(own.coverage, own)
+    )
     plain = fitted if plain is None or not plain.lit.any() else plain
     bent, bend_sigma, bend_log_odds = _response(plain, response)
     return CoarseFit(
@@ -273,11 +275,11 @@ def fit_cells(
         place=place,
         strain=strain,
         blur=blur,
-        figure_px2=_by_figure(fitted, strain),
+        figure_px2=_figure_covariance(fitted, strain),
         response=bent,
         bend_sigma=bend_sigma,
         bend_log_odds=bend_log_odds,
-        omitted=Omitted() if asked is None else _omitted(plain, plain.gain * asked),
+        omitted=Omitted() if asked is None else _fit_omitted(plain, plain.gain * asked),
     )
 
 
@@ -289,7 +291,7 @@ def motion_log_evidence(cells: Cells, trace: Trace, own: Template, motion: Calla
     """
     design = _design(cells, trace, own, motion).plain
     _, edge = _model_sigma(design, 0.0, cells)
-    fitted = _fitted(cells, design, _face_sigma(design), edge, cells.place(own.coverage, own))
+    fitted = _fit_design(cells, design, _face_sigma(design), edge, cells.place(own.coverage, own))
     if fitted is None:
         return -math.inf
     growth = fitted.gain * fitted.solution.columns["place"][2]
@@ -298,21 +300,21 @@ def motion_log_evidence(cells: Cells, trace: Trace, own: Template, motion: Calla
         effect="relief", cause=Cause.RELIEF, matrix=waves, prior=Prior.of_sigmas([_EDGE_RADIUS] * len(waves))
     )
     parts = fitted.scores.temper * float(np.count_nonzero(fitted.fresh))
-    return fitted.solution.columns.extended([relief]).log_evidence(parts)
+    return fitted.solution.columns.extend([relief]).log_evidence(parts)
 
 
-def _lit(light: Float) -> Mask:
+def _find_lit(light: Float) -> Mask:
     """Cells (n, n) that are not much fainter than the brightest."""
     return np.asarray(light > _LIT * float(light.max()))
 
 
-def _fitted(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: Float) -> _FittedDesign | None:
+def _fit_design(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: Float) -> _FittedDesign | None:
     """Fit a design to cells, weighted by the gain and without isolated outliers.
 
     ``sigma`` (n, n) are the errors of the model relative to the gain, ``coverage`` (n, n) the fractions of cells that
     the body covers. None where the image fits a dark body better than a bright one.
     """
-    values, noise, fresh = cells.cropped(cells.values), cells.cropped(cells.variance), cells.cropped(cells.fresh)
+    values, noise, fresh = cells.crop(cells.values), cells.crop(cells.variance), cells.crop(cells.fresh)
     gain, variances = _first_gain(values, design.own, fresh), None
     for _ in range(_ITERATIONS):
         model_sigma = gain * sigma
@@ -325,7 +327,7 @@ def _fitted(cells: Cells, design: _Design, sigma: Float, edge: Mask, coverage: F
             return None
         solution, bare, variances = found, free, found.columns.mode_variances
         change, gain = abs(float(solution["gain"][0]) / gain - 1.0), float(solution["gain"][0])
-        isolated = _isolated(solution.residuals * np.sqrt(weights), fresh)
+        isolated = _find_isolated(solution.residuals * np.sqrt(weights), fresh)
         used, fresh = fresh, fresh & ~isolated
         if change < _SETTLED and not isolated.any():
             break
@@ -393,14 +395,14 @@ def _response(fitted: _FittedDesign, known: Response | None) -> tuple[Response, 
     return replace(known, bend=bend), sigma, float(fitted.scores.log_odds(image, DISPLAY_BEND_SIGMA)[0])
 
 
-def _omitted(fitted: _FittedDesign, images: Float) -> Omitted:
+def _fit_omitted(fitted: _FittedDesign, images: Float) -> Omitted:
     """Amplitudes of images (a, n, n) in the residuals."""
     influence, information = _influence(fitted.solution, "omitted", images)
     values = influence.reshape(len(images), -1) @ fitted.solution.residuals.ravel()
     of_noise = fitted.noise * fitted.solution.columns.weights
     variances = np.diag(fitted.covariance(influence, noise=of_noise))
     by_chance = math.sqrt(2.0 * float(np.sum(of_noise**2)))
-    left = max(float(np.sum(fitted.normalized**2 - of_noise)), by_chance)
+    left = max(float(np.sum(fitted.normalized_residuals**2 - of_noise)), by_chance)
     return Omitted(values=values, sigma=np.sqrt(variances), explains=values**2 * information / left)
 
 
@@ -424,7 +426,7 @@ def _design(cells: Cells, trace: Trace, own: Template, motion: Callable[[Float],
         other = cells.light(trace.with_reflectance(law))
         others[number] = other if motion is None else motion(other)
     x, y = own.center_px[0] - cells.inner.x, own.center_px[1] - cells.inner.y
-    scattered = _blurred(light, _WING_RADIUS * cells.radius)
+    scattered = _blur(light, _WING_RADIUS * cells.radius)
     laws, background, stray, place, strain, blur, slope = design_of(light, others, scattered, x, y, cells.radius)
     blocks = (
         ("gain", Cause.REFLECTANCE, light[None]),
@@ -443,7 +445,7 @@ def _design(cells: Cells, trace: Trace, own: Template, motion: Callable[[Float],
         own=light,
         slope=slope,
         scattered=scattered,
-        around=_blurred(light, _AROUND * cells.radius),
+        around=_blur(light, _AROUND * cells.radius),
         markings=MarkingModes.across(light, np.array([x, y]), cells.radius),
         center=np.array([x, y]),
     )
@@ -464,7 +466,7 @@ def _first_gain(values: Float, light: Float, fresh: Mask) -> float:
     return max(float(np.linalg.norm(above) / np.linalg.norm(light[fresh])), 1e-300)
 
 
-def _blurred(images: Float, sigma: float, border: int = cv2.BORDER_REFLECT) -> Float:
+def _blur(images: Float, sigma: float, border: int = cv2.BORDER_REFLECT) -> Float:
     """Images (..., n, n) blurred by a truncated Gaussian whose standard deviation is in cells."""
     reach = math.ceil(_KERNEL_SIGMAS * sigma)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
@@ -527,14 +529,14 @@ def _covariance(influence: Float, noise: Float, model_sigma: Float, cells: Cells
     """
     length = 0.5 * BLOCK * cells.radius
     area = max(2.0 * math.pi * length**2, 1.0)
-    errors = _blurred(model_sigma * influence, length, cv2.BORDER_CONSTANT)
+    errors = _blur(model_sigma * influence, length, cv2.BORDER_CONSTANT)
     errors *= area * model_sigma
     errors += noise * influence
     covariance = np.tensordot(influence, errors, axes=([1, 2], [1, 2]))
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
-def _by_figure(fitted: _FittedDesign, strain: Estimate) -> Float:
+def _figure_covariance(fitted: _FittedDesign, strain: Estimate) -> Float:
     """Covariance (2, 2), px^2, of the center of all light by an error of the shape.
 
     A strain (3,) about the center hardly moves light, but an error of the shape that strains the image also moves it:
@@ -544,7 +546,7 @@ def _by_figure(fitted: _FittedDesign, strain: Estimate) -> Float:
     cells, light, values = fitted.cells, fitted.design.own, strain.values
     excess = max(1.0 - len(values) / max(float(values @ np.linalg.solve(strain.covariance, values)), 1e-300), 0.0)
     strained_px2 = excess * float(np.mean(values**2)) * (cells.radius * cells.size) ** 2
-    normalized, lit, edge = fitted.normalized, fitted.lit, fitted.edge
+    normalized, lit, edge = fitted.normalized_residuals, fitted.lit, fitted.edge
     by_figure = math.sqrt(_share_of_figure(normalized, lit, edge))
     shown = _scale(normalized, lit, edge, least=fitted.least) * fitted.model_sigma
     strayed = np.where(edge, by_figure * shown / fitted.gain, 0.0)
@@ -566,7 +568,7 @@ def _share_of_figure(normalized: Float, lit: Mask, edge: Mask) -> float:
     return 1.0 - usual / rim if rim > usual else 0.0
 
 
-def _isolated(normalized: Float, fresh: Mask) -> Mask:
+def _find_isolated(normalized: Float, fresh: Mask) -> Mask:
     """Outlying cells, alone or in a single line: stars, cosmic rays, dead columns."""
     odd = fresh & (np.abs(normalized) > _UNLIKELY)
     return np.asarray(odd & ~_in_patches(odd))

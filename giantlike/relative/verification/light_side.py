@@ -66,17 +66,17 @@ def light_side(cells: Cells, trace: Trace, own: Template, sun_direction_camera: 
     if cells.radius >= _HALVED_RADIUS and cells.blur <= _HALVED_BLUR:
         rough = _left_of_halved(cells, trace, turned)
         if rough[0] < _CLEAR * rough[1]:
-            return _compared(*rough, parts)
-    matches = ShiftedMatches.of(cells, math.ceil(cells.radius))
+            return _compare(*rough, parts)
+    matches = ShiftedMatches.from_cells(cells, math.ceil(cells.radius))
     left = _least(matches, cells.place(own.brightness, own))
     for one in (_without_shadows(trace), trace):
         left_by_other = _least(matches, np.stack([cells.light(one.with_sun(sun)) for sun in turned]))
         if left < _CLEAR * left_by_other:
             break
-    return _compared(left, left_by_other, parts)
+    return _compare(left, left_by_other, parts)
 
 
-def _compared(left: float, left_by_other: float, parts: float) -> LightSide:
+def _compare(left: float, left_by_other: float, parts: float) -> LightSide:
     odds = 0.5 * parts * math.log(left / left_by_other)
     return LightSide(unexplained=left, unexplained_by_other=left_by_other, log_odds=odds)
 
@@ -101,7 +101,7 @@ def _left_of_halved(cells: Cells, trace: Trace, turned: list[Float]) -> tuple[fl
 def independent_parts(cells: Cells, template: Template) -> float:
     """Parts of a body in the frame whose departures from a model are independent; 0 where too little of it shows."""
     coverage = cells.place(template.coverage, template)
-    seen = float(coverage[cells.cropped(cells.good)].sum())
+    seen = float(coverage[cells.crop(cells.good)].sum())
     enough = seen > _LEAST_SHARE * float(template.coverage.sum())
     return seen / (BLOCK * cells.radius) ** 2 if enough else 0.0
 
@@ -113,4 +113,4 @@ def _without_shadows(trace: Trace) -> Trace:
 
 def _least(matches: ShiftedMatches, light: Float) -> float:
     """Fraction of the variance of the cells left by the best light of (..., m, m) at its best shift."""
-    return max(float(matches.unexplained(light).min()), _EXACT)
+    return max(float(matches.find_unexplained_share(light).min()), _EXACT)

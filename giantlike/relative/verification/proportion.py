@@ -14,7 +14,7 @@ from giantlike.core.outcomes import CenterFix, Failure
 from giantlike.image_model.columns import UNDECLARED
 from giantlike.relative.budget import place_difference, with_error
 from giantlike.relative.inputs import EstimatorInputs
-from giantlike.relative.response import LEAST_BEND, settled
+from giantlike.relative.response import LEAST_BEND, find_response
 from giantlike.relative.verification.coarse_fit import CoarseFit
 
 
@@ -48,8 +48,8 @@ def in_proportion(
     Returns None where linearized values fit little better: the cause is another one.
     """
 
-    def tried(response: Response) -> tuple[AnyFix, Coarse, EstimatorInputs] | None:
-        straight = inputs.linearized(response)
+    def try_response(response: Response) -> tuple[AnyFix, Coarse, EstimatorInputs] | None:
+        straight = inputs.linearize(response)
         found = again(straight)
         seen = None if isinstance(found, Failure) else look(found, straight)
         return None if isinstance(found, Failure) or seen is None or seen.fit is None else (found, seen, straight)
@@ -60,10 +60,10 @@ def in_proportion(
 
     before = coarse.fit
 
-    def asked(trial: tuple[AnyFix, Coarse, EstimatorInputs]) -> tuple[Response, float]:
+    def estimate_response(trial: tuple[AnyFix, Coarse, EstimatorInputs]) -> tuple[Response, float]:
         return fit_of(trial).response, fit_of(trial).bend_sigma
 
-    trial = None if before is None else settled(before.response, tried, asked)
+    trial = None if before is None else find_response(before.response, try_response, estimate_response)
     if before is None or trial is None:
         return None
     if fit_of(trial).log_evidence < before.log_evidence + math.log(1.0 / UNDECLARED - 1.0):

@@ -42,7 +42,7 @@ def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: 
     if room <= apart:
         return -math.inf
     light = cells.place(own.brightness, own)
-    share, gain = (found.max(axis=0) for found in ShiftedMatches.of(cells, room).explained(_between(light)))
+    share, gain = (found.max(axis=0) for found in ShiftedMatches.from_cells(cells, room).correlate(_between(light)))
     noise = math.sqrt(float(np.median(cells.variance)) / max(light.size * float(light.var()), 1e-300))
     steps = np.arange(-room, room + 1)
     columns, rows = steps[None, :], steps[:, None]
@@ -53,7 +53,7 @@ def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: 
     away &= gain > max(_FAINT * float(gain[here].max()), _LEAST_SIGMAS * noise)
     if not away.any():
         return -math.inf
-    seen = float(cells.place(own.coverage, own)[cells.cropped(cells.good)].sum())
+    seen = float(cells.place(own.coverage, own)[cells.crop(cells.good)].sum())
     parts = min(seen / (BLOCK * cells.radius) ** 2, seen + _CORE * cells.blur**2)
     left, left_there = (max(1.0 - float(share[where].max()), albedo**2) for where in (here, away))
     return 0.5 * parts * math.log(left / left_there)
@@ -69,13 +69,17 @@ def other_size_log_odds(cells: Cells, own: Template, albedo: float) -> float:
         return -math.inf
     light = cells.place(own.brightness, own)
     x, y = own.center_px[0] - cells.inner.x, own.center_px[1] - cells.inner.y
-    lights = [light, *(_resized(light, x, y, size) for size in _SIZES)]
-    left = ShiftedMatches.of(cells, math.ceil(cells.radius)).unexplained(np.stack(lights)).min(axis=(1, 2))
+    lights = [light, *(_resize(light, x, y, size) for size in _SIZES)]
+    left = (
+        ShiftedMatches.from_cells(cells, math.ceil(cells.radius))
+        .find_unexplained_share(np.stack(lights))
+        .min(axis=(1, 2))
+    )
     left = np.maximum(left, albedo**2)
     return 0.5 * parts * math.log(left[0] / left[1:].min())
 
 
-def _resized(light: Float, x: float, y: float, size: float) -> Float:
+def _resize(light: Float, x: float, y: float, size: float) -> Float:
     """Light (m, m) of a body resized about its center (x, y)."""
     matrix = np.array([[size, 0.0, (1.0 - size) * x], [0.0, size, (1.0 - size) * y]])
     return np.asarray(cv2.warpAffine(light, matrix, light.shape[::-1], flags=cv2.INTER_LINEAR), dtype=np.float64)

@@ -34,7 +34,7 @@ class ShiftedMatches(Value):
     whole: bool
 
     @classmethod
-    def of(cls, cells: Cells, room: int) -> ShiftedMatches:
+    def from_cells(cls, cells: Cells, room: int) -> ShiftedMatches:
         """Transform an image."""
         from scipy.fft import next_fast_len, rfft2
 
@@ -61,15 +61,15 @@ class ShiftedMatches(Value):
             whole=bool(good.all()),
         )
 
-    def unexplained(self, model: Float) -> Float:
+    def find_unexplained_share(self, model: Float) -> Float:
         """Share of the variance of the image that a template leaves, with its gain and a level fitted.
 
         ``model`` (..., m, m); returns (..., shifts, shifts), by shift along rows and columns, 1 where only a negative
         gain would explain anything.
         """
-        return 1.0 - self.explained(model)[0]
+        return 1.0 - self.correlate(model)[0]
 
-    def explained(self, model: Float) -> tuple[Float, Float]:
+    def correlate(self, model: Float) -> tuple[Float, Float]:
         """Share of the variance of the image that a template explains, and its gain, at each shift.
 
         ``model`` (..., m, m); returns ``share`` (..., shifts, shifts); ``gain`` (..., shifts, shifts) DN, zero where it

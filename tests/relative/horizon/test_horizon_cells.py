@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
-from giantlike.relative.horizon.cell_sums import fitted
+from giantlike.relative.horizon.cell_sums import fit_profiles
 from giantlike.relative.horizon.geometry import Figure
 from giantlike.relative.horizon.pixels import limb_pixels
 from giantlike.relative.horizon.profile import HorizonArc, ProfileTable, horizon_arc
@@ -54,7 +54,9 @@ def test_a_cell_says_what_least_squares_of_all_its_columns_say() -> None:
     value = edge[:, None] * random.uniform(0.2, 1.0, (n, powers + mixed))
     slope, curve = random.normal(size=(2, n, powers)) * edge[:, None]
     data = 2000.0 * value[:, 0] + 300.0 * value[:, 1] + 40.0 + random.normal(size=n) * 20.0
-    information, pull, rest = fitted(np.array([0, n]), data, along, value, slope, curve, np.inf, DARK_DN2, GAIN, 0.0)
+    information, pull, rest = fit_profiles(
+        np.array([0, n]), data, along, value, slope, curve, np.inf, DARK_DN2, GAIN, 0.0
+    )
     free = powers - 1
     own = np.column_stack([value[:, :free], along * value[:, 0], np.ones(n)])
     weights = 1.0 / (DARK_DN2 + np.maximum(data, 0.0) / GAIN)
@@ -99,9 +101,9 @@ def test_pixels_far_from_the_fit_are_left_out_of_their_cell_alone() -> None:
     data = 1000.0 * value[:, 0] + random.normal(size=2 * n) * 20.0
     along = random.uniform(-0.5, 0.5, 2 * n)
     first = np.array([0, n, 2 * n])
-    clean = fitted(first, data, along, value, slope, curve, 0.2, DARK_DN2, GAIN, 0.0)
+    clean = fit_profiles(first, data, along, value, slope, curve, 0.2, DARK_DN2, GAIN, 0.0)
     data[3] += 5000.0
-    hit = fitted(first, data, along, value, slope, curve, 0.2, DARK_DN2, GAIN, 0.0)
+    hit = fit_profiles(first, data, along, value, slope, curve, 0.2, DARK_DN2, GAIN, 0.0)
     assert hit[2][4, 0] == (n - 1) / n
     assert hit[2][4, 1] == 1.0
     assert np.array_equal(hit[0][1], clean[0][1])

@@ -181,7 +181,7 @@ def test_landmarks_in_use_are_seen_lit_and_not_oblique() -> None:
     options, catalog = VisibilityOptions(), landmarks_of(rock())
     viewer = LandmarkViewer(catalog, rock())
     plane = FocalPlane(model=CAMERA.model, columns=400, rows=400)
-    seen = viewer.seen(body, plane, sun_direction_camera=sun, options=options)
+    seen = viewer.find_visible(body, plane, sun_direction_camera=sun, options=options)
     sun_body = body.to_body(sun)
     camera_km = body.camera_body_km
     for number in range(len(catalog)):
@@ -200,7 +200,7 @@ def test_landmarks_in_use_are_seen_lit_and_not_oblique() -> None:
     assert seen.dark > 0
     assert seen.oblique > len(catalog) // 3
     few = replace(options, max_landmarks=5)
-    chosen = viewer.seen(body, plane, sun_direction_camera=sun, options=few)
+    chosen = viewer.find_visible(body, plane, sun_direction_camera=sun, options=few)
     assert chosen.numbers.size == 5
     assert set(chosen.numbers) <= set(seen.numbers)
 
@@ -215,7 +215,9 @@ def test_landmarks_of_a_pose_nearby_look_as_if_traced_anew() -> None:
     renderer = LandmarkRenderer(
         catalog, plane, sun_direction_camera=sun, max_size_px=64.0, rays_per_pixel_side=2, other_law=True
     )
-    seen = LandmarkViewer(catalog, rock()).seen(body, plane, sun_direction_camera=sun, options=VisibilityOptions())
+    seen = LandmarkViewer(catalog, rock()).find_visible(
+        body, plane, sun_direction_camera=sun, options=VisibilityOptions()
+    )
     _, traced = renderer.patches(body, seen)
     assert traced is not None
     near = replace(body, position_camera_km=body.position_camera_km * np.array([1.0, 1.0, 1.0005]) + [2e-4, -1e-4, 0.0])
@@ -254,7 +256,7 @@ def test_ground_that_a_rough_render_saw_lit_sends_no_rays_to_the_sun(monkeypatch
         for camera, size_px in ((CAMERA, 64.0), (cells, 32.0))
     )
     viewer = LandmarkViewer(landmarks_of(rock()), rock())
-    seen = viewer.seen(body, renderer.plane, sun_direction_camera=sun, options=VisibilityOptions())
+    seen = viewer.find_visible(body, renderer.plane, sun_direction_camera=sun, options=VisibilityOptions())
     _, ground = rough.roughly().patches(body, replace(seen, predicted_px=0.5 * (seen.predicted_px - 0.5)))
     cast, dark = [0], MeshTracer.dark
 

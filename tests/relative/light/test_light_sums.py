@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.ndimage import binary_dilation
 
-from giantlike.relative.light.light_sums import kept_center, mixed
-from giantlike.relative.light.separation import _grown
+from giantlike.relative.light.light_sums import kept_center, mix_laws
+from giantlike.relative.light.separation import _dilate
 from tests.tolerances import FLOAT64_ROOT
 
 RANDOM = np.random.default_rng(4)
@@ -30,7 +30,7 @@ def test_a_mixture_of_laws_has_no_light_below_zero() -> None:
     own, changes = RANDOM.uniform(0.0, 1.0, size=(20, 33)), RANDOM.normal(size=(3, 20, 33))
     shares = np.array([0.4, -0.2, 0.7])
     expected = np.maximum(own + sum(share * change for share, change in zip(shares, changes, strict=True)), 0.0)
-    assert_allclose(mixed(own, changes, shares), expected, rtol=0, atol=FLOAT64_ROOT)
+    assert_allclose(mix_laws(own, changes, shares), expected, rtol=0, atol=FLOAT64_ROOT)
     assert (expected == 0.0).any()
 
 
@@ -41,5 +41,5 @@ def test_a_region_grows_by_a_round_margin(margin_px: int) -> None:
     pixels[2, 66] = pixels[45, 3] = True
     down, right = np.indices((2 * margin_px + 1, 2 * margin_px + 1)) - margin_px
     disk = np.hypot(down, right) <= margin_px
-    assert (_grown(pixels, margin_px) == binary_dilation(pixels, disk)).all()
-    assert not _grown(np.zeros((5, 6), dtype=bool), margin_px).any()
+    assert (_dilate(pixels, margin_px) == binary_dilation(pixels, disk)).all()
+    assert not _dilate(np.zeros((5, 6), dtype=bool), margin_px).any()

@@ -250,7 +250,7 @@ def test_the_whole_limb_is_used_at_opposition(phase_deg: float, law: Reflectance
     inputs = gather(case.image, case.camera, case.scene, None, estimator="test", options=None)
     assert not isinstance(inputs, Failure)
     view = limb_view(inputs)
-    outline = Outline.traced(view, inputs.geometry.body())
+    outline = Outline.from_body(view, inputs.geometry.body())
     lines = lay_lines(view, outline, max_lines=300, spacing_px=1.5, margin_px=0.0)
     assert lines is not None
     assert lines.angles_rad.size * lines.spacing_px > 0.97 * lines.perimeter_px
@@ -461,10 +461,10 @@ def test_the_limb_of_a_mesh_moves_with_it_as_the_design_says() -> None:
         position = case.believed(off_px=(shift_px, 0.0)).scene.geometry(case.image)
         assert not isinstance(position, Failure)
         placed = shape.at(position.position_camera_km)
-        lines = lay_lines(view, Outline.traced(view, placed), max_lines=400, spacing_px=1.5, margin_px=7.0)
+        lines = lay_lines(view, Outline.from_body(view, placed), max_lines=400, spacing_px=1.5, margin_px=7.0)
         assert lines is not None
         scan = LineScan(view=view, body=shape, lines=lines, search=options, options=options.scan)
-        limb = scan.measured(placed.position_camera_km)
+        limb = scan.measure_at(placed.position_camera_km)
         assert not isinstance(limb, Failure)
         measured.append(limb)
     here, there = measured

@@ -31,7 +31,7 @@ from giantlike.relative.place import center_of_position
 from giantlike.relative.template.align import align_template
 from giantlike.relative.template.cross_correlation import CrossCorrelation, CrossCorrelationOptions
 from giantlike.relative.template.fit import TemplateFit, TemplateFitOptions, fit_template
-from giantlike.relative.template.linear import LinearProblem, unweighted
+from giantlike.relative.template.linear import LinearProblem, fit_unweighted
 from giantlike.relative.template.state import TemplateImages, TemplateState
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape, TriangleMesh, irregular_body, load_shape, sphere
@@ -239,7 +239,7 @@ def test_plain_least_squares_are_those_of_numpy() -> None:
         np.tensordot([5e3, 3.0, 0.2, 1e-3], basis, 1) + random.normal(size=SHAPE), random.random(SHAPE) < 0.8
     )
     expected = np.linalg.lstsq(basis[:, pixels.usable].T, pixels.values_dn[pixels.usable], rcond=None)[0]
-    assert_allclose(unweighted(basis, pixels), expected, rtol=1e-8)
+    assert_allclose(fit_unweighted(basis, pixels), expected, rtol=1e-8)
 
 
 def test_alignment_takes_a_rough_start_near_the_solution() -> None:

@@ -14,7 +14,7 @@ from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
 from giantlike.ray_tracing import Body, FocalPlane, Lambert, McEwen, Template, Trace
 from giantlike.relative.template.moved_body import MovedBody
-from giantlike.relative.template.rendering import TemplateRenderer, placed
+from giantlike.relative.template.rendering import TemplateRenderer, place_template
 from giantlike.relative.template.state import TemplateImages, TemplateState
 from giantlike.shapes import Ellipsoid, Shape
 from tests.numerical import numerical_jacobian
@@ -63,7 +63,7 @@ def test_a_moved_body_looks_as_if_rendered_anew(renderer: TemplateRenderer, step
     images, template = synthesize(state, True), renderer.render(state, renderer.sampling(4))
     assert isinstance(images, TemplateImages)
     assert isinstance(template, Template)
-    anew = placed(template, box)
+    anew = place_template(template, box)
     assert_allclose(images.light, anew, rtol=0, atol=RENDERED * float(anew.max()))
 
 
@@ -73,7 +73,7 @@ def test_the_derivatives_are_those_of_the_image(renderer: TemplateRenderer) -> N
     small = MovedBody(trace=trace, state=renderer.start)
     box = renderer.box(np.array([15.0, 18.0]), np.array([45.0, 48.0]), 0)
 
-    cells = small.shaded((McEwen(), Lambert()))
+    cells = small.shade((McEwen(), Lambert()))
 
     weights = np.array([0.7, 0.4])
 

@@ -57,7 +57,7 @@ def test_a_point_becomes_a_line_with_the_variance_that_is_stated() -> None:
     smear = Smear(straight_px2=(6.0**2 - 3.0**2) / 24.0, oblique_px2=-6.0 * 3.0 / 12.0)
     y, x = np.mgrid[-20:21, -20:21]
     spot = np.exp(-0.5 * (x**2 + y**2) / 1.5**2)
-    line, spot = smear.smeared(spot) / spot.sum(), spot / spot.sum()
+    line, spot = smear.blur(spot) / spot.sum(), spot / spot.sum()
     found = [float(((line - spot) * product).sum()) for product in (x * x, x * y, y * y)]
     assert float(line.sum()) == pytest.approx(1.0, abs=1e-7)
     np.testing.assert_allclose(found, smear.blur_px2, rtol=0, atol=1e-5)
@@ -69,7 +69,7 @@ def test_two_points_have_the_variance_of_the_line(share: float) -> None:
     smear = Smear(straight_px2=(6.0**2 - 3.0**2) / 24.0, oblique_px2=-6.0 * 3.0 / 12.0)
     y, x = np.mgrid[-30:31, -30:31]
     spot = np.exp(-0.5 * (x**2 + y**2) / 2.0**2)
-    pair, spot = smear.doubled(spot, share) / spot.sum(), spot / spot.sum()
+    pair, spot = smear.blur_double_exposure(spot, share) / spot.sum(), spot / spot.sum()
     found = [float(((pair - spot) * product).sum()) for product in (x, y, x * x, x * y, y * y)]
     np.testing.assert_allclose(found, [0.0, 0.0, *smear.blur_px2], rtol=0, atol=1e-5)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from scipy.sparse import csc_matrix
 
-from giantlike.relative.template.spread_parts import banded, spread
+from giantlike.relative.template.spread_parts import spread, spread_along_axis
 from tests.tolerances import FLOAT64_SUM
 
 PARTS, COLUMNS, ROWS, REACH, WIDTH, LAWS, KINDS = 400, 30, 20, 7, 25, 3, 4
@@ -36,6 +36,6 @@ def test_cells_of_a_band_are_spread_as_by_a_full_matrix_and_those_outside_hold_n
     for pixel in range(WIDTH):
         full[:, pixel, REACH + first[pixel] : 2 * REACH + first[pixel]] = shares[:, pixel]
 
-    found = banded(shares, first, light)
+    found = spread_along_axis(shares, first, light)
 
     assert_allclose(found, full[:, :, REACH:-REACH] @ light, rtol=0, atol=FLOAT64_SUM)

@@ -27,7 +27,7 @@ def test_the_covariance_of_a_stated_error_is_that_of_drawn_fields() -> None:
     error = np.exp(-(rows**2) / 0.3) * np.sign(columns)
     prior = Prior(np.zeros(4), np.array([0.0, 0.0, 0.0, 50.0]))
     block = Block(effect="plane", cause=Cause.BACKGROUND, matrix=design, prior=prior)
-    fit = LinearFit(Columns.of([block], np.zeros(SHAPE), weights), np.zeros(4))
+    fit = LinearFit(Columns.from_blocks([block], np.zeros(SHAPE), weights), np.zeros(4))
     stated = fit.error_covariance(error, length_px=length_px)
 
     flat = design.reshape(4, -1)

@@ -73,7 +73,7 @@ def normal_columns(seed: int, strain: Float) -> tuple[LinearFit, Block]:
         Block(effect=effect, cause=Cause.NOISE, matrix=part, prior=Prior.of_sigmas([math.inf] * len(part)))
         for effect, part in (("center", columns[:2]), ("range", columns[2:3]), ("light", columns[3:]))
     ]
-    model = Columns.of(blocks, image, np.full(x.shape, NOISE_DN**-2.0))
+    model = Columns.from_blocks(blocks, image, np.full(x.shape, NOISE_DN**-2.0))
     solution = model.solve()
     assert solution is not None
     left_out = Block(effect="strain", cause=Cause.RELIEF, matrix=changes, prior=Prior.of_sigmas([0.02] * 3))
@@ -84,7 +84,7 @@ def test_a_strain_is_probable_where_it_is_and_adds_how_far_it_moves_the_place() 
     fit, block = normal_columns(1, np.array([0.01, -0.02, 0.015]))
     found = undeclared_effects(fit, {block: float(fit.residuals.size)})["strain"]
     assert found.chance > 0.999
-    beside = fit.columns.extended([block]).solve()
+    beside = fit.columns.extend([block]).solve()
     assert beside is not None
     moved = (beside.values - np.append(fit.values, np.zeros(3)))[:5]
     np.testing.assert_allclose(found.score.step, moved, rtol=0, atol=1e-6)

@@ -147,7 +147,7 @@ def scores_of(data: Float, temper: float) -> tuple[CellScores, Float]:
         Block(effect=name, cause=Cause.NOISE, matrix=image[None], prior=Prior.of_sigmas([math.inf]))
         for name, image in (("gain", bell), ("x", along_x), ("y", along_y))
     ]
-    solution = Columns.of(blocks, data + bell, np.ones_like(data)).solve()
+    solution = Columns.from_blocks(blocks, data + bell, np.ones_like(data)).solve()
     assert isinstance(solution, Solution)
     return CellScores(solution=solution, temper=temper), along_x
 

@@ -24,7 +24,7 @@ from giantlike.relative import Moment
 from giantlike.relative.budget import with_error
 from giantlike.relative.inputs import EstimatorInputs, gather
 from giantlike.relative.place import place_covariance
-from giantlike.relative.verification import verified
+from giantlike.relative.verification import verify
 from giantlike.scene import Scene, Target, TargetUncertainty
 from giantlike.shapes import Ellipsoid, TriangleMesh
 from tests.sphere_fields import bumps
@@ -110,7 +110,7 @@ def fix_at(inputs: EstimatorInputs, position_km: Float = POSITION_KM) -> Positio
 
 
 def flags(inputs: EstimatorInputs, position_km: Float = POSITION_KM) -> Quality:
-    return verified(fix_at(inputs, position_km), inputs, SEARCH_PX).flags
+    return verify(fix_at(inputs, position_km), inputs, SEARCH_PX).flags
 
 
 @pytest.mark.parametrize(
@@ -118,9 +118,9 @@ def flags(inputs: EstimatorInputs, position_km: Float = POSITION_KM) -> Quality:
 )
 def test_a_right_fix_raises_no_flag_whatever_law_and_markings_the_body_has(law: str, phase_deg: float) -> None:
     inputs = inputs_of(light(phase_deg, law, True), phase_deg)
-    fix = verified(fix_at(inputs), inputs, SEARCH_PX)
+    fix = verify(fix_at(inputs), inputs, SEARCH_PX)
     assert fix.flags == Quality.NONE, fix.findings.checks
-    assert verified(fix, inputs, SEARCH_PX) is fix
+    assert verify(fix, inputs, SEARCH_PX) is fix
 
 
 @pytest.mark.parametrize("phase_deg", [20.0, 100.0])
@@ -152,7 +152,7 @@ def test_two_exposures_a_few_pixels_apart_are_a_blur_that_makes_the_fix_less_cer
     inputs = inputs_of(twice, 60.0)
     between = POSITION_KM + np.array([0.15 * shift[1], 0.15 * shift[0], 0.0])  # 0.3 km to a pixel
     unknown = replace(inputs, camera=replace(inputs.camera, psf=None))
-    told, untold = (verified(fix_at(one, between), one, SEARCH_PX) for one in (inputs, unknown))
+    told, untold = (verify(fix_at(one, between), one, SEARCH_PX) for one in (inputs, unknown))
     assert not told.flags.suspect
     assert told.findings.checks["tension"] > 9.0
     assert np.trace(untold.covariance_px2) < 0.1 * np.trace(told.covariance_px2)  # a blur is no error there
@@ -185,30 +185,30 @@ def test_nothing_there_is_not_excluded_where_a_dark_body_fits_better() -> None:
 
 def test_a_fix_of_another_shape_is_less_certain() -> None:
     inputs = inputs_of(light(60.0), 60.0, told_km=np.array([11.0, 8.1, 8.2]))
-    fix = verified(fix_at(inputs), inputs, SEARCH_PX)
+    fix = verify(fix_at(inputs), inputs, SEARCH_PX)
     assert fix.flags.suspect or fix.covariance_px2[0, 0] > 9.0 * fix_at(inputs).covariance_px2[0, 0]
 
 
 @pytest.mark.parametrize("off_km", [(1.0, 0.0, 0.0), (0.0, 0.0, 40.0)])  # 3.3 px, and 3 % of range
 def test_a_fix_beside_the_body_is_suspect_or_as_uncertain_as_it_is_wrong(off_km: tuple[float, ...]) -> None:
     inputs = inputs_of(light(60.0), 60.0)
-    fix = verified(fix_at(inputs, POSITION_KM + off_km), inputs, SEARCH_PX)
+    fix = verify(fix_at(inputs, POSITION_KM + off_km), inputs, SEARCH_PX)
     assert fix.flags.suspect or squared_error(fix) < 25.0
 
 
 @pytest.mark.parametrize("off_km", [(0.0, -1.0, 0.0), (2.0, 0.0, 0.0)])
 def test_a_fix_far_beside_the_body_is_suspect_or_as_uncertain_as_it_is_wrong(off_km: tuple[float, ...]) -> None:
     inputs = inputs_of(light(60.0), 60.0)
-    fix = verified(fix_at(inputs, POSITION_KM + off_km), inputs, SEARCH_PX)
+    fix = verify(fix_at(inputs, POSITION_KM + off_km), inputs, SEARCH_PX)
     assert fix.flags.suspect or squared_error(fix) < 25.0
 
 
 def test_a_fix_a_little_beside_the_body_is_less_certain_and_one_that_agrees_stays_as_it_is() -> None:
     inputs = inputs_of(light(60.0), 60.0)
-    sure, before = verified(fix_at(inputs), inputs, SEARCH_PX), fix_at(inputs)
+    sure, before = verify(fix_at(inputs), inputs, SEARCH_PX), fix_at(inputs)
     np.testing.assert_array_equal(sure.covariance_camera_km2, before.covariance_camera_km2)
     beside = fix_at(inputs, POSITION_KM + np.array([0.11, 0.0, 0.0]))  # 0.37 px: 7 of its sigma
-    found = verified(beside, inputs, SEARCH_PX)
+    found = verify(beside, inputs, SEARCH_PX)
     assert not found.flags.suspect
     grown = found.findings.checks["tension"]
     assert 1.5 < grown < 9.0
@@ -224,7 +224,7 @@ def test_a_smear_makes_a_fix_less_certain_and_wings_of_the_optics_do_not() -> No
     for psf in (Psf(0.7, wing_share=0.06, wing_sigma_px=4.0), Psf(0.7, motion_px=(3.5, 0.0))):  # 1 px^2 each
         blurred = render_body(body, view, Pose(POSITION_KM, TURN, sun_at(60.0)), law="mcewen", psf=psf)
         inputs = inputs_of(blurred, 60.0)
-        found = verified(fix_at(inputs), inputs, SEARCH_PX)
+        found = verify(fix_at(inputs), inputs, SEARCH_PX)
         assert not found.flags.suspect
         grown.append(found.covariance_px2[0, 0] / fix_at(inputs).covariance_px2[0, 0])
     assert grown[0] == 1.0
@@ -258,7 +258,7 @@ def test_rows_that_are_shifted_from_one_on_leave_the_place_of_the_others_within_
     rows = light(phase_deg).copy()
     rows[first:] = np.roll(rows[first:], shift, axis=1)
     inputs = inputs_of(rows, phase_deg)
-    fix = verified(fix_at(inputs), inputs, SEARCH_PX)
+    fix = verify(fix_at(inputs), inputs, SEARCH_PX)
     assert Quality.WRONG_FIGURE in fix.flags or squared_error(fix) < 25.0
 
 
@@ -288,7 +288,7 @@ def test_a_roll_makes_a_fix_less_certain_unless_its_part_of_the_covariance_cover
         before = with_error(
             fix_at(inputs), CAMERA.model, Cause.POLE, np.diag([sigma_px, sigma_px, 0.03 * sigma_px]) ** 2
         )
-        fix = verified(before, inputs, SEARCH_PX)
+        fix = verify(before, inputs, SEARCH_PX)
         assert not fix.flags.suspect
         assert fix.findings.checks["tension"] > 9.0
         np.testing.assert_array_equal(fix.parts[Cause.POLE], before.parts[Cause.POLE])
@@ -303,7 +303,7 @@ def test_a_roll_makes_a_fix_less_certain_unless_its_part_of_the_covariance_cover
 def test_a_pole_told_10_degrees_off_makes_a_fix_less_certain(axis: tuple[float, ...]) -> None:
     turned = Rotation.from_rotvec(math.radians(10.0) * np.array(axis)) * TURN
     inputs = inputs_of(light(60.0), 60.0, turn=turned)
-    fix = verified(fix_at(inputs), inputs, SEARCH_PX)
+    fix = verify(fix_at(inputs), inputs, SEARCH_PX)
     assert not fix.flags.suspect
     assert fix.findings.checks["tension"] > 1.5
 
@@ -319,7 +319,7 @@ def test_a_rock_whose_face_is_turned_makes_a_fix_less_certain_unless_declared() 
     tensions = []
     for known in (TargetUncertainty(), declared):
         inputs = inputs_of(signal, 50.0, shape=mesh, turn=turned, uncertainty=known)
-        fix = verified(fix_at(inputs), inputs, SEARCH_PX)
+        fix = verify(fix_at(inputs), inputs, SEARCH_PX)
         assert not fix.flags.suspect
         tensions.append(fix.findings.checks["tension"])
     assert tensions[0] > tensions[1]
@@ -328,7 +328,7 @@ def test_a_rock_whose_face_is_turned_makes_a_fix_less_certain_unless_declared() 
 @pytest.mark.parametrize("law", ["minnaert", "hapke", "lommel_seeliger"])
 def test_a_law_that_is_not_the_one_told_changes_nothing(law: str) -> None:
     inputs = inputs_of(light(100.0, law), 100.0)
-    fix = verified(fix_at(inputs), inputs, SEARCH_PX)
+    fix = verify(fix_at(inputs), inputs, SEARCH_PX)
     assert fix.findings.checks["tension"] == 1.0
     assert fix.flags == Quality.NONE
 
@@ -339,8 +339,8 @@ def test_a_twin_in_the_search_region_is_as_good_and_one_beyond_it_is_not() -> No
     alone = render_body(EllipsoidBody(RADII_KM), view, Pose(far_km, TURN, sun_at(50.0)), psf=Psf(0.7))
     both = alone + np.roll(alone, 27, axis=1)
     inputs = inputs_of(both, 50.0, off_km=tuple(far_km - POSITION_KM))
-    assert Quality.AMBIGUOUS in verified(fix_at(inputs, far_km), inputs, SEARCH_PX).flags
-    assert Quality.AMBIGUOUS not in verified(fix_at(inputs, far_km), inputs, 20.0).flags
+    assert Quality.AMBIGUOUS in verify(fix_at(inputs, far_km), inputs, SEARCH_PX).flags
+    assert Quality.AMBIGUOUS not in verify(fix_at(inputs, far_km), inputs, 20.0).flags
     assert Quality.AMBIGUOUS not in flags(inputs_of(alone, 50.0, off_km=tuple(far_km - POSITION_KM)), far_km)
 
 
@@ -357,7 +357,7 @@ def test_a_fix_beyond_the_declared_errors_of_its_prediction_is_far_from_it() -> 
         fix = fix_at(inputs)
         part = place_covariance(CAMERA.model, POSITION_KM, 4.0 * np.eye(3))
         fix = replace(fix, parts={**fix.parts, Cause.EPHEMERIS: part})
-        found = verified(fix, replace(inputs, image=image), SEARCH_PX)
+        found = verify(fix, replace(inputs, image=image), SEARCH_PX)
         assert (Quality.FAR_FROM_PREDICTION in found.flags) is far, found.findings.checks
 
 
@@ -378,5 +378,5 @@ def test_a_body_of_another_size_than_predicted_is_far_from_it_though_its_range_i
 ) -> None:
     known = TargetUncertainty(ephemeris_km=5.0, scale=scale)
     inputs = inputs_of(light(60.0), 60.0, uncertainty=known, off_km=(0.5, 0.7, off_km))
-    found = verified(without_range(inputs, 5.0), inputs, SEARCH_PX)
+    found = verify(without_range(inputs, 5.0), inputs, SEARCH_PX)
     assert (Quality.FAR_FROM_PREDICTION in found.flags) is far, found.findings.checks

@@ -16,7 +16,7 @@ _LEAST_GOOD = 0.5
 """Share of the pixels of a block that are not bad, of which its mean is taken; with fewer it is bad."""
 
 
-def averaged(inputs: EstimatorInputs, size: int) -> EstimatorInputs:
+def average_blocks(inputs: EstimatorInputs, size: int) -> EstimatorInputs:
     """Return the inputs on means over blocks of pixels."""
     camera, psf = inputs.camera, inputs.camera.psf
     width_px = UNKNOWN_PSF_SIGMA_PX if psf is None else psf.sigma_px

@@ -19,7 +19,7 @@ from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, Recorder
 from giantlike.relative.inputs import EstimatorInputs, gather
-from giantlike.relative.light.averaged import averaged
+from giantlike.relative.light.averaging import average_blocks
 from giantlike.relative.light.moment import Moment
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
@@ -122,7 +122,7 @@ def test_blocks_are_saturated_where_all_of_their_good_pixels_are() -> None:
     mask[301, 301] = True
     mask[90:92, 90:93] = True  # most of a block
     inputs = inputs_of(replace(image, pixels=pixels, mask=mask), camera, scene)
-    means = averaged(inputs, BLOCK_PX)
+    means = average_blocks(inputs, BLOCK_PX)
     assert np.argwhere(means.saturated).tolist() == [[100, 100], [101, 100]]
     assert np.argwhere(means.masked).tolist() == [[30, 30]]
     assert means.pixels_dn[100, 100] == SATURATION_DN
