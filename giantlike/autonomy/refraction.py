@@ -46,7 +46,7 @@ class SiteAtmosphere:
         return float(a), float(b)
 
 
-def refracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
+def apply_refraction(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
     """Raise directions toward the zenith as the atmosphere does.
 
     ``directions`` (..., 3), any axes; ``zenith`` (3,), the same axes; returns (..., 3).
@@ -61,10 +61,10 @@ def refracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphe
     for _ in range(_STEPS):
         tangent = np.tan(seen)
         seen = true - tangent * (a + b * tangent**2)
-    return _turned(vectors, up, length, seen)
+    return _set_zenith_distance(vectors, up, length, seen)
 
 
-def unrefracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
+def remove_refraction(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
     """Take refraction out of directions measured on the ground.
 
     ``directions`` (..., 3), any axes; ``zenith`` (3,), the same axes; returns (..., 3).
@@ -72,7 +72,7 @@ def unrefracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosp
     vectors, up, length, seen = _zenith_distances(directions, zenith)
     a, b = atmosphere.constants_rad()
     tangent = np.tan(seen)
-    return _turned(vectors, up, length, seen + tangent * (a + b * tangent**2))
+    return _set_zenith_distance(vectors, up, length, seen + tangent * (a + b * tangent**2))
 
 
 def _zenith_distances(directions: ArrayLike, zenith: ArrayLike) -> tuple[Float, Float, Float, Float]:
@@ -91,7 +91,7 @@ def _zenith_distances(directions: ArrayLike, zenith: ArrayLike) -> tuple[Float, 
     return towards, up, length, distance
 
 
-def _turned(towards: Float, up: Float, length: Float, distance: Float) -> Float:
+def _set_zenith_distance(towards: Float, up: Float, length: Float, distance: Float) -> Float:
     """Vectors in the vertical planes of unit vectors, at other zenith distances."""
     across = towards - (towards @ up)[..., None] * up
     size = np.linalg.norm(across, axis=-1, keepdims=True)

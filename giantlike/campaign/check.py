@@ -237,7 +237,7 @@ def _what_is_meant(check: _Check, campaign: Campaign, *, all_images: bool) -> No
     opened = campaign.images if all_images else campaign.images[:1]
     epochs = {key: known.epoch and et_from_time(known.epoch) for key, known in campaign.geometry.items()}
     for entry in opened:
-        image = check.attempt("images.files", _opened, campaign, entry.path)
+        image = check.attempt("images.files", _open_image, campaign, entry.path)
         if image is not None:
             check.attempt("camera", campaign.camera.require_image, image)
             if epochs.get(entry.key) is None:
@@ -247,7 +247,7 @@ def _what_is_meant(check: _Check, campaign: Campaign, *, all_images: bool) -> No
         check.add("images.files", text, fatal=False)
 
 
-def _opened(campaign: Campaign, path: Path) -> Image:
+def _open_image(campaign: Campaign, path: Path) -> Image:
     return Image.open(path, hdu=campaign.hdu, bottom_up=campaign.bottom_up)
 
 
