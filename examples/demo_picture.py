@@ -20,7 +20,7 @@ from PIL import Image
 import giantlike as gl
 from giantlike.catalogs import load_catalog
 from giantlike.io import read_geometry
-from giantlike.plotting.overlays import MARKS, stretched
+from giantlike.plotting.overlays import MARKS, stretch_image
 from giantlike.plotting.style import BLUE, GREEN, INK, ORANGE, PURPLE, drawing
 from giantlike.ray_tracing import trace_silhouette
 from giantlike.shapes import load_shape
@@ -33,14 +33,14 @@ COLORS = {"unresolved": ORANGE, "cross_correlation": BLUE, "limb_matching": GREE
 
 def draw_stars(axis: Axes, image: gl.Image, fix: gl.AttitudeFix) -> None:
     """Detected stars of an image, and where the catalog puts them."""
-    axis.imshow(stretched(image.pixels), cmap="gray", extent=(-0.5, image.columns - 0.5, image.rows - 0.5, -0.5))
+    axis.imshow(stretch_image(image.pixels), cmap="gray", extent=(-0.5, image.columns - 0.5, image.rows - 0.5, -0.5))
     axis.plot(*fix.observed_px.T, "o", mfc="none", mec=MARKS["matched star"], ms=7, mew=0.8)
     axis.set_title(f"attitude, lost in space: {fix.n_used} stars, {fix.rms_px:.2f} px rms")
 
 
 def draw_body(axis: Axes, image: gl.Image, fix: gl.PositionFix, outline_px: np.ndarray) -> None:
     """Close-up of a body: where it was predicted, and the limb that was found."""
-    axis.imshow(stretched(image.pixels, longest_px=max(image.pixels.shape)), cmap="gray")
+    axis.imshow(stretch_image(image.pixels, longest_px=max(image.pixels.shape)), cmap="gray")
     axis.plot(*outline_px.T, "--", color=MARKS["a priori outline and center"], lw=1.2, label="predicted outline")
     axis.plot(*fix.limb_px.T, ".", color=MARKS["limb points used"], ms=3.5, label="limb found")
     axis.plot(*fix.center_px, "x", color="#ff5c7a", ms=8, mew=1.8, label="center found")

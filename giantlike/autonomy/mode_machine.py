@@ -129,12 +129,12 @@ class ModeMachine:
             target=state.target if target is None else target,
             target_camera=state.target_camera if target_camera is None else target_camera,
         )
-        refused = self._refused(asked)
+        refused = self._find_objection(asked)
         if refused:
             return state, Telemetry(mode=state.mode, done=False, detail=refused)
         return asked, Telemetry(mode=mode, done=True, detail=f"{state.mode} to {mode}")
 
-    def _refused(self, state: InstrumentState) -> str:
+    def _find_objection(self, state: InstrumentState) -> str:
         """Why a state's mode is not allowed; empty where it is."""
         if state.mode is Mode.IDLE:
             return ""

@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from giantlike.core.arrays import Float, as_finite, as_floats, require, require_number, unit
+from giantlike.core.deprecation import moved
+
+__getattr__ = moved(__name__, {__name__: "refracted:apply_refraction unrefracted:remove_refraction"}, until="0.4")
 
 LOWEST_ELEVATION_RAD = math.radians(10.0)
 """Lowest elevation: ERFA's two constants are good to 0.1 arcsec above 15 degrees, some arcsec at 10 (refco.c)."""
@@ -46,7 +49,7 @@ class SiteAtmosphere:
         return float(a), float(b)
 
 
-def refracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
+def apply_refraction(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
     """Raise directions toward the zenith as the atmosphere does.
 
     ``directions`` (..., 3), any axes; ``zenith`` (3,), the same axes; returns (..., 3).
@@ -61,10 +64,10 @@ def refracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphe
     for _ in range(_STEPS):
         tangent = np.tan(seen)
         seen = true - tangent * (a + b * tangent**2)
-    return _turned(vectors, up, length, seen)
+    return _set_zenith_distance(vectors, up, length, seen)
 
 
-def unrefracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
+def remove_refraction(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
     """Take refraction out of directions measured on the ground.
 
     ``directions`` (..., 3), any axes; ``zenith`` (3,), the same axes; returns (..., 3).
@@ -72,7 +75,7 @@ def unrefracted(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosp
     vectors, up, length, seen = _zenith_distances(directions, zenith)
     a, b = atmosphere.constants_rad()
     tangent = np.tan(seen)
-    return _turned(vectors, up, length, seen + tangent * (a + b * tangent**2))
+    return _set_zenith_distance(vectors, up, length, seen + tangent * (a + b * tangent**2))
 
 
 def _zenith_distances(directions: ArrayLike, zenith: ArrayLike) -> tuple[Float, Float, Float, Float]:
@@ -91,7 +94,7 @@ def _zenith_distances(directions: ArrayLike, zenith: ArrayLike) -> tuple[Float, 
     return towards, up, length, distance
 
 
-def _turned(towards: Float, up: Float, length: Float, distance: Float) -> Float:
+def _set_zenith_distance(towards: Float, up: Float, length: Float, distance: Float) -> Float:
     """Vectors in the vertical planes of unit vectors, at other zenith distances."""
     across = towards - (towards @ up)[..., None] * up
     size = np.linalg.norm(across, axis=-1, keepdims=True)

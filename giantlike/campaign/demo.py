@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.making import Progress
 from giantlike.campaign.run.runner import run_campaign, silent
-from giantlike.campaign.store.results import grouped
+from giantlike.campaign.store.results import group_by
 from giantlike.catalogs import load_catalog
 from giantlike.core.arrays import finite_or_none, require
 from giantlike.core.errors import DataError
@@ -103,12 +103,12 @@ class DemoReport(Value):
 
     def attitude_scores(self) -> dict[str, ErrorSummary]:
         """Attitude scores, by source of the attitude."""
-        by_source = grouped(self.comparison.attitudes, lambda error: error.source)
+        by_source = group_by(self.comparison.attitudes, lambda error: error.source)
         return {source or "none": score_attitudes(errors) for source, errors in by_source.items()}
 
     def estimator_scores(self) -> dict[tuple[str, str], ErrorSummary]:
         """Scores by target and estimator."""
-        by_pair = grouped(self.comparison.observations, lambda error: (error.target, error.estimator))
+        by_pair = group_by(self.comparison.observations, lambda error: (error.target, error.estimator))
         return {pair: score_observations(errors) for pair, errors in by_pair.items()}
 
     @property
@@ -125,7 +125,7 @@ class DemoReport(Value):
         for source, score in self.attitude_scores().items():
             if score.dof:
                 yield _consistency(f"attitude ({source}): squared errors over variances", score.chi2, score.dof)
-        for estimator, errors in grouped(self.comparison.observations, lambda error: error.estimator).items():
+        for estimator, errors in group_by(self.comparison.observations, lambda error: error.estimator).items():
             score = score_observations(errors)
             if score.dof:
                 yield _consistency(f"{estimator}, center: squared errors over variances", score.chi2, score.dof)
@@ -254,7 +254,7 @@ def _share(text: str, hits: Sequence[bool], low: float) -> Goal:
 
 
 def _accuracy_goals(comparison: TruthComparison) -> list[Goal]:
-    of = grouped(comparison.observations, lambda error: error.estimator)
+    of = group_by(comparison.observations, lambda error: error.estimator)
     attitudes = score_attitudes(comparison.attitudes)
     correlation = score_observations(of.get("cross_correlation", []))
     limb = score_observations(of.get("limb_matching", []))

@@ -19,7 +19,7 @@ from giantlike.cislunar.filter import (
     FilterModel,
     FilterState,
     coast,
-    predicted,
+    predict_measurement,
     step_ends,
 )
 from giantlike.core.arrays import Float, require, symmetric
@@ -137,7 +137,7 @@ def _arc(et: float, mean: Float, observations: Sequence[BodyObservation], model:
             by_first, earlier = matrix @ by_first, matrix @ earlier
             noise = matrix @ noise @ matrix.T + step.noise()
             et, mean = end, step.mean
-        expected, partials = predicted(observation, mean)
+        expected, partials = predict_measurement(observation, mean)
         rows.append(partials @ by_first)
         residuals.append(observation.measured - expected)
         here = slice(3 * k, 3 * k + 3)

@@ -23,7 +23,7 @@ from giantlike.cislunar.filter import (
     Transition,
     coast,
     maneuver,
-    predicted,
+    predict_measurement,
     step_ends,
 )
 from giantlike.cislunar.linear_covariance import (
@@ -85,7 +85,7 @@ def after_image(
     variances = believed if world_variances is None else as_finite(world_variances, (3,), "world_variances")
     biases = as_finite(world_biases, (3,), "world_biases")
     joint, state = at
-    factors, partials = state.factors, predicted(observation, state.mean)[1]
+    factors, partials = state.factors, predict_measurement(observation, state.mean)[1]
     for k, design in enumerate(partials):
         update = considered_update(scalar_update(factors, design, believed[k]), model.considered)
         joint = dispersed_measurement(joint, update.gain, design, float(variances[k]), float(biases[k]))

@@ -31,9 +31,12 @@ from giantlike.cislunar.udu import (
     scalar_update,
 )
 from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
+from giantlike.core.deprecation import moved
 from giantlike.core.frames import skew
 from giantlike.core.values import Value
 from giantlike.dynamics import PointMasses, cislunar, fly
+
+__getattr__ = moved(__name__, {__name__: "predicted:predict_measurement"}, until="0.4")
 
 POSITION, VELOCITY = slice(0, 3), slice(3, 6)
 ATTITUDE, ACCELERATION = slice(6, 9), slice(9, 12)
@@ -115,7 +118,7 @@ class FilterState(Value):
         """
         actual = as_floats(truth, (STATES,), "truth")
         error = actual - self.mean
-        error[..., ATTITUDE] = _composed(actual[..., ATTITUDE], -self.mean[..., ATTITUDE])
+        error[..., ATTITUDE] = _compose_rotations(actual[..., ATTITUDE], -self.mean[..., ATTITUDE])
         return error
 
     def squared_error(self, truth: ArrayLike) -> Float:
@@ -288,7 +291,7 @@ class BodyObservation(Value):
     radius_km: float
 
 
-def predicted(observation: BodyObservation, mean: Float) -> tuple[Float, Float]:
+def predict_measurement(observation: BodyObservation, mean: Float) -> tuple[Float, Float]:
     """Measurement that an estimate predicts, and its derivative by the states.
 
     ``mean`` (..., 21); returns ``measurement`` (..., 3) and ``partials`` (..., 3, 21).
@@ -359,7 +362,7 @@ def measurement_update(
         The state is of another time.
     """
     require(state.et == observation.et, f"the state is of {state.et}, the image of {observation.et}: update it first")
-    expected, partials = predicted(observation, state.mean)
+    expected, partials = predict_measurement(observation, state.mean)
     residuals = observation.measured - expected
     variances = np.broadcast_to(observation.variances, residuals.shape)
     factors, change = state.factors, np.zeros_like(state.mean)
@@ -377,7 +380,7 @@ def measurement_update(
         for table, value in zip(found, (innovation, update.variance, used), strict=True):
             table[..., k] = value
     mean = state.mean + change
-    mean[..., ATTITUDE] = _composed(change[..., ATTITUDE], state.mean[..., ATTITUDE])
+    mean[..., ATTITUDE] = _compose_rotations(change[..., ATTITUDE], state.mean[..., ATTITUDE])
     return FilterState(state.et, mean, factors), Innovations(found[0], found[1], found[2] > 0.0)
 
 
@@ -393,7 +396,7 @@ def _turns(rotation_vectors: Float) -> Float:
     return matrices
 
 
-def _composed(after: Float, before: Float) -> Float:
+def _compose_rotations(after: Float, before: Float) -> Float:
     """Rotation vectors (..., 3) of one rotation after another."""
     first, second = (Rotation.from_rotvec(np.array(each).reshape(-1, 3)) for each in (before, after))
     vectors: Float = (second * first).as_rotvec().reshape(before.shape)

@@ -133,7 +133,7 @@ class BodyErrorModel(Value):
         .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1,
            eqs. 19, 20 and 25; the sigma of a diameter is twice the sigma of the radius.
         """
-        return self._measured(self.sigmas_px(range_km), range_km, radius_km, focal_px, sign=1.0)
+        return self._errors_of_measurement(self.sigmas_px(range_km), range_km, radius_km, focal_px, sign=1.0)
 
     def measurement_biases(self, range_km: ArrayLike, radius_km: float, focal_px: float) -> Float:
         """Biases of the measurements of a filter, in a camera whose x axis is along the Sun.
@@ -149,9 +149,11 @@ class BodyErrorModel(Value):
         (..., 3) float64
             Of the two tangents, and of the range in km: a radius that is too large gives a range too short.
         """
-        return self._measured(self.biases_px(range_km), range_km, radius_km, focal_px, sign=-1.0)
+        return self._errors_of_measurement(self.biases_px(range_km), range_km, radius_km, focal_px, sign=-1.0)
 
-    def _measured(self, errors_px: Float, range_km: ArrayLike, radius_km: float, focal_px: float, sign: float) -> Float:
+    def _errors_of_measurement(
+        self, errors_px: Float, range_km: ArrayLike, radius_km: float, focal_px: float, sign: float
+    ) -> Float:
         """Errors of tangents and range from errors of center and radius."""
         ranges = as_floats(range_km, (), "range_km")
         diameter_px = focal_px * disk_diameter(ranges, radius_km)

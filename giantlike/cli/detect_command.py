@@ -150,7 +150,7 @@ def detect(
 def _all_searched(images: list[Path], wanted: DetectRequest) -> list[dict[str, Any]]:
     """The JSON list."""
     pattern = sequence_pattern(images, hdu=wanted.hdu, detector=wanted.detector) if wanted.sequence else None
-    outcomes = [_searched(path, wanted, pattern) for path in with_progress("detecting", images)]
+    outcomes = [_search_file(path, wanted, pattern) for path in with_progress("detecting", images)]
     if wanted.sequence:
         compared = iter(compare_sequence([found.detections for found in outcomes if isinstance(found, DetectedImage)]))
         outcomes = [
@@ -160,7 +160,7 @@ def _all_searched(images: list[Path], wanted: DetectRequest) -> list[dict[str, A
     return [_result(path, outcome, wanted) for path, outcome in zip(images, outcomes, strict=True)]
 
 
-def _searched(path: Path, wanted: DetectRequest, pattern: FixedPattern | Failure | None) -> DetectedImage | Failure:
+def _search_file(path: Path, wanted: DetectRequest, pattern: FixedPattern | Failure | None) -> DetectedImage | Failure:
     try:
         return wanted.search(wanted.reader.open(path, wanted.detector), pattern)
     except OpNavError as error:

@@ -21,7 +21,7 @@ def estimators(
 ) -> ExitCode:
     """List the estimators, or show one with its options."""
     require(name is None or name in ESTIMATORS, f"unknown estimator {name!r}; there are {', '.join(ESTIMATORS)}")
-    described = [_described(one) for one in ESTIMATORS if name in (None, one)]
+    described = [_describe_estimator(one) for one in ESTIMATORS if name in (None, one)]
     if json:
         print_json(described)
     elif name is None:
@@ -37,7 +37,7 @@ def estimators(
     return ExitCode.DONE
 
 
-def _described(name: str) -> dict[str, Any]:
+def _describe_estimator(name: str) -> dict[str, Any]:
     estimator = ESTIMATORS[name]()
     text = inspect.cleandoc(type(estimator).__doc__ or "").split("\nParameters\n")[0].rstrip()
     return {

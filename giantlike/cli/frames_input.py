@@ -35,7 +35,7 @@ class ImageReader:
         image = Image.open(path, hdu=self._hdu, bottom_up=self._bottom_up)
         if self._files is None:
             return image
-        return image.calibrated(_loaded(self._files, image.rows, image.columns), detector)
+        return image.calibrated(_load_frames(self._files, image.rows, image.columns), detector)
 
 
 def frames_table(frames: Path) -> dict[str, Any]:
@@ -59,6 +59,6 @@ def _only_frames(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @cache
-def _loaded(files: FrameFiles, rows: int, columns: int) -> CalibrationFrames:
+def _load_frames(files: FrameFiles, rows: int, columns: int) -> CalibrationFrames:
     """Frames of a size, combined once for all images."""
     return files.load(rows=rows, columns=columns)

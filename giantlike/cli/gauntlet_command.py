@@ -11,7 +11,7 @@ import typer
 
 from giantlike._system.atomic import make_folder
 from giantlike._system.processes import process_count
-from giantlike.campaign.store.lock import locked
+from giantlike.campaign.store.lock import hold_lock
 from giantlike.cli.arguments import Json, Overwrite, Resume, Workers
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
@@ -63,7 +63,7 @@ def gauntlet(
         results = _run(wanted, None, resume=resume, overwrite=overwrite)
     else:
         make_folder(output)
-        with locked(output):
+        with hold_lock(output):
             results = _run(wanted, output, resume=resume, overwrite=overwrite)
     report = summary_of(wanted, results)
     if only:

@@ -44,7 +44,7 @@ def command(function: Callable[Arguments, ExitCode]) -> Callable[Arguments, None
     """
 
     @functools.wraps(function)
-    def wrapped(*args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
+    def wrapper(*args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
         try:
             code = function(*args, **kwargs)
         except OpNavError as error:
@@ -55,7 +55,7 @@ def command(function: Callable[Arguments, ExitCode]) -> Callable[Arguments, None
             code = ExitCode.INTERRUPTED
         raise typer.Exit(code)
 
-    return wrapped
+    return wrapper
 
 
 def say(text: str) -> None:

@@ -90,12 +90,12 @@ def _print_tables(result: RunResult) -> None:
 
     title = f"{result.name}: {len(result.attitudes)} images"
     table = Table("", "ok", "suspect", "failed", "other", "reasons", title=escape(title))
-    rows = {"attitude": StatusCounts.of(result.attitudes)}
+    rows = {"attitude": StatusCounts.from_records(result.attitudes)}
     for (target, estimator), records in result.by_estimator.items():
-        rows[f"{target}: {estimator}"] = StatusCounts.of(records)
+        rows[f"{target}: {estimator}"] = StatusCounts.from_records(records)
     for name, counts in rows.items():
         reasons = ", ".join(f"{reason} ({count})" for reason, count in counts.reasons.items())
-        other = ", ".join(f"{count} {words}" for words, count in counts.untried.items())
+        other = ", ".join(f"{count} {words}" for words, count in counts.untried_counts.items())
         table.add_row(escape(name), str(counts.ok), str(counts.suspect), str(counts.failed), other, reasons)
     Console().print(table)
     _print_reasons(result)

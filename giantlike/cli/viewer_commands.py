@@ -36,7 +36,7 @@ CampaignFile = Annotated[
 ]
 
 
-def _opened(names: list[str], run: Path | None, campaign: Path | None) -> tuple[Session, str]:
+def _open_session(names: list[str], run: Path | None, campaign: Path | None) -> tuple[Session, str]:
     """The run and the image that the arguments name; the image may be left out where the run has only one."""
     require(len(names) + (run is not None) <= 2, f"a RUN and an IMAGE are needed, got {' '.join(names)}")
     if run is None:
@@ -72,7 +72,7 @@ def show(
     shown = [name.strip() for name in layers.split(",") if name.strip()]
     unknown = [name for name in shown if name not in LAYERS]
     require(not unknown, f"there is no layer {', '.join(unknown)}; there are {', '.join(LAYERS)}")
-    session, file = _opened(names, run, campaign)
+    session, file = _open_session(names, run, campaign)
     seen = session.seen(file)
     if "terminator" in shown:
         seen = with_terminators(session, seen, backplanes_of(session, file))
@@ -86,7 +86,7 @@ def show(
 
 def explain(names: Names, run: RunOption = None, json: Json = False) -> ExitCode:
     """Explain in words the prediction, results and rejections of an image, and which check decided."""
-    session, file = _opened(names, run, None)
+    session, file = _open_session(names, run, None)
     seen = session.seen(file)
     text = explained(seen)
     summary = {"file": file, "verdict": verdict_of(seen.record, seen.observations), "text": text}
@@ -104,7 +104,7 @@ def backplanes(
     campaign: CampaignFile = None,
 ) -> ExitCode:
     """Write range, angles, latitude and longitude of every pixel as a FITS cube with world coordinates."""
-    session, file = _opened(names, run, campaign)
+    session, file = _open_session(names, run, campaign)
     write_backplanes(output, session, file, estimator=estimator, predicted=predicted)
     typer.echo(f"wrote {output}")
     return ExitCode.DONE

@@ -70,7 +70,7 @@ def ellipsoid(radii_km: Float, albedo: SphereField | None = None) -> tuple[Ellip
     return EllipsoidBody(radii_km, albedo), Ellipsoid(radii_km=np.array(radii_km, dtype=float))
 
 
-def scaled(shape: Shape, factor: float) -> Shape:
+def scale_shape(shape: Shape, factor: float) -> Shape:
     """Return a shape with all lengths times a factor."""
     if isinstance(shape, Ellipsoid):
         return Ellipsoid(radii_km=shape.radii_km * factor)

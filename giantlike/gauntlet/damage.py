@@ -75,7 +75,7 @@ def _shift(rng: np.random.Generator, least: float, most: float) -> tuple[int, in
 def ghost(plan: Plan, rng: np.random.Generator) -> Plan:
     """A faint second image."""
     share = log_uniform(rng, 0.01, 0.3)
-    light = lights.copied(
+    light = lights.second_image(
         shift_px=_shift(rng, 10.0, 150.0), share=share, blur_px=log_uniform(rng, 0.5, 8.0), turned=rng.uniform() < 0.5
     )
     return _lit(plan, light, hard=share > 0.03)
@@ -83,7 +83,7 @@ def ghost(plan: Plan, rng: np.random.Generator) -> Plan:
 
 def double_exposure(plan: Plan, rng: np.random.Generator) -> Plan:
     """Two exposures between which the camera moved by at least 5 px; a smaller motion has its midpoint as the truth."""
-    light = lights.copied(shift_px=_shift(rng, 5.0, 80.0), share=log_uniform(rng, 0.3, 1.0))
+    light = lights.second_image(shift_px=_shift(rng, 5.0, 80.0), share=log_uniform(rng, 0.3, 1.0))
     return _lit(plan, light, hard=True)
 
 
@@ -126,7 +126,7 @@ def dead_rows(plan: Plan, rng: np.random.Generator) -> Plan:
     return plan.but(world={"defects": defects}, hard=rows + columns > 2)
 
 
-def saturated(plan: Plan, rng: np.random.Generator, *, least_share: float, blooms: bool) -> Plan:
+def saturate(plan: Plan, rng: np.random.Generator, *, least_share: float, blooms: bool) -> Plan:
     """Values end below the brightest light, or charge flows along columns beyond that."""
     share = rng.uniform(least_share, 0.9)
     limit = BIAS_DN + share * _level_dn(plan.world)
@@ -139,7 +139,7 @@ def saturated(plan: Plan, rng: np.random.Generator, *, least_share: float, bloom
 def smear(plan: Plan, rng: np.random.Generator) -> Plan:
     """Every column has a little light of all of its pixels."""
     share = log_uniform(rng, 0.003, 0.2)
-    return _lit(plan, lights.smeared(share), hard=share > 0.02)
+    return _lit(plan, lights.transfer_smear(share), hard=share > 0.02)
 
 
 def _optics(plan: Plan, psf: Psf, *, hard: bool) -> Plan:
@@ -189,14 +189,14 @@ def satellites(plan: Plan, rng: np.random.Generator) -> Plan:
     return _lit(plan, light, hard=True)
 
 
-def mirrored(plan: Plan, rng: np.random.Generator) -> Plan:
+def reverse_columns(plan: Plan, rng: np.random.Generator) -> Plan:
     """Columns in the wrong order."""
-    return _read(plan, readouts.mirrored, hard=True)
+    return _read(plan, readouts.reverse_columns, hard=True)
 
 
-def inverted(plan: Plan, rng: np.random.Generator) -> Plan:
+def reverse_rows(plan: Plan, rng: np.random.Generator) -> Plan:
     """Rows in the wrong order."""
-    return _read(plan, readouts.inverted, hard=True)
+    return _read(plan, readouts.reverse_rows, hard=True)
 
 
 def rows_shifted(plan: Plan, rng: np.random.Generator) -> Plan:

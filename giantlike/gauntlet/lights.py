@@ -44,7 +44,7 @@ def background_light(
     return add
 
 
-def copied(*, shift_px: tuple[int, int], share: float, blur_px: float = 0.0, turned: bool = False) -> Light:
+def second_image(*, shift_px: tuple[int, int], share: float, blur_px: float = 0.0, turned: bool = False) -> Light:
     """A second image of everything: a ghost, or a second exposure on the same frame.
 
     ``shift_px``: columns and rows by which it is moved.
@@ -52,13 +52,13 @@ def copied(*, shift_px: tuple[int, int], share: float, blur_px: float = 0.0, tur
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
         other = signal[::-1, ::-1] if turned else signal
-        other = moved(other, shift_px)
+        other = shift_image(other, shift_px)
         return signal + share * (gaussian_filter(other, blur_px) if blur_px else other)
 
     return add
 
 
-def moved(image: Float, shift_px: tuple[int, int]) -> Float:
+def shift_image(image: Float, shift_px: tuple[int, int]) -> Float:
     """Shift an image by whole pixels, padded with zeros. ``shift_px``: columns and rows; returns (rows, columns)."""
     x, y = shift_px
     rows, columns = image.shape
@@ -70,7 +70,7 @@ def moved(image: Float, shift_px: tuple[int, int]) -> Float:
     return result
 
 
-def smeared(share: float) -> Light:
+def transfer_smear(share: float) -> Light:
     """Transfer smear: every pixel of a column gets light of all others while the frame is read."""
     return lambda signal, world, rng: signal + share * signal.mean(axis=0, keepdims=True)
 

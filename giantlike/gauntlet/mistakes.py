@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.frames import rotate
-from giantlike.gauntlet.bodies import ROCKS, ellipsoid, relief, rock, scaled
+from giantlike.gauntlet.bodies import ROCKS, ellipsoid, relief, rock, scale_shape
 from giantlike.gauntlet.plan import PSF_PX, Plan, log_uniform, star_plan
 from giantlike.independent import EllipsoidBody, StarField
 from giantlike.shapes import Ellipsoid
@@ -69,7 +69,7 @@ def wrong_scale(plan: Plan, rng: np.random.Generator, *, share: float) -> Plan:
     """Assume a body too large or too small by a fraction of its size."""
     told = plan.told
     assert told.shape is not None
-    new: dict[str, object] = {"shape": scaled(told.shape, 1.0 + share * rng.choice([-1.0, 1.0]))}
+    new: dict[str, object] = {"shape": scale_shape(told.shape, 1.0 + share * rng.choice([-1.0, 1.0]))}
     if rng.uniform() < _STATED_SHARE:
         new["scale_sigma"] = share
     return plan.but(told=new, hard=True)
@@ -126,7 +126,7 @@ def foreign_shape(plan: Plan, rng: np.random.Generator) -> Plan:
     assert plan.told.shape is not None
     _, other = rock(_which_rock(plan) + int(rng.integers(1, ROCKS)))
     factor = plan.told.shape.mean_radius_km / other.mean_radius_km
-    return plan.but(told={"shape": scaled(other, factor)}, hard=True)
+    return plan.but(told={"shape": scale_shape(other, factor)}, hard=True)
 
 
 def sphere_for_rock(plan: Plan, rng: np.random.Generator) -> Plan:

@@ -95,12 +95,12 @@ def jittered_rows(sigma_px: float) -> Readout:
     return shake
 
 
-def mirrored(pixels: Float, rng: np.random.Generator) -> Float:
+def reverse_columns(pixels: Float, rng: np.random.Generator) -> Float:
     """Columns in the wrong order."""
     return np.ascontiguousarray(pixels[:, ::-1])
 
 
-def inverted(pixels: Float, rng: np.random.Generator) -> Float:
+def reverse_rows(pixels: Float, rng: np.random.Generator) -> Float:
     """Rows in the wrong order."""
     return np.ascontiguousarray(pixels[::-1])
 

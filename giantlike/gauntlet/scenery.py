@@ -149,7 +149,7 @@ def moon(plan: Plan, rng: np.random.Generator) -> Plan:
     return plan.but(world={"lights": (light, *plan.world.lights)}, hard=True)
 
 
-def ringed(plan: Plan, rng: np.random.Generator) -> Plan:
+def add_rings(plan: Plan, rng: np.random.Generator) -> Plan:
     """Add rings."""
     inner = rng.uniform(1.15, 1.6)
     light = lights.rings(
@@ -189,7 +189,7 @@ def comet(plan: Plan, rng: np.random.Generator) -> Plan:
     return plan.but(world={"lights": (light, *plan.world.lights)}, hard=brightness > 0.01)
 
 
-def marked(plan: Plan, rng: np.random.Generator) -> Plan:
+def add_markings(plan: Plan, rng: np.random.Generator) -> Plan:
     """Paint the body with markings of 5 to 20 %."""
     body = plan.world.body
     assert isinstance(body, EllipsoidBody)
@@ -205,7 +205,7 @@ def dense_stars(plan: Plan, rng: np.random.Generator) -> Plan:
     return plan.but(world={"lights": (light, *plan.world.lights)}, hard=count > 150)
 
 
-def crowded(plan: Plan, rng: np.random.Generator) -> Plan:
+def add_faint_stars(plan: Plan, rng: np.random.Generator) -> Plan:
     """Add stars that are fainter than the catalog, and many."""
     count = int(log_uniform(rng, 300.0, 8000.0))
     light = lights.field_stars(count, 20.0, 400.0)

@@ -16,7 +16,7 @@ FAINTEST = -16.0
 """Exponent below which a bump is left out: 1e-7 of its height."""
 
 
-def _unfolded(directions: Float) -> tuple[Float, Float]:
+def _unfold(directions: Float) -> tuple[Float, Float]:
     """Octahedral coordinates in [-1, 1] of directions (n, 3): z > 0 inside the diamond, z < 0 folded outside it."""
     size = np.abs(directions)
     scale = 1.0 / (size[:, 0] + size[:, 1] + size[:, 2])
@@ -54,7 +54,7 @@ class SphereField:
 
     def _corners(self, directions: Float) -> tuple[NDArray[np.int64], Float, Float]:
         cells = self.values.shape[0] - 1
-        first, second = _unfolded(directions)
+        first, second = _unfold(directions)
         column, row = (first + 1.0) * (0.5 * cells), (second + 1.0) * (0.5 * cells)
         left = np.minimum(column.astype(np.int64), cells - 1)
         top = np.minimum(row.astype(np.int64), cells - 1)

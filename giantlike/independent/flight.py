@@ -81,14 +81,14 @@ def fly_spacecraft(
     return craft
 
 
-def sighted(craft: Array, told: Array, body_km: Array, radius_km: float, errors: Array) -> Array:
+def observe_body(craft: Array, camera_from_inertial: Array, body_km: Array, radius_km: float, errors: Array) -> Array:
     """Tangents of the two angles to a body and its range (runs, 3), as a camera with biases and noise has them.
 
-    ``told`` (3, 3) takes inertial to the assumed camera axes, ``errors`` (runs, 3) are those of the two
+    ``camera_from_inertial`` (3, 3) takes inertial to the assumed camera axes, ``errors`` (runs, 3) are those of the two
     tangents and of the diameter of the disk at unit distance in this image.
     """
-    toward = (body_km - craft[:, :3]) @ told.T
-    seen = _rotated(craft[:, 6:9], toward)
+    toward = (body_km - craft[:, :3]) @ camera_from_inertial.T
+    seen = _rotate(craft[:, 6:9], toward)
     distance = np.sqrt(np.sum(seen * seen, axis=1))
     horizontal, vertical = np.arctan2(seen[:, 0], seen[:, 2]), np.arctan2(seen[:, 1], seen[:, 2])
     diameter = 2.0 * np.tan(np.arcsin(radius_km / distance)) + craft[:, 20] + errors[:, 2]
@@ -101,18 +101,18 @@ def sighted(craft: Array, told: Array, body_km: Array, radius_km: float, errors:
     )
 
 
-def burned(craft: Array, change: Array, told: Array, seconds: float) -> tuple[Array, Array]:
+def apply_burn(craft: Array, change: Array, body_from_inertial: Array, seconds: float) -> tuple[Array, Array]:
     """Spacecraft after a burn that changes velocities by ``change`` (runs, 3), and what accelerometers sense (runs, 3).
 
-    ``told`` takes inertial to body axes; those of the accelerometers are off by the attitude error.
+    ``body_from_inertial`` takes inertial to body axes; those of the accelerometers are off by the attitude error.
     """
     after = craft.copy()
     after[:, 3:6] += change
-    felt = _rotated(craft[:, 6:9], change @ told.T)
+    felt = _rotate(craft[:, 6:9], change @ body_from_inertial.T)
     return after, felt + craft[:, 12:15] * seconds + craft[:, 15:18] * felt
 
 
-def _rotated(rotations: Array, vectors: Array) -> Array:
+def _rotate(rotations: Array, vectors: Array) -> Array:
     """Vectors (runs, 3) turned by rotation vectors (runs, 3): Rodrigues' formula."""
     angle = np.linalg.norm(rotations, axis=1, keepdims=True)
     axis = np.divide(rotations, angle, out=np.zeros_like(rotations), where=angle > 0.0)

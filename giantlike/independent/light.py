@@ -47,7 +47,7 @@ def _boost(velocity: Float) -> Float:
     return matrix
 
 
-def _transformed(directions: Float, matrix: Float) -> Float:
+def _transform(directions: Float, matrix: Float) -> Float:
     """Unit directions to sources in another frame: the photon's four-vector is (1, -n)."""
     unit = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
     photon = np.concatenate([np.ones((*unit.shape[:-1], 1)), -unit], axis=-1) @ matrix.T
@@ -56,9 +56,7 @@ def _transformed(directions: Float, matrix: Float) -> Float:
 
 def aberrated(directions: ArrayLike, velocity_km_s: ArrayLike) -> Float:
     """Return unit directions (..., 3) as a moving observer sees them, of directions (..., 3) at rest."""
-    return _transformed(
-        np.asarray(directions, dtype=float), _boost(np.asarray(velocity_km_s, dtype=float) / LIGHT_KM_S)
-    )
+    return _transform(np.asarray(directions, dtype=float), _boost(np.asarray(velocity_km_s, dtype=float) / LIGHT_KM_S))
 
 
 def unaberrated(rays: Float, motion: Motion) -> Float:
@@ -70,9 +68,7 @@ def unaberrated(rays: Float, motion: Motion) -> Float:
     ``rays`` (n, 3), camera axes, of the moving observer; returns (n, 3).
     """
     backward = _boost(-np.asarray(motion.observer_km_s, dtype=float) / LIGHT_KM_S)
-    return np.asarray(
-        _transformed(rays, backward) + np.asarray(motion.body_km_s, dtype=float) / LIGHT_KM_S, dtype=float
-    )
+    return np.asarray(_transform(rays, backward) + np.asarray(motion.body_km_s, dtype=float) / LIGHT_KM_S, dtype=float)
 
 
 def apparent_geometry(

@@ -96,7 +96,7 @@ def record(
     bad = _struck(electrons, rng, recorder, defects)
     full = (recorder.saturation_dn - recorder.bias_dn) * recorder.gain_e_per_dn
     if recorder.blooms and np.isfinite(full):
-        electrons = _bloomed(electrons, full)
+        electrons = _bloom(electrons, full)
     electrons += rng.normal(scale=recorder.read_noise_e, size=electrons.shape)
     pixels = electrons / recorder.gain_e_per_dn + recorder.bias_dn
     for columns in defects.dead_columns:
@@ -132,7 +132,7 @@ def _struck(electrons: Float, rng: np.random.Generator, recorder: Recorder, defe
     return bad
 
 
-def _bloomed(electrons: Float, full: float) -> Float:
+def _bloom(electrons: Float, full: float) -> Float:
     """Spread the charge above the full well evenly up and down each column, into the next pixels with room."""
     result = np.minimum(electrons, full)
     excess = electrons - result

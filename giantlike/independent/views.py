@@ -30,7 +30,7 @@ class PinholeView:
     p1: float = 0.0
     p2: float = 0.0
 
-    def _distorted(self, plane: Float) -> Float:
+    def _distort(self, plane: Float) -> Float:
         x, y = plane[..., 0], plane[..., 1]
         squared = x * x + y * y
         radial = 1.0 + squared * (self.k1 + squared * self.k2)
@@ -46,7 +46,7 @@ class PinholeView:
         """Return the pixels (..., 2) of vectors (..., 3) in camera axes; NaN behind the camera."""
         vectors = np.asarray(vectors_camera, dtype=float)
         depth = np.where(vectors[..., 2] > 0.0, vectors[..., 2], np.nan)
-        plane = self._distorted(vectors[..., :2] / depth[..., None])
+        plane = self._distort(vectors[..., :2] / depth[..., None])
         return np.asarray(self.focal_px * plane + self.center_px, dtype=float)
 
     def directions(self, pixels: ArrayLike) -> Float:
@@ -55,7 +55,7 @@ class PinholeView:
         plane = target
         if self.k1 or self.k2 or self.p1 or self.p2:
             for _ in range(30):  # fixed point; contracts by the size of the distortion each time
-                error = target - self._distorted(plane)
+                error = target - self._distort(plane)
                 plane = plane + error
                 if np.abs(error).max(initial=0.0) < 1e-13:
                     break

@@ -14,7 +14,7 @@ __getattr__ = forward_names(
             "CameraSource ExposureRequest FolderCamera SimulatedCamera TriggerPlan take_pair trigger_plan"
         ),
         "giantlike.autonomy.mode_machine": "InstrumentState Mode Slew Telemetry",
-        "giantlike.autonomy.refraction": "SiteAtmosphere refracted unrefracted",
+        "giantlike.autonomy.refraction": "SiteAtmosphere refracted:apply_refraction unrefracted:remove_refraction",
         "giantlike.autonomy.two_camera_pose": "Interlock PairPose carried_attitude",
         "giantlike.cislunar": (
             "BodyErrorModel BodyObservation FilterModel FilterState estimate_batch measurement_update time_update "
@@ -28,7 +28,7 @@ __getattr__ = forward_names(
         "giantlike.cislunar.covariance": (
             "Dispersed after_coast after_correction after_image after_steps reference_steps"
         ),
-        "giantlike.cislunar.filter": "Innovations Transition coast maneuver predicted",
+        "giantlike.cislunar.filter": "Innovations Transition coast maneuver predicted:predict_measurement",
         "giantlike.cislunar.linear_covariance": (
             "JointDispersion dispersed_correction dispersed_measurement dispersed_step"
         ),

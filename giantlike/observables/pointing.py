@@ -62,7 +62,7 @@ def pointing_from_bodies(camera: Camera, rows: Sequence[ObservableRow]) -> Point
     directions by the ephemeris. A turn, and the place found with it, follow ``e`` by their derivatives by a rotation of
     the body about the camera axes too, which is what an error of the attitude looks like.
     """
-    choices = [_used(rows, turned=turned) for turned in (False, True)]
+    choices = [_select_used(rows, turned=turned) for turned in (False, True)]
     found = [_pointing(camera, used) for used in choices if used]
     if not found:
         return Failure(Reason.NO_SIGNAL, "no body with a preferred fix and a computed place")
@@ -126,7 +126,7 @@ class _Measured(Value):
     by_rotation: Float
 
     @classmethod
-    def of(cls, row: ObservableRow) -> _Measured:
+    def from_row(cls, row: ObservableRow) -> _Measured:
         """Take them from a row; of a landmark, and of a body without a turn, pixel and line alone."""
         if row.turn_rad is None:
             place = _numbers([row.observed_pixel_px, row.observed_line_px])
@@ -150,7 +150,7 @@ class _Measured(Value):
         return result
 
 
-def _used(rows: Sequence[ObservableRow], *, turned: bool) -> list[_Measured]:
+def _select_used(rows: Sequence[ObservableRow], *, turned: bool) -> list[_Measured]:
     """Landmarks that are not suspect; of the targets without any, the preferred fix, or rather one with a turn."""
     known = [row for row in rows if row.computed_pixel_px is not None and row.computed_line_px is not None]
     landmarks = [row for row in known if row.kind == "landmark" and row.status == "ok"]
@@ -160,7 +160,7 @@ def _used(rows: Sequence[ObservableRow], *, turned: bool) -> list[_Measured]:
         good = row.preferred or (turned and row.turn_rad is not None and row.status == "ok")
         if row.kind == "body" and good and row.target not in with_landmarks:
             bodies.setdefault(row.target, row)
-    return [_Measured.of(row) for row in [*bodies.values(), *landmarks]]
+    return [_Measured.from_row(row) for row in [*bodies.values(), *landmarks]]
 
 
 def _covariance(used: Sequence[_Measured], camera: Camera) -> Float:

@@ -209,7 +209,7 @@ def row_of_body(
     if isinstance(fix, PositionFix):
         apparent_km = fix.position_camera_km
     units = np.array([1.0, 1.0, float(np.linalg.norm(apparent_km))])
-    parts = {cause: _padded(part) * np.outer(units, units) for cause, part in fix.parts.items()}
+    parts = {cause: _pad_covariance(part) * np.outer(units, units) for cause, part in fix.parts.items()}
     partials = {cause: _padded_rows(partial) * units[:, None] for cause, partial in fix.partials.items()}
     point = _Point(context=context, apparent_km=apparent_km, circumstances=sighting.circumstances, ranged=ranged)
     return ObservableRow(
@@ -225,7 +225,7 @@ def row_of_body(
         shared_body=fix.target,
         **context.cells(),
         **sighting.cells(context.camera_from_inertial.inv()),
-        **_measured(fix.center_px, model.project(sighting.predicted_camera_km)),
+        **_pixel_cells(fix.center_px, model.project(sighting.predicted_camera_km)),
         **_range_cells(apparent_km, sighting.predicted_camera_km, ranged=ranged),
         **_turn_cells(fix.turn if isinstance(fix, PositionFix) else None),
         **point.directions(),
@@ -289,9 +289,9 @@ def row_of_landmark(
         feature_position_body_km=landmark.body_km.tolist(),
         **context.cells(),
         **sighting.cells(context.camera_from_inertial.inv()),
-        **_measured(landmark.observed_px, model.project(computed_km)),
+        **_pixel_cells(landmark.observed_px, model.project(computed_km)),
         **point.directions(),
-        **point.errors({cause: _padded(part) for cause, part in parts.items()}),
+        **point.errors({cause: _pad_covariance(part) for cause, part in parts.items()}),
         **point.partials({cause: _padded_rows(partial) for cause, partial in partials.items()}),
     )
 
@@ -478,7 +478,7 @@ def _quality(fix: CenterFix) -> dict[str, Any]:
     return {"status": "suspect" if fix.flags.suspect else "ok", "flags": "|".join(fix.flags.names()) or None}
 
 
-def _measured(observed_px: Float, computed_px: Float) -> dict[str, Any]:
+def _pixel_cells(observed_px: Float, computed_px: Float) -> dict[str, Any]:
     """Cells of pixel and line, observed and computed."""
     cells: dict[str, Any] = {}
     for k, name in enumerate(("pixel", "line")):
@@ -533,7 +533,7 @@ def _ratio(value: float, scale: float) -> float | None:
     return value / scale if scale > 0.0 and np.isfinite(value) else None
 
 
-def _padded(matrix: Float) -> Float:
+def _pad_covariance(matrix: Float) -> Float:
     """A covariance (3, 3) of pixel, line and range; not a number where there is no range."""
     return np.pad(matrix, (0, 3 - len(matrix)), constant_values=np.nan)
 

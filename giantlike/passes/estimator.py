@@ -116,18 +116,18 @@ def estimate_pass(given: NavigationPass, options: PassOptions | None = None) -> 
     """
     options = options or PassOptions()
     with one_thread():
-        layout = PassLayout.of(given, options)
-        state = _settled(given, layout, options, options.timetag_jitter_s, np.zeros(len(layout.names)))
+        layout = PassLayout.from_pass(given, options)
+        state = _solve_parameters(given, layout, options, options.timetag_jitter_s, np.zeros(len(layout.names)))
         jitter = (options.timetag_jitter_s, 0.0, 1.0)
         if options.estimate_jitter and not isinstance(state, Failure):
             jitter = _likely_jitter(given, layout, options, state)
-            state = _settled(given, layout, options, jitter[0], state.departure)
+            state = _solve_parameters(given, layout, options, jitter[0], state.departure)
         if isinstance(state, Failure):
             return state
         return _result(given, layout, options, state, jitter)
 
 
-def _settled(
+def _solve_parameters(
     given: NavigationPass, layout: PassLayout, options: PassOptions, jitter_s: float, start: Float
 ) -> _PassState | Failure:
     """Gauss-Newton steps until the parameters rest."""
@@ -216,7 +216,7 @@ def _likely_jitter(
 
     def cost(jitter_s: float) -> float:
         sums = [
-            each.scaled(variance, new_in_image(image, len(each.pull), jitter_s, options.pointing_jitter_rad))
+            each.rescale(variance, new_in_image(image, len(each.pull), jitter_s, options.pointing_jitter_rad))
             for image, each in zip(given.images, state.sums, strict=True)
         ]
         return restricted_cost(layout, sums, state.departure)

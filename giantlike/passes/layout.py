@@ -61,7 +61,7 @@ class PassLayout(Value):
     maps: tuple[Float, ...]
 
     @classmethod
-    def of(cls, given: NavigationPass, options: PassOptions) -> PassLayout:
+    def from_pass(cls, given: NavigationPass, options: PassOptions) -> PassLayout:
         """Lay out the parameters of a pass."""
         columns: list[_Column] = []
         for treatment, terms in ((True, options.estimate), (False, options.consider)):
@@ -78,7 +78,14 @@ class PassLayout(Value):
             columns.append(_Column(f"{TRAJECTORY}_{name}", "", TRAJECTORY, 1.0, trajectory, moves))
         for key, count in shared_names(given.images):
             columns += [
-                _Column(f"{key} {k}", "sigma", LIMB_ERRORS, 1.0, limbs, tuple(_shared(i, key, k) for i in given.images))
+                _Column(
+                    f"{key} {k}",
+                    "sigma",
+                    LIMB_ERRORS,
+                    1.0,
+                    limbs,
+                    tuple(_shared_error(i, key, k) for i in given.images),
+                )
                 for k in range(count)
             ]
         require(any(column.estimated for column in columns), "options.estimate names no term: nothing to solve for")
@@ -135,7 +142,7 @@ def _effect(image: PassImage, where: slice | int, value: Float | float) -> Float
     return errors
 
 
-def _shared(image: PassImage, key: str, index: int) -> Float:
+def _shared_error(image: PassImage, key: str, index: int) -> Float:
     """One of the errors that limbs share; zero where the image has none of them."""
     first = EFFECTS
     for name, shift in image.observed.shared_px.items():

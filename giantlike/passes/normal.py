@@ -65,7 +65,7 @@ class ImageSums(Value):
         along = vectors[:, told].T @ (self.pull / scale)
         return self.squares - float(np.sum(along**2 / values[told])), self.count - int(told.sum())
 
-    def scaled(self, variance: float, random: Float) -> ImageSums:
+    def rescale(self, variance: float, random: Float) -> ImageSums:
         """The same with noise of another variance and other new errors."""
         return ImageSums(
             information=self.information / variance,

@@ -33,11 +33,11 @@ def distortion_figure(
     with drawing():
         figure, (left, right) = new_panels(10.0, 3.9, columns=2)
         size = np.linalg.norm(distortion_px, axis=1)
-        _filled(figure, left, points_px, size, columns, rows)
-        chosen = _thinned(points_px)
+        _fill_map(figure, left, points_px, size, columns, rows)
+        chosen = _pick_on_grid(points_px)
         left.quiver(*points_px[chosen].T, *distortion_px[chosen].T, angles="xy", color=ORANGE, width=0.004)
         left.set_title(f"Distortion, px (at most {size.max():.3g})")
-        _filled(figure, right, sigma_points_px, sigma_px, columns, rows)
+        _fill_map(figure, right, sigma_points_px, sigma_px, columns, rows)
         right.set_title(f"One sigma of the map, px (at most {sigma_px.max():.2g})")
     return figure
 
@@ -48,7 +48,7 @@ def _colors(names: Sequence[str]) -> LinearSegmentedColormap:
     return LinearSegmentedColormap.from_list("giantlike", list(names))
 
 
-def _filled(figure: Figure, axis: Axes, points_px: Float, values: Float, columns: int, rows: int) -> None:
+def _fill_map(figure: Figure, axis: Axes, points_px: Float, values: Float, columns: int, rows: int) -> None:
     levels = np.linspace(0.0, max(float(values.max()), 1e-9), 13).tolist()
     drawn = axis.tricontourf(points_px[:, 0], points_px[:, 1], values, levels=levels, cmap=_colors(_SEQUENTIAL))
     figure.colorbar(drawn, ax=axis, shrink=0.9, format="%.3g")
@@ -56,7 +56,7 @@ def _filled(figure: Figure, axis: Axes, points_px: Float, values: Float, columns
     show_field(axis, columns, rows)
 
 
-def _thinned(points_px: Float) -> NDArray[np.intp]:
+def _pick_on_grid(points_px: Float) -> NDArray[np.intp]:
     """Indices of points nearest to a coarse grid."""
     low, high = points_px.min(axis=0), points_px.max(axis=0)
     places = (points_px - low) / np.maximum(high - low, 1e-9) * (_ARROWS - 1)

@@ -121,8 +121,8 @@ def charts_svg(sheet: ChartSheet, name: str) -> str:
     count, stacked = len(sheet.charts), sheet.stacked
     step = (0.0, height + _GAP) if stacked else (width + _LEFT + _RIGHT, 0.0)
     total = np.array([_LEFT + width + _RIGHT, _TOP + height + _BOTTOM]) + (count - 1) * np.array(step)
-    legends = [_rows(_labeled(chart), width) for chart in sheet.charts[: 1 if stacked else count]]
-    below = _LEGEND * max(map(len, legends)) * (not stacked or len(_labeled(sheet.charts[0])) > 1)
+    legends = [_rows(_select_labeled(chart), width) for chart in sheet.charts[: 1 if stacked else count]]
+    below = _LEGEND * max(map(len, legends)) * (not stacked or len(_select_labeled(sheet.charts[0])) > 1)
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {total[0]:.0f} {total[1] + below:.0f}" '
         f'width="{total[0]:.0f}" font-family="sans-serif" font-size="12">'
@@ -140,7 +140,7 @@ def charts_svg(sheet: ChartSheet, name: str) -> str:
     return "".join([*parts, "</svg>"])
 
 
-def _labeled(chart: Chart) -> list[Layer]:
+def _select_labeled(chart: Chart) -> list[Layer]:
     return [layer for layer in chart.layers if layer.label]
 
 
@@ -154,11 +154,13 @@ def _chart(chart: Chart, name: str, width: float, height: float, *, numbered: bo
     for value, text in chart.x.ticks(max(int(width * _TICKS_PER_UNIT), 2)):
         x = width * float(chart.x.shares(np.array(value)))
         lines += f"M{x:.1f} 0V{height:.1f}"
-        texts.append(f'<text x="{x:.1f}" y="{height + 15:.1f}" text-anchor="middle">{_signed(text)}</text>' * numbered)
+        texts.append(
+            f'<text x="{x:.1f}" y="{height + 15:.1f}" text-anchor="middle">{_format_signed(text)}</text>' * numbered
+        )
     for value, text in chart.y.ticks(max(int(height * 1.6 * _TICKS_PER_UNIT), 2)):
         y = height * (1.0 - float(chart.y.shares(np.array(value))))
         lines += f"M0 {y:.1f}H{width:.1f}"
-        texts.append(f'<text x="-6" y="{y + 4:.1f}" text-anchor="end">{_signed(text)}</text>')
+        texts.append(f'<text x="-6" y="{y + 4:.1f}" text-anchor="end">{_format_signed(text)}</text>')
     parts += [
         f'<path d="{lines}" stroke="{GRID}" stroke-width="1.2"/>',
         f'<path d="M0 0V{height:.1f}H{width:.1f}" fill="none" stroke="{GRAY}" stroke-width="1.2"/>',
@@ -182,7 +184,7 @@ def _chart(chart: Chart, name: str, width: float, height: float, *, numbered: bo
     return parts
 
 
-def _signed(number: str) -> str:
+def _format_signed(number: str) -> str:
     return number.replace("-", "\N{MINUS SIGN}")
 
 
@@ -246,7 +248,7 @@ def charts_figure(sheet: ChartSheet) -> Figure:
             axis.set_aspect("equal" if chart.equal else "auto")
             for layer in chart.layers:
                 _draw(axis, layer)
-            labels = len(_labeled(chart)) - stacked  # of a stack, one alone says nothing
+            labels = len(_select_labeled(chart)) - stacked  # of a stack, one alone says nothing
             if last and labels > 0:
                 places = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.36 / sheet.height_in), "ncols": labels + 1}
                 axis.legend(**places)

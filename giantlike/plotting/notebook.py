@@ -13,7 +13,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.display import paints
 from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, PositionFix
 from giantlike.image import Image
-from giantlike.plotting.overlays import MARKS, stretched
+from giantlike.plotting.overlays import MARKS, stretch_image
 from giantlike.plotting.style import BLUE, INK, RED, drawing, new_panels
 from giantlike.ray_tracing import trace_silhouette
 from giantlike.scene import Scene
@@ -37,7 +37,7 @@ def draw_image(image: Image, axes: Axes | None = None, *, longest_px: int = 1024
     """Draw an image: noise dark gray, faint stars visible, the shading of bodies kept."""
     axes = _axes(axes, image.rows / image.columns)
     extent = (-0.5, image.columns - 0.5, image.rows - 0.5, -0.5)
-    axes.imshow(stretched(image.pixels, longest_px=longest_px), cmap="gray", vmin=0, vmax=255, extent=extent)
+    axes.imshow(stretch_image(image.pixels, longest_px=longest_px), cmap="gray", vmin=0, vmax=255, extent=extent)
     axes.grid(visible=False)
     axes.set(title=image.name, xlabel="x, px", ylabel="y, px")
     return axes

@@ -121,7 +121,7 @@ class BodyMarks(Value):
     centers: Sequence[CenterMark] = ()
 
 
-def stretched(pixels: NDArray[np.generic], *, longest_px: int = 640) -> NDArray[np.uint8]:
+def stretch_image(pixels: NDArray[np.generic], *, longest_px: int = 640) -> NDArray[np.uint8]:
     """Return an image for viewing: noise dark gray, faint stars visible, the shading of bodies kept.
 
     ``pixels`` in DN; returns ``gray`` (rows, columns).
@@ -177,7 +177,7 @@ def overlay_panels(
     frame = np.array([-0.5, columns - 0.5, -0.5, rows - 0.5])
     layers = [] if stars is None else _star_layers(stars)
     layers += [layer for body in bodies for layer in _outline_layers(body)]
-    panels = [OverlayPanel(title=title, gray=stretched(pixels), picture_px=frame, limits_px=frame, layers=layers)]
+    panels = [OverlayPanel(title=title, gray=stretch_image(pixels), picture_px=frame, limits_px=frame, layers=layers)]
     for body in bodies:
         view = _zoom(body, columns, rows)
         if view is not None:
@@ -255,7 +255,9 @@ def _star_layers(stars: StarMarks) -> list[Layer]:
 def _outline_layers(body: BodyMarks) -> list[Layer]:
     layers = [Layer(points=body.predicted_px[None], shape=MarkShape.PLUS, color=_OUTLINE, size=9.0, width=1.2)]
     if len(body.outline_px):
-        layers.insert(0, Layer(points=_closed(body.outline_px), shape=MarkShape.DASHES, color=_OUTLINE, width=0.9))
+        layers.insert(
+            0, Layer(points=_close_outline(body.outline_px), shape=MarkShape.DASHES, color=_OUTLINE, width=0.9)
+        )
     return layers
 
 
@@ -273,13 +275,13 @@ def _close_up(pixels: NDArray[np.generic], body: BodyMarks, middle_px: Float, ha
         elif len(mark.outline_px) or len(body.outline_px):
             moved = body.outline_px + (mark.center_px - body.predicted_px)
             found = mark.outline_px if len(mark.outline_px) else moved
-            layers.append(Layer(points=_closed(found), shape=MarkShape.LINE, color=mark.color, width=0.7))
+            layers.append(Layer(points=_close_outline(found), shape=MarkShape.LINE, color=mark.color, width=0.7))
         layers.append(Layer(points=mark.center_px[None], shape=MarkShape.CROSS, color=mark.color, size=8.0, width=1.6))
         if np.isfinite(mark.covariance_px2).all():
             layers.append(Layer(points=_three_sigma(mark), shape=MarkShape.LINE, color=mark.color))
     return OverlayPanel(
         title=f"{body.name}, close-up",
-        gray=stretched(cut) if cut.size else np.zeros((0, 0), np.uint8),
+        gray=stretch_image(cut) if cut.size else np.zeros((0, 0), np.uint8),
         picture_px=np.array([left, right, top, bottom]) - 0.5,
         limits_px=np.array([x - half, x + half, y - half, y + half]),
         layers=[layer for layer in layers if len(layer.points)],
@@ -297,7 +299,7 @@ def _zoom(body: BodyMarks, columns: int, rows: int) -> tuple[Float, float] | Non
     return (low + high) / 2, min(half, max(columns, rows) / 2)
 
 
-def _closed(points: Float) -> Float:
+def _close_outline(points: Float) -> Float:
     """Points (n, 2) of an outline, and the first of them once more."""
     return np.concatenate([points, points[:1]])
 

@@ -149,17 +149,17 @@ def _distribution(residuals_px: Float) -> Chart:
 def _against(magnitudes: Float, size: Float, sigma_px: Float, label: str, title: str) -> Chart:
     step = max(1, math.ceil(len(size) / MANY_POINTS))  # the medians are of all
     points = np.column_stack([magnitudes, size])[::step]
-    expected = _binned(magnitudes, _RAYLEIGH_MEDIAN * sigma_px)
+    expected = _bin_medians(magnitudes, _RAYLEIGH_MEDIAN * sigma_px)
     layers = [
         Layer(points=points, shape=MarkShape.DOT, color=BLUE, size=3.5),
         Layer(points=expected, shape=MarkShape.LINE, color=RED, width=1.4, label="expected, median"),
-        Layer(points=_binned(magnitudes, size), shape=MarkShape.LINE, color=INK, label="residual, median"),
+        Layer(points=_bin_medians(magnitudes, size), shape=MarkShape.LINE, color=INK, label="residual, median"),
     ]
     y = Axis.around("radial residual, px", size, logarithmic=True)
     return Chart(title=title, x=Axis.around(label, magnitudes), y=y, layers=layers)
 
 
-def _binned(magnitudes: Float, values: Float) -> Float:
+def _bin_medians(magnitudes: Float, values: Float) -> Float:
     """Medians (k, 2) of magnitudes and values in bins of magnitude that hold at least three."""
     edges = np.linspace(magnitudes.min(), magnitudes.max() + 1e-9, _MAGNITUDE_BINS + 1)
     number = np.digitize(magnitudes, edges)

@@ -31,7 +31,7 @@ from giantlike.simulation.detector import DetectorModel, HotPixels
 from giantlike.simulation.images import SimulatedImage, simulate_image
 from giantlike.simulation.incident import SimulationOptions, Sources, visible_peak
 from giantlike.simulation.orbits import CircularOrbit, Rendezvous
-from giantlike.simulation.shot import Photometry, Shot, unexposed
+from giantlike.simulation.shot import Photometry, Shot, make_black_image
 
 _FIRST_DAY_UTC = "2024-03-02T06:00:00"
 """Epoch of the first visit; chosen, any other moves the body along its orbit."""
@@ -274,7 +274,7 @@ def plan_approach(options: ApproachOptions = ApproachOptions()) -> Approach:
         orbit, longitude_rad=-0.8, spin_period_s=81_000.0, epoch_et=orbit.epoch_et - 30 * SECONDS_PER_DAY
     )
     rng = np.random.default_rng([options.seed, 0])
-    hot = HotPixels.scattered(40, camera.columns, camera.rows, rng, median_e_s=400.0)
+    hot = HotPixels.draw(40, camera.columns, camera.rows, rng, median_e_s=400.0)
     planner = _Planner(camera=camera, photometry=photometry, options=options, rng=rng)
     frames: list[ApproachFrame] = []
     targets: list[Target] = []
@@ -382,7 +382,7 @@ class _Planner(Value):
         )
         if not star_image:
             shot = replace(shot, exposure_s=self._short_exposure_s(shot, encounter))
-        apparent = encounter.scene.apparent(unexposed(shot, self.camera), encounter.target)
+        apparent = encounter.scene.apparent(make_black_image(shot, self.camera), encounter.target)
         assert isinstance(apparent, ApparentGeometry)
         emission = light_path(encounter.orbit, et, observer.position_km)[1]
         return ApproachFrame(

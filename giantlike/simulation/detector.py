@@ -71,9 +71,7 @@ class HotPixels(Value):
         Value.__post_init__(self)
 
     @classmethod
-    def scattered(
-        cls, count: int, columns: int, rows: int, rng: np.random.Generator, *, median_e_s: float
-    ) -> HotPixels:
+    def draw(cls, count: int, columns: int, rows: int, rng: np.random.Generator, *, median_e_s: float) -> HotPixels:
         """Draw hot pixels uniformly over a detector, with log-uniform rates over a factor of ten about their median.
 
         ``median_e_s`` in electron/s.
@@ -195,7 +193,7 @@ def expose(
     cosmic_e = model.without_dead(tracks.deposited_e(columns, rows))
     held_e = model.well.held_e(charge_e + cosmic_e)
     read_e = held_e + detector.read_noise_e * Stream.READ_NOISE.random(seed).standard_normal(light.shape)
-    return Readout(pixels=converted(read_e, detector, bits=model.bits), expected_e=expected_e, cosmic_e=cosmic_e)
+    return Readout(pixels=convert_charge(read_e, detector, bits=model.bits), expected_e=expected_e, cosmic_e=cosmic_e)
 
 
 def shot_noise(expected_e: Float, random: np.random.Generator) -> Float:
@@ -206,7 +204,7 @@ def shot_noise(expected_e: Float, random: np.random.Generator) -> Float:
     return drawn
 
 
-def converted(charge_e: Float, detector: Detector, *, bits: int = 16) -> NDArray[np.uint16]:
+def convert_charge(charge_e: Float, detector: Detector, *, bits: int = 16) -> NDArray[np.uint16]:
     """Digital numbers (rows, columns), DN, of charge, electron: gain, gamma, bias, rounding and clipping."""
     largest_dn = int(min(detector.saturation_dn, 2**bits - 1))
     light_dn = charge_e / detector.gain_e_per_dn

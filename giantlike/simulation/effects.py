@@ -189,10 +189,10 @@ class FullWell:
         over = np.flatnonzero((charge_e > self.capacity_e).any(axis=0))
         if over.size:
             columns, excess = held[:, over], (charge_e - held)[:, over] / 2.0
-            held[:, over] = self._spilled(self._spilled(columns, excess)[::-1], excess[::-1])[::-1]
+            held[:, over] = self._spill(self._spill(columns, excess)[::-1], excess[::-1])[::-1]
         return held
 
-    def _spilled(self, held_e: Float, excess_e: Float) -> Float:
+    def _spill(self, held_e: Float, excess_e: Float) -> Float:
         """Charge of columns (rows, n) after the excess of each pixel has run towards the last row."""
         result = held_e.copy()
         running = np.zeros(held_e.shape[1])

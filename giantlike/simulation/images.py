@@ -14,7 +14,7 @@ from giantlike.ray_tracing import Template
 from giantlike.scene import TargetGeometry
 from giantlike.simulation.detector import DetectorModel, Readout, Seed, Stream, expose
 from giantlike.simulation.incident import SimulationOptions, Sources, incident_light
-from giantlike.simulation.shot import Shot, unexposed
+from giantlike.simulation.shot import Shot, make_black_image
 from giantlike.simulation.stars import DetectorStars
 
 
@@ -91,7 +91,7 @@ def simulate_image(
     light = incident_light(shot, camera, sources, rays, options=options or SimulationOptions())
     readout = expose(light.electrons, shot.exposure_s, camera.detector, seed=seed, model=detector)
     return SimulatedImage(
-        image=dataclasses.replace(unexposed(shot, camera), pixels=readout.pixels),
+        image=dataclasses.replace(make_black_image(shot, camera), pixels=readout.pixels),
         shot=shot,
         bodies=light.bodies,
         templates=light.templates,

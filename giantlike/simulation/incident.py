@@ -19,7 +19,7 @@ from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.ray_tracing import RenderOptions, SceneRender, Template, render_scene
 from giantlike.scene import Scene, TargetGeometry
-from giantlike.simulation.shot import Photometry, Shot, instants, unexposed
+from giantlike.simulation.shot import Photometry, Shot, instants, make_black_image
 from giantlike.simulation.stars import DetectorStars, point_sources, star_field
 
 _SMEAR_STEPS = np.linspace(-0.5, 0.5, 5)  # fractions of the exposure at which the motion of the image is sampled
@@ -160,7 +160,7 @@ def _smear_px(shot: Shot, camera: Camera, scene: Scene | None) -> float:
         now = shot.at(float(since_s))
         places = [rotate(now.camera_from_inertial, inertial)]
         if scene is not None:
-            frame = unexposed(now, camera)
+            frame = make_black_image(now, camera)
             bodies = [true_geometry(scene, frame, target.name).position_camera_km for target in scene.targets]
             places.append(np.array(bodies))
         path.append(camera.model.project(np.concatenate(places)))
@@ -193,9 +193,9 @@ def _seen_bodies(
     if scene is None:
         dark = np.zeros((camera.rows, camera.columns))
         return _SeenBodies(rate_e_s=dark, covered=dark > _HIDES, geometry={}, templates={})
-    frame = unexposed(shot, camera)
+    frame = make_black_image(shot, camera)
     geometries = [true_geometry(scene, frame, target.name) for target in scene.targets]
-    image = _rendered(geometries, camera, options, seed=int(random.integers(2**31)))
+    image = _render_bodies(geometries, camera, options, seed=int(random.integers(2**31)))
     found, templates = {}, {}
     covered = np.zeros((camera.rows, camera.columns))
     for number, (geometry, template) in enumerate(zip(geometries, image.templates, strict=True)):
@@ -213,14 +213,14 @@ def visible_peak(shot: Shot, camera: Camera, scene: Scene, target: str) -> float
 
     Returns 0 where the body is not seen.
     """
-    geometry = scene.geometry(unexposed(shot, camera), target)
+    geometry = scene.geometry(make_black_image(shot, camera), target)
     if isinstance(geometry, Failure):
         return 0.0
-    image = _rendered([geometry], camera, SimulationOptions(rays_per_pixel_side=1), seed=0)
+    image = _render_bodies([geometry], camera, SimulationOptions(rays_per_pixel_side=1), seed=0)
     return float(image.brightness.max())
 
 
-def _rendered(
+def _render_bodies(
     geometries: Sequence[TargetGeometry], camera: Camera, options: SimulationOptions, *, seed: int
 ) -> SceneRender:
     """Render of the bodies through the camera."""

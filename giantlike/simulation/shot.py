@@ -141,7 +141,7 @@ class Shot(Value):
         )
 
 
-def unexposed(shot: Shot, camera: Camera) -> Image:
+def make_black_image(shot: Shot, camera: Camera) -> Image:
     """Return the image of a shot with black pixels and the true epoch, attitude and observer."""
     return Image(
         pixels=np.zeros((camera.rows, camera.columns), np.uint16),

@@ -181,14 +181,14 @@ def triangulate(
     ranges = _ranges_of_pairs(lines)
     if isinstance(ranges, Failure):
         return ranges
-    position = _weighted(lines, ranges)[0]
+    position = _solve_weighted(lines, ranges)[0]
     steps = 0
     if options.method is TriangulationMethod.MAXIMUM_LIKELIHOOD:
         refined = _likeliest(lines, position, options.max_steps)
         if isinstance(refined, Failure):
             return refined
         position, steps = refined
-    return _judged(lines, position, steps, options)
+    return _assess_position(lines, position, steps, options)
 
 
 def locate(
@@ -339,7 +339,7 @@ def _ranges_of_pairs(lines: _SightlineArrays) -> Float | Failure:
     return np.asarray(np.maximum(ranges, 1e-9 * longest))
 
 
-def _weighted(lines: _SightlineArrays, ranges_km: Float) -> tuple[Float, Float]:
+def _solve_weighted(lines: _SightlineArrays, ranges_km: Float) -> tuple[Float, Float]:
     """Position (3,) of the weighted linear system, and its gain (3, 2n)."""
     rows = np.swapaxes(lines.across, 1, 2).reshape(-1, 3)
     seen = np.einsum("nik,ni->nk", lines.across, lines.positions_km).ravel()
@@ -389,7 +389,7 @@ def _behind() -> Failure:
     )
 
 
-def _judged(
+def _assess_position(
     lines: _SightlineArrays, position: Float, steps: int, options: TriangulationOptions
 ) -> TriangulatedPosition | Failure:
     """Covariance, residuals and quality of a position."""

@@ -17,11 +17,11 @@ from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.store.edits import add_edits, new_edit
 from giantlike.campaign.store.fix_differences import difference_of
 from giantlike.campaign.store.records import ObservationRecord
-from giantlike.campaign.store.results import grouped
+from giantlike.campaign.store.results import group_by
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import require
 from giantlike.core.errors import OpNavError
-from giantlike.plotting.overlays import stretched
+from giantlike.plotting.overlays import stretch_image
 from giantlike.plotting.style import dark_svg
 from giantlike.ray_tracing import Backplanes
 from giantlike.viewer.charts import correlation_chart, limb_chart, residual_chart, star_chart
@@ -117,7 +117,7 @@ class Answers:
             rows = []
             places = {file: number for number, file in enumerate(self._session.files)}
             for image in self._session.result.bodies:
-                for fixes in grouped(_located(image.observations), lambda one: one.target).values():
+                for fixes in group_by(_select_located(image.observations), lambda one: one.target).values():
                     best = min(fixes, key=lambda one: float(np.trace(np.array(one.covariance_px2))))
                     rows += [_difference(one, best, places[image.file]) for one in fixes if one is not best]
             return rows
@@ -145,14 +145,14 @@ class Answers:
             full = float(np.percentile(np.abs(values[values != 0]), _DIFFERENCE_PERCENT)) if np.any(values) else 1.0
             gray = np.clip(127.5 + 127.5 * values / max(full, 1e-9), 0, 255).astype(np.uint8)
         else:
-            gray = _stretched(values, stretch)
-        return _encoded(_colored(gray, colors), ".png")
+            gray = _stretch_values(values, stretch)
+        return _encode(_apply_colors(gray, colors), ".png")
 
     def thumbnail(self, index: int) -> bytes:
         """The image, small, as JPEG."""
         with self._lock:
             pixels = self._session.pixels(self._file(index)).pixels
-        return _encoded(stretched(pixels, longest_px=_THUMBNAIL_PX), ".jpg")
+        return _encode(stretch_image(pixels, longest_px=_THUMBNAIL_PX), ".jpg")
 
     def chart(self, index: int, which: str, target: str = "", estimator: str = "", theme: str = "light") -> bytes:
         """Residuals of stars, along the limb or of a template, or the correlation surface, as SVG."""
@@ -264,7 +264,7 @@ def _layer(each: MarkLayer) -> dict[str, Any]:
     }
 
 
-def _located(observations: Iterable[ObservationRecord]) -> list[ObservationRecord]:
+def _select_located(observations: Iterable[ObservationRecord]) -> list[ObservationRecord]:
     return [one for one in observations if one.center_px is not None and one.covariance_px2 is not None]
 
 
@@ -341,23 +341,23 @@ def _finite(row: dict[str, Any]) -> dict[str, Any]:
 
 def _charts(seen: SeenImage) -> list[dict[str, str]]:
     """Charts that can be drawn of an image."""
-    charts = [] if "stars" not in seen.points.get(seen.record.of, {}) else [{"which": "stars", "title": "stars"}]
+    charts = [] if "stars" not in seen.points.get(seen.record.subject, {}) else [{"which": "stars", "title": "stars"}]
     for name in dict.fromkeys(one.target for one in seen.observations if one.center_px is not None):
         charts.append({"which": "correlation", "target": name, "title": f"{name}: correlation"})
         if any(len(points.get("limb_px", ())) for of, points in seen.points.items() if of[0] == name):
             charts.append({"which": "limb", "target": name, "title": f"{name}: along the limb"})
     for one in seen.observations:
-        residuals = seen.points.get(one.of, {}).get("residuals")
+        residuals = seen.points.get(one.subject, {}).get("residuals")
         if residuals is not None and residuals["cell_px"]:
             title = f"{one.target}: residual map of {one.estimator}"
             charts.append({"which": "map", "target": one.target, "estimator": one.estimator, "title": title})
     return charts
 
 
-def _stretched(values: NDArray[Any], stretch: str) -> NDArray[np.uint8]:
+def _stretch_values(values: NDArray[Any], stretch: str) -> NDArray[np.uint8]:
     """Gray levels of an image; long ones are reduced."""
     if stretch == "auto":
-        return stretched(values, longest_px=_LONGEST_PX)
+        return stretch_image(values, longest_px=_LONGEST_PX)
     step = -(-max(values.shape) // _LONGEST_PX)
     part = values[::step, ::step].astype(np.float64)
     low, high = np.percentile(part, [0.5, 99.95])
@@ -370,13 +370,13 @@ def _stretched(values: NDArray[Any], stretch: str) -> NDArray[np.uint8]:
     return gray
 
 
-def _colored(gray: NDArray[np.uint8], colors: str) -> NDArray[np.uint8]:
+def _apply_colors(gray: NDArray[np.uint8], colors: str) -> NDArray[np.uint8]:
     if colors == "inverted":
         return 255 - gray
     table = COLOR_MAPS[colors]
     return gray if table is None else np.asarray(cv2.applyColorMap(gray, table), dtype=np.uint8)
 
 
-def _encoded(picture: NDArray[np.uint8], ending: str) -> bytes:
+def _encode(picture: NDArray[np.uint8], ending: str) -> bytes:
     _, encoded = cv2.imencode(ending, picture)
     return encoded.tobytes()

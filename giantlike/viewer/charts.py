@@ -19,7 +19,7 @@ from giantlike.viewer.session import Session
 def star_chart(session: Session, file: str) -> str:
     """Residuals of the stars of an image."""
     seen = session.seen(file)
-    stars = seen.points.get(seen.record.of, {}).get("stars")
+    stars = seen.points.get(seen.record.subject, {}).get("stars")
     if stars is None or not len(stars["observed_px"]):
         raise InputError(f"{file}: no star of it was identified")
     observed, predicted = (np.asarray(stars[name], dtype=float) for name in ("observed_px", "predicted_px"))
@@ -39,14 +39,14 @@ def limb_chart(session: Session, file: str, target: str) -> str:
     seen = session.seen(file)
     layers, crosses, values = list[Layer](), list[Layer](), [np.zeros(1)]
     for fix in seen.observations:
-        if fix.target != target or not len(seen.points.get(fix.of, {}).get("limb_px", ())):
+        if fix.target != target or not len(seen.points.get(fix.subject, {}).get("limb_px", ())):
             continue
         found = limb_residuals(session, file, fix)
         points = np.column_stack([found.angle_deg, found.distance_px])
         color = SERIES[len(layers) % len(SERIES)]
         layers.append(Layer(points=points, shape=MarkShape.DOT, color=color, size=4.5, label=fix.estimator))
         values.append(found.distance_px)
-        if len(seen.points[fix.of].get("limb_rejected_px", ())):
+        if len(seen.points[fix.subject].get("limb_rejected_px", ())):
             others = limb_residuals(session, file, fix, rejected=True)
             points = np.column_stack([others.angle_deg, others.distance_px])
             crosses.append(Layer(points=points, shape=MarkShape.CROSS, color=color, size=4.0, label=""))

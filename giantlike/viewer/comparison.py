@@ -79,7 +79,7 @@ def match_of(session: Session, file: str, target: str, estimator: str | None = N
     """Render a body where a fix has it, and scale it to the image."""
     image = session.image(file)
     fix = chosen_fix(session.seen(file), target, estimator)
-    template = _rendered(session, image, file, target, fix)
+    template = _render_template(session, image, file, target, fix)
     pixels = image.pixels.astype(np.float64)
     light = template.placed(image.columns, image.rows)
     region = _region(template, image)
@@ -97,7 +97,7 @@ def match_of(session: Session, file: str, target: str, estimator: str | None = N
 
 def limb_residuals(session: Session, file: str, fix: ObservationRecord, *, rejected: bool = False) -> LimbResiduals:
     """Distances of the limb points of a fix from the outline of the body at the fix."""
-    kept = session.seen(file).points.get(fix.of, {}).get("limb_rejected_px" if rejected else "limb_px", [])
+    kept = session.seen(file).points.get(fix.subject, {}).get("limb_rejected_px" if rejected else "limb_px", [])
     points = np.asarray(kept, dtype=np.float64).reshape(-1, 2)
     known = session.geometry(file).get(fix.target)
     if not len(points) or known is None or fix.center_px is None:
@@ -111,7 +111,7 @@ def limb_residuals(session: Session, file: str, fix: ObservationRecord, *, rejec
     return LimbResiduals(points=points, angle_deg=np.degrees(np.arctan2(arms[:, 1], arms[:, 0])), distance_px=distance)
 
 
-def _rendered(session: Session, image: Image, file: str, target: str, fix: ObservationRecord | None) -> Template:
+def _render_template(session: Session, image: Image, file: str, target: str, fix: ObservationRecord | None) -> Template:
     known = session.geometry(file, image=image).get(target)
     if known is None:
         raise InputError(f"{file}: the geometry of {target} is not known in this image")

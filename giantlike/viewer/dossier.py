@@ -215,9 +215,9 @@ def _content(
         "options": provenance["inputs"].get("options", {}),
         "edits": [edit.model_dump(mode="json", exclude_none=True) for edit in read_edits(session.folder).edits],
         "verdicts": {
-            "attitudes": asdict(StatusCounts.of(result.attitudes)),
+            "attitudes": asdict(StatusCounts.from_records(result.attitudes)),
             **{
-                f"{target}: {estimator}": asdict(StatusCounts.of(records))
+                f"{target}: {estimator}": asdict(StatusCounts.from_records(records))
                 for (target, estimator), records in result.by_estimator.items()
             },
         },

@@ -125,7 +125,7 @@ def _catalog(seen: SeenImage) -> list[MarkLayer]:
             name="catalog",
             title="catalog stars",
             layer=layer,
-            labels=[f"{_called(name, number)} ({magnitude:.1f})" for name, number, magnitude in known],
+            labels=[f"{_star_label(name, number)} ({magnitude:.1f})" for name, number, magnitude in known],
             names=[f"{name or _short(number)} ({magnitude:.1f})".lstrip() for name, number, magnitude in known],
             star_ids=ids,
         )
@@ -141,7 +141,7 @@ def _matches(seen: SeenImage) -> list[MarkLayer]:
     )
     residuals = np.linalg.norm(_points(stars["observed_px"]) - _points(stars["predicted_px"]), axis=1)
     rows = zip(_names_of(stars), _list(stars["star_ids"]), residuals.tolist(), _list(stars["sigma_px"]), strict=True)
-    labels = [f"{_called(name, number)}: {off:.3f} px off, sigma {sigma:.3f}" for name, number, off, sigma in rows]
+    labels = [f"{_star_label(name, number)}: {off:.3f} px off, sigma {sigma:.3f}" for name, number, off, sigma in rows]
     numbers = _list(stars["star_ids"])
     kept = [place for place, number in enumerate(numbers) if number not in seen.star_edits]
     return [
@@ -179,14 +179,14 @@ def _rejected_stars(seen: SeenImage) -> list[MarkLayer]:
     ]
 
 
-def _rejected(seen: SeenImage) -> list[MarkLayer]:
+def _rejected_matches(seen: SeenImage) -> list[MarkLayer]:
     stars = _stars_of(seen).get("stars")
     points = [] if stars is None else stars["rejected_px"]
     layer = Layer(points=_points(points), shape=MarkShape.CROSS, color=MARKS["match thrown out"], size=7.0, width=1.1)
     return [MarkLayer(name="rejected", title="rejected matches", layer=layer)]
 
 
-def _predicted(seen: SeenImage) -> list[MarkLayer]:
+def _predicted_outlines(seen: SeenImage) -> list[MarkLayer]:
     made = []
     color = MARKS["a priori outline and center"]
     for target in seen.targets:
@@ -197,18 +197,18 @@ def _predicted(seen: SeenImage) -> list[MarkLayer]:
         shape = MarkShape.DASHES
         if not len(outline):
             outline, shape = np.array([view.predicted_px]), MarkShape.PLUS
-        layer = Layer(points=_closed(outline), shape=shape, color=color, size=9.0, width=0.9)
+        layer = Layer(points=_close_outline(outline), shape=shape, color=color, size=9.0, width=0.9)
         made.append(MarkLayer(name="predicted", title=f"{target.target}: predicted outline", layer=layer))
     return made
 
 
-def _fitted(seen: SeenImage) -> list[MarkLayer]:
+def _fitted_outlines(seen: SeenImage) -> list[MarkLayer]:
     """The outline at each fix: the outline of a template, else the predicted one moved and scaled."""
     made, colors = [], center_colors(seen)
     views = {target.target: target.view for target in seen.targets if target.view is not None}
     for fix in _fixes(seen):
         view = views.get(fix.target)
-        outline = _points(seen.points.get(fix.of, {}).get("outline_px", []))
+        outline = _points(seen.points.get(fix.subject, {}).get("outline_px", []))
         if len(outline):
             points = outline
         elif view is not None and view.outline_px:
@@ -216,7 +216,7 @@ def _fitted(seen: SeenImage) -> list[MarkLayer]:
             if fix.range_km is not None and fix.predicted_camera_km is not None:
                 scale = float(np.linalg.norm(fix.predicted_camera_km)) / fix.range_km
             moved = np.array(fix.center_px) + scale * (_points(view.outline_px) - np.array(view.predicted_px))
-            points = _closed(moved)
+            points = _close_outline(moved)
         else:
             continue
         layer = Layer(points=points, shape=MarkShape.LINE, color=colors[fix.estimator], width=0.9)
@@ -254,7 +254,7 @@ def _limb_points(seen: SeenImage, name: str, kept_as: str, meaning: str) -> list
             name=name,
             title=f"{fix.target}: {meaning} by {fix.estimator}",
             layer=Layer(
-                points=_points(seen.points.get(fix.of, {}).get(kept_as, [])),
+                points=_points(seen.points.get(fix.subject, {}).get(kept_as, [])),
                 shape=MarkShape.DOT,
                 color=MARKS[meaning],
                 size=2.6,
@@ -316,7 +316,7 @@ def _landmarks_rejected(seen: SeenImage) -> list[MarkLayer]:
 
 def _landmarks_of(seen: SeenImage) -> list[tuple[ObservationRecord, Mapping[str, Any]]]:
     """Fixes that were made of landmarks, and those."""
-    found = [(fix, seen.points.get(fix.of, {}).get("landmarks")) for fix in _fixes(seen)]
+    found = [(fix, seen.points.get(fix.subject, {}).get("landmarks")) for fix in _fixes(seen)]
     return [(fix, marks) for fix, marks in found if marks is not None]
 
 
@@ -325,10 +325,10 @@ _MAKERS: Mapping[str, Callable[[SeenImage], list[MarkLayer]]] = MappingProxyType
         "detections": _detections,
         "catalog": _catalog,
         "matches": _matches,
-        "rejected": _rejected,
+        "rejected": _rejected_matches,
         "rejected-stars": _rejected_stars,
-        "predicted": _predicted,
-        "fitted": _fitted,
+        "predicted": _predicted_outlines,
+        "fitted": _fitted_outlines,
         "centers": _centers,
         "limb": _limb,
         "limb-rejected": _limb_rejected,
@@ -348,7 +348,7 @@ def _fixes(seen: SeenImage) -> list[ObservationRecord]:
 
 
 def _stars_of(seen: SeenImage) -> Mapping[str, Any]:
-    return seen.points.get(seen.record.of, {})
+    return seen.points.get(seen.record.subject, {})
 
 
 def _names_of(stars: Mapping[str, Any]) -> list[str]:
@@ -361,7 +361,7 @@ def _short(number: int) -> str:
     return str(number) if len(str(number)) <= _LONGEST_NUMBER else ""
 
 
-def _called(name: str, number: int) -> str:
+def _star_label(name: str, number: int) -> str:
     return f"{name}, {number}" if name else str(number)
 
 
@@ -375,6 +375,6 @@ def _list(values: Any) -> list[Any]:
     return plain
 
 
-def _closed(points: Float) -> Float:
+def _close_outline(points: Float) -> Float:
     """Points of an outline, and the first of them once more."""
     return np.concatenate([points, points[:1]])

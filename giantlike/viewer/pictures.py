@@ -9,7 +9,7 @@ import numpy as np
 
 from giantlike.core.arrays import require
 from giantlike.plotting import overlay_figure
-from giantlike.plotting.overlays import OverlayPanel, stretched
+from giantlike.plotting.overlays import OverlayPanel, stretch_image
 from giantlike.viewer.layers import MarkLayer
 from giantlike.viewer.session import Session
 
@@ -44,7 +44,7 @@ def picture_of(
     part = pixels[first[1] : last[1], first[0] : last[0]]
     panel = OverlayPanel(
         title=file,
-        gray=stretched(part, longest_px=_LONGEST_PX),
+        gray=stretch_image(part, longest_px=_LONGEST_PX),
         picture_px=np.array([first[0], last[0], first[1], last[1]]) - 0.5,
         limits_px=np.array([left, right, top, bottom]),
         layers=[each.layer for each in layers],

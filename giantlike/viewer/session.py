@@ -197,12 +197,12 @@ class Session:
         with self._store.reading():
             targets = [self._store.load(TargetRecord, file, (name, "")) for name in names]
             edits = tuple(edit for edit in read_edits(self.folder).standing if edit.file == file)
-            hidden = [self._store.load(ObservationRecord, file, one.of, light=True) for one in observations
+            hidden = [self._store.load(ObservationRecord, file, one.subject, light=True) for one in observations
                       if one.outcome is Outcome.REJECTED]  # fmt: skip
             rejected = tuple(one for one in hidden if one is not None and one.center_px is not None)
-            found = {one.of: one for one in (record, *observations)} | {one.of: one for one in rejected}
+            found = {one.subject: one for one in (record, *observations)} | {one.subject: one for one in rejected}
             if record.outcome is Outcome.REJECTED:
-                found[record.of] = self._store.load(AttitudeRecord, file, light=True) or record
+                found[record.subject] = self._store.load(AttitudeRecord, file, light=True) or record
             points = {of: self._store.points(one) for of, one in found.items()}
         return SeenImage(
             record=record,

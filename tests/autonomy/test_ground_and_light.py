@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import giantlike as gl
 from giantlike.autonomy import expected_dn, find_patches, identify_body
 from giantlike.autonomy.body_photometry import BodyLight, PatchOfLight, PhotometricCamera, chandrasekhar_sphere
-from giantlike.autonomy.refraction import SiteAtmosphere, refracted, unrefracted
+from giantlike.autonomy.refraction import SiteAtmosphere, apply_refraction, remove_refraction
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Reason
@@ -29,7 +29,7 @@ def test_refraction_agrees_with_snells_law_through_shells_of_air() -> None:
     for degrees, limit in ((20.0, 0.2), (60.0, 0.2), (70.0, 0.5), (79.0, SHELLS_ARCSEC)):
         observed = np.radians(degrees)
         seen = np.array([np.sin(observed), 0.0, np.cos(observed)])
-        true = unrefracted(seen, zenith, AIR)
+        true = remove_refraction(seen, zenith, AIR)
         lowered = float(np.arctan2(true[0], true[2])) - observed
         by_shells = float(np.interp(observed, *shell_refraction()))
         assert abs(lowered - by_shells) * ARCSEC_PER_RAD < limit
@@ -39,12 +39,12 @@ def test_refraction_raises_toward_the_zenith_and_is_undone() -> None:
     rng = np.random.default_rng(3)
     zenith = np.array([0.3, -0.4, 0.87])
     directions = unit(rng.normal(size=(200, 3)) * 0.5 + 2.0 * unit(zenith))
-    seen = refracted(directions, zenith, AIR)
+    seen = apply_refraction(directions, zenith, AIR)
     assert (unit(seen) @ unit(zenith) >= directions @ unit(zenith)).all()
-    assert_allclose(unrefracted(seen, zenith, AIR), directions, atol=1e-12)
-    assert_allclose(refracted(directions, zenith, SiteAtmosphere(pressure_hpa=0.0)), directions, atol=1e-15)
+    assert_allclose(remove_refraction(seen, zenith, AIR), directions, atol=1e-12)
+    assert_allclose(apply_refraction(directions, zenith, SiteAtmosphere(pressure_hpa=0.0)), directions, atol=1e-15)
     with pytest.raises(InputError, match="elevations of 10 degrees"):
-        refracted([1.0, 0.0, 0.05], [0.0, 0.0, 1.0], AIR)
+        apply_refraction([1.0, 0.0, 0.05], [0.0, 0.0, 1.0], AIR)
 
 
 def test_the_sum_of_pixels_is_photons_times_efficiency() -> None:

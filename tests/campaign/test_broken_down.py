@@ -27,4 +27,4 @@ def test_an_internal_error_of_one_estimator_makes_its_image_a_failed_one(tmp_pat
         RunFolder(folder).save(failed, "key")
     result = load_result(folder)
     assert result.failed_images == ("image_0.fits",)  # exit code 1; a failed fix beside a good one is none
-    assert StatusCounts.of(result.by_estimator["ROCK", "auto"]).reasons == {"internal_error": 1, "no_limb": 1}
+    assert StatusCounts.from_records(result.by_estimator["ROCK", "auto"]).reasons == {"internal_error": 1, "no_limb": 1}

@@ -41,7 +41,7 @@ from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store import observables
 from giantlike.campaign.store.records import AttitudeRecord
-from giantlike.campaign.store.results import RunResult, grouped, load_result
+from giantlike.campaign.store.results import RunResult, group_by, load_result
 from giantlike.campaign.store.run_folder import RESULTS_FILE, TRANSFER, RunFolder
 from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
@@ -65,7 +65,7 @@ from giantlike.plotting import (
 )
 from giantlike.plotting.charts import charts_svg
 from giantlike.plotting.overlay_svg import overlay_svg
-from giantlike.plotting.overlays import BodyMarks, CenterMark, stretched
+from giantlike.plotting.overlays import BodyMarks, CenterMark, stretch_image
 from giantlike.plotting.residuals import Series, series_charts
 from giantlike.relative import ESTIMATORS
 from giantlike.scene import Scene, Target, TargetGeometry
@@ -212,7 +212,7 @@ def test_observables_hold_every_fix_and_star_once_and_the_totals_of_the_table(fi
         # The table tells no velocity of the target, and the header one of the spacecraft.
         assert row.geometric_ra_deg is None
         assert row.astrometric_ra_deg is not None
-    for (file, target), group in grouped(bodies.values(), lambda row: (row.file, row.target)).items():
+    for (file, target), group in group_by(bodies.values(), lambda row: (row.file, row.target)).items():
         assert sum(row.preferred for row in group) == 1, (file, target)
 
 
@@ -543,13 +543,13 @@ def test_the_estimators_of_a_single_image_run_at_once_and_give_what_they_give_on
     copied.write_text(tomli_w.dumps(changed))
     monkeypatch.setattr("giantlike.campaign.run.runner.process_count", lambda workers, jobs: 1)
     tables, in_threads = [], set[str]()
-    real = bodies._observed
+    real = bodies._run_estimator
 
     def seen(*given: Any) -> Any:
         in_threads.add(threading.current_thread().name)
         return real(*given)
 
-    monkeypatch.setattr(bodies, "_observed", seen)
+    monkeypatch.setattr(bodies, "_run_estimator", seen)
     for workers in (1, 2, 4):
         changed["campaign"]["output"] = f"run{workers}"
         copied.write_text(tomli_w.dumps(changed))
@@ -691,11 +691,11 @@ def test_the_figure_of_twenty_thousand_images_is_small() -> None:
 def test_stretching_keeps_single_bright_pixels_of_large_images_and_the_order_of_levels() -> None:
     pixels = np.random.default_rng(1).normal(100.0, 3.0, (2000, 1500)).astype(np.float32)
     pixels[777, 555] = 5000.0
-    shown = stretched(pixels)
+    shown = stretch_image(pixels)
     assert max(shown.shape) <= 640
     assert shown.max() == 255
     assert np.median(shown) < 100
-    ramp = stretched(np.tile(np.linspace(0.0, 1000.0, 64), (8, 1)))
+    ramp = stretch_image(np.tile(np.linspace(0.0, 1000.0, 64), (8, 1)))
     assert (np.diff(ramp[0].astype(int)) >= 0).all()
 
 

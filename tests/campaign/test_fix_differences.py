@@ -22,8 +22,8 @@ def test_a_difference_is_measured_along_its_own_direction() -> None:
     across = difference_of(_fix([1.0, -1.0], SLANTED), _fix([0.0, 0.0], exact))
     assert along is not None
     assert across is not None
-    np.testing.assert_allclose(along.squared, 2.0 / 1.99, rtol=1e-9)
-    np.testing.assert_allclose(across.squared, 2.0 / 0.01, rtol=1e-9)
+    np.testing.assert_allclose(along.squared_distance, 2.0 / 1.99, rtol=1e-9)
+    np.testing.assert_allclose(across.squared_distance, 2.0 / 0.01, rtol=1e-9)
     assert along.chance > 0.5
     assert across.chance < 1e-40
 

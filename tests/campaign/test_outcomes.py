@@ -88,4 +88,4 @@ def test_a_record_of_an_earlier_version_has_its_outcome_by_the_reason() -> None:
     older = Problem.model_validate({"reason": "not_unresolved", "detail": "40 px"})
     assert older.outcome is Outcome.NOT_APPLICABLE
     assert Problem.model_validate({"reason": "no_limb", "detail": ""}).outcome is Outcome.FAILED
-    assert Problem.of(Failure(Reason.WRONG_SHAPE, "", not_applicable=True)).outcome is Outcome.NOT_APPLICABLE
+    assert Problem.from_failure(Failure(Reason.WRONG_SHAPE, "", not_applicable=True)).outcome is Outcome.NOT_APPLICABLE

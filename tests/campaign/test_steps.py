@@ -20,7 +20,7 @@ from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.image_loading import open_image
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.store.edits import Edit, Edited, add_edits
-from giantlike.campaign.store.lock import holder_of, is_locked, locked
+from giantlike.campaign.store.lock import hold_lock, holder_of, is_locked
 from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.store.results import RunResult, StepCount, load_result
 from giantlike.campaign.store.run_folder import RunFolder
@@ -251,7 +251,7 @@ def test_the_folder_of_another_campaign_or_of_an_old_version_is_refused(copied: 
 
 def test_a_second_run_on_a_live_folder_is_refused_with_who_holds_it(copied: Path) -> None:
     run = copied.parent / "run"
-    with locked(run):
+    with hold_lock(run):
         assert is_locked(run)
         with pytest.raises(InputError, match=rf"a run is at work here \(process {os.getpid()} of .*, started 20"):
             run_campaign(Campaign.load(copied), workers=1)
@@ -342,7 +342,7 @@ def test_status_tells_the_state_of_a_run_and_edit_keeps_who_when_and_why(copied:
     run = copied.parent / "run"
     state = json.loads(giantlike("status", run, "--json").stdout)
     assert (state["state"], state["images"], state["steps"]["attitudes"]["done"]) == ("finished", 6, 6)
-    with locked(run):
+    with hold_lock(run):
         assert f"run: running (process {os.getpid()} of " in giantlike("status", run).stdout
     assert "reject and restore need one" in " ".join(giantlike("edit", "--help").stdout.split())
     for nothing in ((), ("--why", " ")):

@@ -24,7 +24,7 @@ from giantlike.cislunar.filter import Innovations
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 from giantlike.dynamics import GM_EARTH_KM3_S2, GM_MOON_KM3_S2, GM_SUN_KM3_S2, PointMasses, ThirdBody, fly
-from giantlike.independent.flight import Processes, PullingBodies, fly_spacecraft, sighted
+from giantlike.independent.flight import Processes, PullingBodies, fly_spacecraft, observe_body
 
 START_ET = 629_868_960.0
 START = np.array([-318090.516, 116693.901, 80282.4906, 0.171139216, -0.115181303, 0.176852145])
@@ -98,7 +98,7 @@ def measured(plan: BodyObservation, truth: Float, rng: np.random.Generator) -> B
     """The image of a plan as many spacecraft take it: errors of the diameter in pixels become those of the range."""
     distance = float(np.mean(np.linalg.norm(plan.body_position_km - truth[:, :3], axis=1)))
     sigmas = ERRORS.sigmas_px(distance) * [1.0, 1.0, 2.0] / FOCAL_PX
-    seen = sighted(
+    seen = observe_body(
         truth,
         plan.camera_from_inertial,
         plan.body_position_km,

@@ -19,11 +19,11 @@ from giantlike.cislunar import (
     time_update,
     udu_factors,
 )
-from giantlike.cislunar.filter import coast, maneuver, predicted, step_ends
+from giantlike.cislunar.filter import coast, maneuver, predict_measurement, step_ends
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure
-from giantlike.independent.flight import burned
+from giantlike.independent.flight import apply_burn
 from tests.cislunar.cislunar_case import (
     MODEL,
     START,
@@ -90,7 +90,7 @@ def dense_joseph(state: FilterState, seen: list[BodyObservation], model: FilterM
             step = coast(model, et, mean, end)
             covariance = step.matrix() @ covariance @ step.matrix().T + step.noise()
             et, mean = end, step.mean
-        expected, design = predicted(observation, mean)
+        expected, design = predict_measurement(observation, mean)
         noise = np.diag(observation.variances)
         scale = 1.0 / np.sqrt(np.diag(noise))  # of the innovations, so that the inverse is well conditioned
         inner = scale[:, None] * (design @ covariance @ design.T + noise) * scale
@@ -127,10 +127,10 @@ def test_partials_are_those_of_the_measurement() -> None:
     units = np.array([1e-4, 1e-4, 1.0])[:, None]
 
     def shifted(scaled: Float) -> Float:
-        return predicted(plan, turned_sum(mean, scaled * START_SIGMAS))[0]
+        return predict_measurement(plan, turned_sum(mean, scaled * START_SIGMAS))[0]
 
     numeric = numerical_jacobian(shifted, np.zeros(21), 0.1)
-    partials = predicted(plan, mean)[1] * START_SIGMAS
+    partials = predict_measurement(plan, mean)[1] * START_SIGMAS
     assert_allclose(partials / units, numeric / units, rtol=1e-4, atol=1e-6)
 
 
@@ -177,7 +177,7 @@ def test_a_burn_is_told_by_the_accelerometer() -> None:
     runs, change = 2000, np.array([0.02, -0.01, 0.015])  # km/s
     truth, state = started(runs, rng)
     told = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-    after, sensed = burned(truth, np.tile(change, (runs, 1)), told, 30.0)
+    after, sensed = apply_burn(truth, np.tile(change, (runs, 1)), told, 30.0)
     step = maneuver(START_ET, state.mean, sensed, np.tile(told.T, (runs, 1, 1)), duration_s=30.0)
     moved = FilterState(START_ET, step.mean, step.apply(state.factors))
     velocity = moved.error(after)[:, 3:6]
@@ -208,7 +208,7 @@ def test_the_batch_is_the_filter_where_the_problem_is_linear() -> None:
     prior = state
     for plan in planned(day_of_images(2400.0, gap_h=6.0)):
         state = time_update(state, plan.et, QUICK)
-        exact = replace(plan, measured=predicted(plan, state.mean)[0])
+        exact = replace(plan, measured=predict_measurement(plan, state.mean)[0])
         state, _ = measurement_update(state, exact, QUICK)
         seen.append(exact)
     batch = estimate_batch(prior, seen, QUICK)

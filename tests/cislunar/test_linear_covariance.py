@@ -13,7 +13,7 @@ from giantlike.cislunar.covariance import Dispersed, after_coast, after_correcti
 from giantlike.cislunar.filter import maneuver
 from giantlike.cislunar.linear_covariance import JointDispersion
 from giantlike.core.arrays import Float
-from giantlike.independent.flight import Processes, burned, fly_spacecraft, sighted
+from giantlike.independent.flight import Processes, apply_burn, fly_spacecraft, observe_body
 from tests.bands import mean_square_band
 from tests.cislunar.cislunar_case import (
     MODEL,
@@ -73,7 +73,9 @@ def test_the_analysis_is_what_flown_runs_do_in_a_world_that_the_filter_does_not_
         at = after_coast(at, plan.et, FAST)
         at = after_image(at, plan, FAST, world_variances=variances, world_biases=BIAS)
         truth = fly_spacecraft(truth, state.et, plan.et, SKY, processes, rng)
-        seen = sighted(truth, plan.camera_from_inertial, plan.body_position_km, plan.radius_km, np.zeros((draws, 3)))
+        seen = observe_body(
+            truth, plan.camera_from_inertial, plan.body_position_km, plan.radius_km, np.zeros((draws, 3))
+        )
         seen = seen + BIAS + rng.normal(0.0, np.sqrt(variances), (draws, 3))
         state, _ = measurement_update(time_update(state, plan.et, FAST), replace(plan, measured=seen), FAST)
     at = after_correction(
@@ -81,7 +83,7 @@ def test_the_analysis_is_what_flown_runs_do_in_a_world_that_the_filter_does_not_
     )
     reference = at.state.mean
     change = (state.mean - reference)[:, :6] @ GUIDANCE.T + rng.normal(0.0, EXECUTION_KM_S, (draws, 3))
-    truth, sensed = burned(truth, change, BODY, BURN_S)
+    truth, sensed = apply_burn(truth, change, BODY, BURN_S)
     sensed = sensed + rng.normal(0.0, SENSING_KM_S, sensed.shape)
     turned = np.tile(BODY.T, (draws, 1, 1))
     step = maneuver(state.et, state.mean, sensed, turned, duration_s=BURN_S, sigma_km_s=SENSING_KM_S)

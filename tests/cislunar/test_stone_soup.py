@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giantlike.cislunar import BodyObservation, measurement_update, time_update
-from giantlike.cislunar.filter import coast, predicted, step_ends
+from giantlike.cislunar.filter import coast, predict_measurement, step_ends
 from giantlike.core.arrays import Float
 from tests.cislunar.cislunar_case import MODEL, START_ET
 from tests.cislunar.test_cislunar_filter import correlated_start, images, turned_sum
@@ -42,10 +42,10 @@ def models() -> tuple[Any, Any]:
         seen: Any = None
 
         def function(self, state: Any, noise: bool = False, **_: Any) -> Any:
-            return StateVector(predicted(self.seen, np.ravel(state.state_vector).astype(float))[0])
+            return StateVector(predict_measurement(self.seen, np.ravel(state.state_vector).astype(float))[0])
 
         def jacobian(self, state: Any, **_: Any) -> Float:
-            return predicted(self.seen, np.ravel(state.state_vector).astype(float))[1]
+            return predict_measurement(self.seen, np.ravel(state.state_vector).astype(float))[1]
 
         def covar(self, **_: Any) -> Any:
             return CovarianceMatrix(np.diag(self.seen.variances))

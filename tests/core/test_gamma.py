@@ -19,7 +19,7 @@ from giantlike.core.pixel_noise import EightBitValues
 from giantlike.image import Image
 from giantlike.relative import ESTIMATORS
 from giantlike.shapes import Ellipsoid
-from giantlike.simulation.detector import converted
+from giantlike.simulation.detector import convert_charge
 from tests.limb_images import CAMERA, NEES_LIMIT, body_image
 
 CURVES = pytest.mark.parametrize("gamma", ["srgb", 1.0, 1.8, 2.2])
@@ -107,7 +107,7 @@ def test_a_body_on_coded_values_is_found_where_it_is_when_the_gamma_is_declared(
 def test_a_simulated_detector_codes_what_is_linearized() -> None:
     detector = Detector(gamma="srgb", gain_e_per_dn=10.0, saturation_dn=255.0)
     charge_e = np.linspace(0.0, 2550.0, 50).reshape(5, 10)
-    image = Image(pixels=converted(charge_e, detector)).linearized(detector)
+    image = Image(pixels=convert_charge(charge_e, detector)).linearized(detector)
     rounding = GammaCurve(gamma="srgb", full_scale_dn=255.0).slope(255.0) * 0.5
     assert_allclose(image.pixels, charge_e / 10.0, rtol=0, atol=float(rounding) + ROUND)
 

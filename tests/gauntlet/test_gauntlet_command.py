@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from giantlike.campaign.store.lock import locked
+from giantlike.campaign.store.lock import hold_lock
 from giantlike.cli.app import app
 from giantlike.gauntlet import KINDS, Verdict
 
@@ -64,7 +64,7 @@ def test_results_do_not_depend_on_a_pause(tmp_path: Path) -> None:
 
 
 def test_a_folder_at_which_another_gauntlet_works_is_refused_with_who_holds_it(tmp_path: Path) -> None:
-    with locked(tmp_path):
+    with hold_lock(tmp_path):
         refused = gauntlet("--images", 1, "--output", tmp_path)
     assert refused.exit_code == 2
     assert f"process {os.getpid()} of" in refused.output

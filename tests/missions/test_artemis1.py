@@ -70,7 +70,7 @@ def test_a_height_map_predicts_the_bias_that_a_limb_makes(told: tuple[Replay, Pa
 def test_the_limb_of_the_made_up_moon_is_what_its_map_predicts() -> None:
     ground = made_up_moon(SETTING, 5)
     for number in (6, 24):
-        seen, mapped = (limb(ground, SETTING.of(number)) for limb in (seen_limb_km, mapped_limb_km))
+        seen, mapped = (limb(ground, SETTING.find_pass(number)) for limb in (seen_limb_km, mapped_limb_km))
         assert seen.std() > 0.5
         assert np.std(seen - mapped) < 0.2 * seen.std()
         assert abs(float(np.mean(seen - mapped))) < 0.1  # km; what the map does not resolve is in it as expected
@@ -79,9 +79,9 @@ def test_the_limb_of_the_made_up_moon_is_what_its_map_predicts() -> None:
 def test_the_passes_are_those_of_table_1() -> None:
     assert [each.number for each in SETTING.passes] == [*range(1, 16), 18, 19, 20, 22, 23, 24, 25, 26]
     assert sum(each.target == "earth" for each in SETTING.passes) == 5
-    assert times_of(SETTING, SETTING.of(1)).size == 241
-    assert times_of(SETTING, SETTING.of(5)).size == 21
-    assert SETTING.of(3).range_km == pytest.approx(252_428, abs=1.0)
+    assert times_of(SETTING, SETTING.find_pass(1)).size == 241
+    assert times_of(SETTING, SETTING.find_pass(5)).size == 21
+    assert SETTING.find_pass(3).range_km == pytest.approx(252_428, abs=1.0)
 
 
 def test_preflight_models_have_the_published_values() -> None:
@@ -116,7 +116,7 @@ def test_limb_points_lie_on_the_horizon_of_the_ellipsoid() -> None:
 
 def test_both_algorithms_find_the_body_in_an_image() -> None:
     rng = np.random.default_rng(3)
-    one = SETTING.of(3)
+    one = SETTING.find_pass(3)
     sun, position = sun_direction(one.phase_deg), np.array([100.0, -60.0, one.range_km])
     shot = moon_shot(SETTING, position, sun, np.zeros(720), rng)
     first = non_iterative(SETTING, shot, sun, SETTING.figure("moon"))
@@ -129,7 +129,7 @@ def test_both_algorithms_find_the_body_in_an_image() -> None:
 
 
 def test_the_limb_of_an_image_of_the_earth_stands_at_the_altitude_of_its_light() -> None:
-    one = SETTING.of(1)
+    one = SETTING.find_pass(1)
     sun, position = sun_direction(one.phase_deg), np.array([0.0, 0.0, one.range_km])
     shot = earth_shot(SETTING, position, sun, 1.0, np.random.default_rng(4))
     expected_km = detected_altitude_km(SETTING, 1.0)

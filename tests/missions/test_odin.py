@@ -10,7 +10,7 @@ import pytest
 
 from giantlike.missions.odin.compared import of_interlock
 from giantlike.missions.odin.narrow import InterlockStudy, true_interlock
-from giantlike.missions.odin.optics import choices, coverage, dominated, range_sigma
+from giantlike.missions.odin.optics import choices, coverage, is_dominated, range_sigma
 from giantlike.missions.odin.paper import paper
 from giantlike.missions.replay import ComparisonKind, ReplaySettings, run_replay, save_replay
 
@@ -73,6 +73,6 @@ def test_optics_follow_from_geometry() -> None:
     assert abs(slope - 1.5) < 0.05
     every = choices()
     worse = next(each for each in every if each.sensor == "IMX273")
-    assert not all(dominated(each, every) for each in every)
+    assert not all(is_dominated(each, every) for each in every)
     assert worse.megapixels < 2.0
     assert paper()["calibration"]["images"] == 15

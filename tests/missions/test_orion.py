@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from giantlike.dynamics import fly
 from giantlike.missions import ComparisonKind, Replay, ReplaySettings, run_replay, save_replay
 from giantlike.missions.orion.gimbal import gimbal_angles, pinhole_error_px
-from giantlike.missions.orion.return_leg import analyzed, angle_slope, entry_angle_deg
+from giantlike.missions.orion.return_leg import analyze_plan, angle_slope, entry_angle_deg
 from giantlike.missions.orion.return_plan import ReturnPlan, make_plan, without_close_pass
 from tests.numerical import numerical_jacobian
 from tests.tolerances import FLOAT64_SUM
@@ -90,7 +90,7 @@ def test_corrections_bring_the_place_at_entry_back(plan: ReturnPlan) -> None:
 
 
 def test_a_world_as_the_filter_believes_it_has_the_covariance_of_the_filter(plan: ReturnPlan) -> None:
-    at = analyzed(plan, as_believed=True)[2]
+    at = analyze_plan(plan, as_believed=True)[2]
     sigma = at.state.factors.sigmas()
     difference = at.joint.navigation_error()[1] - at.state.factors.composed()
     assert_allclose(difference / np.outer(sigma, sigma), 0.0, atol=FLOAT64_SUM)

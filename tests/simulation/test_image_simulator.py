@@ -21,7 +21,7 @@ from giantlike.scene import Scene, Target
 from giantlike.shapes import sphere
 from giantlike.simulation import Shot, Sources, simulate_image
 from giantlike.simulation.cosmic_rays import CosmicRays, Tracks, draw_tracks
-from giantlike.simulation.detector import DetectorModel, HotPixels, Stream, converted, expose, scattered_pixels
+from giantlike.simulation.detector import DetectorModel, HotPixels, Stream, convert_charge, expose, scattered_pixels
 from giantlike.simulation.effects import (
     DarkCurrent,
     FlatField,
@@ -85,13 +85,13 @@ def test_the_flat_field_makes_the_noise_of_one_image_grow_with_the_light_itself(
 def test_rounding_adds_a_twelfth_and_the_converter_ends_at_its_last_number() -> None:
     ramp = np.random.default_rng(3).uniform(0.0, 5000.0, (SIDE, SIDE))
     coarse = Detector(gain_e_per_dn=10.0, bias_dn=7.0)
-    error = converted(ramp, coarse) - (ramp / 10.0 + 7.0)
+    error = convert_charge(ramp, coarse) - (ramp / 10.0 + 7.0)
     of_variance = np.sqrt(1.0 / 180.0) / SIDE  # fourth moment 1/80 less 1/144
     assert_allclose(error.var(), 1.0 / 12.0, rtol=0, atol=SIGMAS * of_variance)
     assert np.abs(error).max() <= 0.5 + 1e-9
-    assert converted(np.array([[1e9]]), coarse, bits=12) == 4095
-    assert converted(np.array([[1e9]]), Detector(saturation_dn=3000.0), bits=12) == 3000
-    assert converted(np.array([[-1e9]]), coarse) == 0
+    assert convert_charge(np.array([[1e9]]), coarse, bits=12) == 4095
+    assert convert_charge(np.array([[1e9]]), Detector(saturation_dn=3000.0), bits=12) == 3000
+    assert convert_charge(np.array([[-1e9]]), coarse) == 0
 
 
 def test_each_effect_has_random_numbers_of_its_own() -> None:

@@ -38,7 +38,7 @@ from giantlike.simulation.approach import Approach
 from giantlike.simulation.detector import HotPixels, expose
 from giantlike.simulation.images import SimulatedImage
 from giantlike.simulation.orbits import CircularOrbit
-from giantlike.simulation.shot import SUN_MAGNITUDE_G, Photometry, unexposed
+from giantlike.simulation.shot import SUN_MAGNITUDE_G, Photometry, make_black_image
 from giantlike.simulation.stars import point_sources, star_field
 from giantlike.simulation.write import TRUTH_FILE
 from tests.simulated import ET, OBSERVER, shot_of, small_camera, small_catalog, sphere_scene
@@ -293,7 +293,7 @@ def plan() -> Approach:
 def test_each_visit_sees_the_body_at_the_size_and_phase_asked_for(plan: Approach) -> None:
     seen = {}
     for frame in plan.frames:
-        geometry = frame.scene.geometry(unexposed(frame.shot, plan.camera))
+        geometry = frame.scene.geometry(make_black_image(frame.shot, plan.camera))
         assert isinstance(geometry, TargetGeometry)
         if not frame.star_image:
             radius_km = geometry.target.shape.mean_radius_km
@@ -327,7 +327,7 @@ def test_apparent_places_are_those_of_light_time_and_stellar_aberration_by_spice
         beta = observer.velocity_km_s / SPEED_OF_LIGHT_KM_S
         doppler = (1.0 + beta @ vector / np.linalg.norm(vector)) / np.sqrt(1.0 - beta @ beta)
         expected = doppler * spiceypy.stelab(vector, observer.velocity_km_s.copy())
-        apparent = frame.scene.apparent(unexposed(frame.shot, plan.camera), frame.scene.targets[0])
+        apparent = frame.scene.apparent(make_black_image(frame.shot, plan.camera), frame.scene.targets[0])
         assert isinstance(apparent, ApparentGeometry)
         range_km = float(np.linalg.norm(vector))
         assert_allclose(
@@ -341,7 +341,7 @@ def test_apparent_places_are_those_of_light_time_and_stellar_aberration_by_spice
 def test_the_a_priori_is_wrong_by_what_was_asked_for(plan: Approach) -> None:
     options, focal_px = plan.options, plan.camera.model.focal_length_px
     for frame in plan.frames:
-        apparent = frame.scene.apparent(unexposed(frame.shot, plan.camera), frame.scene.targets[0])
+        apparent = frame.scene.apparent(make_black_image(frame.shot, plan.camera), frame.scene.targets[0])
         assert isinstance(apparent, ApparentGeometry)
         truth, prediction = apparent.position_inertial_km, frame.apriori_geometry.position_inertial_km
         line = truth / np.linalg.norm(truth)

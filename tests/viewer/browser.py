@@ -65,7 +65,7 @@ def multiply(run: Path, count: int) -> None:
     whole: dict[str, list[ImageRecord]] = {}
     for kind in kinds:
         for light in folder.load_all(kind):
-            full = folder.load(kind, light.file, light.of)
+            full = folder.load(kind, light.file, light.subject)
             assert full is not None
             whole.setdefault(light.file, []).append(full)
     paths = {record.file: record.path for record in folder.load_all(AttitudeRecord)}

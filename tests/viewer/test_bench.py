@@ -193,7 +193,7 @@ def test_the_template_at_a_fix_explains_the_image(run: Path) -> None:
 def test_limb_points_lie_on_the_outline_at_their_fix(run: Path) -> None:
     session = Session(run)
     seen = session.seen(SHORT)
-    fixes = [one for one in seen.observations if len(seen.points[one.of].get("limb_px", ()))]
+    fixes = [one for one in seen.observations if len(seen.points[one.subject].get("limb_px", ()))]
     assert fixes, "the campaign has an estimator of limbs"
     for fix in fixes:
         found = limb_residuals(session, SHORT, fix)

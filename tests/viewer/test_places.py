@@ -106,8 +106,8 @@ def test_stars_detected_matched_and_of_the_catalog_are_where_the_sky_has_them(se
 def test_rejected_matches_are_crosses_where_they_were_seen(session: Session) -> None:
     seen = session.seen(LONG)
     thrown_out = [[37.25, 211.5], [250.0, 19.75]]
-    stars = {**seen.points[seen.record.of]["stars"], "rejected_px": thrown_out}
-    (layer,) = layers_of(replace(seen, points={seen.record.of: {"stars": stars}}), ["rejected"])
+    stars = {**seen.points[seen.record.subject]["stars"], "rejected_px": thrown_out}
+    (layer,) = layers_of(replace(seen, points={seen.record.subject: {"stars": stars}}), ["rejected"])
     assert layer.layer.points.tolist() == thrown_out
 
 
@@ -163,8 +163,8 @@ def test_template_and_difference_lie_on_the_image(session: Session) -> None:
 
 
 def test_the_residual_map_has_its_cells_where_the_image_differs(session: Session, short: SeenImage) -> None:
-    fix = next(one for one in short.observations if short.points[one.of]["residuals"]["cell_px"])
-    kept = short.points[fix.of]["residuals"]
+    fix = next(one for one in short.observations if short.points[one.subject]["residuals"]["cell_px"])
+    kept = short.points[fix.subject]["residuals"]
     difference = match_of(session, SHORT, fix.target, fix.estimator).difference_dn
     at, cell = np.array(kept["at_px"]), float(kept["cell_px"])
 

@@ -69,7 +69,7 @@ def calibrate_boards(files: Sequence[Path], setup: BoardSetup, folder: Path) -> 
         if isinstance(solution, Failure)
         else StarCalibration(result=solution, rounds=1, settled=True, failed=())
     )
-    result = CampaignCalibration.of(outcome, camera, lost, targets="corners")
+    result = CampaignCalibration.from_outcome(outcome, camera, lost, targets="corners")
     make_folder(folder)
     write_calibration(folder, result)
     write_calibration_page(folder, folder.name, camera, result)

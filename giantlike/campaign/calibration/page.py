@@ -102,7 +102,7 @@ def calibration_figures(solution: CalibrationResult) -> list[PageFigure]:
             "Parameters that are strongly correlated are known in combination only: their own values may fluctuate."
         )
         captions.append((correlation_figure(solution.estimated, solution.correlation), "correlation", caption))
-    return [PageFigure.of(figure, f"calibration {name}", caption) for figure, name, caption in captions]
+    return [PageFigure.from_figure(figure, f"calibration {name}", caption) for figure, name, caption in captions]
 
 
 def distortion_of(model: CameraModel, columns: int, rows: int) -> tuple[Float, Float]:

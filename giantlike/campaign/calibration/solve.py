@@ -67,7 +67,7 @@ class CampaignCalibration(Value):
     targets: str = "stars"
 
     @classmethod
-    def of(
+    def from_outcome(
         cls,
         outcome: StarCalibration | Failure,
         camera: Camera,
@@ -166,9 +166,9 @@ def calibrate_campaign(
         if record.problem is not None and record.problem.detail != NO_STAR_IMAGE
     ]
     if isinstance(outcome, Failure):
-        return CampaignCalibration.of(outcome, campaign.camera, lost)
+        return CampaignCalibration.from_outcome(outcome, campaign.camera, lost)
     alignment = _alignment(outcome.result, records)
-    return CampaignCalibration.of(outcome, campaign.camera, [*lost, *outcome.failed], alignment=alignment)
+    return CampaignCalibration.from_outcome(outcome, campaign.camera, [*lost, *outcome.failed], alignment=alignment)
 
 
 def _alignment(solution: CalibrationResult, records: Sequence[CalibrationRecord]) -> AlignmentResult | None:
@@ -255,23 +255,23 @@ def calibration_summary(result: CampaignCalibration) -> dict[str, Any]:
         "covariance": solution.covariance.tolist(),
         "covariance_scale": solution.covariance_scale,
         "parameters": [dataclasses.asdict(one) for one in solution.support],
-        **_picked(solution, "rms_px residual_sigma_px reduced_chi2 condition_number"),
+        **_pick(solution, "rms_px residual_sigma_px reduced_chi2 condition_number"),
         "map_sigma_max_px": float(solution.map_sigma_px.max()),
-        **_picked(solution, "n_used n_rejected"),
+        **_pick(solution, "n_used n_rejected"),
         "all_stars": None if everything is None else dataclasses.asdict(everything),
-        **_picked(result.outcome, "rounds settled"),
+        **_pick(result.outcome, "rounds settled"),
         "problems": list(solution.problems),
         "images": [
-            {"file": image.name} | _picked(image, "temperature_c n_used n_rejected rms_px influence_px influence")
+            {"file": image.name} | _pick(image, "temperature_c n_used n_rejected rms_px influence_px influence")
             for image in solution.images
         ],
-        "rejected": [_picked(one, " ".join(dataclasses.asdict(one))) for one in solution.rejected],
+        "rejected": [_pick(one, " ".join(dataclasses.asdict(one))) for one in solution.rejected],
         "residuals": [dataclasses.asdict(group) for group in residual_statistics(solution)],
         "alignment": None if result.alignment is None else _alignment_summary(result.alignment),
     }
 
 
-def _picked(value: object, names: str) -> dict[str, Any]:
+def _pick(value: object, names: str) -> dict[str, Any]:
     """Attributes by name; None for a number that is not finite."""
     return {name: _finite(getattr(value, name)) for name in names.split()}
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from giantlike.campaign.store.results import grouped
+from giantlike.campaign.store.results import group_by
 from giantlike.core.arrays import Float
 from giantlike.io.csv_rows import write_csv_rows
 
@@ -61,7 +61,7 @@ class ResultComparison:
 
     def summary(self) -> dict[str, Any]:
         """Statistics by thing and axis, as JSON has them."""
-        groups = grouped(self.differences, lambda one: (one.what, one.axis, one.unit))
+        groups = group_by(self.differences, lambda one: (one.what, one.axis, one.unit))
         return {
             "first": self.first,
             "second": self.second,

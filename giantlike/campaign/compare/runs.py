@@ -124,7 +124,7 @@ def _attitude(one: AttitudeRecord, other: AttitudeRecord, shared: _Shared) -> It
     turn = rotation_between(other.attitude.rotation, one.attitude.rotation)
     causes = shared.of_attitude(same_image=bool(one.sha256) and one.sha256 == other.sha256)
     parts = [_attitude_parts(attitude) for attitude in (one.attitude, other.attitude)]
-    covariance = _unshared(parts, causes, 3)
+    covariance = _sum_unshared(parts, causes, 3)
     scaled = None if covariance is None else covariance * ARCSEC_PER_RAD**2
     yield from differences_of(one.file, "attitude", ("x", "y", "z"), turn * ARCSEC_PER_RAD, scaled, "arcsec")
 
@@ -142,11 +142,11 @@ def _fix(one: ObservationRecord, other: ObservationRecord, shared: _Shared, same
     what = f"{one.target}: {one.estimator}"
     parts = [_fix_parts(record) for record in (one, other)]
     offset = np.subtract(one.center_px or (np.nan,) * 2, other.center_px or (np.nan,) * 2)
-    covariance = _unshared([None if p is None else {c: m[:2, :2] for c, m in p.items()} for p in parts], causes, 2)
+    covariance = _sum_unshared([None if p is None else {c: m[:2, :2] for c, m in p.items()} for p in parts], causes, 2)
     yield from differences_of(one.file, what, ("x", "y"), offset, covariance, "px")
     if one.range_km is not None and other.range_km is not None:
         ranges = [None if p is None else {c: m[2:3, 2:3] for c, m in p.items() if len(m) > 2} for p in parts]
-        covariance = _unshared(ranges, causes, 1)
+        covariance = _sum_unshared(ranges, causes, 1)
         values = np.array([one.range_km - other.range_km])
         yield from differences_of(one.file, what, ("range",), values, covariance, "km")
 
@@ -157,7 +157,7 @@ def _fix_parts(record: ObservationRecord) -> dict[Cause, Float] | None:
     return None if record.covariance_px2 is None else {Cause.NOISE: np.array(record.covariance_px2)}
 
 
-def _unshared(both: Iterable[Mapping[Cause, Float] | None], shared: Iterable[Cause], size: int) -> Float | None:
+def _sum_unshared(both: Iterable[Mapping[Cause, Float] | None], shared: Iterable[Cause], size: int) -> Float | None:
     """Sum of the covariances of two results, without their common causes; None where one is unknown."""
     causes = [cause for cause in Cause if cause not in set(shared) and cause is not Cause.EPHEMERIS]
     unshared, total = np.zeros((size, size)), np.zeros((size, size))

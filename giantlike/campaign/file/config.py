@@ -29,7 +29,7 @@ from giantlike.campaign.file.inputs import (
 )
 from giantlike.campaign.file.mission_defaults import with_mission
 from giantlike.campaign.file.schema import CalibrationSection, CampaignFile, StarsSection
-from giantlike.campaign.file.toml_file import named, read_toml
+from giantlike.campaign.file.toml_file import prefix_errors, read_toml
 from giantlike.core.arrays import Float, require
 from giantlike.core.units import RAD_PER_DEG
 from giantlike.io.geometry_table import GeometryTable, ImageGeometry
@@ -217,7 +217,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         geometry_file = geometry_table.path
         by_path = geometry_table.match([image.path for image in images], folder)
         geometry = {image.key: by_path[image.path] for image in images if image.path in by_path}
-        unmatched = _unmatched(geometry_table, images, geometry, folder, with_spice=content.spice is not None)
+        unmatched = _find_unmatched(geometry_table, images, geometry, folder, with_spice=content.spice is not None)
     spice = spice_of(path, content.spice)
     targets, guessed = targets_of(path, content.targets, spice)
     stars, calibration, sigma_deg = content.stars, content.calibration, content.images.attitude_sigma_deg
@@ -265,7 +265,7 @@ def _relative(file: Path, folder: Path) -> str:
 
 def stars_of(path: Path, section: StarsSection) -> StarsSetup:
     """Star processing of a ``[stars]`` section."""
-    with named("[stars]: "):
+    with prefix_errors("[stars]: "):
         options = replace(section.options, max_magnitude=section.max_magnitude, lost_in_space=section.lost_in_space)
         transfer = TransferOptions(
             method=section.transfer,
@@ -290,12 +290,12 @@ def _rates(path: Path, section: StarsSection) -> Path | None:
     propagates = section.transfer is TransferMethod.PROPAGATE
     require(propagates, f"stars.rates: goes with transfer = 'propagate', not {str(section.transfer)!r}")
     file = existing_file(path, "stars.rates", section.rates)
-    with named("stars.rates: "):
+    with prefix_errors("stars.rates: "):
         read_rates(file)
     return file
 
 
-def _unmatched(
+def _find_unmatched(
     table: GeometryTable,
     images: Sequence[ImageEntry],
     geometry: Mapping[str, ImageGeometry],

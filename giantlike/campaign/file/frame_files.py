@@ -13,7 +13,7 @@ import numpy as np
 from giantlike._system.reading import file_sha256
 from giantlike.campaign.file.inputs import existing_file, matching_files
 from giantlike.campaign.file.schema import CalibrationFramesSection
-from giantlike.campaign.file.toml_file import named
+from giantlike.campaign.file.toml_file import prefix_errors
 from giantlike.core.arrays import require
 from giantlike.image import Image
 from giantlike.processing.calibration_frames import CalibrationFrames, combine_frames, flat_from
@@ -48,15 +48,15 @@ class FrameFiles:
         """Read and combine the files."""
         known: dict[str, Any] = {"dark_has_bias": self.dark_has_bias}
         if self.bias:
-            with named(f"{_KEY}.bias: "):
+            with prefix_errors(f"{_KEY}.bias: "):
                 known["bias"] = combine_frames(*_arrays(self._open(self.bias)))
         if self.dark:
-            with named(f"{_KEY}.dark: "):
+            with prefix_errors(f"{_KEY}.dark: "):
                 images = self._open(self.dark)
                 known["dark"] = combine_frames(*_arrays(images))
                 known["dark_exposure_s"] = self.dark_exposure_s or _common_exposure_s(images)
         if self.flat:
-            with named(f"{_KEY}.flat: "):
+            with prefix_errors(f"{_KEY}.flat: "):
                 images = self._open(self.flat)
                 offsets = CalibrationFrames(**known) if self.flat_has_bias and len(known) > 1 else None
                 known["flat"] = flat_from(
@@ -65,7 +65,7 @@ class FrameFiles:
         if self.bad_pixels is not None:
             image = self._open([self.bad_pixels])[0]
             known["bad"] = image.mask | (image.pixels != 0)
-        with named(f"{_KEY}: "):
+        with prefix_errors(f"{_KEY}: "):
             frames = CalibrationFrames(**known)
             require(
                 frames.bad.shape == (rows, columns),

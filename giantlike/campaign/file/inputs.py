@@ -17,7 +17,7 @@ from giantlike.campaign.file.hints import nearest
 from giantlike.campaign.file.limb_inputs import LimbSetup
 from giantlike.campaign.file.options import options_from_mapping, with_files_found
 from giantlike.campaign.file.schema import BodySection, Radii, SpiceSection, TargetSection
-from giantlike.campaign.file.toml_file import named
+from giantlike.campaign.file.toml_file import prefix_errors
 from giantlike.core.arrays import Float, require
 from giantlike.core.detector import Detector
 from giantlike.core.errors import InputError
@@ -148,9 +148,9 @@ def camera_of(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None
     """Camera of a ``[camera]`` table, and its file where it has one."""
     preset = preset_of(table)
     if preset is not None:
-        return _binned(preset.camera, table.get("binned", 1)), None
+        return _bin_camera(preset.camera, table.get("binned", 1)), None
     if "file" not in table:
-        with named("[camera]: "):
+        with prefix_errors("[camera]: "):
             return Camera.from_mapping(table), None
     others = sorted(set(table) - {"file"})
     if others:
@@ -166,11 +166,11 @@ def preset_of(table: Mapping[str, Any]) -> CameraPreset | None:
     if "preset" not in table:
         return None
     require(set(table) <= {"preset", "binned"}, "[camera]: give either preset, or file, or the keys of a camera")
-    with named("camera.preset: "):
+    with prefix_errors("camera.preset: "):
         return camera_preset(str(table["preset"]))
 
 
-def _binned(camera: Camera, factor: object) -> Camera:
+def _bin_camera(camera: Camera, factor: object) -> Camera:
     """Camera of summed images; the effect of summing on noise and saturation is unknown."""
     whole = isinstance(factor, int) and not isinstance(factor, bool) and factor >= 1
     require(whole, f"camera.binned: expected a whole number from 1, got {factor!r}")
@@ -182,11 +182,11 @@ def spice_of(path: Path, section: SpiceSection | None) -> SpiceSetup | None:
     """Kernels, spacecraft and camera frame of a ``[spice]`` section."""
     if section is None:
         return None
-    with named("spice.kernels: "):
+    with prefix_errors("spice.kernels: "):
         kernels = find_kernels(section.kernels, path.parent)
     turn = rotation_from_xyzw(section.camera_from_frame_xyzw, "spice.camera_from_frame_xyzw")
     from_frame = None if section.frame is None else FrameRotation(rotation=turn, target="", source=section.frame)
-    with named("spice.clock: "):
+    with prefix_errors("spice.clock: "):
         clock = None if section.clock is None else LabelClock(spacecraft=section.spacecraft, **dict(section.clock))
     return SpiceSetup(
         kernels=kernels,
@@ -221,15 +221,15 @@ def _target(path: Path, where: str, section: BodySection, spice: SpiceSetup | No
     if shape is None:
         require(spice is not None, f"{where}.shape: the radii of a PCK need [spice] with kernels")
         assert spice is not None
-        with named(f"{where}.shape: "):
+        with prefix_errors(f"{where}.shape: "):
             x_km, y_km, z_km = ellipsoid_from_pck(spice_body, spice.kernels).radii_km.tolist()
         shape = (x_km, y_km, z_km)
-    with named(f"{where}."):
+    with prefix_errors(f"{where}."):
         reflectance = McEwen() if section.reflectance is None else reflectance_from_mapping(section.reflectance)
     limb = LimbSetup()
     if isinstance(section, TargetSection):
         terrain = None if section.terrain is None else existing_file(path, f"{where}.terrain", section.terrain)
-        limb = LimbSetup.of(section, where, shape, terrain)
+        limb = LimbSetup.from_section(section, where, shape, terrain)
     return TargetSetup(
         name=section.name,
         shape=existing_file(path, f"{where}.shape", shape) if isinstance(shape, str) else shape,

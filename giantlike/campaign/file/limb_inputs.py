@@ -29,7 +29,7 @@ class LimbSetup:
     air: bool | None = None
 
     @classmethod
-    def of(cls, section: TargetSection, where: str, shape: str | Radii, terrain: Path | None) -> LimbSetup:
+    def from_section(cls, section: TargetSection, where: str, shape: str | Radii, terrain: Path | None) -> LimbSetup:
         """Check the inputs of a section on the limb of its target."""
         for key, given in (("terrain", terrain), ("atmosphere", section.atmosphere), ("rings", section.rings)):
             smooth = given is None or not isinstance(shape, str)
@@ -51,9 +51,9 @@ class LimbSetup:
 
     def height_map(self) -> HeightMap | None:
         """Open the height map, once in a process. Returns None without one."""
-        return None if self.terrain is None else _opened(self.terrain, self.terrain_sigma_km)
+        return None if self.terrain is None else _open_height_map(self.terrain, self.terrain_sigma_km)
 
 
 @lru_cache(maxsize=16)
-def _opened(path: Path, sigma_km: float | None) -> HeightMap:
+def _open_height_map(path: Path, sigma_km: float | None) -> HeightMap:
     return HeightMap.open(path, sigma_km=sigma_km)

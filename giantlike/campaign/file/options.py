@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_type_hints
 from pydantic import PlainValidator, TypeAdapter, ValidationError
 
 from giantlike.campaign.file.hints import nearest
-from giantlike.campaign.file.toml_file import named
+from giantlike.campaign.file.toml_file import prefix_errors
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
 
@@ -32,7 +32,7 @@ def options_from_mapping(kind: type[Options], table: Mapping[str, Any], where: s
             values[name] = options_from_mapping(hint, value, f"{where}.{name}")
         else:
             values[name] = _value(hint, value, f"{where}.{name}")
-    with named(f"{where}: "):
+    with prefix_errors(f"{where}: "):
         return kind(**values)
 
 

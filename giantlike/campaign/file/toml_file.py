@@ -28,7 +28,7 @@ class TomlSection(BaseModel):
 
 
 @contextmanager
-def named(where: str) -> Iterator[None]:
+def prefix_errors(where: str) -> Iterator[None]:
     """Put the name of a key or table before the text of an error raised inside a ``with`` block."""
     try:
         yield

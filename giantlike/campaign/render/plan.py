@@ -26,7 +26,7 @@ from giantlike.campaign.file.inputs import (
     spice_of,
     targets_of,
 )
-from giantlike.campaign.file.toml_file import named, read_toml
+from giantlike.campaign.file.toml_file import prefix_errors, read_toml
 from giantlike.campaign.render.schema import DetectorSection, ImageSection, PlaceSection, RenderFile
 from giantlike.core.arrays import Float, require, unit
 from giantlike.core.errors import DataError, InputError
@@ -45,7 +45,7 @@ from giantlike.simulation import Shot
 from giantlike.simulation.detector import DetectorModel, HotPixels, Stream, scattered_pixels
 from giantlike.simulation.effects import FlatField, pixel_response
 from giantlike.simulation.incident import SimulationOptions, true_geometry
-from giantlike.simulation.shot import Photometry, unexposed
+from giantlike.simulation.shot import Photometry, make_black_image
 
 if TYPE_CHECKING:
     from astropy.time import Time
@@ -139,7 +139,7 @@ class RenderPlan(Value):
             shown: set[str] = set()
             for shot, scene in shots:
                 if scene is not None:
-                    frame = unexposed(shot, self.camera)
+                    frame = make_black_image(shot, self.camera)
                     shown |= {true_geometry(scene, frame, body.name).target.name for body in scene.targets}
             for number, setup in enumerate(self.targets):
                 require(
@@ -176,7 +176,7 @@ class RenderPlan(Value):
         """Targets of an image; None if there are none."""
         targets = []
         for setup in self.targets:
-            place = _completed(exposure.places.get(setup.name), self.places[setup.name])
+            place = _complete_place(exposure.places.get(setup.name), self.places[setup.name])
             ephemeris = self._ephemeris(exposure, setup, place)
             if ephemeris is not None:
                 shape = shapes[setup.name]
@@ -254,7 +254,7 @@ def _place(where: str, section: PlaceSection) -> GeometryRow:
     )
 
 
-def _completed(place: GeometryRow | None, default: GeometryRow) -> GeometryRow:
+def _complete_place(place: GeometryRow | None, default: GeometryRow) -> GeometryRow:
     """Place of a target in an image, completed by its default."""
     if place is None:
         return default
@@ -288,7 +288,7 @@ def _from_section(where: str, section: ImageSection) -> Exposure:
         turn = rotation_from_xyzw(quaternion, f"{where}.camera_from_inertial_xyzw")
     if pointing is not None:
         turn = camera_from_inertial_of_pointing(*pointing)
-    with named(f"{where}.epoch_utc: "):
+    with prefix_errors(f"{where}.epoch_utc: "):
         epoch = time_from_utc(section.epoch_utc)
     observer = None
     if section.observer is not None:
@@ -333,13 +333,13 @@ def _detector(path: Path, section: DetectorSection, camera: Camera) -> DetectorM
     elif section.response_rms > 0:
         response = pixel_response(*size, rms=section.response_rms, random=Stream.PIXEL_RESPONSE.random(seed))
     hot = section.hot_pixels
-    with named("detector."):
+    with prefix_errors("detector."):
         return DetectorModel(
             stray=section.stray,
             flat=FlatField(response=response, vignetting=section.vignetting),
             transfer=section.transfer,
             dark=section.dark,
-            hot_pixels=HotPixels.scattered(hot.count, *size, Stream.HOT_PIXELS.random(seed), median_e_s=hot.median_e_s),
+            hot_pixels=HotPixels.draw(hot.count, *size, Stream.HOT_PIXELS.random(seed), median_e_s=hot.median_e_s),
             dead_px=scattered_pixels(section.dead_pixels, *size, Stream.DEAD_PIXELS.random(seed)),
             shot_noise=section.shot_noise,
             cosmic_rays=section.cosmic_rays,

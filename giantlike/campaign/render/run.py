@@ -58,7 +58,7 @@ def render_images(
     progress: Callable[[str, int, int], None] | None = None,
 ) -> tuple[RenderedImage, ...]:
     """Render all images of a scene file."""
-    plan, folder = _placed(plan, output)
+    plan, folder = _resolve_output(plan, output)
     paths = [folder / exposure.file for exposure in plan.exposures]
     _check_output(plan, folder, paths, overwrite=overwrite)
     catalog = None if plan.catalog is None else load_catalog(plan.catalog)
@@ -88,7 +88,7 @@ def render_images(
     return tuple(results)
 
 
-def _placed(plan: RenderPlan, output: Path | None) -> tuple[RenderPlan, Path]:
+def _resolve_output(plan: RenderPlan, output: Path | None) -> tuple[RenderPlan, Path]:
     """Plan, with its only image renamed if ``output`` is a file, and the output folder."""
     if output is None:
         return plan, plan.path.parent / plan.content.render.output

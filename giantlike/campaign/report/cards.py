@@ -107,7 +107,7 @@ def card(result: RunResult, record: AttitudeRecord, colors: Mapping[str, str]) -
     targets = dict.fromkeys(one.target for one in observations)
     with folder.reading():
         found = folder.points(record)
-        points = {one.of: folder.points(one) for one in observations}
+        points = {one.subject: folder.points(one) for one in observations}
         kept = [folder.load(TargetRecord, record.file, (target, "")) for target in targets]
     views = [one.view for one in kept if one is not None and one.view is not None]
     picture = problem = None
@@ -129,7 +129,7 @@ def card(result: RunResult, record: AttitudeRecord, colors: Mapping[str, str]) -
         picture=picture,
         residuals=[
             *_star_residuals(record, found),
-            *(svg for one in observations for svg in _fix_residuals(record, one, points[one.of])),
+            *(svg for one in observations for svg in _fix_residuals(record, one, points[one.subject])),
         ],
         problem=problem,
     )
@@ -195,9 +195,9 @@ def _body_marks(
                 color=colors[record.estimator],
                 center_px=np.array(record.center_px),
                 covariance_px2=np.array(record.covariance_px2),
-                limb_px=points_of(points[record.of].get("limb_px", [])),
-                limb_rejected_px=points_of(points[record.of].get("limb_rejected_px", [])),
-                outline_px=points_of(points[record.of].get("outline_px", [])),
+                limb_px=points_of(points[record.subject].get("limb_px", [])),
+                limb_rejected_px=points_of(points[record.subject].get("limb_rejected_px", [])),
+                outline_px=points_of(points[record.subject].get("outline_px", [])),
             )
             for record in observations
             if record.target == view.target and record.center_px is not None

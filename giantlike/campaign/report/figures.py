@@ -42,13 +42,13 @@ def attitude_figures(result: RunResult) -> list[PageFigure]:
         ]
         quality = _series({"star images": samples})
         figure = series_charts(quality, ["radial rms, px", "matched stars"], label, "Star solutions")
-        figures.append(PageFigure.of(figure, "quality", "Fit and number of stars of every solution."))
+        figures.append(PageFigure.from_figure(figure, "quality", "Fit and number of stars of every solution."))
     corrections = _series({source: _corrections(result, source, at) for source in ("stars", "interpolated")})
     if corrections:
         panels = ["about x, arcsec", "about y, arcsec", "about z, arcsec"]
         figure = series_charts(corrections, panels, label, "Attitude minus a priori attitude, camera axes")
         caption = "Corrections by the stars, with one-sigma bars of the new attitude; hollow: suspect."
-        figures.append(PageFigure.of(figure, "corrections", caption))
+        figures.append(PageFigure.from_figure(figure, "corrections", caption))
     return figures
 
 
@@ -67,7 +67,7 @@ def body_figures(result: RunResult) -> list[PageFigure]:
             f"{target}: measured center (and range, where it is measured) against the a priori geometry, with one-sigma"
             " bars of the measurement; hollow: suspect. What all estimators share is the error of the a priori."
         )
-        figures.append(PageFigure.of(figure, f"target {target}", caption))
+        figures.append(PageFigure.from_figure(figure, f"target {target}", caption))
         reference = max(by_estimator, key=lambda name: len(by_estimator[name]))
         others = {name: records for name, records in by_estimator.items() if name != reference}
         differences = _series(
@@ -76,7 +76,7 @@ def body_figures(result: RunResult) -> list[PageFigure]:
         if differences:
             figure = series_charts(differences, _BODY_PANELS, label, f"{target}: minus {reference}")
             caption = f"{target}: the other estimators minus {reference}; the bars are one sigma of the difference."
-            figures.append(PageFigure.of(figure, f"difference {target}", caption))
+            figures.append(PageFigure.from_figure(figure, f"difference {target}", caption))
     return figures
 
 
@@ -118,7 +118,7 @@ def _corrections(result: RunResult, source: str, at: Callable[[int], float]) -> 
 
 
 def _offsets(records: Mapping[int, ObservationRecord], at: Callable[[int], float]) -> list[_Sample]:
-    return [(at(index), *_measured(record), record.status == "suspect") for index, record in records.items()]
+    return [(at(index), *_find_offsets(record), record.status == "suspect") for index, record in records.items()]
 
 
 def _differences(
@@ -136,7 +136,7 @@ def _differences(
     return samples
 
 
-def _measured(record: ObservationRecord) -> tuple[Float, Float]:
+def _find_offsets(record: ObservationRecord) -> tuple[Float, Float]:
     """Observed minus predicted x, y (px) and range (percent), (3,), and their sigmas; NaN where unknown."""
     offset, sigma = np.full(3, np.nan), np.full(3, np.nan)
     if record.center_px is not None and record.predicted_px is not None:
@@ -172,4 +172,4 @@ def _star_figure(result: RunResult, records: Sequence[AttitudeRecord]) -> PageFi
         records[0].rows,
     )
     caption = f"Observed minus predicted positions of {len(observed)} stars in {len(parts)} images, as fitted."
-    return PageFigure.of(figure, "stars", caption)
+    return PageFigure.from_figure(figure, "stars", caption)

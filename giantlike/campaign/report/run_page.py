@@ -12,7 +12,7 @@ import numpy as np
 from giantlike._system.atomic import write_text_atomic
 from giantlike.campaign.report.templates import render_page
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
-from giantlike.campaign.store.results import RunResult, StatusCounts, grouped
+from giantlike.campaign.store.results import RunResult, StatusCounts, group_by
 from giantlike.campaign.store.run_folder import REPORT_PAGE
 from giantlike.core.outcomes import Outcome, Quality
 from giantlike.core.units import ARCSEC_PER_RAD
@@ -62,7 +62,7 @@ def write_report(result: RunResult) -> Path:
             for (target, estimator), records in result.by_estimator.items()
         ],
         reasons=Counter((failure.stage, failure.reason) for failure in failures).most_common(),
-        untried=Counter(_untried(result)).most_common(),
+        untried=Counter(_list_untried(result)).most_common(),
         failures=failures[:_MAX_FAILURES],
         n_failures=len(failures),
         warnings=[*result.warnings, *_notes(result)],
@@ -125,7 +125,7 @@ def _failures(result: RunResult) -> list[_Failure]:
     ]
 
 
-def _untried(result: RunResult) -> list[tuple[str, str, str]]:
+def _list_untried(result: RunResult) -> list[tuple[str, str, str]]:
     """Stage, outcome in words and reason of everything that is neither a result nor a failure."""
     return [
         (stage, record.outcome.words, str(record.problem.reason))
@@ -156,13 +156,13 @@ def _notes(result: RunResult) -> list[str]:
 def _attitude_summary(records: Sequence[AttitudeRecord]) -> list[_AttitudeSummary]:
     """One row per source."""
     table = []
-    for source, members in grouped(records, lambda record: record.wanted_source or "unreadable image").items():
+    for source, members in group_by(records, lambda record: record.wanted_source or "unreadable image").items():
         attitudes = [record.attitude for record in members if record.attitude is not None]
         sigmas = [ARCSEC_PER_RAD * each.sigma_rad for each in attitudes if each.covariance_rad2 is not None]
         table.append(
             _AttitudeSummary(
                 source=source,
-                counts=StatusCounts.of(members),
+                counts=StatusCounts.from_records(members),
                 n_matched=_median([record.n_matched for record in members]),
                 rms_px=_median([record.rms_px for record in members]),
                 sigma_across_arcsec=_median([float(max(sigma[0], sigma[1])) for sigma in sigmas]),
@@ -185,7 +185,7 @@ def _estimator_summary(target: str, estimator: str, records: Sequence[Observatio
     return _EstimatorSummary(
         target=target,
         estimator=estimator,
-        counts=StatusCounts.of(records),
+        counts=StatusCounts.from_records(records),
         offset_px=_median(offsets),
         sigma_px=_median(sigmas),
         range_offset_percent=_median(range_errors),

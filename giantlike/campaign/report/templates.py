@@ -22,7 +22,7 @@ class PageFigure:
     caption: str
 
     @classmethod
-    def of(cls, figure: ChartSheet | Figure, name: str, caption: str) -> PageFigure:
+    def from_figure(cls, figure: ChartSheet | Figure, name: str, caption: str) -> PageFigure:
         """Figure of a page from charts or a figure of matplotlib."""
         from giantlike.plotting.charts import ChartSheet, charts_svg
         from giantlike.plotting.style import svg_text

@@ -30,7 +30,7 @@ def transfer_attitudes(campaign: Campaign, records: Sequence[AttitudeRecord]) ->
     for record in records:
         if record.readable and not record.star_image:
             after = 0 if record.et is None else bisect.bisect_right(times, record.et)
-            record = _transferred(campaign, record, donors[max(after - 1, 0) : after + 1], rates)
+            record = _transfer_attitude(campaign, record, donors[max(after - 1, 0) : after + 1], rates)
         transferred.append(record)
     return transferred
 
@@ -61,7 +61,7 @@ def _star(record: AttitudeRecord) -> StarAttitude | None:
     )
 
 
-def _transferred(
+def _transfer_attitude(
     campaign: Campaign,
     record: AttitudeRecord,
     donors: Sequence[tuple[AttitudeRecord, StarAttitude]],

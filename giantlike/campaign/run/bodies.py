@@ -74,11 +74,13 @@ def estimate_bodies(
         geometry = attempt(scene.geometry, image) if isinstance(scene, Scene) else scene
         jobs = dict[str, Callable[[], ObservationRecord]]()
         for estimator in todo:
-            record = unobserved(entry, epoch_utc, target.name, estimator.name).replace(attitude=attitude)
+            record = make_pending_record(entry, epoch_utc, target.name, estimator.name).replace(attitude=attitude)
             if isinstance(scene, Scene) and isinstance(geometry, TargetGeometry):
-                jobs[estimator.name] = partial(_observed, record, estimator, image, campaign.camera, scene, geometry)
+                jobs[estimator.name] = partial(
+                    _run_estimator, record, estimator, image, campaign.camera, scene, geometry
+                )
             else:
-                problem = Problem.of(geometry) if isinstance(geometry, Failure) else geometry
+                problem = Problem.from_failure(geometry) if isinstance(geometry, Failure) else geometry
                 jobs[estimator.name] = partial(record.replace, problem=problem)
         with at_once(jobs) as made:
             records.extend(map(made, jobs))
@@ -86,7 +88,7 @@ def estimate_bodies(
             known = TargetRecord(index=entry.index, file=entry.key, target=target.name)
             if isinstance(scene, Scene) and isinstance(geometry, TargetGeometry):
                 known = known.replace(sighting=sighting_of(scene, image, geometry))
-                known = _outlined(known, campaign, geometry) if campaign.max_overlays > 0 else known
+                known = _add_outline(known, campaign, geometry) if campaign.max_overlays > 0 else known
             records.append(known)
     return records
 
@@ -96,20 +98,20 @@ def failed_bodies(
 ) -> list[BodyRecord]:
     """Failed records of an image that could not be worked on."""
     return [
-        unobserved(entry, epoch_utc, target, estimator).replace(problem=problem)
+        make_pending_record(entry, epoch_utc, target, estimator).replace(problem=problem)
         for target, estimator in work
         if estimator
     ]
 
 
-def unobserved(entry: ImageEntry, epoch_utc: str | None, target: str, estimator: str) -> ObservationRecord:
+def make_pending_record(entry: ImageEntry, epoch_utc: str | None, target: str, estimator: str) -> ObservationRecord:
     """Record of an estimator that has not run yet."""
     return ObservationRecord(
         index=entry.index, file=entry.key, epoch_utc=epoch_utc, target=target, estimator=estimator, status="failed"
     )
 
 
-def _outlined(record: TargetRecord, campaign: Campaign, geometry: TargetGeometry) -> TargetRecord:
+def _add_outline(record: TargetRecord, campaign: Campaign, geometry: TargetGeometry) -> TargetRecord:
     """Record with the outline of the target."""
     view = attempt(_view, campaign, geometry)
     if isinstance(view, Problem):
@@ -117,7 +119,7 @@ def _outlined(record: TargetRecord, campaign: Campaign, geometry: TargetGeometry
     return record.replace(view=view)
 
 
-def _observed(
+def _run_estimator(
     record: ObservationRecord,
     estimator: Estimator,
     image: Image,
@@ -131,7 +133,7 @@ def _observed(
     outcome = attempt(estimator.estimate, image, camera, scene, record.target)
     done = attempt(with_fix, record, camera, geometry, outcome) if isinstance(outcome, CenterFix) else outcome
     if not isinstance(done, ObservationRecord):
-        problem = Problem.of(done) if isinstance(done, Failure) else done
+        problem = Problem.from_failure(done) if isinstance(done, Failure) else done
         if problem.outcome is Outcome.FAILED and problem.reason is not Reason.INTERNAL_ERROR:
             problem = _out_of_field(record, estimator, image, camera, geometry) or problem
         done = record.replace(problem=problem)

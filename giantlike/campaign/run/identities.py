@@ -17,7 +17,7 @@ class Identities:
         self._stamps: dict[str, str] = {}
         self._now: dict[str, str] = {}
 
-    def of(self, entry: ImageEntry) -> str:
+    def find_hash(self, entry: ImageEntry) -> str:
         """Hash of the content; empty if the file was never read.
 
         A file that was written again, or copied, is hashed: it may have the content that it had.

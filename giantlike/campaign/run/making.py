@@ -127,21 +127,21 @@ class RunExecutor:
         def key_of(entry: ImageEntry) -> str:
             stars = rejected.get(entry.key, frozenset())
             limits = (setup.scale_error, None if self.campaign.stars is None else self.campaign.stars.long_exposure_s)
-            return steps.first_stars(entry, self.identities.of(entry), limits, stars)
+            return steps.first_stars(entry, self.identities.find_hash(entry), limits, stars)
 
         known = self.folder.keys(CalibrationRecord)
         todo = [
             entry
             for entry in self.campaign.images
-            if not self.identities.of(entry) or known.get((entry.key, "", "")) != key_of(entry)
+            if not self.identities.find_hash(entry) or known.get((entry.key, "", "")) != key_of(entry)
         ]
         self._say_first({_FIRST_STARS: StepCount(redone=len(todo), kept=len(self.campaign.images) - len(todo))})
         jobs = [ImageJob(entry=entry, rejected=rejected.get(entry.key, frozenset())) for entry in todo]
         for done, (position, answer) in enumerate(pool.run(find_first_stars, jobs)):
             self.progress("finding stars", len(self.campaign.images) - len(jobs) + done, len(self.campaign.images))
             entry = todo[position]
-            packed = answer or PackedRecord.of(failed_stars(entry, _DIED))
-            self.identities.of(entry)
+            packed = answer or PackedRecord.from_record(failed_stars(entry, _DIED))
+            self.identities.find_hash(entry)
             self.identities.read(entry, packed.light.sha256)
             self.folder.save(packed, key_of(entry))
         known = self.folder.keys(CalibrationRecord)
@@ -151,7 +151,7 @@ class RunExecutor:
 
     def make_all(self, pool: Pool, *, bodies: bool) -> None:
         """Make attitudes, carry them to short exposures, and find bodies."""
-        plan = _Plan.of(self)
+        plan = _Plan.from_run(self)
         transfers = self.campaign.stars is not None and self.campaign.stars.long_exposure_s is not None
         if transfers or not bodies:
             jobs = [self._job(entry, solve=True) for entry in plan.unsolved]
@@ -187,7 +187,7 @@ class RunExecutor:
                 counts[name] = counts.get(name, StepCount()).plus(redone=one in todo, kept=one in known)
             if record is not None and not record.readable and entry.key not in unsolved and record.problem is not None:
                 failed = failed_bodies(entry, todo, record.problem, epoch_utc=record.epoch_utc)
-                self._save_bodies(plan, entry, None, map(PackedRecord.of, failed))
+                self._save_bodies(plan, entry, None, map(PackedRecord.from_record, failed))
             elif entry.key in unsolved:
                 job = self._job(entry, solve=True)
                 jobs.append(replace(job, attitude=attitude, bodies=todo, bodies_if_turned=tuple(known)))
@@ -219,13 +219,13 @@ class RunExecutor:
         entry, attitude = job.entry, job.attitude
         if answer.attitude is not None:
             record = answer.attitude.light
-            self.identities.of(entry)
+            self.identities.find_hash(entry)
             self.identities.read(entry, record.sha256)
             plan.solved[entry.key] = record
             self._save(answer.attitude, self._attitude_key(plan, entry, record))
             attitude = attitude_to_use(self.campaign, record)
         self._save_bodies(plan, entry, attitude, answer.bodies)
-        made = {packed.light.of for packed in answer.bodies}
+        made = {packed.light.subject for packed in answer.bodies}
         for one in job.bodies_if_turned:
             if one in made:
                 self.counts[_step_name(*one)] = self.counts[_step_name(*one)].plus(redone=1, kept=-1)
@@ -234,7 +234,7 @@ class RunExecutor:
         self, plan: _Plan, entry: ImageEntry, attitude: Attitude | None, records: Iterable[PackedRecord[BodyRecord]]
     ) -> None:
         for packed in records:
-            self._save(packed, self._key(plan, entry, *packed.light.of, attitude))
+            self._save(packed, self._key(plan, entry, *packed.light.subject, attitude))
 
     def _save(self, packed: PackedRecord[Any], key: str, *, step: str | None = None) -> None:
         record: ImageRecord = packed.light
@@ -258,7 +258,7 @@ class RunExecutor:
                 carried.append(record.file)
                 held = self.folder.load(AttitudeRecord, record.file, step=TRANSFER)
                 if held is None or held.replace(index=record.index, path=record.path) != record:
-                    self._save(PackedRecord.of(record), "", step=TRANSFER)
+                    self._save(PackedRecord.from_record(record), "", step=TRANSFER)
                     redone += 1
         self._drop_transfers(carried)
         if carried:
@@ -281,10 +281,10 @@ class RunExecutor:
 
     def _attitude_key(self, plan: _Plan, entry: ImageEntry, record: AttitudeRecord) -> str:
         stars = self.edits.rejected_stars().get(entry.key, frozenset())
-        return plan.steps.attitude(entry, self.identities.of(entry), stars, star_image=record.star_image)
+        return plan.steps.attitude(entry, self.identities.find_hash(entry), stars, star_image=record.star_image)
 
     def _key(self, plan: _Plan, entry: ImageEntry, target: str, estimator: str, attitude: Attitude | None) -> str:
-        sha256 = self.identities.of(entry)
+        sha256 = self.identities.find_hash(entry)
         return plan.steps.observation(entry, sha256, target, estimator, attitude) if sha256 else ""
 
     def _say_first(self, counts: dict[str, StepCount]) -> None:
@@ -310,7 +310,7 @@ class _Plan:
     unsolved: list[ImageEntry]
 
     @classmethod
-    def of(cls, run: RunExecutor) -> _Plan:
+    def from_run(cls, run: RunExecutor) -> _Plan:
         campaign, folder = run.campaign, run.folder
         keys = folder.keys(ObservationRecord) | folder.keys(TargetRecord)
         plan = cls(Steps(run.bench), keys, frozenset(run.edits.rejected_images()), {}, {}, [])
@@ -321,14 +321,14 @@ class _Plan:
             if record is not None:
                 record = record.replace(index=entry.index, path=campaign.path_from_output(entry.path))
                 if (
-                    run.identities.of(entry)
+                    run.identities.find_hash(entry)
                     and key == run._attitude_key(plan, entry, record)
                     and _as_used(campaign, record)
                 ):
                     plan.solved[entry.key] = record
                     continue
                 plan.stale[entry.key] = record
-            run.identities.of(entry)  # before the file is read: the next run then detects later changes
+            run.identities.find_hash(entry)  # before the file is read: the next run then detects later changes
             plan.unsolved.append(entry)
         return plan
 

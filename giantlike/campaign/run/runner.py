@@ -18,7 +18,7 @@ from giantlike.campaign.run.steps import digest
 from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.changes import changes
 from giantlike.campaign.store.edits import EDITS_FILE, read_edits
-from giantlike.campaign.store.lock import locked
+from giantlike.campaign.store.lock import hold_lock
 from giantlike.campaign.store.log import RunLogHandler
 from giantlike.campaign.store.observables import (
     OBSERVABLES_FILE,
@@ -91,7 +91,7 @@ def run_campaign(
 
     try:
         make_folder(campaign.output)
-        with locked(campaign.output) as dead, RunLogHandler(campaign.output):
+        with hold_lock(campaign.output) as dead, RunLogHandler(campaign.output):
             folder = RunFolder(campaign.output)
             before = _provenance(folder)
             inputs = inputs_of(campaign, bench)

@@ -58,19 +58,19 @@ class ImageAnswer:
     bodies: list[PackedRecord[BodyRecord]] = field(default_factory=list)
 
     @classmethod
-    def of(cls, attitude: AttitudeRecord | None, bodies: Iterable[BodyRecord]) -> ImageAnswer:
+    def from_records(cls, attitude: AttitudeRecord | None, bodies: Iterable[BodyRecord]) -> ImageAnswer:
         """Answer of records."""
-        packed = None if attitude is None else PackedRecord.of(attitude)
-        return cls(attitude=packed, bodies=[PackedRecord.of(record) for record in bodies])
+        packed = None if attitude is None else PackedRecord.from_record(attitude)
+        return cls(attitude=packed, bodies=[PackedRecord.from_record(record) for record in bodies])
 
 
 def process_image(bench: Workbench, job: ImageJob) -> ImageAnswer:
     """Read an image, solve its stars if requested, and run the estimators on it."""
     start = time.perf_counter()
-    opened = attempt(_opened, bench, job)
+    opened = attempt(_open_image, bench, job)
     record, attitude, work = None, job.attitude, job.bodies
     if job.solve:
-        solved = opened if isinstance(opened, Problem) else attempt(_solved, *opened, job.entry)
+        solved = opened if isinstance(opened, Problem) else attempt(_solve_attitude, *opened, job.entry)
         record = failed_image(bench.campaign, job.entry, solved) if isinstance(solved, Problem) else solved
         record = record.model_copy(update={"time_s": time.perf_counter() - start})  # all else is checked already
         attitude = attitude_to_use(bench.campaign, record)
@@ -82,23 +82,25 @@ def process_image(bench: Workbench, job: ImageJob) -> ImageAnswer:
     if problem is not None or isinstance(opened, Problem) or not work:
         epoch_utc = None if record is None else record.epoch_utc
         failed = [] if problem is None else failed_bodies(job.entry, work, problem, epoch_utc=epoch_utc)
-        return ImageAnswer.of(record, failed)
+        return ImageAnswer.from_records(record, failed)
     fitted, prepared = opened
     bodies = attempt(estimate_bodies, fitted, job.entry, prepared.image, attitude, work)
-    return ImageAnswer.of(record, failed_bodies(job.entry, work, bodies) if isinstance(bodies, Problem) else bodies)
+    return ImageAnswer.from_records(
+        record, failed_bodies(job.entry, work, bodies) if isinstance(bodies, Problem) else bodies
+    )
 
 
 def lost_image(campaign: Campaign, job: ImageJob, problem: Problem) -> ImageAnswer:
     """Answer for an image whose worker died."""
     record = failed_image(campaign, job.entry, problem) if job.solve else None
     work = (*job.bodies, *job.bodies_if_turned)
-    return ImageAnswer.of(record, failed_bodies(job.entry, work, problem))
+    return ImageAnswer.from_records(record, failed_bodies(job.entry, work, problem))
 
 
 def find_first_stars(bench: Workbench, job: ImageJob) -> PackedRecord[CalibrationRecord]:
     """Read a star image and identify its stars with a camera that is known roughly, for calibration."""
     record = attempt(_first_stars, bench, job)
-    return PackedRecord.of(failed_stars(job.entry, record) if isinstance(record, Problem) else record)
+    return PackedRecord.from_record(failed_stars(job.entry, record) if isinstance(record, Problem) else record)
 
 
 def failed_stars(entry: ImageEntry, problem: Problem) -> CalibrationRecord:
@@ -125,16 +127,16 @@ def _first_stars(bench: Workbench, job: ImageJob) -> CalibrationRecord | Problem
         image, campaign.camera, bench.navigation, scale_error=setup.scale_error, temperature_c=temperature_c
     )
     if isinstance(found, Failure):
-        return read.replace(problem=Problem.of(found))
+        return read.replace(problem=Problem.from_failure(found))
     return record_of_stars(entry, found, image.camera_from_inertial).replace(sha256=image.sha256)
 
 
 def failed_image(campaign: Campaign, entry: ImageEntry, problem: Problem) -> AttitudeRecord:
     """Record of an image that could not be processed."""
-    return _unsolved(campaign, entry, campaign.geometry.get(entry.key)).replace(problem=problem)
+    return _make_unsolved_record(campaign, entry, campaign.geometry.get(entry.key)).replace(problem=problem)
 
 
-def _unsolved(campaign: Campaign, entry: ImageEntry, known: Image | ImageGeometry | None) -> AttitudeRecord:
+def _make_unsolved_record(campaign: Campaign, entry: ImageEntry, known: Image | ImageGeometry | None) -> AttitudeRecord:
     """Record of an image before its attitude, with the known data of its exposure."""
     epoch, exposure_s = (None, None) if known is None else (known.epoch, known.exposure_s)
     return AttitudeRecord(
@@ -149,7 +151,7 @@ def _unsolved(campaign: Campaign, entry: ImageEntry, known: Image | ImageGeometr
     )
 
 
-def _opened(bench: Workbench, job: ImageJob) -> tuple[Workbench, PreparedImage] | Problem:
+def _open_image(bench: Workbench, job: ImageJob) -> tuple[Workbench, PreparedImage] | Problem:
     """Image, and the workbench for it: with the calibrated camera, at its temperature, without rejected stars."""
     if job.camera is not None:
         bench = bench.with_camera(job.camera)
@@ -160,10 +162,10 @@ def _opened(bench: Workbench, job: ImageJob) -> tuple[Workbench, PreparedImage] 
     return fitted if isinstance(fitted, Problem) else (fitted.without_stars(job.rejected), prepared)
 
 
-def _solved(bench: Workbench, prepared: PreparedImage, entry: ImageEntry) -> AttitudeRecord:
+def _solve_attitude(bench: Workbench, prepared: PreparedImage, entry: ImageEntry) -> AttitudeRecord:
     campaign, image = bench.campaign, prepared.image
     apriori = image.camera_from_inertial
-    record = with_observer(_unsolved(campaign, entry, image), image.observer).replace(
+    record = with_observer(_make_unsolved_record(campaign, entry, image), image.observer).replace(
         sha256=image.sha256,
         columns=image.columns,
         rows=image.rows,
@@ -192,9 +194,9 @@ def _from_stars(record: AttitudeRecord, navigation: StarNavigation, image: Image
     """Record with the results from the stars of an image."""
     detections, fix = navigation.detect_and_solve(image)
     if isinstance(detections, Failure):
-        return record.replace(problem=Problem.of(detections))
+        return record.replace(problem=Problem.from_failure(detections))
     detected_px = detections.points_px.tolist()
     if isinstance(fix, Failure):
         n_detected = int(detections.clean.sum())
-        return record.replace(problem=Problem.of(fix), detected_px=detected_px, n_detected=n_detected)
+        return record.replace(problem=Problem.from_failure(fix), detected_px=detected_px, n_detected=n_detected)
     return with_stars(record, navigation.camera, fix, detected_px)

@@ -113,24 +113,24 @@ class Database:
     def put(self, unit: Unit, key: str, row: Row) -> None:
         """Write a record."""
         step, file = unit[:2]
-        with self._connected(write=True) as connection:
+        with self._open_connection(write=True) as connection:
             connection.execute(_NEW_IMAGE, (file,))
             connection.execute(_PUT, (*unit, step, file, key, row.light, row.points, _crc(row.light), _crc(row.points)))
 
     def get(self, unit: Unit) -> Row | None:
         """Return a record; None if there is none."""
-        with self._connected() as connection:
+        with self._open_connection() as connection:
             found = connection.execute(
                 f"SELECT light, light_crc, points, points_crc FROM records WHERE {_IS_UNIT}", unit
             ).fetchone()
         if found is None:
             return None
         light, light_crc, points, points_crc = found
-        return Row(self._checked(light, light_crc), None if points is None else self._checked(points, points_crc))
+        return Row(self._check_crc(light, light_crc), None if points is None else self._check_crc(points, points_crc))
 
     def keys(self, step: str) -> dict[tuple[str, str, str], str]:
         """Hashes of the records of a step, damaged ones left out."""
-        with self._connected() as connection:
+        with self._open_connection() as connection:
             rows = connection.execute(
                 "SELECT file, target, estimator, key, light, light_crc, points, points_crc FROM records WHERE step = ?",
                 (step,),
@@ -146,24 +146,24 @@ class Database:
 
         Yields ``place``, ``path`` and ``light``.
         """
-        with self._connected() as connection:
+        with self._open_connection() as connection:
             for place, path, light, crc in connection.execute(_ORDERED, (step,)):
-                yield place, path, self._checked(light, crc)
+                yield place, path, self._check_crc(light, crc)
 
     def delete(self, units: Iterable[Unit]) -> None:
         """Delete records."""
-        with self._connected(write=True) as connection:
+        with self._open_connection(write=True) as connection:
             connection.executemany(f"DELETE FROM records WHERE {_IS_UNIT}", units)
 
     def images(self) -> dict[str, KnownImage]:
         """Every image in the file, part of the run or not, by name."""
-        with self._connected() as connection:
+        with self._open_connection() as connection:
             rows = connection.execute("SELECT file, stamp, sha256 FROM images")
             return {file: KnownImage(stamp or "", sha256 or "") for file, stamp, sha256 in rows}
 
     def set_images(self, images: Sequence[tuple[str, str]]) -> None:
         """Say which images are part of the run, and in which order."""
-        with self._connected(write=True) as connection:
+        with self._open_connection(write=True) as connection:
             connection.execute("UPDATE images SET place = NULL")
             connection.executemany(
                 "INSERT INTO images (file, place, path) VALUES (?, ?, ?) "
@@ -173,14 +173,14 @@ class Database:
 
     def set_image_state(self, file: str, known: KnownImage) -> None:
         """Store the hash of an image file when it was read."""
-        with self._connected(write=True) as connection:
+        with self._open_connection(write=True) as connection:
             connection.execute(
                 "UPDATE images SET stamp = ?, sha256 = ? WHERE file = ?", (known.stamp, known.sha256, file)
             )
 
     def set_places(self, step: str, places: dict[tuple[str, str, str], int]) -> None:
         """Store which records of a step are part of the run, and the order of the records of one image."""
-        with self._connected(write=True) as connection:
+        with self._open_connection(write=True) as connection:
             connection.execute("UPDATE records SET place = NULL WHERE step = ?", (step,))
             connection.executemany(
                 f"UPDATE records SET place = ? WHERE {_IS_UNIT}",
@@ -189,7 +189,7 @@ class Database:
 
     def adopt(self, other: Database, path_here: Callable[[str], str]) -> None:
         """Append the images that are part of another run, with their records."""
-        with other._connected() as source, self._connected(write=True) as connection:
+        with other._open_connection() as source, self._open_connection(write=True) as connection:
             here = {file for (file,) in connection.execute("SELECT file FROM images")}
             images = source.execute(
                 "SELECT file, place, path, stamp, sha256 FROM images WHERE place IS NOT NULL ORDER BY place"
@@ -203,13 +203,13 @@ class Database:
                 records = source.execute("SELECT * FROM records WHERE file = ?", (file,))
                 connection.executemany("INSERT INTO records VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", records)
 
-    def _checked(self, content: Content, crc: int) -> Content:
+    def _check_crc(self, content: Content, crc: int) -> Content:
         if _crc(content) != crc:
             raise DataError(self.path, "holds a damaged record: run the campaign again, which makes it anew")
         return content
 
     @contextlib.contextmanager
-    def _connected(self, *, write: bool = False) -> Iterator[sqlite3.Connection]:
+    def _open_connection(self, *, write: bool = False) -> Iterator[sqlite3.Connection]:
         """The open connection, or one for this access; writes form one transaction."""
         with self._border(), contextlib.ExitStack() as ending:
             connection = self._open

@@ -37,7 +37,7 @@ class FixDifference(Value):
         return result
 
     @property
-    def squared(self) -> float:
+    def squared_distance(self) -> float:
         """Squared Mahalanobis distance, ``offset^T covariance^-1 offset``; about k for correct fixes."""
         scale = np.maximum(self.sigma, np.finfo(float).tiny)
         values, axes = np.linalg.eigh(self.covariance / np.outer(scale, scale))
@@ -48,12 +48,12 @@ class FixDifference(Value):
     @property
     def sigmas(self) -> float:
         """Mahalanobis distance: the difference over its sigma in the direction in which it lies."""
-        return math.sqrt(self.squared)
+        return math.sqrt(self.squared_distance)
 
     @property
     def chance(self) -> float:
         """p-value of the difference, for correct fixes."""
-        return float(chdtrc(len(self.offset), self.squared))
+        return float(chdtrc(len(self.offset), self.squared_distance))
 
 
 def difference_of(one: ObservationRecord, other: ObservationRecord) -> FixDifference | None:

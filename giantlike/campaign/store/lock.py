@@ -21,7 +21,7 @@ _MIN_WAIT_S = 0.2
 
 
 @contextlib.contextmanager
-def locked(folder: Path) -> Iterator[str | None]:
+def hold_lock(folder: Path) -> Iterator[str | None]:
     """Hold the lock of a run folder inside a ``with`` block.
 
     The lock is a transaction on a file, which the operating system ends with the process: one that died holds nothing.

@@ -112,7 +112,7 @@ class ObservableGroups:
             attitude=attitude,
             bodies=self._bodies.get(attitude.file),
             stars=None if attitude.attitude is None else self._folder.packed_points(attitude),
-            fixes={record.of: self._folder.packed_points(record) for record in self._fixes(attitude.file)},
+            fixes={record.subject: self._folder.packed_points(record) for record in self._fixes(attitude.file)},
         )
 
 
@@ -172,7 +172,7 @@ class ImageRecords:
                 is_preferred=index == choice.index,
                 reason=_reason(choice.index, index, choice.reason, fixes),
             )
-            landmarks = points_of(record, self.fixes[record.of], self.results).get("landmarks")
+            landmarks = points_of(record, self.fixes[record.subject], self.results).get("landmarks")
             if landmarks is None or not isinstance(fix, PositionFix):
                 continue
             for k, name in enumerate(landmarks["names"]):

@@ -40,25 +40,25 @@ class PackedRecord(Generic[Record]):
     row: Row
 
     @classmethod
-    def of(cls, record: Record) -> PackedRecord[Record]:
+    def from_record(cls, record: Record) -> PackedRecord[Record]:
         """Pack a record."""
         light = record.light()
-        points = None if record.is_light else packed(record.__dict__)
+        points = None if record.is_light else pack(record.__dict__)
         return cls(light, Row(light.model_dump_json(), points))
 
 
-def packed(values: dict[str, Any]) -> bytes:
+def pack(values: dict[str, Any]) -> bytes:
     """Bytes of nested plain values; numbers come back to the bit."""
     arrays: list[np.ndarray] = []
-    head = json.dumps(_stripped(values, arrays)).encode()
+    head = json.dumps(_strip_arrays(values, arrays)).encode()
     parts = [struct.pack("<I", len(head)), head]
     for array in arrays:
         parts += [array.dtype.kind.encode(), struct.pack(f"<B{array.ndim}I", array.ndim, *array.shape), array.tobytes()]
     return zlib.compress(b"".join(parts), _LEVEL)
 
 
-def unpacked(data: bytes, *, arrays: bool = False) -> Any:
-    """Values of :func:`packed`."""
+def unpack(data: bytes, *, arrays: bool = False) -> Any:
+    """Values of :func:`pack`."""
     try:
         content = zlib.decompress(data)
         (length,) = struct.unpack_from("<I", content)
@@ -71,10 +71,10 @@ def unpacked(data: bytes, *, arrays: bool = False) -> Any:
             kept.append(array if arrays else array.tolist())
             at += count * dtype.itemsize
 
-        def filled(value: dict[str, Any]) -> Any:
+        def fill(value: dict[str, Any]) -> Any:
             return kept[value[_KEY]] if value.keys() == {_KEY} else value
 
-        return json.loads(content[4 : 4 + length], object_hook=filled)
+        return json.loads(content[4 : 4 + length], object_hook=fill)
     except (zlib.error, struct.error, KeyError, IndexError) as error:
         raise ValueError(f"damaged: {error}") from error
 
@@ -84,28 +84,30 @@ def points_of(record: ImageRecord, data: bytes | None, path: Path) -> dict[str, 
     if data is None:
         return {}
     try:
-        full = unpacked(data, arrays=True)
+        full = unpack(data, arrays=True)
         return {name: full[name] for name in record.points_of if name in full}
     except (ValueError, KeyError, TypeError) as error:
-        raise damaged(path, ValueError(f"points of {record.file}: {error}")) from error
+        raise make_damage_error(path, ValueError(f"points of {record.file}: {error}")) from error
 
 
-def damaged(path: Path, error: ValueError) -> DataError:
+def make_damage_error(path: Path, error: ValueError) -> DataError:
     """Error of results that hold a damaged record."""
     return DataError(path, f"holds a damaged record: {' '.join(str(error).split())[:200]}")
 
 
-def _stripped(value: Any, arrays: list[np.ndarray]) -> Any:
+def _strip_arrays(value: Any, arrays: list[np.ndarray]) -> Any:
     """Plain value, without records, with its long lists of numbers moved to ``arrays``."""
     if isinstance(value, PlainRecord):
         value = value.__dict__
     if isinstance(value, dict):
-        return {key: _stripped(inner, arrays) if isinstance(inner, _NESTED) else inner for key, inner in value.items()}
+        return {
+            key: _strip_arrays(inner, arrays) if isinstance(inner, _NESTED) else inner for key, inner in value.items()
+        }
     if not isinstance(value, list):
         return value
     array = _array(value)
     if array is None:
-        return [_stripped(inner, arrays) if isinstance(inner, _NESTED) else inner for inner in value]
+        return [_strip_arrays(inner, arrays) if isinstance(inner, _NESTED) else inner for inner in value]
     arrays.append(array)
     return {_KEY: len(arrays) - 1}
 

@@ -58,7 +58,7 @@ class Problem(PlainRecord):
     kind: Outcome = Outcome.FAILED
 
     @classmethod
-    def of(cls, failure: Failure) -> Self:
+    def from_failure(cls, failure: Failure) -> Self:
         """Problem of a failed fit."""
         kind = Outcome.NOT_APPLICABLE if failure.not_applicable else Outcome.FAILED
         return cls(reason=failure.reason, detail=failure.detail, kind=kind)
@@ -156,7 +156,7 @@ class ImageRecord(PlainRecord):
         return []
 
     @property
-    def of(self) -> tuple[str, str]:
+    def subject(self) -> tuple[str, str]:
         """Target and estimator that it is of; empty where the step has none."""
         return "", ""
 
@@ -355,7 +355,7 @@ class ObservationRecord(_StatusRecord):
     time_s: float = 0.0
 
     @property
-    def of(self) -> tuple[str, str]:
+    def subject(self) -> tuple[str, str]:
         """Target and estimator."""
         return self.target, self.estimator
 
@@ -394,7 +394,7 @@ class TargetRecord(ImageRecord):
     note: str | None = None
 
     @property
-    def of(self) -> tuple[str, str]:
+    def subject(self) -> tuple[str, str]:
         """The target."""
         return self.target, ""
 

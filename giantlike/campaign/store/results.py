@@ -44,14 +44,14 @@ class StatusCounts:
     reasons: dict[str, int]
 
     @classmethod
-    def of(cls, records: Sequence[AttitudeRecord | ObservationRecord]) -> StatusCounts:
+    def from_records(cls, records: Sequence[AttitudeRecord | ObservationRecord]) -> StatusCounts:
         """Count records."""
         outcomes = Counter(record.outcome for record in records)
         reasons = Counter(str(record.problem.reason) for record in records if record.problem is not None)
         return cls(**{str(one): outcomes[one] for one in Outcome}, reasons=dict(reasons))
 
     @property
-    def untried(self) -> dict[str, int]:
+    def untried_counts(self) -> dict[str, int]:
         """Numbers of records that are neither results nor failures, by outcome in words; those that are not 0."""
         counts = {one.words: int(getattr(self, one)) for one in Outcome if not one.is_attempt}
         return {words: count for words, count in counts.items() if count}
@@ -111,7 +111,7 @@ class RunResult(Pictured, Value):
     steps: Mapping[str, StepCount] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        images, fixes = StatusCounts.of(self.attitudes), StatusCounts.of(self.observations)
+        images, fixes = StatusCounts.from_records(self.attitudes), StatusCounts.from_records(self.observations)
         return (
             f"RunResult({self.name!r}, {len(self.attitudes)} images: {images.ok} ok, {images.suspect} suspect, "
             f"{images.failed} failed; {len(self.observations)} observations: {fixes.ok} ok, {fixes.suspect} suspect, "
@@ -148,7 +148,7 @@ class RunResult(Pictured, Value):
     @property
     def by_estimator(self) -> dict[tuple[str, str], list[ObservationRecord]]:
         """Observations by target and estimator."""
-        return grouped(self.observations, lambda record: (record.target, record.estimator))
+        return group_by(self.observations, lambda record: (record.target, record.estimator))
 
     @property
     def failed_images(self) -> tuple[str, ...]:
@@ -180,9 +180,9 @@ class RunResult(Pictured, Value):
             "output": str(self.folder),
             "images": len(self.attitudes),
             "failed_images": list(self.failed_images),
-            "attitudes": asdict(StatusCounts.of(self.attitudes)),
+            "attitudes": asdict(StatusCounts.from_records(self.attitudes)),
             "observations": [
-                {"target": target, "estimator": estimator} | asdict(StatusCounts.of(records))
+                {"target": target, "estimator": estimator} | asdict(StatusCounts.from_records(records))
                 for (target, estimator), records in self.by_estimator.items()
             ],
             "calibration": self.calibration,
@@ -192,7 +192,7 @@ class RunResult(Pictured, Value):
         }
 
 
-def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
+def group_by(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list[Item]]:
     """Items by key, keys and items in the order in which they come."""
     groups: dict[Key, list[Item]] = {}
     for item in items:

@@ -14,7 +14,7 @@ from giantlike._system.atomic import make_folder, write_text_atomic
 from giantlike.campaign.store.database import Database, KnownImage, Unit
 from giantlike.campaign.store.log import log_event
 from giantlike.campaign.store.odd_epochs import odd_epochs
-from giantlike.campaign.store.packing import PackedRecord, damaged, points_of, unpacked
+from giantlike.campaign.store.packing import PackedRecord, make_damage_error, points_of, unpack
 from giantlike.campaign.store.records import (
     AttitudeRecord,
     ImageRecord,
@@ -109,11 +109,11 @@ class RunFolder:
 
     def save(self, record: ImageRecord | PackedRecord[Any], key: str, *, step: str | None = None) -> None:
         """Keep a record."""
-        packed = PackedRecord.of(record) if isinstance(record, ImageRecord) else record
+        packed = PackedRecord.from_record(record) if isinstance(record, ImageRecord) else record
         light = packed.light
         if _TRIED_AGAIN & {problem.reason for problem in light.problems}:
             key = ""
-        self._results.put(_unit(type(light), light.file, light.of, step), key, packed.row)
+        self._results.put(_unit(type(light), light.file, light.subject, step), key, packed.row)
 
     def load(
         self,
@@ -131,9 +131,9 @@ class RunFolder:
         try:
             if row.points is None or light:
                 return kind.model_validate_json(row.light)
-            return kind.model_validate(unpacked(row.points))
+            return kind.model_validate(unpack(row.points))
         except ValueError as error:
-            raise damaged(self._results.path, error) from error
+            raise make_damage_error(self._results.path, error) from error
 
     def keys(self, kind: type[ImageRecord], *, step: str | None = None) -> dict[tuple[str, str, str], str]:
         """Hashes of the records of a kind; empty for a record that is to be recomputed in any case.
@@ -149,7 +149,7 @@ class RunFolder:
             try:
                 record = kind.model_validate_json(light)
             except ValidationError as error:
-                raise damaged(self._results.path, error) from error
+                raise make_damage_error(self._results.path, error) from error
             today: dict[str, Any] = {"index": place}
             if path and isinstance(record, AttitudeRecord):
                 today["path"] = path
@@ -161,7 +161,7 @@ class RunFolder:
 
     def packed_points(self, record: ImageRecord) -> bytes | None:
         """Lists of points that a record was kept with, for :func:`points_of`; None if there are none."""
-        row = None if record.problems else self._results.get(_unit(type(record), record.file, record.of, None))
+        row = None if record.problems else self._results.get(_unit(type(record), record.file, record.subject, None))
         return None if row is None else row.points
 
     @contextlib.contextmanager

@@ -74,8 +74,8 @@ def _attitude_row(record: AttitudeRecord) -> AttitudeRow:
         AttitudeRow,
         record,
         source=attitude.source if attitude is not None else record.wanted_source,
-        **_named("qx qy qz qw", None if attitude is None else attitude.quaternion_xyzw),
-        **_named("sigma_x_arcsec sigma_y_arcsec sigma_z_arcsec", sigmas),
+        **_name_cells("qx qy qz qw", None if attitude is None else attitude.quaternion_xyzw),
+        **_name_cells("sigma_x_arcsec sigma_y_arcsec sigma_z_arcsec", sigmas),
         covariance_rad2=_triangle(covariance),
     )
 
@@ -85,16 +85,18 @@ def _observation_row(record: ObservationRecord) -> ObservationRow:
     return _row(
         ObservationRow,
         record,
-        **_named("predicted_x_px predicted_y_px", record.predicted_px),
-        **_named("x_px y_px", record.center_px),
-        **_named("sigma_x_px sigma_y_px", _sigmas(covariance)),
+        **_name_cells("predicted_x_px predicted_y_px", record.predicted_px),
+        **_name_cells("x_px y_px", record.center_px),
+        **_name_cells("sigma_x_px sigma_y_px", _sigmas(covariance)),
         rho_xy=_correlation(covariance),
-        **_named("sigma_x_total_px sigma_y_total_px", _sigmas(total)),
+        **_name_cells("sigma_x_total_px sigma_y_total_px", _sigmas(total)),
         rho_xy_total=_correlation(total),
-        **_named("rho_x_range rho_y_range", _range_correlations(record, IN_IMAGE)),
-        **_named("rho_x_range_total rho_y_range_total", None if total is None else _range_correlations(record, _TOTAL)),
+        **_name_cells("rho_x_range rho_y_range", _range_correlations(record, IN_IMAGE)),
+        **_name_cells(
+            "rho_x_range_total rho_y_range_total", None if total is None else _range_correlations(record, _TOTAL)
+        ),
         parts=json.dumps(record.parts) if record.parts else None,
-        **_named("x_camera_km y_camera_km z_camera_km", record.position_camera_km),
+        **_name_cells("x_camera_km y_camera_km z_camera_km", record.position_camera_km),
         attitude_source=None if attitude is None else attitude.source,
         camera_from_inertial_xyzw=None if attitude is None else attitude.quaternion_xyzw,
         attitude_covariance_rad2=_triangle(None if attitude is None else attitude.covariance_rad2),
@@ -144,7 +146,7 @@ def _row(kind: type[Row], record: AttitudeRecord | ObservationRecord, **cells: A
     return kind(**{name: cells[name] if name in cells else getattr(record, name) for name in names})
 
 
-def _named(names: str, values: Sequence[float] | None) -> dict[str, float | None]:
+def _name_cells(names: str, values: Sequence[float] | None) -> dict[str, float | None]:
     """Cells of several columns; empty where there are no values."""
     keys = names.split()
     return dict(zip(keys, [None] * len(keys) if values is None else values, strict=True))

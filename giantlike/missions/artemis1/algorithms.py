@@ -12,7 +12,7 @@ from giantlike.core.outcomes import Failure
 from giantlike.missions.artemis1.images import moon_shot
 from giantlike.missions.artemis1.measure import iterative, non_iterative
 from giantlike.missions.artemis1.passes import Setting, sun_direction
-from giantlike.missions.artemis1.report import RED, Dots, panel_figure, stated
+from giantlike.missions.artemis1.report import RED, Dots, make_number, panel_figure
 from giantlike.missions.artemis1.simulate import FlownPass, residuals_of
 from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, Comparison, ReplayFigure, ReplaySettings, Section
 
@@ -93,7 +93,7 @@ def _papers_own() -> list[Comparison]:
     for name, (first, second, _, p_value) in PAPER.items():
         ours = float(stats.ttest_ind_from_stats(*first, IMAGES, *second, IMAGES).pvalue)
         result.append(
-            stated(
+            make_number(
                 "IV.B.3",
                 f"p-value of the t-test, {name}, from the means and deviations of Table 2",
                 (f"{p_value:.3g}", f"{ours:.3g}"),
@@ -109,7 +109,7 @@ def _papers_own() -> list[Comparison]:
 
 def _table(setting: Setting, first: Float, second: Float) -> list[Comparison]:
     """Our own Table 2."""
-    relief_px = setting.data["moon"]["relief_km"] * setting.model.fx_px / setting.of(3).range_km
+    relief_px = setting.data["moon"]["relief_km"] * setting.model.fx_px / setting.find_pass(3).range_km
     _, pointing_px = setting.knowledge("moon")
     result = []
     for k, name in enumerate(PAPER):
@@ -123,7 +123,7 @@ def _means(name: str, first: Float, second: Float, sigma_px: float) -> list[Comp
     one, two, _, _ = PAPER[name]
     mean = float(first.mean())
     return [
-        stated(
+        make_number(
             "Table 2", f"mean residual, {name}, px, not iterative", (f"{one[0]:.3f}", f"{mean:.3f}"), INDEPENDENT
         ).agrees(
             abs(mean - one[0]) <= 3.0 * math.sqrt(2.0) * sigma_px,
@@ -132,7 +132,7 @@ def _means(name: str, first: Float, second: Float, sigma_px: float) -> list[Comp
             + ", at three sigma"
             + (_RADIUS if name == "radius" else ": the real limb is not in the simulation"),
         ),
-        stated(
+        make_number(
             "Table 2",
             f"mean of iterative less not iterative, {name}, px",
             (two[0] - one[0], float((second - first).mean())),
@@ -151,13 +151,13 @@ def _scatters(name: str, first: Float, second: Float) -> list[Comparison]:
     test = stats.ttest_ind(first, second)
     ours = float(np.corrcoef(first, second)[0, 1])
     return [
-        stated(
+        make_number(
             "Table 2",
             f"standard deviation of iterative less that of not iterative, {name}, px",
             (two[1] - one[1], float(second.std() - first.std())),
             INDEPENDENT,
         ).within(0.02, "thrice the largest difference in the table"),
-        stated(
+        make_number(
             "Table 2",
             f"standard deviation, {name}, px, not iterative",
             (one[1], float(first.std())),
@@ -168,13 +168,13 @@ def _scatters(name: str, first: Float, second: Float) -> list[Comparison]:
             if name == "y"
             else "half of it; noise of attitudes (1.2 arcsec) is assumed, noise of edges follows from the images",
         ),
-        stated(
+        make_number(
             "Table 2",
             f"correlation of both algorithms, {name}",
             (correlation, ours),
             DERIVED if name == "y" else INDEPENDENT,
         ).within(0.3, "correlations go by the shares of noise that both see; gain, read noise and blur are assumed"),
-        stated(
+        make_number(
             "Table 2",
             f"two-sample t-test, {name}: the means differ",
             (

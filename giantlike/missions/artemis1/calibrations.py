@@ -18,7 +18,7 @@ from giantlike.core.outcomes import Failure
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
 from giantlike.missions.artemis1.passes import Setting
-from giantlike.missions.artemis1.report import BLUE, GRAY, RED, stated
+from giantlike.missions.artemis1.report import BLUE, GRAY, RED, make_number
 from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, Comparison, ReplayFigure, ReplaySettings, Section
 
 _STRIKE_PX = 12.0
@@ -62,7 +62,7 @@ def _ground_model(setting: Setting, rules: Mapping[str, Any]) -> BrownModel:
     return BrownModel(fx_px=model.fx_px, fy_px=model.fy_px, cx_px=model.cx_px, cy_px=model.cy_px, **rules["ground"])
 
 
-def _moved(model: BrownModel, by: Mapping[str, float], factor: Mapping[str, float] | None = None) -> BrownModel:
+def _shift_model(model: BrownModel, by: Mapping[str, float], factor: Mapping[str, float] | None = None) -> BrownModel:
     changes = {name: getattr(model, name) + by[name] * (1.0 if factor is None else factor[name]) for name in by}
     return replace(model, **changes)
 
@@ -134,13 +134,13 @@ def run_calibrations(setting: Setting, settings: ReplaySettings) -> Calibrations
     rules = setting.data["calibration"]
     rng = np.random.default_rng([settings.seed, 4])
     ground = _ground_model(setting, rules)
-    flight = _moved(ground, rules["shift"])
+    flight = _shift_model(ground, rules["shift"])
     axes = unit(rng.normal(size=(3, 3)))
     values, sigmas, maps, interlocks, indices = [], [], [], [], []
     count = 17 if settings.small else rules["count"]
     for number in range(0, count, 4) if settings.small else range(count):
         settings.progress("calibrations", number, count)
-        true = _moved(flight, rules["wander"], {name: rng.normal() for name in rules["wander"]})
+        true = _shift_model(flight, rules["wander"], {name: rng.normal() for name in rules["wander"]})
         field, model = _field(setting, true, rules, rng), ground
         tracker_seed = int(rng.integers(2**31))
         wander = rules["interlock_wander_arcsec"] * rng.normal(size=(2, 3))
@@ -227,22 +227,22 @@ def _of_parameters(found: Calibrations, rules: Mapping[str, Any]) -> list[Compar
     relative = {name: float(spread[k] / abs(means[k])) for k, name in enumerate(names)}
     shifted = int((np.abs(means - found.ground) > 5.0 * spread / np.sqrt(len(final))).sum())
     return [
-        stated(
+        make_number(
             "IV.A", "data points of each parameter", (90.0, float(rules["count"] * rules["iterations"])), DERIVED
         ).within(0.0, "30 calibrations of 3 iterations"),
-        stated(
+        make_number(
             "Fig. 4",
             "parameters that shifted between ground and flight, of 8",
             ("an initial shift in several model parameters", str(shifted)),
             INPUT,
         ).agrees(shifted >= 2, "agrees from two, by five standard deviations of the mean; the shifts were put in"),
-        stated(
+        make_number(
             "IV.A",
             "change of parameters from the second to the third iteration, in sigmas, largest",
             ("three iterations to ensure convergence", f"{float(change.max()):.2g}"),
             INDEPENDENT,
         ).agrees(change.max() < 0.1, "agrees below a tenth of a sigma"),
-        stated(
+        make_number(
             "Fig. 4",
             "scatter of k2 and k3 between calibrations over their means, and of k1",
             (
@@ -255,7 +255,7 @@ def _of_parameters(found: Calibrations, rules: Mapping[str, Any]) -> list[Compar
             "agrees where both scatter by more than half of their means, and k1 less: it follows from the "
             "field and the noise",
         ),
-        stated(
+        make_number(
             "IV.A",
             "largest uncertainty of the map over the field, px, all calibrations",
             ("their impact on the model is relatively small", round(float(found.map_px.max()), 3)),
@@ -267,13 +267,13 @@ def _of_parameters(found: Calibrations, rules: Mapping[str, Any]) -> list[Compar
 def _of_strike(found: Calibrations) -> list[Comparison]:
     """The calibration that failed: Fig. 3."""
     return [
-        stated(
+        make_number(
             "Fig. 3",
             "residual of a radiation strike taken for a star, in sigmas of a centroid",
             ("large residual, which violated the acceptance criteria", round(found.struck_sigmas, 1)),
             INPUT,
         ).agrees(found.struck_sigmas > 5.0, "agrees beyond five; its place was put in"),
-        stated(
+        make_number(
             "IV.A",
             "calibration with the strike, once outliers are rejected",
             (
@@ -291,19 +291,19 @@ def _of_interlock(found: Calibrations, rules: Mapping[str, Any]) -> list[Compari
     first, second = found.interlock_arcsec
     step = abs(float(first[warm].mean() - first[~warm].mean())) if warm.any() else 0.0
     return [
-        stated(
+        make_number(
             "Fig. 5", "shift of star tracker 1 from the ground, arcsec", (100.0, float(first[~warm].mean())), INPUT
         ).within(10.0, "put in, found again within a tenth"),
-        stated(
+        make_number(
             "Fig. 5", "shift of star tracker 2 from the ground, arcsec", (100.0, float(np.nanmean(second))), INPUT
         ).within(20.0, "put in, found again within the thermal step"),
-        stated(
+        make_number(
             "Fig. 5",
             "change of the interlock with the bench in sunlight, arcsec",
             ("less than 20", round(step, 2)),
             INPUT,
         ).agrees(step < 20.0, "agrees below 20; a turn of 15 arcsec about an axis of its own was put in"),
-        stated(
+        make_number(
             "Fig. 5",
             "scatter of the interlock in flight out of sunlight, arcsec",
             ("relatively stable across in-flight measurements", round(float(first[~warm].std()), 2)),

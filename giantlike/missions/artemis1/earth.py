@@ -17,7 +17,7 @@ from giantlike.missions.artemis1.filter import filter_bias_km
 from giantlike.missions.artemis1.images import detected_altitude_km, earth_shot, limb_px
 from giantlike.missions.artemis1.measure import non_iterative
 from giantlike.missions.artemis1.passes import KM_PER_KFT, SUN_AZIMUTH_DEG, Setting, preflight_sigmas_px, sun_direction
-from giantlike.missions.artemis1.report import GRAY, RED, Dots, panel_figure, stated
+from giantlike.missions.artemis1.report import GRAY, RED, Dots, make_number, panel_figure
 from giantlike.missions.artemis1.simulate import VELOCITY_SIGMA_KM_S, FlownPass, positions_of, residuals_of
 from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, Comparison, ReplayFigure, Section
 from giantlike.passes import (
@@ -192,19 +192,19 @@ def _pass_compared(setting: Setting, flown: FlownPass, references: tuple[str, st
     jumps = apart > max(float(bound[1]), _SPIKE_SIGMAS * robust_sigma(apart, 0.0))
     outside = float((radius < -bound[2]).mean())
     result = [
-        stated(
+        make_number(
             references[0],
             f"pass {number}: radius residuals below three sigma of the model before flight, share",
             ("larger than expected negative radius residuals", round(outside, 3)),
             INDEPENDENT,
         ).agrees(outside > 0.5, "agrees above one half: light of the atmosphere does not reach up to 35 km"),
-        stated(
+        make_number(
             references[1],
             f"pass {number}: center residuals inside three sigma of model and 0.27 px of pointing, share",
             ("mostly stayed in bounds", round(float(center), 3)),
             INDEPENDENT,
         ).agrees(center >= 0.9, "agrees from 90 %; our edges are pulled toward the Sun by exposures that fill pixels"),
-        stated(
+        make_number(
             references[1],
             f"pass {number}: spikes across the Sun beyond three sigma of the model, number",
             ("several spikes, many by timetag jitter", str(int(jumps.sum()))),
@@ -217,9 +217,9 @@ def _pass_compared(setting: Setting, flown: FlownPass, references: tuple[str, st
     if number == 1:
         result.insert(
             0,
-            stated(references[0], "pass 1: radius at 50 less radius at 1 microsecond, px", (0.5, step), INPUT).within(
-                0.15, "nearly half a pixel; the time that fills a pixel was TUNED to it"
-            ),
+            make_number(
+                references[0], "pass 1: radius at 50 less radius at 1 microsecond, px", (0.5, step), INPUT
+            ).within(0.15, "nearly half a pixel; the time that fills a pixel was TUNED to it"),
         )
     return result
 
@@ -289,13 +289,13 @@ def _altitudes_compared(
     first = flown[1].edges[1.0].outward_px
     km_per_px = flown[1].one.range_km / setting.model.fx_px
     result = [
-        stated("IV.C.3", "1.18 px at 1.49e5 km, km", (24.25, 1.18 * 1.49e5 / setting.model.fx_px), DERIVED).within(
+        make_number("IV.C.3", "1.18 px at 1.49e5 km, km", (24.25, 1.18 * 1.49e5 / setting.model.fx_px), DERIVED).within(
             0.25, "rounding of 1.18 px and 1.49e5 km"
         ),
-        stated("Fig. 20", "detected less true limb at 1 microsecond, px", (1.18, first), INDEPENDENT).within(
+        make_number("Fig. 20", "detected less true limb at 1 microsecond, px", (1.18, first), INDEPENDENT).within(
             half / km_per_px, why
         ),
-        stated(
+        make_number(
             "Fig. 20", "altitude of the limb in a properly exposed image, km", (24.25, first * km_per_px), INDEPENDENT
         ).within(half, why),
     ]
@@ -306,7 +306,7 @@ def _altitudes_compared(
         truth_km = float(truth) * flown[number].one.range_km / setting.model.fx_px
         off = abs(found.mean_km - truth_km) / found.sigma_km
         result += [
-            stated(
+            make_number(
                 "IV.C.3",
                 f"pass {number}: average altitude of the limb by the whole-pass estimator, km",
                 (25.0, found.mean_km),
@@ -316,7 +316,7 @@ def _altitudes_compared(
                 f"{why}, and three sigma of {found.sigma_km:.2f} km; that of the simulated images is {truth_km:.2f} "
                 f"km, {off:.1f} sigma off",
             ),
-            stated(
+            make_number(
                 "IV.C.3",
                 f"pass {number}: 35 km refused by a test of the altitude, p-value",
                 ("115kft (35km) is an over-estimation", f"{found.fix.test('limb_altitude').p_value:.2g}"),
@@ -335,7 +335,7 @@ def _biases_compared(setting: Setting, flown: dict[int, FlownPass]) -> list[Comp
     for number, paper_km in ((1, 12.15), (2, 12.3)):
         times, biases = filter_bias_km(setting, flown[number])
         result.append(
-            stated(
+            make_number(
                 "IV.C.3",
                 f"bias of the radius at the end of pass {number} in a filter that assumes 35 km, km",
                 (paper_km, float(biases[-1])),
@@ -356,7 +356,7 @@ def _again_compared(flown: dict[int, FlownPass], again: dict[int, Float]) -> lis
         before = float(np.abs(flown[number].residuals_px[:, 2]).mean())
         after = float(np.abs(residuals[:, 2]).mean())
         result.append(
-            stated(
+            make_number(
                 "Fig. 21",
                 f"pass {number}: mean of absolute radius residuals with 25 km over that with 35 km",
                 ("significantly improved the radius errors", round(after / before, 3)),

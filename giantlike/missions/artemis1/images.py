@@ -101,7 +101,7 @@ def _shot(
         fx_px=model.fx_px, fy_px=model.fy_px, cx_px=model.cx_px - float(low[0]), cy_px=model.cy_px - float(low[1])
     )
     return ImageWindow(
-        pixels_dn=pixels if rng is None else recorded(pixels, setting.detector, rng),
+        pixels_dn=pixels if rng is None else read_out(pixels, setting.detector, rng),
         model=window,
         corner_px=low.astype(np.float64),
         position_camera_km=position_km,
@@ -174,7 +174,7 @@ def _light(
     return signal
 
 
-def recorded(signal_dn: Float, detector: Detector, rng: np.random.Generator) -> Float:
+def read_out(signal_dn: Float, detector: Detector, rng: np.random.Generator) -> Float:
     """Pixels with shot and read noise, clipped and rounded."""
     electrons = rng.poisson(np.maximum(signal_dn, 0.0) * detector.gain_e_per_dn)
     noisy = (electrons + rng.normal(0.0, detector.read_noise_e, signal_dn.shape)) / detector.gain_e_per_dn
@@ -182,7 +182,7 @@ def recorded(signal_dn: Float, detector: Detector, rng: np.random.Generator) -> 
     return pixels
 
 
-def saturated(shot: ImageWindow, detector: Detector) -> Mask:
+def find_saturated(shot: ImageWindow, detector: Detector) -> Mask:
     """Clipped pixels of an image."""
     result: Mask = shot.pixels_dn >= detector.saturation_dn
     return result

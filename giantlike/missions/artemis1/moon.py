@@ -10,7 +10,7 @@ from giantlike.core.arrays import Mask
 from giantlike.missions.artemis1.images import moon_shot
 from giantlike.missions.artemis1.measure import apparent_radius_px, non_iterative
 from giantlike.missions.artemis1.passes import Setting, preflight_sigmas_px, sun_direction
-from giantlike.missions.artemis1.report import RED, Dots, panel_figure, stated
+from giantlike.missions.artemis1.report import RED, Dots, make_number, panel_figure
 from giantlike.missions.artemis1.simulate import EdgeErrors, FlownPass, limb_points, positions_of, residuals_of
 from giantlike.missions.artemis1.terrain import Ground, mapped_limb_km
 from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, ReplayFigure, Section
@@ -52,10 +52,10 @@ def moon_section(setting: Setting, flown: dict[int, FlownPass], ground: Ground) 
             figure=center,
         ),
     ]
-    comparisons = [*_all_passes(setting, flown), _predicted(setting, flown, ground)]
+    comparisons = [*_all_passes(setting, flown), _predict_biases(setting, flown, ground)]
     for number, references in ((3, ("Fig. 9", "Fig. 10")), (4, ("Fig. 11", "Fig. 12"))):
         figures += _certification(flown[number], references)
-        comparisons += _compared(setting, flown[number], references)
+        comparisons += _compare_passes(setting, flown[number], references)
     return Section(
         title="Moon performance (IV.B)",
         text="Limb points of every image of Table 1 on the limbs of a made-up Moon with 2 km of relief, another side "
@@ -107,7 +107,7 @@ def _all_passes(setting: Setting, flown: dict[int, FlownPass]) -> list[Compariso
     within = np.sqrt(np.mean([each.residuals_px.var(axis=0) for each in flown.values()], axis=0))
     ratio = within / means.std(axis=0)
     return [
-        stated(
+        make_number(
             "Fig. 7",
             "radius residuals of all Moon passes inside three sigma of the model before flight, share",
             ("in good agreement with the pre-flight expected models", round(float(shares[2]), 4)),
@@ -117,7 +117,7 @@ def _all_passes(setting: Setting, flown: dict[int, FlownPass]) -> list[Compariso
             "agrees where at least 95 % are inside. The relief of the simulated limbs is 2 km, as in the model, but "
             "what a fit through a lit arc makes of it was not fitted to anything",
         ),
-        stated(
+        make_number(
             "Fig. 7",
             "scatter of radius residuals within passes over that of their means",
             ("a constant bias throughout a pass, unique to each pass", round(float(ratio[2]), 3)),
@@ -126,7 +126,7 @@ def _all_passes(setting: Setting, flown: dict[int, FlownPass]) -> list[Compariso
             ratio[2] < _SMALL_SHARE,
             "agrees below one half: the limb hardly changes in a pass and is another in the next",
         ),
-        stated(
+        make_number(
             "Fig. 8",
             "center residuals of all Moon passes inside three sigma of model and pointing together, share",
             ("the centroid bias cannot be told from inaccuracies in the BET", round(float(with_pointing), 4)),
@@ -136,7 +136,7 @@ def _all_passes(setting: Setting, flown: dict[int, FlownPass]) -> list[Compariso
             f"agrees where at least 95 % are inside; of the model alone {shares[0]:.0%} along the Sun and "
             f"{shares[1]:.0%} across, because the pointing of 36 arcsec is larger than the model",
         ),
-        stated(
+        make_number(
             "Fig. 8",
             "scatter of center residuals within passes over that of their means",
             ("a consistent, unique bias throughout each pass", round(float(ratio[:2].max()), 3)),
@@ -147,7 +147,7 @@ def _all_passes(setting: Setting, flown: dict[int, FlownPass]) -> list[Compariso
     ]
 
 
-def _predicted(setting: Setting, flown: dict[int, FlownPass], ground: Ground) -> Comparison:
+def _predict_biases(setting: Setting, flown: dict[int, FlownPass], ground: Ground) -> Comparison:
     """Biases of the radius by the limbs of passes, and the rest with a height map."""
     rng = np.random.default_rng(0)
     exact = EdgeErrors(toward_sun_px=0.0, across_px=0.0, outward_px=0.0, scatter_px=0.0)
@@ -161,7 +161,7 @@ def _predicted(setting: Setting, flown: dict[int, FlownPass], ground: Ground) ->
         biases.append(bias_px)
         left.append(bias_px - expected_px)
     before, after = float(np.std(biases)), float(np.std(left))
-    return stated(
+    return make_number(
         "Fig. 7",
         "scatter of the bias of passes by their limbs, px, and what a height map of 1 deg leaves of it",
         (
@@ -205,7 +205,7 @@ def _certification(each: FlownPass, references: tuple[str, str]) -> list[ReplayF
     ]
 
 
-def _compared(setting: Setting, each: FlownPass, references: tuple[str, str]) -> list[Comparison]:
+def _compare_passes(setting: Setting, each: FlownPass, references: tuple[str, str]) -> list[Comparison]:
     bound = 3.0 * preflight_sigmas_px("moon", each.one.range_km)
     inside = np.abs(each.residuals_px) <= bound
     known_km, pointing_px = setting.knowledge("moon")
@@ -214,19 +214,19 @@ def _compared(setting: Setting, each: FlownPass, references: tuple[str, str]) ->
     worst_px = float(np.hypot(*each.residuals_px[:, :2].T).max())
     number = each.one.number
     return [
-        stated(
+        make_number(
             references[0],
             f"pass {number}: radius residuals inside three sigma before flight, share",
             ("within the expected error bounds", round(float(inside[:, 2].mean()), 4)),
             INDEPENDENT,
         ).agrees(inside[:, 2].mean() >= 0.95, "agrees where at least 95 % are inside"),
-        stated(
+        make_number(
             references[0],
             f"pass {number}: 24 kft of range as radius, px, over three sigma of the model",
             ("insignificant", round(by_range_px / float(bound[2]), 4)),
             DERIVED,
         ).agrees(by_range_px < 0.1 * bound[2], "agrees below a tenth"),
-        stated(
+        make_number(
             references[1],
             f"pass {number}: largest center residual, px",
             ("fall within the expected models with 1.27 px of pointing", round(worst_px, 3)),
@@ -242,20 +242,22 @@ def _compared(setting: Setting, each: FlownPass, references: tuple[str, str]) ->
 def pointing_numbers(setting: Setting) -> list[Comparison]:
     """Numbers of the text that follow from each other."""
     earth_km, earth_px = setting.knowledge("earth")
-    radius_px = apparent_radius_px(setting.model, 6371.0, np.array([0.0, 0.0, setting.of(1).range_km]))
+    radius_px = apparent_radius_px(setting.model, 6371.0, np.array([0.0, 0.0, setting.find_pass(1).range_km]))
     ifov = 206264.806 / setting.model.fx_px
     return [
-        stated("IV.B.3", "IFOV, arcsec", (28.2, ifov), DERIVED).within(0.05, "rounding; 4.8 micrometers over 35.1 mm"),
-        stated("IV.B.2", "36.4 arcsec of pointing, px", (1.27, 36.4 / ifov), DERIVED).within(
+        make_number("IV.B.3", "IFOV, arcsec", (28.2, ifov), DERIVED).within(
+            0.05, "rounding; 4.8 micrometers over 35.1 mm"
+        ),
+        make_number("IV.B.2", "36.4 arcsec of pointing, px", (1.27, 36.4 / ifov), DERIVED).within(
             0.005,
             "rounding; 36.4 over the "
             "28.2 arcsec of the paper itself are 1.29, so that its 1.27 belongs to a focal length of 7200 px",
         ),
-        stated("IV.C.1", "7.6 arcsec of pointing, px", (0.27, earth_px), DERIVED).within(0.005, "rounding"),
-        stated(
+        make_number("IV.C.1", "7.6 arcsec of pointing, px", (0.27, earth_px), DERIVED).within(0.005, "rounding"),
+        make_number(
             "IV.C.1",
             "18 kft of range on pass 1 as radius, px",
-            (0.01, radius_px * earth_km / setting.of(1).range_km),
+            (0.01, radius_px * earth_km / setting.find_pass(1).range_km),
             DERIVED,
         ).within(0.005, "rounding"),
     ]

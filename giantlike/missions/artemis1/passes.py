@@ -71,7 +71,7 @@ class Setting(Value):
     detector: Detector
     psf: GaussianPsf
 
-    def of(self, number: int) -> Pass:
+    def find_pass(self, number: int) -> Pass:
         """Pass by its number in Table 1."""
         return next(each for each in self.passes if each.number == number)
 

@@ -26,7 +26,7 @@ class Number(Stated):
         return self.agrees(abs(self.ours - self.paper) <= tolerance, f"agrees within {tolerance:.3g}: {reason}")
 
 
-def stated(reference: str, what: str, values: tuple[str | float, str | float], kind: ComparisonKind) -> Number:
+def make_number(reference: str, what: str, values: tuple[str | float, str | float], kind: ComparisonKind) -> Number:
     """Return a number or statement of the paper, and ours."""
     paper, ours = values
     return Number(reference, what, paper, ours if isinstance(ours, str) else float(ours), kind)

@@ -11,9 +11,9 @@ from giantlike.missions.odin.optics import (
     MOON_RADIUS_KM,
     SensorChoice,
     diameters_px,
-    dominated,
     field_of_wide_deg,
     fisheye_radius_px,
+    is_dominated,
     projections,
     shrinkage_along_radius,
 )
@@ -122,10 +122,10 @@ def _trade(choices: Sequence[SensorChoice]) -> tuple[Comparison, ...]:
             "Fig. 9",
             "the sensor and lens chosen: is another better in range, field and pixels at once?",
             "chosen",
-            "dominated" if dominated(taken, tuple(choices)) else "none is better",
+            "dominated" if is_dominated(taken, tuple(choices)) else "none is better",
             INDEPENDENT,
         ).agrees(
-            not dominated(taken, tuple(choices)),
+            not is_dominated(taken, tuple(choices)),
             f"{len(choices)} pairs of sensor and lens; sigma of the Moon's range from Earth by eqs. 14-20 with "
             f"0.1 px a limb point ({100 * taken.range_sigma:.3f} % for the one chosen), least field, number of pixels",
         ),

@@ -115,7 +115,7 @@ class RefractedView(PinholeView):
 
     zenith_camera: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
-    def _moved(self, vectors: Float, sign: float) -> Float:
+    def _refract(self, vectors: Float, sign: float) -> Float:
         up = np.asarray(self.zenith_camera)
         towards = unit(np.asarray(vectors, dtype=float))
         distance = np.arccos(np.clip(towards @ up, -1.0, 1.0))
@@ -129,11 +129,11 @@ class RefractedView(PinholeView):
 
     def project(self, vectors_camera: object) -> Float:
         """Pixels (..., 2) of vectors (..., 3) outside the atmosphere, in camera axes."""
-        return super().project(self._moved(np.asarray(vectors_camera, dtype=float), -1.0))
+        return super().project(self._refract(np.asarray(vectors_camera, dtype=float), -1.0))
 
     def directions(self, pixels: object) -> Float:
         """Vectors (..., 3) outside the atmosphere that fall on pixels (..., 2)."""
-        return self._moved(np.asarray(super().directions(np.asarray(pixels, dtype=float)), dtype=float), 1.0)
+        return self._refract(np.asarray(super().directions(np.asarray(pixels, dtype=float)), dtype=float), 1.0)
 
 
 def ground_view(sky: GroundStates, camera_from_inertial: Rotation, *, air: bool) -> PinholeView:
@@ -175,7 +175,7 @@ def star_frame(
         psf=Psf(sigma_px=PSF_SIGMA_PX),
         zero_point_dn=ELECTRONS_PER_S * EXPOSURE_STARS_S,
     )
-    return _recorded(light + SKY_E_PER_S * EXPOSURE_STARS_S, sky, rng, name, EXPOSURE_STARS_S)
+    return _read_out(light + SKY_E_PER_S * EXPOSURE_STARS_S, sky, rng, name, EXPOSURE_STARS_S)
 
 
 @cache
@@ -216,10 +216,10 @@ def moon_frame(
     )
     frame = np.zeros((view.rows, view.columns))
     frame[corner[1] : corner[1] + 2 * half, corner[0] : corner[0] + 2 * half] = light
-    return _recorded(frame, sky, rng, name, EXPOSURE_MOON_S)
+    return _read_out(frame, sky, rng, name, EXPOSURE_MOON_S)
 
 
-def _recorded(electrons: Float, sky: GroundStates, rng: np.random.Generator, name: str, exposure_s: float) -> Image:
+def _read_out(electrons: Float, sky: GroundStates, rng: np.random.Generator, name: str, exposure_s: float) -> Image:
     """Read out: noise, converter, saturation."""
     detector = narrow_camera().detector
     light = electrons.astype(np.float32)

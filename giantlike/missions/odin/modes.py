@@ -28,7 +28,7 @@ from giantlike.missions.odin.narrow import (
     NIGHT_ET,
     SCALE_ERROR,
     moon_scene,
-    solved,
+    solve_attitude,
     true_interlock,
 )
 from giantlike.missions.odin.paper import paper, rough_narrow_camera
@@ -115,13 +115,13 @@ def calibration_task(
     vehicle.instrument_from_inertial = start
     cameras = []
     for index, rough in enumerate(state.cameras):
-        camera = calibrated([pair[index] for pair in pairs], rough)
+        camera = calibrate_camera([pair[index] for pair in pairs], rough)
         if isinstance(camera, Failure):
             return camera
         cameras.append(camera)
     turns = []
     for pair in pairs:
-        first, second = (solved(image, camera, None) for image, camera in zip(pair, cameras, strict=True))
+        first, second = (solve_attitude(image, camera, None) for image, camera in zip(pair, cameras, strict=True))
         if not isinstance(first, Failure) and not isinstance(second, Failure):
             turns.append(second.camera_from_inertial * first.camera_from_inertial.inv())
     if len(turns) < 2:
@@ -134,7 +134,7 @@ def calibration_task(
     return replace(state, cameras=(cameras[0], cameras[1]), interlock=interlock)
 
 
-def calibrated(images: list[Image], rough: Camera) -> Camera | Failure:
+def calibrate_camera(images: list[Image], rough: Camera) -> Camera | Failure:
     """Camera from star images and a rough field of view."""
     navigation = StarNavigation(rough, catalog(), StarOptions(lost_in_space=True))
     found = [identify_first(image, rough, navigation, scale_error=SCALE_ERROR) for image in images]
@@ -148,7 +148,7 @@ def determination_task(
     *,
     wide: tuple[CameraSource, CameraSource],
     exposures_s: tuple[float, ...],
-    told_sun: Float | None,
+    predicted_sun: Float | None,
 ) -> InstrumentState | Failure:
     """Search the wide images and request the slew that puts the Moon, else the Earth, into the second narrow camera."""
     images = []
@@ -158,15 +158,15 @@ def determination_task(
             if isinstance(image, Failure):
                 return image
             images.append(image)
-    found = search(images, told_sun)
+    found = search(images, predicted_sun)
     named: dict[str, FoundBody] = {each.name: each for each in found if each.name is not None}
     for target in ("MOON", "EARTH"):
         if target in named:
             boresight = rotate((true_interlock() * NARROW_FROM_INSTRUMENT).inv(), [0.0, 0.0, 1.0])
             slew = Slew(target=target, camera=1, new_from_old=pointing_slew(named[target].direction, boresight))
             return replace(state, target=target, target_camera=1, slew=slew)
-    told = "; ".join(each.why for each in found) or "no patch of light"
-    return Failure(Reason.AMBIGUOUS, f"neither Moon nor Earth was told from other light: {told}")
+    reasons = "; ".join(each.why for each in found) or "no patch of light"
+    return Failure(Reason.AMBIGUOUS, f"neither Moon nor Earth was told from other light: {reasons}")
 
 
 def processing_task(
@@ -178,7 +178,7 @@ def processing_task(
     if isinstance(pair, Failure):
         return pair
     body, stars = state.target_camera, 1 - state.target_camera
-    attitude = solved(pair[stars], state.cameras[stars], None)
+    attitude = solve_attitude(pair[stars], state.cameras[stars], None)
     if isinstance(attitude, Failure):
         return attitude
     assert state.interlock is not None  # the machine requires one before processing
@@ -220,19 +220,21 @@ def fly(rng: np.random.Generator, *, images: int) -> ModeRun:
     machine = ModeMachine(
         {
             Mode.CALIBRATION: partial(calibration_task, narrow=narrow, vehicle=vehicle, images=images),
-            Mode.TARGET_DETERMINATION: partial(determination_task, wide=wide, exposures_s=EXPOSURES_S, told_sun=sun),
+            Mode.TARGET_DETERMINATION: partial(
+                determination_task, wide=wide, exposures_s=EXPOSURES_S, predicted_sun=sun
+            ),
             Mode.PROCESSING: partial(processing_task, narrow=narrow, vehicle=vehicle),
         }
     )
     state = InstrumentState(cameras=(rough_narrow_camera("narrow 0"), rough_narrow_camera("narrow 1")))
     log: list[Telemetry] = []
     for mode in (Mode.PROCESSING, Mode.CALIBRATION, Mode.TARGET_DETERMINATION, Mode.PROCESSING, Mode.IDLE):
-        state, told = machine.command(state, mode)
-        log.append(told)
-        if not told.done:
+        state, answer = machine.command(state, mode)
+        log.append(answer)
+        if not answer.done:
             continue
-        state, told = machine.step(state)
-        log.append(told)
+        state, answer = machine.step(state)
+        log.append(answer)
         if mode is Mode.TARGET_DETERMINATION and state.slew is not None:
             vehicle.instrument_from_inertial = state.slew.new_from_old * vehicle.instrument_from_inertial
     return ModeRun(telemetry=tuple(log), state=state, vehicle=vehicle)

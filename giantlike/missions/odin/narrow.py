@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.autonomy import pose_of_pair
-from giantlike.autonomy.refraction import SiteAtmosphere, unrefracted
+from giantlike.autonomy.refraction import SiteAtmosphere, remove_refraction
 from giantlike.autonomy.two_camera_pose import Interlock, PairPose, carried_attitude
 from giantlike.calibration import calibrate_stars, identify_first
 from giantlike.calibration.result import CalibrationResult
@@ -102,11 +102,13 @@ def without_refraction(fix: AttitudeFix, camera: Camera, sky: GroundStates) -> R
     turn = fix.camera_from_inertial
     for _ in range(3):  # the vertical in camera axes follows the attitude, which changes by an arcminute at first
         up = rotate(turn, sky.zenith)
-        turn, _ = Rotation.align_vectors(unrefracted(seen, up, AIR), directions, weights=1.0 / fix.sigma_px[kept] ** 2)
+        turn, _ = Rotation.align_vectors(
+            remove_refraction(seen, up, AIR), directions, weights=1.0 / fix.sigma_px[kept] ** 2
+        )
     return turn
 
 
-def solved(image: Image, camera: Camera, near: Rotation | None) -> AttitudeFix | Failure:
+def solve_attitude(image: Image, camera: Camera, near: Rotation | None) -> AttitudeFix | Failure:
     """Attitude of a star image: lost in space, or from the attitude of the image before it."""
     navigation = StarNavigation(camera, catalog(), StarOptions(lost_in_space=True))
     return navigation.solve(image if near is None else image.with_attitude(near))
@@ -147,7 +149,7 @@ def interlock_study(
             turn = rig_above(sky, rng)
         fixes = []
         for attitude in (turn, true_interlock() * turn):
-            fixes.append(solved(star_frame(sky, attitude, rng), camera, None))
+            fixes.append(solve_attitude(star_frame(sky, attitude, rng), camera, None))
         first, second = fixes
         progress(k + 1)
         if isinstance(first, Failure) or isinstance(second, Failure):
@@ -172,7 +174,7 @@ def turn_by_air(zenith_camera: Float) -> Rotation:
     camera = narrow_camera()
     x, y = np.meshgrid(np.linspace(0.0, camera.columns - 1.0, 5), np.linspace(0.0, camera.rows - 1.0, 5))
     seen = unit(camera.model.unproject(np.stack([x.ravel(), y.ravel()], axis=-1)))
-    return Rotation.align_vectors(seen, unrefracted(seen, zenith_camera, AIR))[0]
+    return Rotation.align_vectors(seen, remove_refraction(seen, zenith_camera, AIR))[0]
 
 
 def scatter_by_air(sets: int, orientations: int, rng: np.random.Generator) -> Float:
@@ -244,7 +246,7 @@ def moon_pair(
     first = true_interlock().inv() * second
     stars, moon = star_frame(sky, first, rng), moon_frame(sky, second, rng)
     start = time.process_time()
-    attitude = solved(stars, camera, None)
+    attitude = solve_attitude(stars, camera, None)
     if isinstance(attitude, Failure):
         return attitude
     turn, spread = carried_attitude(attitude, interlocks[0])
@@ -256,10 +258,10 @@ def moon_pair(
     spent = time.process_time() - start
     clear = without_refraction(attitude, camera, sky)
     better = interlocks[1].second_from_first * clear
-    lowered = unrefracted(fix.position_camera_km, rotate(better, sky.zenith), AIR)
+    lowered = remove_refraction(fix.position_camera_km, rotate(better, sky.zenith), AIR)
     moved = Rotation.align_vectors(lowered[None], fix.position_camera_km[None])[0].as_matrix()
     # the scatter of pairs then has three parts: noise, image motion of two cameras, and the mean's own error
-    corrected = pose_of_pair(_moved(fix, lowered, moved), better, interlocks[1].covariance_rad2)
+    corrected = pose_of_pair(_move_fix(fix, lowered, moved), better, interlocks[1].covariance_rad2)
     return MoonPair(
         sky=sky,
         elevation_rad=sky.elevation(sky.moon_km),
@@ -272,7 +274,7 @@ def moon_pair(
     )
 
 
-def _moved(fix: PositionFix, position: Float, turn: Float) -> PositionFix:
+def _move_fix(fix: PositionFix, position: Float, turn: Float) -> PositionFix:
     """A fix at another position, its covariance turned along."""
     import dataclasses
 

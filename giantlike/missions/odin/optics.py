@@ -80,7 +80,7 @@ def range_sigma(focal_px: float, radius_km: float, range_km: float) -> float:
     return float(np.sqrt(covariance[2, 2]) / range_km)
 
 
-def dominated(choice: SensorChoice, others: tuple[SensorChoice, ...]) -> bool:
+def is_dominated(choice: SensorChoice, others: tuple[SensorChoice, ...]) -> bool:
     """True if another choice sees as wide, ranges the Moon as well and has no more pixels, and one of them better."""
     mine = (choice.range_sigma, -choice.least_fov_deg, choice.megapixels)
     for other in others:

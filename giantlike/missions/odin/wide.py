@@ -256,15 +256,15 @@ def search(images: Sequence[Image], sun_direction: Float | None, *, measured: bo
         return tuple(FoundBody(None, direction, patch, why) for patch, direction, _ in seen)
     sun = suns[0][1] if sun_direction is None else sun_direction
     found = []
-    for patch, direction, exposure_s in _told_once(seen):
+    for patch, direction, exposure_s in _drop_repeated(seen):
         if float(direction @ sun) > np.cos(np.radians(1.0)):
             found.append(FoundBody("SUN", direction, patch))
         else:
-            found.append(named(patch, direction, sun, exposure_s, measured=measured))
+            found.append(identify_patch(patch, direction, sun, exposure_s, measured=measured))
     return tuple(found)
 
 
-def _told_once(seen: list[tuple[SeenPatch, Float, float]]) -> list[tuple[SeenPatch, Float, float]]:
+def _drop_repeated(seen: list[tuple[SeenPatch, Float, float]]) -> list[tuple[SeenPatch, Float, float]]:
     """One patch per position: longest exposure not saturated, else the shortest; brightest first."""
     best = sorted(seen, key=lambda each: (each[0].saturated, each[2] if each[0].saturated else -each[2]))
     kept: list[tuple[SeenPatch, Float, float]] = []
@@ -279,7 +279,7 @@ def _reach(first: SeenPatch, second: SeenPatch) -> float:
     return max(float(np.sqrt(max(np.trace(patch.second_moment_rad2), 0.0))) for patch in (first, second))
 
 
-def named(patch: SeenPatch, direction: Float, sun: Float, exposure_s: float, *, measured: bool) -> FoundBody:
+def identify_patch(patch: SeenPatch, direction: Float, sun: Float, exposure_s: float, *, measured: bool) -> FoundBody:
     """Name of one patch, and the direction of its center by the offset of the center of light."""
     axes = wide_axes(patch, direction)
     half_angle = patch.half_angle_rad(rotate(axes, sun))

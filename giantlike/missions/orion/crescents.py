@@ -10,7 +10,7 @@ from giantlike.missions.orion.images import (
     EstimatorErrors,
     ImagedScene,
     Photograph,
-    measured,
+    measure_errors,
     photograph,
 )
 from giantlike.missions.orion.judging import Number
@@ -47,7 +47,7 @@ def crescents(settings: ReplaySettings) -> list[EstimatorErrors]:
     for done, view in enumerate(views):
         settings.progress("thin crescents", done, len(views))
         taken = photograph(view)
-        found += [measured(taken, name) for name in ESTIMATORS_TRIED]
+        found += [measure_errors(taken, name) for name in ESTIMATORS_TRIED]
     return found
 
 
@@ -66,7 +66,7 @@ def crescent_comparisons(found: list[EstimatorErrors]) -> list[Comparison]:
                 3.0 * sigmas[0],
                 worst,
                 kind,
-            ).bounded(
+            ).at_most(
                 f"{len(good)} of {len(mine)} fixes are not suspect. The paper shows the image as a stressing "
                 "case and gives no error; here the bound is three sigma of eq. 29."
             )

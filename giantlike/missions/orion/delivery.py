@@ -11,7 +11,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 from giantlike.missions.orion.constants import earth_errors, table
 from giantlike.missions.orion.judging import ANALYSIS, Number
-from giantlike.missions.orion.return_leg import Delivery, Flown, History, analyzed, flown
+from giantlike.missions.orion.return_leg import Delivery, Flown, History, analyze_plan, flown
 from giantlike.missions.orion.return_plan import ReturnPlan, make_plan, with_earth, without_close_pass
 from giantlike.missions.replay import INDEPENDENT, INPUT, Comparison, ReplaySettings, Stated
 
@@ -42,14 +42,14 @@ class Study(Value):
         return np.array([k for k, leg in enumerate(self.plan.legs) if leg.guidance is not None or k == last])
 
 
-def studied(settings: ReplaySettings) -> Study:
+def study_leg(settings: ReplaySettings) -> Study:
     """Analyze and fly the leg."""
     step_s = SMALL_STEP_S if settings.small else STEP_S
     every_s = SMALL_IMAGES_S if settings.small else table("return_leg")["schedule"]["image_every_s"]
     close = make_plan(step_s, every_s)
     plan = without_close_pass(close)
-    history, delivery, _ = analyzed(plan)
-    believed = analyzed(plan, as_believed=True)[2]
+    history, delivery, _ = analyze_plan(plan)
+    believed = analyze_plan(plan, as_believed=True)[2]
     dense = believed.joint.navigation_error()[1]
     sigma = believed.state.factors.sigmas()
     difference = np.abs(dense - believed.state.factors.composed()) / np.outer(sigma, sigma)
@@ -58,9 +58,9 @@ def studied(settings: ReplaySettings) -> Study:
         history=history,
         delivery=delivery,
         runs=flown(plan, settings, SMALL_RUNS if settings.small else RUNS),
-        blind=analyzed(plan, with_images=False)[1],
-        edge_earth=analyzed(with_earth(plan, earth_errors(as_moon=False)))[1],
-        close_history=analyzed(close)[0],
+        blind=analyze_plan(plan, with_images=False)[1],
+        edge_earth=analyze_plan(with_earth(plan, earth_errors(as_moon=False)))[1],
+        close_history=analyze_plan(close)[0],
         dense_difference=float(difference.max()),
     )
 
@@ -103,7 +103,7 @@ def delivery_comparisons(study: Study) -> list[Comparison]:
     return [
         Number(
             "Fig. 4", "entry angle: bias and three sigma, deg, against the corridor", half, reach(study.delivery), kind
-        ).bounded(
+        ).at_most(
             "Linear covariance of the plan. The paper says that the delivery satisfies the corridor and draws "
             "it; its text has no number, so that the half width is assumed."
         ),

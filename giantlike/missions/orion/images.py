@@ -141,7 +141,7 @@ class EstimatorErrors(Value):
     suspect: bool
 
 
-def measured(taken: Photograph, estimator: str) -> EstimatorErrors:
+def measure_errors(taken: Photograph, estimator: str) -> EstimatorErrors:
     """Estimate the center and the range of the body, and compare with the truth."""
     fix = ESTIMATORS[estimator]().estimate(taken.image, taken.camera, taken.scene)
     nothing = np.full(3, np.nan)

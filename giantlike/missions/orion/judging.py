@@ -25,7 +25,7 @@ class Number(Stated):
         paper, ours = float(self.paper), float(self.ours)
         return self.agrees(abs(ours - paper) <= within * abs(paper), f"Agrees within {100.0 * within:g} %. {because}")
 
-    def bounded(self, because: str) -> Comparison:
+    def at_most(self, because: str) -> Comparison:
         """Compare the two: ours must not be larger, such as an error within its model."""
         agrees = abs(float(self.ours)) <= abs(float(self.paper))
         return self.agrees(agrees, f"Agrees where ours is not larger. {because}")

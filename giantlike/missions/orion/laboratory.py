@@ -61,14 +61,14 @@ def grid_comparisons(grid: Grid) -> list[Comparison]:
             1.0,
             float(pinhole_error_px(azimuth, elevation).max()),
             kind,
-        ).bounded(
+        ).at_most(
             "The paper has it stand for the lens, which has none here; 1 px is allowed. The tangent of a "
             "gimbal's "
             "azimuth is not that of the angle in the image: away from the axes eq. 39 takes geometry for distortion."
         ),
         Number(
             "III.A, Fig. 5", "eq. 39 with a made-up lens after the fit, rms per axis, px", FIT_PX, residual, kind
-        ).bounded(
+        ).at_most(
             "Distortions are mapped and eliminated, the paper says; a Brown model fitted to the centroids of "
             f"the grid leaves this. Before it eq. 39 finds up to {float(grid.eq39_px.max()):.1f} px."
         ),
@@ -83,7 +83,7 @@ def focus_comparisons(settings: ReplaySettings) -> list[Comparison]:
         centroid_errors_px(blur, POINTS[settings.small], settings.seed) for blur in (FOCUSED_PX, STAKED_PX)
     )
     return [
-        Number("III.A", "image of the pinhole of the collimator, px", 1.0, spot_px, DERIVED).bounded(
+        Number("III.A", "image of the pinhole of the collimator, px", 1.0, spot_px, DERIVED).at_most(
             "15 um over 500 mm: smaller than a pixel, so that it stands for a star as the paper says."
         ),
         Stated(

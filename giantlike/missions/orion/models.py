@@ -18,7 +18,7 @@ from giantlike.missions.orion.constants import (
     moon_errors,
     table,
 )
-from giantlike.missions.orion.images import EstimatorErrors, ImagedScene, measured, photograph
+from giantlike.missions.orion.images import EstimatorErrors, ImagedScene, measure_errors, photograph
 from giantlike.missions.orion.judging import MODEL, ROUNDING, Number
 from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, ReplaySettings, Stated
 
@@ -55,7 +55,7 @@ def images_of_bodies(settings: ReplaySettings) -> dict[str, list[EstimatorErrors
     found: dict[str, list[EstimatorErrors]] = {name: [] for name in plan}
     for done, (name, view) in enumerate(views):
         settings.progress("images of Moon and Earth", done, len(views))
-        found[name].append(measured(photograph(view), FAMILY))
+        found[name].append(measure_errors(photograph(view), FAMILY))
     return found
 
 
@@ -110,7 +110,7 @@ def biases() -> list[Comparison]:
                 terrain["relief_km"],
                 length,
                 derived,
-            ).bounded(
+            ).at_most(
                 "The term over 7312.5 px. It is several times the terrain of 2 km that the text names as "
                 "the cause: what was fitted to images of one side of the Moon stands for more than relief."
             )

@@ -21,7 +21,7 @@ from giantlike.cislunar.udu import UduFactors
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 from giantlike.dynamics import GM_EARTH_KM3_S2, GM_MOON_KM3_S2, GM_SUN_KM3_S2
-from giantlike.independent.flight import Processes, PullingBodies, burned, fly_spacecraft, sighted
+from giantlike.independent.flight import Processes, PullingBodies, apply_burn, fly_spacecraft, observe_body
 from giantlike.missions.orion.constants import EARTH_KM, table
 from giantlike.missions.orion.return_plan import Leg, PlannedImage, ReturnPlan
 from giantlike.missions.replay import ReplaySettings
@@ -51,7 +51,7 @@ class Delivery(Value):
     angle_sigma_deg: float
 
 
-def analyzed(
+def analyze_plan(
     plan: ReturnPlan, *, with_images: bool = True, as_believed: bool = False
 ) -> tuple[History, Delivery, Dispersed]:
     """Linear covariance of a plan; ``as_believed`` is a world with the noise that the filter believes and no biases."""
@@ -82,7 +82,7 @@ def analyzed(
             at = after_correction(
                 at,
                 leg.guidance,
-                leg.told.T,
+                leg.camera_from_inertial.T,
                 duration_s=burns["duration_s"],
                 execution_km_s=burns["execution"],
                 sensing_km_s=burns["sensing"],
@@ -142,7 +142,7 @@ def flown(plan: ReturnPlan, settings: ReplaySettings, runs: int) -> Flown:
             seen = _seen(leg.image, truth, rng)
             state, _ = measurement_update(state, seen, plan.model)
         if leg.guidance is not None:
-            truth, state = _corrected(leg, truth, state, rng)
+            truth, state = _correct(leg, truth, state, rng)
         error, away = state.error(truth)[:, :6], (truth - reference)[:, :6]
         sigma = state.factors.sigmas()[:, :6].mean(axis=0)
         rows.append((leg.et, error.mean(axis=0), error.std(axis=0), away.mean(axis=0), away.std(axis=0), sigma))
@@ -156,20 +156,22 @@ def flown(plan: ReturnPlan, settings: ReplaySettings, runs: int) -> Flown:
 def _seen(image: PlannedImage, truth: Float, rng: np.random.Generator) -> BodyObservation:
     """The image as many spacecraft take it, each with the world's noise and bias."""
     plan = image.observation
-    exact = sighted(truth, plan.camera_from_inertial, plan.body_position_km, plan.radius_km, np.zeros((len(truth), 3)))
+    exact = observe_body(
+        truth, plan.camera_from_inertial, plan.body_position_km, plan.radius_km, np.zeros((len(truth), 3))
+    )
     noise = rng.normal(0.0, np.sqrt(image.world_variances), exact.shape)
     return replace(plan, measured=exact + image.world_biases + noise)
 
 
-def _corrected(leg: Leg, truth: Float, state: FilterState, rng: np.random.Generator) -> tuple[Float, FilterState]:
+def _correct(leg: Leg, truth: Float, state: FilterState, rng: np.random.Generator) -> tuple[Float, FilterState]:
     """Truth and estimate after a correction that the estimate commands."""
     burns, guidance = table("return_leg")["burns"], leg.guidance
     assert guidance is not None
     away = (state.mean - leg.steps[-1].mean)[:, :6]
     change = away @ guidance.T + rng.normal(0.0, burns["execution"], (len(truth), 3))
-    truth, sensed = burned(truth, change, leg.told, burns["duration_s"])
+    truth, sensed = apply_burn(truth, change, leg.camera_from_inertial, burns["duration_s"])
     sensed = sensed + rng.normal(0.0, burns["sensing"], sensed.shape)
-    inertial = np.tile(leg.told.T, (len(truth), 1, 1))
+    inertial = np.tile(leg.camera_from_inertial.T, (len(truth), 1, 1))
     step = maneuver(state.et, state.mean, sensed, inertial, duration_s=burns["duration_s"], sigma_km_s=burns["sensing"])
     return truth, FilterState(step.et, step.mean, step.apply(state.factors))
 

@@ -37,7 +37,7 @@ class Leg(Value):
     steps: tuple[Transition, ...]
     image: PlannedImage | None
     guidance: Float | None
-    told: Float
+    camera_from_inertial: Float
 
     @property
     def et(self) -> float:
@@ -97,7 +97,7 @@ def make_plan(longest_step_s: float, image_every_s: float) -> ReturnPlan:
     events.append((trajectory["entry_et"], "entry"))
     reference = np.concatenate([trajectory["state_km_km_s"], np.zeros(PARAMETERS)])
     legs = list(_legs(model, trajectory["start_et"], reference, events))
-    return ReturnPlan(model=model, reference=reference, legs=_guided(legs), passes_h=tuple(passes))
+    return ReturnPlan(model=model, reference=reference, legs=_guide_legs(legs), passes_h=tuple(passes))
 
 
 def without_close_pass(plan: ReturnPlan) -> ReturnPlan:
@@ -136,7 +136,7 @@ def _legs(model: FilterModel, et: float, mean: Float, events: list[tuple[float, 
     """Fly to each event in turn."""
     errors = {MOON: moon_errors(), EARTH: earth_errors(as_moon=True)}
     believed = BodyErrorModel(noise_px=np.array(table("return_leg")["filter"]["noise_px"]))
-    told = np.eye(3)
+    camera_from_inertial = np.eye(3)
     for time, what in events:
         steps = reference_steps(model, et, mean, time)
         et, mean = time, steps[-1].mean
@@ -145,20 +145,20 @@ def _legs(model: FilterModel, et: float, mean: Float, events: list[tuple[float, 
             place = moon_position_km(et) if what == MOON else np.zeros(3)
             radius_km = MOON_KM if what == MOON else EARTH_KM
             toward = place - mean[POSITION]
-            distance, told = float(np.linalg.norm(toward)), _camera(toward, sun_position_km(et))
+            distance, camera_from_inertial = float(np.linalg.norm(toward)), _camera(toward, sun_position_km(et))
             believed_sigmas = believed.measurement_sigmas(distance, radius_km, focal_px())
             observation = BodyObservation(
                 et=et,
                 measured=np.zeros(3),
                 variances=believed_sigmas**2,
-                camera_from_inertial=told,
+                camera_from_inertial=camera_from_inertial,
                 body_position_km=place,
                 radius_km=radius_km,
             )
             bare = PlannedImage(observation=observation, body=what, range_km=distance)
             image = _in_world(bare, errors[what])
         guidance = np.zeros((3, 6)) if what == "correction" else None
-        yield Leg(steps=tuple(steps), image=image, guidance=guidance, told=told)
+        yield Leg(steps=tuple(steps), image=image, guidance=guidance, camera_from_inertial=camera_from_inertial)
 
 
 def _camera(toward: Float, sun: Float) -> Float:
@@ -169,7 +169,7 @@ def _camera(toward: Float, sun: Float) -> Float:
     return np.array([np.cross(up, boresight), up, boresight])
 
 
-def _guided(legs: list[Leg]) -> tuple[Leg, ...]:
+def _guide_legs(legs: list[Leg]) -> tuple[Leg, ...]:
     """Legs whose corrections aim at the position of the reference at entry, at the same time."""
     to_entry, guided = np.eye(6), []
     for leg in reversed(legs):

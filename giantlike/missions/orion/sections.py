@@ -9,7 +9,7 @@ from giantlike.missions.replay import ReplaySettings, Section
 
 def sections(settings: ReplaySettings) -> tuple[Section, ...]:
     """Make everything."""
-    study = delivery.studied(settings)
+    study = delivery.study_leg(settings)
     found = models.images_of_bodies(settings)
     grid = laboratory.measured_grid(settings)
     pictures, crescents = thin.shown(settings), thin.crescents(settings)

@@ -106,24 +106,24 @@ def calibrate_camera(
     -----
     It starts from a nominal focal length, no distortion and the middle of the frame, as the paper does.
     """
-    setup, told = mission.cameras[key], mission.told_camera(key)
+    setup, declared = mission.cameras[key], mission.declared_camera(key)
     rng = np.random.default_rng([seed, 20, sum(key.encode())])
     attitudes = [Rotation.random(random_state=rng) for _ in range(images)]
     catalog: StarCatalog = sky_for(mission, key, attitudes, seed=seed) or load_catalog("default")
     options = StarOptions(max_magnitude=mission.max_magnitude(key), all_stars=True)
     detection = DetectionOptions(threshold_sigma=mission.threshold_sigma)
-    navigation = StarNavigation(told, catalog, options, detection=detection)
+    navigation = StarNavigation(declared, catalog, options, detection=detection)
     identified: list[StarImage] = []
     for number, temperature_c in enumerate(np.linspace(*setup.temperatures_c, images).tolist()):
         shot = _shot(mission, setup, attitudes[number], (seed, number))
         image = _star_image(mission, setup, shot, temperature_c, catalog, (seed, number))
         wrong = Rotation.from_rotvec(mission.pointing.attitude_error_deg * RAD_PER_DEG * rng.normal(size=3))
         apriori = dataclasses.replace(image, camera_from_inertial=wrong * attitudes[number])
-        found = identify_first(apriori, told, navigation, scale_error=_SCALE_ERROR, temperature_c=temperature_c)
+        found = identify_first(apriori, declared, navigation, scale_error=_SCALE_ERROR, temperature_c=temperature_c)
         if not isinstance(found, Failure):
             identified.append(found)
         progress(f"calibration of {setup.label}", number + 1, images)
-    done = calibrate_stars(identified, told, estimate=setup.estimated, stars=options)
+    done = calibrate_stars(identified, declared, estimate=setup.estimated, stars=options)
     if isinstance(done, Failure):
         return done
     result = done.result
@@ -133,7 +133,7 @@ def calibrate_camera(
         truth=np.array([getattr(setup.model, name) for name in result.estimated]),
         found=np.array([getattr(result.model, name) for name in result.estimated]),
         result=result,
-        camera=dataclasses.replace(told, model=result.model),
+        camera=dataclasses.replace(declared, model=result.model),
         images=images,
     )
 

@@ -108,7 +108,7 @@ class CampaignJob(Value):
     """Inputs of a campaign.
 
     planner: mission, camera, phase and true body.
-    told: the camera as it was calibrated.
+    declared: the camera as it was calibrated.
     model: shape model of the phase.
     folder: for images, campaign and run.
     """
@@ -116,7 +116,7 @@ class CampaignJob(Value):
     planner: Planner
     setup: CampaignSetup
     visits: tuple[BennuVisit, ...]
-    told: Camera
+    declared: Camera
     model: TriangleMesh
     folder: Path
     workers: int
@@ -143,19 +143,21 @@ class CampaignJob(Value):
             stars=_star_residuals(result.folder, days),
             observations=tuple(self._residuals(result)),
             days=days,
-            columns=self.told.columns,
-            rows=self.told.rows,
+            columns=self.declared.columns,
+            rows=self.declared.rows,
         )
 
     def _residuals(self, result: RunResult) -> Iterator[ObservationError]:
         """Observations against the position of the true body predicted by attitude and camera of the run."""
-        compared = compare_run(result.folder, self.folder / TRUTH_FILE, self.told)
+        compared = compare_run(result.folder, self.folder / TRUTH_FILE, self.declared)
         found = {
             record.file: record.attitude.rotation
             for record in result.attitudes
             if record.attitude is not None and record.status != "failed"
         }
-        moved = {row.file: _moved_px(row, found[row.file], self.told) for row in compared.truth if row.file in found}
+        moved = {
+            row.file: _moved_px(row, found[row.file], self.declared) for row in compared.truth if row.file in found
+        }
         for error in compared.observations:
             if error.error_px is None or error.file not in moved:
                 yield replace(error, error_px=None, sigma_px=None)
@@ -173,7 +175,7 @@ class CampaignJob(Value):
             for row in pool.map(lambda frame: self._take(frame, catalog, detector), frames):
                 truth.append(row)
                 progress(len(truth), len(frames))
-        self.told.save(self.folder / "camera.toml")
+        self.declared.save(self.folder / "camera.toml")
         write_geometry(self.folder / "geometry.csv", [geometry_row(frame) for frame in frames])
         write_csv_rows(self.folder / TRUTH_FILE, TRUTH_COLUMNS, map(astuple, truth))
         write_obj(self.folder / _MODEL_FILE, self.model)

@@ -57,8 +57,8 @@ def table_comparison(calibration: CameraCalibration) -> Comparison:
     return Stated(
         "Table 1",
         f"{calibration.label}: parameters of the camera model",
-        _listed(calibration.result.estimated, calibration.truth),
-        _listed(calibration.result.estimated, calibration.found),
+        _format_values(calibration.result.estimated, calibration.truth),
+        _format_values(calibration.result.estimated, calibration.found),
         INPUT,
     ).agrees(
         distance < limit,
@@ -161,9 +161,8 @@ def center_comparison(
         return _nothing(what, judgement, reference)
     residuals = np.abs(errors_px(errors))
     share = float(np.mean(residuals < CENTER_PX))
-    reason = (
-        f"{_counted(errors)}; agrees where {TYPICAL_SHARE:.0%} of the residuals per axis are below {CENTER_PX:g} px."
-    )
+    goal = f"{TYPICAL_SHARE:.0%} of the residuals per axis are below {CENTER_PX:g} px"
+    reason = f"{_format_counts(errors)}; agrees where {goal}."
     if phase.key != "approach":  # where sizes differ by a factor of ten thousand
         reason += (
             f" They are {_rms_m(errors, result.diameter_km):.2f} m rms on Bennu; the heights of the shape model err by "
@@ -185,7 +184,7 @@ def range_comparison(
         return _nothing(what, paper, reference)
     percent = 100.0 * np.array([error.range_error for error in errors], dtype=np.float64)
     share = float(np.mean(np.abs(percent) < limit_percent))
-    reason = f"{_counted(errors)}; agrees where {TYPICAL_SHARE:.0%} are below {limit_percent:g} %."
+    reason = f"{_format_counts(errors)}; agrees where {TYPICAL_SHARE:.0%} are below {limit_percent:g} %."
     if phase.key != "approach":
         radius_px = 0.5 * float(np.median([error.diameter_px for error in errors]))
         reason += (
@@ -300,7 +299,7 @@ def mapcam_field_comparison(mission: MissionSetup) -> Comparison:
     )
 
 
-def _listed(names: Sequence[str], values: Float) -> str:
+def _format_values(names: Sequence[str], values: Float) -> str:
     return ", ".join(f"{name} {value:.6g}" for name, value in zip(names, values.tolist(), strict=True))
 
 
@@ -323,7 +322,7 @@ def _rms_m(errors: Sequence[ObservationError], diameter_km: float) -> float:
     return _rms(errors_px(errors) * scale[:, None])
 
 
-def _counted(errors: Sequence[ObservationError]) -> str:
+def _format_counts(errors: Sequence[ObservationError]) -> str:
     suspect = sum(error.status == "suspect" for error in errors)
     return f"{len(errors)} fixes against the truth" + (f", {suspect} of them flagged suspect" if suspect else "")
 

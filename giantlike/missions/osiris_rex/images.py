@@ -31,7 +31,7 @@ from giantlike.simulation.approach import ApproachFrame
 from giantlike.simulation.detector import DetectorModel, HotPixels
 from giantlike.simulation.effects import FlatField
 from giantlike.simulation.incident import visible_peak
-from giantlike.simulation.shot import Photometry, unexposed
+from giantlike.simulation.shot import Photometry, make_black_image
 
 TARGET = "BENNU"
 DEEPEST_DEFAULT = 10.0
@@ -178,7 +178,7 @@ def detector_model(mission: MissionSetup, setup: CameraSetup, *, seed: int) -> D
     """Return the detector of a camera with its uneven response and hot pixels."""
     rng = np.random.default_rng([seed, 11, setup.columns])
     response = 1.0 + mission.detector.response_rms * rng.standard_normal((setup.rows, setup.columns))
-    hot = HotPixels.scattered(
+    hot = HotPixels.draw(
         mission.detector.hot_pixels, setup.columns, setup.rows, rng, median_e_s=mission.detector.hot_pixel_e_s
     )
     return DetectorModel(flat=FlatField(response=response), hot_pixels=hot, bits=12)
@@ -186,7 +186,7 @@ def detector_model(mission: MissionSetup, setup: CameraSetup, *, seed: int) -> D
 
 def apparent_of(scene: Scene, shot: Shot, camera: Camera) -> ApparentGeometry:
     """Apparent geometry of Bennu in an exposure, inertial axes."""
-    apparent = scene.apparent(unexposed(shot, camera), scene.target(TARGET))
+    apparent = scene.apparent(make_black_image(shot, camera), scene.target(TARGET))
     assert isinstance(apparent, ApparentGeometry)
     return apparent
 

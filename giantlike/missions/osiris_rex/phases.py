@@ -58,7 +58,7 @@ class PhaseInputs(Value):
                 planner=planner,
                 setup=setup,
                 visits=visits_of([setup.visits[number] for number in numbers], mission.orbit, self.kernels),
-                told=self._told(setup.camera),
+                declared=self._declared_camera(setup.camera),
                 model=model_of(self.truth, phase.model, seed=settings.seed, facets=facets),
                 folder=settings.output / f"{phase.key}_{setup.camera}",
                 workers=settings.workers,
@@ -66,7 +66,7 @@ class PhaseInputs(Value):
             results.append(job.run(settings.progress))
         return tuple(results)
 
-    def _told(self, key: str) -> Camera:
+    def _declared_camera(self, key: str) -> Camera:
         if key in self.calibrated:
             return self.calibrated[key]
         psf = GaussianPsf(sigma_px=self.mission.detector.told_psf_sigma_px)

@@ -72,8 +72,8 @@ def study_range_errors(*, small: bool, seed: int, progress: Callable[[str, int, 
     phases = _PHASES_DEG[1:2] if small else _PHASES_DEG
     rows = []
     for number, phase_deg in enumerate(phases):
-        case = _Case.of(phase_deg, seed)
-        rows.append([case.matched(error) for error in errors])
+        case = _Case.from_phase(phase_deg, seed)
+        rows.append([case.find_errors(error) for error in errors])
         progress("errors of the range", number + 1, len(phases))
     table = np.array(rows)
     return RangeErrorStudy(
@@ -97,7 +97,7 @@ class _Case(Value):
     sun: Float
 
     @classmethod
-    def of(cls, phase_deg: float, seed: int) -> _Case:
+    def from_phase(cls, phase_deg: float, seed: int) -> _Case:
         view = PinholeView(
             focal_px=_FOCAL_PX, center_px=((_SIDE_PX - 1) / 2, (_SIDE_PX - 1) / 2), columns=_SIDE_PX, rows=_SIDE_PX
         )
@@ -130,18 +130,18 @@ class _Case(Value):
             sun=sun,
         )
 
-    def matched(self, range_error: float) -> Float:
+    def find_errors(self, range_error: float) -> Float:
         """Errors (5,): center by the correlation, center and range with the range fitted."""
         true_px = self.camera.model.project(self.position_km)
         range_km = float(np.linalg.norm(self.position_km)) * (1.0 + range_error)
-        told_km = range_km * self.camera.model.unproject(true_px + _CENTER_ERROR_PX)
-        return np.concatenate([self._correlated(told_km) - true_px, self._fitted(told_km, true_px)])
+        predicted_km = range_km * self.camera.model.unproject(true_px + _CENTER_ERROR_PX)
+        return np.concatenate([self._correlate(predicted_km) - true_px, self._fit(predicted_km, true_px)])
 
-    def _correlated(self, told_km: Float) -> Float:
+    def _correlate(self, predicted_km: Float) -> Float:
         """Center (2,) by the peak of the normalized correlation with a template at the predicted range."""
         geometry = TargetGeometry(
             target=self.target,
-            position_camera_km=told_km,
+            position_camera_km=predicted_km,
             camera_from_body=self.camera_from_body,
             sun_direction_camera=self.sun,
         )
@@ -162,11 +162,11 @@ class _Case(Value):
         )
         return np.full(2, np.nan) if isinstance(peak, Failure) else template.center_px + peak.offset_px
 
-    def _fitted(self, told_km: Float, true_px: Float) -> Float:
+    def _fit(self, predicted_km: Float, true_px: Float) -> Float:
         """Errors (3,) of center and range of the estimator that fits the template's range."""
         ephemeris = self.target.ephemeris
         assert isinstance(ephemeris, ApparentGeometry)
-        scene = Scene(targets=(replace(self.target, ephemeris=replace(ephemeris, position_inertial_km=told_km)),))
+        scene = Scene(targets=(replace(self.target, ephemeris=replace(ephemeris, position_inertial_km=predicted_km)),))
         estimator = CrossCorrelation(CrossCorrelationOptions(search_range=2.0 * max(_RANGE_ERRORS)))
         fix = estimator.estimate(self.image, self.camera, scene)
         if not isinstance(fix, PositionFix):

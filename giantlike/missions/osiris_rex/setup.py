@@ -155,7 +155,7 @@ class MissionSetup(Value):
         """Return a camera as it is: Table 1, and the true point spread function."""
         return self._camera(key, self.detector.psf_sigma_px)
 
-    def told_camera(self, key: str) -> Camera:
+    def declared_camera(self, key: str) -> Camera:
         """Return a camera as assumed before any calibration: nominal focal length, no distortion."""
         camera = self._camera(key, self.detector.told_psf_sigma_px)
         focal_px = _nominal(self.cameras[key].model.fx_px)

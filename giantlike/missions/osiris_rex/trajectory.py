@@ -145,10 +145,10 @@ def visits_of(planned: Sequence[PlannedVisit], orbit: Orbit, kernels: Path | Non
     if kernels is None:
         return rebuilt
     with load_kernels([f"**/{pattern}" for pattern in _KERNEL_PATTERNS], kernels):
-        return tuple(_covered(each) for each in rebuilt)
+        return tuple(_replace_by_kernels(each) for each in rebuilt)
 
 
-def _covered(visit: BennuVisit) -> BennuVisit:
+def _replace_by_kernels(visit: BennuVisit) -> BennuVisit:
     """The visit by the loaded kernels, or as it is where they do not cover it."""
     times = visit.et + _STEP_S * np.array([-1.0, 0.0, 1.0])
     try:

@@ -17,7 +17,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import Quality
-from giantlike.gauntlet.lights import moved
+from giantlike.gauntlet.lights import shift_image
 from giantlike.image_model.columns import Block, Columns, Prior, Solution
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, ReliefBody, record, render_body
 from giantlike.ray_tracing import Body
@@ -86,14 +86,14 @@ def flags(signal: Float, phase_deg: float) -> Quality:
 @pytest.mark.parametrize("shift_px", [(13, -15), (-20, 9), (0, 30)])
 def test_a_second_exposure_is_a_second_light(phase_deg: float, shift_px: tuple[int, int]) -> None:
     first = light(phase_deg, markings=0.15)
-    assert flags(first + 0.3 * moved(first, shift_px), phase_deg) == Quality.UNEXPLAINED_LIGHT
+    assert flags(first + 0.3 * shift_image(first, shift_px), phase_deg) == Quality.UNEXPLAINED_LIGHT
 
 
 @pytest.mark.parametrize("phase_deg", [20.0, 60.0, 100.0])
 @pytest.mark.parametrize("shift_px", [(13, -15), (-20, 9), (0, 30)])
 def test_one_of_two_equal_exposures_is_no_body_alone(phase_deg: float, shift_px: tuple[int, int]) -> None:
     first = light(phase_deg, markings=0.15)
-    fit = fitted(first + moved(first, shift_px), phase_deg)
+    fit = fitted(first + shift_image(first, shift_px), phase_deg)
     nothing_there = fit.gain_dn == 0.0
     assert nothing_there or Judgement(alternatives=fit.alternatives).flags == Quality.UNEXPLAINED_LIGHT
 
@@ -102,13 +102,13 @@ def test_one_of_two_equal_exposures_is_no_body_alone(phase_deg: float, shift_px:
 def test_a_ghost_is_a_second_light(phase_deg: float) -> None:
     """Of a tenth of the light, blurred by 2 px."""
     first = light(phase_deg)
-    ghost = gaussian_filter(0.1 * moved(first, (22, 17)), 2.0)
+    ghost = gaussian_filter(0.1 * shift_image(first, (22, 17)), 2.0)
     assert flags(first + ghost, phase_deg) == Quality.UNEXPLAINED_LIGHT
 
 
 def test_a_fainter_second_light_is_less_likely() -> None:
     first = light(60.0)
-    seen = [odds(first + share * moved(first, (13, -15)), 60.0) for share in (1.0, 0.3, 0.1, 0.03, 0.0)]
+    seen = [odds(first + share * shift_image(first, (13, -15)), 60.0) for share in (1.0, 0.3, 0.1, 0.03, 0.0)]
     numbers = [one[Alternative.SECOND_LIGHT] for one in seen]
     assert numbers == sorted(numbers, reverse=True)
     assert numbers[-1] < 0.0
