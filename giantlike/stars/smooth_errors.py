@@ -96,7 +96,7 @@ class AttitudeResiduals(Value):
         correlation = float(np.mean(normalized * normalized[nearest])) / max(float(np.mean(normalized**2)), 1e-12)
         return correlation > _SIGNIFICANT * math.sqrt((1.0 + _MUTUAL) / normalized.size)
 
-    def gathered(self) -> AttitudeResiduals:
+    def average_cells(self) -> AttitudeResiduals:
         """Means of the stars in each cell of the field, by their weights; shared errors are preserved."""
         low, high = self.points_px.min(axis=0), self.points_px.max(axis=0)
         cells = np.minimum(_CELLS * (self.points_px - low) / np.maximum(high - low, 1.0), _CELLS - 1).astype(np.intp)

@@ -23,7 +23,7 @@ _ROOT_2, _ROOT_PI = math.sqrt(2.0), math.sqrt(math.pi)
 
 
 @compiled
-def fitted(
+def fit_patches(
     values_dn: Float,
     valid: Mask,
     saturated: Mask,

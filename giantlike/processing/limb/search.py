@@ -149,8 +149,8 @@ def _no_contrast(
     view: LimbView, limb: PredictedLimb, found: CoarseLimb, *, search_px: float, min_contrast: float
 ) -> Failure:
     """Say that no outline has contrast enough, and whether that is because the disk is clipped."""
-    light = view.clipped | (view.usable & (view.pixels_dn > _LIGHT_SIGMAS * view.dark_noise_dn))
-    clipped = float(view.clipped.sum()) / max(float(light.sum()), 1.0)
+    light = view.clipped_pixels | (view.usable & (view.pixels_dn > _LIGHT_SIGMAS * view.dark_noise_dn))
+    clipped = float(view.clipped_pixels.sum()) / max(float(light.sum()), 1.0)
     brightest_dn = float(view.pixels_dn[view.usable].max()) if view.usable.any() else 0.0
     return Failure(
         Reason.SATURATED if clipped > SATURATED_SHARE else Reason.NO_LIMB,
