@@ -303,24 +303,24 @@ def _solution(
     factor, floor = 1.0, 0.0
     if freedom > 0 and float(gammainc(freedom / 2.0, plain / 2.0)) > _NOISE_EXPLAINS:
         factor, floor = error_terms(chosen.residuals(state), chosen.covariance_px2, freedom=freedom)
-    told = stars.inflate(floor, factor)
-    weighted = told.select(used).limit_weights()
+    inflated = stars.inflate(floor, factor)
+    weighted = inflated.select(used).limit_weights()
     if not np.array_equal(weighted.covariance_px2, chosen.covariance_px2):
         fitted = fit(state, weighted, scale)
         if isinstance(fitted, Failure):
             return fitted
     state = fitted[0]
     by_pixels = _by_pixels(state, weighted, scale)
-    sigma_px = told.sigma_px
+    sigma_px = inflated.sigma_px
     sigma_px[used] = weighted.sigma_px
-    covariance_rad2, hidden_px, shared_px = _propagate(by_pixels, told.select(used)), 0.0, 0.0
+    covariance_rad2, hidden_px, shared_px = _propagate(by_pixels, inflated.select(used)), 0.0, 0.0
     likely = False
     few = int(used.sum()) <= MOST_WEIGHED
     own = chosen if few else chosen.inflate(0.0, factor)
     left = _residuals(state, own, by_pixels, scale, uncertain)
     if left.residuals_px.size > left.jacobian.shape[-1]:
-        beyond = unmodeled_errors(left if few else left.average_cells(), own_told=not few)
-        within_cells = not few and beyond.own_px > 0.0 and left.alike(told.sigma_px[used])
+        beyond = unmodeled_errors(left if few else left.average_cells(), own_included=not few)
+        within_cells = not few and beyond.own_px > 0.0 and left.alike(inflated.sigma_px[used])
         likely = beyond.likely or within_cells
         if likely or (floor == 0.0 and factor == 1.0):
             covariance_rad2 = _propagate(by_pixels, own) + beyond.covariance_rad2

@@ -69,12 +69,12 @@ def find_shifts(
                 product += value * target[i]
             spread = math.sqrt(max(square - total * total / width, 0.0))
             correlation[k] = product / spread if spread > _FLAT * math.sqrt(square) else 0.0
-        told = usable[line, middle - half - most : middle + half + most + 1]
-        whole = told.all()
+        good = usable[line, middle - half - most : middle + half + most + 1]
+        whole = good.all()
         if not whole:
             for k in range(lags):
                 data = values[line, middle - half - most + k :][:width]
-                correlation[k] = _correlation(data, target, told[k : k + width], least)
+                correlation[k] = _correlation(data, target, good[k : k + width], least)
         lag[line] = np.argmax(correlation)
         if np.isfinite(about_px[line]):
             lag[line] = min(max(int(np.rint(about_px[line] / step_px)) + most, 0), 2 * most)
@@ -89,7 +89,7 @@ def find_shifts(
         data = values[line, middle - half - most + lag[line] :][:width]
         one[:] = 1.0
         if not whole:
-            there = told[lag[line] : lag[line] + width]
+            there = good[lag[line] : lag[line] + width]
             complete[line] = there.sum() >= least and there[half - core : half + core + 1].all()
             if complete[line]:
                 for i in range(width):

@@ -293,11 +293,11 @@ def _stiffness(free: Float, slope_variance: Float) -> Float:
     ``free`` (n, 4) are solutions with free slopes, of ``slope_variance`` (n,). Their scatter beyond noise gives the
     size of slopes: where the expected brightness is correct it is small, and a free slope only adds noise to the shift.
     """
-    told = (free[:, 0] > 0.0) & np.isfinite(slope_variance)
-    if not told.any():
+    determined = (free[:, 0] > 0.0) & np.isfinite(slope_variance)
+    if not determined.any():
         return np.full(len(free), _LEAST_SLOPE**-2)
-    slope = np.abs(free[told, 3] / free[told, 0])
-    noise = np.median(slope_variance[told] / free[told, 0] ** 2)
+    slope = np.abs(free[determined, 3] / free[determined, 0])
+    noise = np.median(slope_variance[determined] / free[determined, 0] ** 2)
     excess = (MAD_TO_SIGMA * float(np.median(slope))) ** 2 - float(noise)
     spread = max(_SLOPE_ROOM**2 * excess, _LEAST_SLOPE**2)
     result: Float = 1.0 / (spread * np.maximum(free[:, 0] ** 2, 1e-300))

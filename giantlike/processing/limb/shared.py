@@ -77,8 +77,8 @@ def estimate_shared(
         believed = _CONTRADICTED / np.maximum(above, _CONTRADICTED)
         scores = gain[:, None] * pull - gain[:, None] ** 2 * np.einsum("nij,j->ni", information, values)
         scatter = _scatter(scores)
-        told = np.einsum("n,nij->ij", gain**2, information)
-        spread = max(float(np.trace(inverse @ scatter) / max(np.trace(inverse @ told), 1e-9)), 1.0)
+        formal = np.einsum("n,nij->ij", gain**2, information)
+        spread = max(float(np.trace(inverse @ scatter) / max(np.trace(inverse @ formal), 1e-9)), 1.0)
     covariance = inverse @ (scatter + spread**2 * np.diag(prior)) @ inverse
     return SharedEstimate(values=values, covariance=(covariance + covariance.T) / 2.0)
 

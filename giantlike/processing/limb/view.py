@@ -64,7 +64,7 @@ class LimbView(Value):
         return np.asarray(self.usable | clipped) if clipped.any() else self.usable
 
     @property
-    def dark_noise_dn(self) -> float:
+    def sky_noise_dn(self) -> float:
         """Standard deviation of a dark pixel, DN."""
         return math.sqrt(float(self.detector.variance_dn2(np.zeros(1))[0]))
 

@@ -312,7 +312,7 @@ def _sky(view: LimbView, stand_in: EllipsoidStandIn, search_px: float) -> tuple[
             Reason.NO_LIMB, f"no sky in the frame beside the body, as predicted and {search_px:g} px around it"
         )
     background = background_of(sky)
-    sigma_dn = max(background.sigma_dn, 0.1 * view.dark_noise_dn)
+    sigma_dn = max(background.sigma_dn, 0.1 * view.sky_noise_dn)
     bright = float(np.percentile(body, 75.0)) - background.level_dn if body.size else 0.0
     return Background(level_dn=background.level_dn, sigma_dn=sigma_dn), max(bright, 0.0)
 
