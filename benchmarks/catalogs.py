@@ -28,7 +28,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from giantlike.catalogs import MemoryCatalog, StarTable, apparent_directions, et_of_julian_year
-from giantlike.catalogs.astrometry import deflected
+from giantlike.catalogs.astrometry import deflect_light
 from giantlike.catalogs.stored import catalog_header, open_catalog, save_catalog
 from giantlike.core.arrays import Float, unit
 from giantlike.core.frames import direction_from_radec
@@ -159,7 +159,7 @@ def astrometry() -> dict[str, float]:
         away = np.linalg.norm(apparent_directions(stars, et_of_julian_year(year)) - expected, axis=1)
         worst[f"pmsafe_{year:.0f}_mas"] = float(f"{away.max() / RAD_PER_MAS:.2g}")
     directions, from_sun = unit(rng.normal(size=(count, 3))), unit(rng.normal(size=3))
-    bent = deflected(directions, from_sun * AU_KM) - unit(erfa.ldsun(directions, from_sun, 1.0))
+    bent = deflect_light(directions, from_sun * AU_KM) - unit(erfa.ldsun(directions, from_sun, 1.0))
     worst["ldsun_mas"] = float(f"{np.abs(bent).max() / RAD_PER_MAS:.2g}")
     start = time.process_time()
     apparent_directions(stars, 1e9, observer_position_km=[1e8, 0, 0], observer_velocity_km_s=[0, 30, 0])

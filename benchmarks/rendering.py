@@ -243,7 +243,7 @@ def precision() -> dict[str, Any]:
         surest_px = np.inf
         for offset_px in np.geomspace(1e-3, 1e-6, 31):
             inside, outside = (
-                body.tracer.occluded(body.camera_body_km, body.to_body(model.unproject(outline + side * normals)))
+                body.tracer.is_occluded(body.camera_body_km, body.to_body(model.unproject(outline + side * normals)))
                 for side in (-offset_px, offset_px)
             )
             if not inside.all() or outside.any():
@@ -276,7 +276,7 @@ def false_shadows() -> int:
     targets = ELLIPSOID.radii_km * unit(np.random.default_rng(3).normal(size=(1_000_000, 3)))
     hits = tracer_for(mesh).intersect(origin, targets - origin)
     facing = hits.normals @ SUN > 0.0
-    return int(np.count_nonzero(tracer_for(mesh).shadowed(hits, SUN) & facing))
+    return int(np.count_nonzero(tracer_for(mesh).is_shadowed(hits, SUN) & facing))
 
 
 if __name__ == "__main__":

@@ -75,13 +75,13 @@ def apparent_directions(
     directions = unit(_positions(stars, julian_year(et) - stars.epoch_jyear, position_au))
     if light_deflection:
         require(observer_position_km is not None, "light deflection needs observer_position_km")
-        directions = deflected(directions, position_au * AU_KM - sun_position_km(et))
+        directions = deflect_light(directions, position_au * AU_KM - sun_position_km(et))
     if observer_velocity_km_s is not None:
         directions = aberrate(directions, observer_velocity_km_s)
     return directions
 
 
-def deflected(directions: Float, from_sun_km: ArrayLike) -> Float:
+def deflect_light(directions: Float, from_sun_km: ArrayLike) -> Float:
     """Bend the light of stars in the field of the Sun.
 
     ``directions`` (n, 3), unit vectors to the stars without deflection; returns (n, 3), unit vectors.

@@ -44,7 +44,7 @@ from giantlike.catalogs.nearby import radial_velocities, with_nearby
 from giantlike.catalogs.readers.fixed_width import read_hipparcos
 from giantlike.catalogs.readers.rows import CLOSE_ARCSEC, GAIA_EPOCH, HIPPARCOS_EPOCH, stars_of
 from giantlike.catalogs.stored import SUFFIX, open_catalog, save_catalog
-from giantlike.catalogs.table import StarTable, et_of_julian_year, joined
+from giantlike.catalogs.table import StarTable, et_of_julian_year, join_tables
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.errors import DataError
 from giantlike.core.frames import direction_from_radec, east_north
@@ -101,7 +101,7 @@ def build_default_stars() -> StarTable:
         coefficients = fit_g_minus_hp(hipparcos.color_bv[partner], gaia.magnitude[found] - hp[partner])
     alone = np.ones(len(hipparcos), dtype=bool)
     alone[pairs[:, 1]] = False
-    stars = joined([_with_motion(gaia, hipparcos, pairs), hipparcos.select(alone)])
+    stars = join_tables([_with_motion(gaia, hipparcos, pairs), hipparcos.select(alone)])
     stars = with_nearby(replace(stars, is_double=stars.is_double | _has_companion(stars)))
     return stars.select(np.argsort(stars.dec_deg, kind="stable"))
 

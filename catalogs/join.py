@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from giantlike.catalogs.astrometry import apparent_directions
 from giantlike.catalogs.catalog import MemoryCatalog
-from giantlike.catalogs.table import StarTable, et_of_julian_year, joined
+from giantlike.catalogs.table import StarTable, et_of_julian_year, join_tables
 from giantlike.core.arrays import Mask, require
 from giantlike.core.units import RAD_PER_ARCSEC
 
@@ -33,7 +33,7 @@ def join_catalogs(catalogs: Sequence[MemoryCatalog], *, name: str) -> MemoryCata
     for other in others:
         added = (other if other.band == UNNAMED_BAND else other.in_band(first.band)).stars
         rest = stars.select(~_found_in(stars, added))
-        stars = joined([rest, _renumbered(added, rest)])
+        stars = join_tables([rest, _renumber(added, rest)])
     version = " + ".join(catalog.version for catalog in catalogs)
     return MemoryCatalog(stars, name=name, band=first.band, version=version)
 
@@ -50,7 +50,7 @@ def _found_in(stars: StarTable, others: StarTable) -> Mask:
     return found
 
 
-def _renumbered(stars: StarTable, taken: StarTable) -> StarTable:
+def _renumber(stars: StarTable, taken: StarTable) -> StarTable:
     """Stars with new identifiers where ``taken`` has theirs."""
     twice = np.isin(stars.ids, taken.ids)
     if not twice.any():

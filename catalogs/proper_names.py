@@ -61,7 +61,7 @@ def proper_names(stars: StarTable) -> tuple[str, ...]:
     >>> proper_names(load_catalog().cone(direction_from_radec(101.288, -16.713), 0.001, max_magnitude=2.0))
     ('Sirius',)
     """
-    known = _named()
+    known = _load_names()
     found = [""] * len(stars)
     bright = np.flatnonzero(stars.magnitude < known.magnitude.max() + _MAGNITUDES)
     if not len(bright):
@@ -79,7 +79,7 @@ def proper_names(stars: StarTable) -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=1)
-def _named() -> _Named:
+def _load_names() -> _Named:
     """The names of the file with positions and magnitudes."""
     with _FILE.open(encoding="ascii", newline="") as file:
         rows = list(csv.DictReader(file))

@@ -104,7 +104,7 @@ def is_catalog_file(path: Path) -> bool:
 
 def save_catalog(catalog: MemoryCatalog, path: str | Path, *, sources: Sequence[Source] = ()) -> None:
     """Write a catalog into one file, whole or not at all."""
-    arrays, constants = _stored(catalog)
+    arrays, constants = _pack_columns(catalog)
     header: CatalogHeader = {
         "format": FORMAT, "name": catalog.name, "band": catalog.band, "version": catalog.version,
         "count": len(catalog), "zones": ZONES, "slow_margin_rad": catalog.index.slow_margin_rad,
@@ -115,11 +115,11 @@ def save_catalog(catalog: MemoryCatalog, path: str | Path, *, sources: Sequence[
             for name, array in arrays.items()
         ],
     }  # fmt: skip
-    start = _aligned(_START + len(json.dumps(header)))
+    start = _round_up(_START + len(json.dumps(header)))
     offset = start
     for entry, array in zip(header["columns"], arrays.values(), strict=True):
         entry["offset"] = offset
-        offset = _aligned(offset + array.nbytes)
+        offset = _round_up(offset + array.nbytes)
     header["size"] = offset
     digest = hashlib.sha256()
     for block in _blocks(arrays):
@@ -134,7 +134,7 @@ def save_catalog(catalog: MemoryCatalog, path: str | Path, *, sources: Sequence[
 
 def open_catalog(path: str | Path) -> MemoryCatalog:
     """Open a built catalog; its columns stay in the file until a cone reads them."""
-    header, raw = _opened(Path(path))
+    header, raw = _open_file(Path(path))
     arrays = _arrays(Path(path), header, raw)
     columns: dict[str, Column] = {name: arrays[name] for name in COLUMN_TYPES if name in arrays}
     for name, value in header["constants"].items():
@@ -155,7 +155,7 @@ def open_catalog(path: str | Path) -> MemoryCatalog:
 
 def catalog_header(path: str | Path, *, check: bool = False) -> CatalogHeader:
     """Return the header of a built catalog."""
-    header, raw = _opened(Path(path))
+    header, raw = _open_file(Path(path))
     if check:
         start = _START + int.from_bytes(raw[8:_START].tobytes(), "little")
         found = hashlib.sha256(raw[start:].data).hexdigest()
@@ -164,7 +164,7 @@ def catalog_header(path: str | Path, *, check: bool = False) -> CatalogHeader:
     return header
 
 
-def _stored(catalog: MemoryCatalog) -> tuple[dict[str, NDArray[Any]], dict[str, float | bool | None]]:
+def _pack_columns(catalog: MemoryCatalog) -> tuple[dict[str, NDArray[Any]], dict[str, float | bool | None]]:
     """Columns as arrays of the types of the file, and those whose values are all equal."""
     arrays: dict[str, NDArray[Any]] = {}
     constants: dict[str, float | bool | None] = {}
@@ -185,11 +185,11 @@ def _blocks(arrays: Mapping[str, NDArray[Any]]) -> list[bytes | memoryview]:
     blocks: list[bytes | memoryview] = []
     for array in arrays.values():
         blocks.append(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
-        blocks.append(bytes(_aligned(array.nbytes) - array.nbytes))
+        blocks.append(bytes(_round_up(array.nbytes) - array.nbytes))
     return blocks
 
 
-def _opened(path: Path) -> tuple[CatalogHeader, NDArray[np.uint8]]:
+def _open_file(path: Path) -> tuple[CatalogHeader, NDArray[np.uint8]]:
     """Header, checked for the keys that the reader relies on, and all bytes of the file."""
     if not is_catalog_file(path):
         raise DataError(path, f"is not a built star catalog (it does not begin with GLSTARS); {_REMEDY}")
@@ -247,5 +247,5 @@ def _arrays(path: Path, header: CatalogHeader, raw: NDArray[np.uint8]) -> dict[s
     return arrays
 
 
-def _aligned(offset: int) -> int:
+def _round_up(offset: int) -> int:
     return -(-offset // _ALIGN) * _ALIGN

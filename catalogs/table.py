@@ -132,7 +132,7 @@ COLUMN_TYPES: Mapping[str, type[np.generic]] = MappingProxyType(
 """The columns of a :class:`StarTable` in their order, and the types of their values."""
 
 
-def joined(tables: Sequence[StarTable]) -> StarTable:
+def join_tables(tables: Sequence[StarTable]) -> StarTable:
     """Concatenate star tables."""
     require(len(tables) > 0, "joined needs at least one star table")
     return StarTable(**{name: np.concatenate([getattr(table, name) for table in tables]) for name in COLUMN_TYPES})

@@ -21,7 +21,7 @@ import numpy as np
 import giantlike as gl
 from giantlike.catalogs import MemoryCatalog, apparent_directions, load_catalog
 from giantlike.catalogs.readers import build_catalog, column_map
-from giantlike.catalogs.table import joined
+from giantlike.catalogs.table import join_tables
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector
 from giantlike.core.frames import rotate
@@ -58,7 +58,7 @@ def near_stars(table: Path) -> tuple[MemoryCatalog, dict[str, int]]:
     rows = csv.DictReader(table.read_text().splitlines())
     ids = {row["name"]: int(near.ids[np.argmin(np.abs(near.ra_deg - float(row["ra_deg"])))]) for row in rows}
     default = load_catalog("default")
-    both = joined([default.stars, near])
+    both = join_tables([default.stars, near])
     return MemoryCatalog(both, name="default and near", band=default.band, version="example"), ids
 
 

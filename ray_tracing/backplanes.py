@@ -120,7 +120,7 @@ def _fill(planes: dict[str, NDArray[Any]], number: int, view: View, directions: 
     range_km = np.linalg.norm(hits.points_km - camera_km, axis=1)
     nearest = np.flatnonzero(hits.hit & ~(range_km >= planes["range_km"].reshape(-1)))
     points, normals, rays = hits.points_km[nearest], hits.normals[nearest], rays[nearest]
-    shadowed = body.tracer.shadowed(hits, sun)[nearest]
+    shadowed = body.tracer.is_shadowed(hits, sun)[nearest]
     for neighbor in view.neighbors:
         if neighbor.shades:
             shadowed |= neighbor.dark(points, sun)

@@ -15,7 +15,7 @@ from giantlike.ray_tracing.body import Body
 from giantlike.ray_tracing.cached_trace import trace_body
 from giantlike.ray_tracing.footprint import FocalPlane, footprint_of, visible_box
 from giantlike.ray_tracing.options import RenderOptions
-from giantlike.ray_tracing.refined import RefinedTrace, refined
+from giantlike.ray_tracing.refined import RefinedTrace, refine_trace
 from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.render import Template, unless_dark
 from giantlike.ray_tracing.sampling import AxisCells
@@ -72,7 +72,7 @@ def block_templates(
     if isinstance(trace, Failure):
         whole = footprint_of(body, plane, options)  # says it of the pixels
         return whole if isinstance(whole, Failure) else trace
-    templates = _on_pixels(_Rays(refined(trace, size, uneven=_UNEVEN)), plane, laws, options.margin_px)
+    templates = _on_pixels(_Rays(refine_trace(trace, size, uneven=_UNEVEN)), plane, laws, options.margin_px)
     if isinstance(templates, Failure) and _cut(body, plane, options.margin_px + plane.halo_px):
         return Failure(Reason.OUT_OF_FRAME, "no light of the body falls on the frame, which cuts the body")
     return templates
@@ -106,16 +106,16 @@ class _Rays:
     @property
     def met(self) -> Float:
         """Share (columns, rows) of the rays that meet the body."""
-        return self._marked([rays.sight.rays for rays in self.traced.trace.tiles], self.traced.rays.sight.rays)
+        return self._map_shares([rays.sight.rays for rays in self.traced.trace.tiles], self.traced.rays.sight.rays)
 
     @property
     def lit(self) -> Float:
         """Share (columns, rows) of the rays that end on a point in sunlight."""
         tiles = [rays.sight.rays.take(rays.light[0].seen) for rays in self.traced.trace.tiles]
         parts = self.traced.rays
-        return self._marked(tiles, parts.sight.rays.take(parts.light[0].seen))
+        return self._map_shares(tiles, parts.sight.rays.take(parts.light[0].seen))
 
-    def _marked(self, rays: list[Indices], of_parts: Indices) -> Float:
+    def _map_shares(self, rays: list[Indices], of_parts: Indices) -> Float:
         """Share (columns, rows) of rays of some numbers: of whole cells, tile by tile, and of parts."""
         traced, (x, y) = self.traced, self.traced.cells
         whole, parts = np.zeros((x.count, y.count)), np.zeros(len(traced.rays.directions))
@@ -176,4 +176,4 @@ def _pixels_of(cells: AxisCells, halo_px: int, margin_px: int, count: int) -> tu
 
 def _spread(values: Float, across: Spread, down: Spread) -> Float:
     """Values (h, w) on pixels of values (columns, rows) on cells."""
-    return down.of(across.of(values).T)
+    return down.apply(across.apply(values).T)

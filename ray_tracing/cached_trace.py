@@ -17,7 +17,7 @@ from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.footprint import FocalPlane, Footprint, footprint_of
 from giantlike.ray_tracing.options import DEFAULT_OPTIONS, RenderOptions
 from giantlike.ray_tracing.reflectance import Reflectance
-from giantlike.ray_tracing.render import Template, gathered, ray_grid, shade_tile, unless_dark
+from giantlike.ray_tracing.render import Template, gather_tiles, ray_grid, shade_tile, unless_dark
 from giantlike.ray_tracing.sampling import AxisCells, Tile
 from giantlike.ray_tracing.trace import TracedRays, View, in_order, sunlight, trace_rays, view_of
 
@@ -67,7 +67,7 @@ class Trace(Value):
         law, footprint = self.body.reflectance, self.footprint
         pairs = zip(footprint.tiles, self.tiles, strict=True)
         shaded = (shade_tile(footprint, tile, traced, law) for tile, traced in pairs)
-        return unless_dark(gathered(self.view, footprint, shaded))
+        return unless_dark(gather_tiles(self.view, footprint, shaded))
 
     @property
     def cells(self) -> tuple[AxisCells, AxisCells]:
@@ -214,7 +214,7 @@ class Trace(Value):
         Trace
         """
         view = replace(self.view, options=replace(self.view.options, shadows=True))
-        lit = None if daylight is None else daylight.of(self.footprint.cells)[1]
+        lit = None if daylight is None else daylight.classify(self.footprint.cells)[1]
 
         def relit(pair: tuple[Tile, TracedRays]) -> TracedRays:
             tile, traced = pair
@@ -292,9 +292,9 @@ def trace_body(
     grid = ray_grid(view, footprint)
 
     inside = None if wanted is None else _cells_within(wanted, footprint)
-    dark, lit = (None, None) if daylight is None else daylight.of(footprint.cells)
+    dark, lit = (None, None) if daylight is None else daylight.classify(footprint.cells)
 
-    def traced(tile: Tile) -> TracedRays:
+    def trace_tile(tile: Tile) -> TracedRays:
         directions, part = grid.directions(tile), (slice(tile.left, tile.right), slice(tile.start, tile.stop))
         sent = np.ones((tile.right - tile.left, tile.rows), bool) if inside is None else inside[part].copy()
         if dark is not None:
@@ -307,7 +307,7 @@ def trace_body(
         rays = trace_rays(view, directions.take(numbers, axis=0), stratum=tile.start, lit=known)
         return rays.among(numbers, directions)
 
-    tiles = tuple(in_order(traced, footprint.tiles, options.threads))
+    tiles = tuple(in_order(trace_tile, footprint.tiles, options.threads))
     return Trace(view=view, footprint=footprint, size_px=(columns, rows), tiles=tiles)
 
 

@@ -33,7 +33,7 @@ class Daylight(Value):
     scale: float
     whole: bool = True
 
-    def of(self, cells: tuple[AxisCells, AxisCells]) -> tuple[Mask, Mask]:
+    def classify(self, cells: tuple[AxisCells, AxisCells]) -> tuple[Mask, Mask]:
         """Where a finer trace can do without rays.
 
         Returns ``dark``, ``lit`` (columns, rows).

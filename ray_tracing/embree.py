@@ -37,27 +37,27 @@ class EmbreeSurface:
 
     def first_hit(self, origins: Float32, directions: Float32) -> tuple[Int32, Float32]:
         """Facet (n,), -1 for none, and distance (n,) in units of the direction's length, of rays (n, 3)."""
-        if len(_checked(origins, directions)) == 0:
+        if len(_check_rays(origins, directions)) == 0:
             return np.zeros(0, np.int32), np.zeros(0, np.float32)
         answer = self._run(origins, directions, query="INTERSECT", output=True)
         return answer["primID"], answer["tfar"]
 
     def first_hit_inside(self, origins: Float32, directions: Float32) -> tuple[Int32, Float32, Float32]:
         """Return :meth:`first_hit` and the least barycentric weight (n,) of each hit: 0 on an edge of its facet."""
-        if len(_checked(origins, directions)) == 0:
+        if len(_check_rays(origins, directions)) == 0:
             return np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.float32)
         answer = self._run(origins, directions, query="INTERSECT", output=True)
         second, third = answer["u"], answer["v"]
         return answer["primID"], answer["tfar"], np.minimum(np.minimum(second, third), 1.0 - second - third)
 
-    def occluded(self, origins: Float32, directions: Float32) -> Mask:
+    def is_occluded(self, origins: Float32, directions: Float32) -> Mask:
         """Return True (n,) where anything lies on a ray (n, 3), however far."""
-        if len(_checked(origins, directions)) == 0:
+        if len(_check_rays(origins, directions)) == 0:
             return np.zeros(0, bool)
         return np.asarray(self._run(origins, directions, query="OCCLUDED") == 0)
 
 
-def padded(vectors: NDArray[np.floating]) -> Float32:
+def pad_vectors(vectors: NDArray[np.floating]) -> Float32:
     """Vectors (n, 3) as float32 (n, 4), the fourth column 0: their rows move as one item of 16 bytes."""
     result = np.zeros((len(vectors), 4), np.float32)
     for axis in range(3):
@@ -66,7 +66,7 @@ def padded(vectors: NDArray[np.floating]) -> Float32:
 
 
 def rows_of(vectors: Float32, numbers: NDArray[np.integer]) -> Float32:
-    """Rows (k, 4) of an array (n, 4) of :func:`padded` vectors; four times as fast as taking rows of three."""
+    """Rows (k, 4) of vectors (n, 4) from :func:`pad_vectors`; four times as fast as taking rows of three."""
     return vectors.view(np.complex128)[:, 0].take(numbers).view(np.float32).reshape(-1, 4)
 
 
@@ -81,7 +81,7 @@ def dot(vectors: NDArray[Number], others: NDArray[Number]) -> NDArray[Number]:
     return products
 
 
-def moved(points: Float, offset: Float) -> Float:
+def shift_points(points: Float, offset: Float) -> Float:
     """Points (n, 4) plus an offset (3,), in place and back; some hundred rows at a time: rows of four are slow."""
     whole = len(points) // _ADDED_ROWS * _ADDED_ROWS
     step = np.append(offset, 0.0)
@@ -90,7 +90,7 @@ def moved(points: Float, offset: Float) -> Float:
     return points
 
 
-def _checked(origins: Float32, directions: Float32) -> Float32:
+def _check_rays(origins: Float32, directions: Float32) -> Float32:
     for rays in (origins, directions):
         if rays.dtype != np.float32 or rays.shape != (len(origins), 3):
             raise InputError(f"Embree needs float32 origins and directions (n, 3), got {rays.dtype} {rays.shape}")

@@ -127,7 +127,7 @@ class Footprint(Value):
         across, down = (cells.spread(first, count, self.plane.psf_sigma_px) for cells, first, count in parts)
         return across, down
 
-    def counted(self, tile: Tile, rays: NDArray[np.int64]) -> tuple[int, NDArray[np.int64]]:
+    def count_rays(self, tile: Tile, rays: NDArray[np.int64]) -> tuple[int, NDArray[np.int64]]:
         """Number of rays on each pixel (height, width) of a tile, and the row of the footprint where these start.
 
         ``rays`` (n,) are numbers of cells of the tile, column after column.

@@ -47,7 +47,7 @@ class Neighbor(Value):
         """
         starts = points_body_km[:, :3].astype(np.float64) @ self.neighbor_from_body.T + self.offset_km
         directions = np.broadcast_to(to_sun_body[..., :3] @ self.neighbor_from_body.T, starts.shape)
-        return self.tracer.occluded(starts, directions)
+        return self.tracer.is_occluded(starts, directions)
 
 
 def neighbors_of(bodies: Sequence[Body], number: int, sun_camera: Float, sun_radius_rad: float) -> list[Neighbor]:

@@ -20,7 +20,7 @@ UNEVEN = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RefinedTrace(Value):
-    """A trace whose uneven cells are split into ``factor`` by ``factor``, one ray each; from :func:`refined`.
+    """A trace whose uneven cells are split into ``factor`` by ``factor``, one ray each; from :func:`refine_trace`.
 
     trace: of all cells.
     columns, rows: (n,); cells that are split.
@@ -75,7 +75,7 @@ class RefinedTrace(Value):
         return self.rays.brightness(law)
 
 
-def refined(trace: Trace, factor: int, *, uneven: float = UNEVEN) -> RefinedTrace:
+def refine_trace(trace: Trace, factor: int, *, uneven: float = UNEVEN) -> RefinedTrace:
     """Split the cells of a trace where its light is uneven, and trace the parts.
 
     Parts of a cell that is lit, as all around it are, are taken to be lit.

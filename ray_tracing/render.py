@@ -190,12 +190,12 @@ def render(
     """
     sun = as_finite(sun_direction_camera, (3,), "sun_direction_camera")
     plane = FocalPlane(model=model, columns=columns, rows=rows, psf=psf)
-    template = unless_dark(rendered(body, plane, sun, options))
+    template = unless_dark(render_body(body, plane, sun, options))
     if not (recenter and isinstance(template, Failure) and template.reason is Reason.OUT_OF_FRAME):
         return template
     middle = model.unproject([0.5 * (columns - 1), 0.5 * (rows - 1)])
     turn = shortest_turn(unit(body.position_camera_km), middle)
-    template = unless_dark(rendered(body.turned(turn), plane, rotate(turn, sun), options))
+    template = unless_dark(render_body(body.turned(turn), plane, rotate(turn, sun), options))
     return replace(template, rendered_from_camera=turn) if isinstance(template, Template) else template
 
 
@@ -242,13 +242,13 @@ def render_scene(
     plane = FocalPlane(model=model, columns=columns, rows=rows, psf=psf)
     bodies = [body.seen_by(model) for body in bodies]
     templates = tuple(
-        rendered(body, plane, sun, options, tuple(neighbors_of(bodies, number, sun, options.sun_radius_rad)))
+        render_body(body, plane, sun, options, tuple(neighbors_of(bodies, number, sun, options.sun_radius_rad)))
         for number, (body, sun) in enumerate(zip(bodies, suns_of(bodies, sun_direction_camera), strict=True))
     )
     return SceneRender(columns=columns, rows=rows, templates=templates)
 
 
-def rendered(
+def render_body(
     body: Body,
     plane: FocalPlane,
     sun_direction_camera: ArrayLike,
@@ -262,11 +262,11 @@ def rendered(
         return footprint
     grid, law = ray_grid(view, footprint), view.body.reflectance
 
-    def shaded(tile: Tile) -> ShadedTile:
+    def trace_and_shade(tile: Tile) -> ShadedTile:
         traced = trace_rays(view, grid.directions(tile), stratum=tile.start)
         return shade_tile(footprint, tile, traced, law)
 
-    return gathered(view, footprint, in_order(shaded, footprint.tiles, options.threads))
+    return gather_tiles(view, footprint, in_order(trace_and_shade, footprint.tiles, options.threads))
 
 
 def ray_grid(view: View, footprint: Footprint) -> RayGrid:
@@ -310,10 +310,10 @@ def shade_tile(footprint: Footprint, tile: Tile, traced: TracedRays, law: Reflec
     brightness = np.zeros((footprint.cells[0].count, tile.rows))
     inside = brightness[tile.left : tile.right]
     inside[:] = traced.brightness(law).reshape(inside.shape)
-    first_row, cover = footprint.counted(tile, traced.sight.rays)
+    first_row, cover = footprint.count_rays(tile, traced.sight.rays)
     return ShadedTile(
         tile=tile,
-        light=footprint.spread[0].of(brightness),
+        light=footprint.spread[0].apply(brightness),
         by_column=inside.sum(axis=1),
         by_row=inside.sum(axis=0),
         cover=cover,
@@ -323,7 +323,7 @@ def shade_tile(footprint: Footprint, tile: Tile, traced: TracedRays, law: Reflec
     )
 
 
-def gathered(view: View, footprint: Footprint, tiles: Iterable[ShadedTile]) -> Template | Failure:
+def gather_tiles(view: View, footprint: Footprint, tiles: Iterable[ShadedTile]) -> Template | Failure:
     """Template of tiles, added up in their order."""
     x, y = (cells.centers_px for cells in footprint.cells)
     width, height = footprint.size_px
@@ -344,7 +344,7 @@ def gathered(view: View, footprint: Footprint, tiles: Iterable[ShadedTile]) -> T
     with np.errstate(invalid="ignore"):
         photocenter_px = np.array([by_column @ x, by_row @ y]) / by_row.sum()
     return Template(
-        brightness=footprint.spread[1].of(light),
+        brightness=footprint.spread[1].apply(light),
         coverage=counts / footprint.cells[0].per_px ** 2,
         corner_px=footprint.corner_px,
         center_px=view.body.center_px(footprint.plane.model),

@@ -118,7 +118,7 @@ class RayGrid:
             if not np.isfinite(values).all():
                 return
             check_px = across.middle + across.half * _CHECK, down.middle + down.half * _CHECK
-            check = _interpolated(down.basis(check_px[1]), values, across.basis(check_px[0]))
+            check = _interpolate(down.basis(check_px[1]), values, across.basis(check_px[0]))
             if np.abs(np.swapaxes(check, 0, 1) - self._exact(*check_px)).max() < _DIRECTION_TOLERANCE_RAD:
                 self._basis = down.basis(self._rows_px), values, across.basis(self._columns_px)
                 return
@@ -142,7 +142,7 @@ class RayGrid:
         if self._basis is None:
             return np.swapaxes(self._exact(self._columns_px[left:right], self._rows_px[start:stop]), 0, 1)
         by_row, values, by_column = self._basis
-        return _interpolated(by_row[start:stop], values, by_column[left:right])
+        return _interpolate(by_row[start:stop], values, by_column[left:right])
 
     def _exact(self, columns_px: Float, rows_px: Float) -> Float:
         """Directions (h, w, 4)."""
@@ -176,7 +176,7 @@ class Interval:
         return np.asarray(terms / terms.sum(axis=1, keepdims=True))
 
 
-def _interpolated(by_row: Float, values: Float, by_column: Float) -> Float:
+def _interpolate(by_row: Float, values: Float, by_column: Float) -> Float:
     """Tensor product (w, h, 4) of row basis (h, k), values (k, k, 4) and column basis (w, k)."""
     k = len(values)
     half = (by_row @ values.reshape(k, -1)).reshape(len(by_row), k, 4)

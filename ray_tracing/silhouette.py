@@ -134,7 +134,7 @@ def trace_silhouette(
         normals_px=normals_px,
         points_by_position=_by_position(model, points_camera_km, grazing_px, angles),
         cos_incidence=np.where(valid, hits.normals @ sun_body, np.nan),
-        lit=valid & ~body.tracer.shadowed(hits, sun_body),
+        lit=valid & ~body.tracer.is_shadowed(hits, sun_body),
     )
 
 
@@ -162,7 +162,7 @@ def lit_outline(
     points_px = model.project(points_camera_km)
     valid = finite_rows(points_px)
     hits = _hits(body, valid, points_camera_km, edge)
-    dark = body.tracer.shadowed(hits, sun_in_body(body, sun_direction_camera))
+    dark = body.tracer.is_shadowed(hits, sun_in_body(body, sun_direction_camera))
     return points_px[valid], ~dark[valid]
 
 
@@ -174,7 +174,7 @@ def _edge(
     edge = outline.outermost(center_px, angles_rad)
     if outline.complete:
         return outline, edge, edge.points_camera_km
-    covered = _covered(body, model, center_px, angles_rad, edge.radii_px)
+    covered = _is_covered(body, model, center_px, angles_rad, edge.radii_px)
     return outline, edge, np.where(covered[:, None], np.nan, edge.points_camera_km)
 
 
@@ -188,7 +188,7 @@ def _hits(body: Body, valid: Mask, points_camera_km: Float, edge: Crossings) -> 
     return Hits(valid, points, edge.facets, normals)
 
 
-def _covered(body: Body, model: CameraModel, center_px: Float, angles_rad: Float, radii_px: Float) -> Mask:
+def _is_covered(body: Body, model: CameraModel, center_px: Float, angles_rad: Float, radii_px: Float) -> Mask:
     """Return True for lines (k,) that meet the body again beyond ``radii_px``, up to the end of the camera model."""
     steps = _steps(angles_rad)
     near, far = radii_px, radii_px + _FAR_FOCAL_LENGTHS * model.focal_length_px
@@ -199,7 +199,7 @@ def _covered(body: Body, model: CameraModel, center_px: Float, angles_rad: Float
         last = np.where(near >= far, far, 0.5 * (near + far))
     places = radii_px[:, None] + (near - radii_px)[:, None] * _BEYOND
     rays = body.to_body(model.unproject(center_px + places[..., None] * steps[:, None, :]))
-    met = body.tracer.occluded(body.camera_body_km, rays.reshape(-1, 3))
+    met = body.tracer.is_occluded(body.camera_body_km, rays.reshape(-1, 3))
     return np.asarray(np.any(met.reshape(-1, _BEYOND.size), axis=1))
 
 
@@ -266,7 +266,7 @@ class EdgeOutline(Value):
     complete: bool
 
     @classmethod
-    def of(cls, body: Body, mesh: TriangleMesh, model: CameraModel) -> EdgeOutline:
+    def from_mesh(cls, body: Body, mesh: TriangleMesh, model: CameraModel) -> EdgeOutline:
         """Return the silhouette edges of ``mesh``, the shape of ``body``."""
         edges, facets = silhouette_edges(mesh, body.camera_body_km)
         vertices, corner = np.unique(edges, return_inverse=True)
@@ -347,7 +347,7 @@ class EllipseOutline(Value):
     complete: bool
 
     @classmethod
-    def of(cls, body: Body, ellipsoid: Ellipsoid, model: CameraModel) -> EllipseOutline:
+    def from_ellipsoid(cls, body: Body, ellipsoid: Ellipsoid, model: CameraModel) -> EllipseOutline:
         """Return the limb of ``ellipsoid``, the shape of ``body``; without corners when the camera is inside."""
         middle, first, second = (body.to_camera(vector) for vector in limb_ellipse(ellipsoid, body.camera_body_km))
         middle = middle + body.position_camera_km
@@ -391,9 +391,9 @@ class EllipseOutline(Value):
 def outline_of(body: Body, model: CameraModel) -> EdgeOutline | EllipseOutline:
     """Return the outline of a body."""
     if isinstance(body.shape, TriangleMesh):
-        return EdgeOutline.of(body, body.shape, model)
+        return EdgeOutline.from_mesh(body, body.shape, model)
     if isinstance(body.shape, Ellipsoid):
-        return EllipseOutline.of(body, body.shape, model)
+        return EllipseOutline.from_ellipsoid(body, body.shape, model)
     raise InputError(f"an outline needs a TriangleMesh or an Ellipsoid, got a {type(body.shape).__name__}")
 
 

@@ -25,13 +25,13 @@ class Spread(Value):
     first: NDArray[np.int64]
     count_px: int
 
-    def of(self, light: Float) -> Float:
+    def apply(self, light: Float) -> Float:
         """Light (count_px, m) on the pixels, from the light of the cells (n, m)."""
         return _spread(self.shares, self.first, self.count_px, np.ascontiguousarray(light, np.float64))
 
     def matrix(self) -> Float:
         """Shares (count_px, n) of each cell on each pixel."""
-        return self.of(np.eye(len(self.first)))
+        return self.apply(np.eye(len(self.first)))
 
 
 @compiled

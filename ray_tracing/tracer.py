@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from giantlike.core.arrays import Float, Indices, Mask, as_floats, require, unit
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
-from giantlike.ray_tracing.embree import EmbreeSurface, Float32, dot, moved, padded, rows_of
+from giantlike.ray_tracing.embree import EmbreeSurface, Float32, dot, pad_vectors, rows_of, shift_points
 from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, geodesic_directions
 
 _INSIDE = -1e-9  # barycentric weights of points on an edge, rounded
@@ -53,7 +53,7 @@ class Hits(Value):
 class Sight(Value):
     """Surface seen by a camera along the rays of an image: k of them meet the body.
 
-    Vectors are float32 with a fourth column of zeros, so that their rows move fast: see ``embree.padded``.
+    Vectors are float32 with a fourth column of zeros, so that their rows move fast: see ``embree.pad_vectors``.
 
     rays: (k,); numbers of those rays.
     facets: (k,); facet numbers, 0 on an ellipsoid.
@@ -93,7 +93,7 @@ class MeshTracer:
         self._vertices_km, self._faces, self._normals = mesh.vertices_km, mesh.faces, mesh.normals
         self._offsets_km: Float = np.einsum("ij,ij->i", self._normals, self._vertices_km[self._faces[:, 0]])
         self._sizes_km: Float = np.sqrt(mesh.areas_km2)
-        self._padded_normals = padded(self._normals)
+        self._padded_normals = pad_vectors(self._normals)
         self._surface = EmbreeSurface(self._vertices_km, self._faces)
         self._shadow_offset_km = _SHADOW_OFFSET * self.radius_km
 
@@ -113,7 +113,7 @@ class MeshTracer:
 
         ``origins_body_km`` (3,) or (n, 3); ``directions_body`` (n, 3).
         """
-        starts, directions = _approached(origins_body_km, directions_body, self.radius_km)
+        starts, directions = _approach(origins_body_km, directions_body, self.radius_km)
         found, rough, inside = self._surface.first_hit_inside(starts.astype(np.float32), directions.astype(np.float32))
         facets, distances = found.astype(np.int64), rough.astype(np.float64)
         hit = np.flatnonzero(facets >= 0)
@@ -143,13 +143,13 @@ class MeshTracer:
             met = np.isfinite(exact)
             facets[missed[met]], distances[missed[met]] = found[met], exact[met]
 
-    def occluded(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Mask:
+    def is_occluded(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Mask:
         """Return True for rays that meet the mesh.
 
         ``origins_body_km`` (3,) or (n, 3); ``directions_body`` (n, 3); returns (n,).
         """
-        starts, directions = _approached(origins_body_km, directions_body, self.radius_km)
-        return self._surface.occluded(starts.astype(np.float32), directions.astype(np.float32))
+        starts, directions = _approach(origins_body_km, directions_body, self.radius_km)
+        return self._surface.is_occluded(starts.astype(np.float32), directions.astype(np.float32))
 
     def encloses(self, point_body_km: Float) -> bool:
         """Return True if a point (3,), km, lies inside the mesh: a ray outward from it meets the back of a facet."""
@@ -158,7 +158,7 @@ class MeshTracer:
         outward = point_body_km if np.any(point_body_km) else np.array([1.0, 0.0, 0.0])
         return bool(self.intersect(point_body_km, outward[None]).normals[0] @ outward > 0.0)
 
-    def shadowed(self, hits: Hits, sun_body: Float) -> Mask:
+    def is_shadowed(self, hits: Hits, sun_body: Float) -> Mask:
         """Return True for hits in shadow: none, facing away from the Sun, or with the body in the way.
 
         ``sun_body``: unit vector to the Sun; returns (n,).
@@ -166,7 +166,7 @@ class MeshTracer:
         dark = ~(hits.normals @ sun_body > 0.0)
         facing = np.flatnonzero(~dark)
         starts = hits.points_km[facing] + self._shadow_offset_km * hits.normals[facing]
-        dark[facing] = self.occluded(starts, np.broadcast_to(sun_body, starts.shape))
+        dark[facing] = self.is_occluded(starts, np.broadcast_to(sun_body, starts.shape))
         return dark
 
     def sight(self, origin_body_km: Float, directions_body: Float) -> Sight:
@@ -176,7 +176,7 @@ class MeshTracer:
         """
         reach = max(float(np.linalg.norm(origin_body_km)) - _SPHERE_MARGIN * self.radius_km, 0.0)
         directions = directions_body.astype(np.float32)
-        starts = moved(reach * directions_body, origin_body_km).astype(np.float32)
+        starts = shift_points(reach * directions_body, origin_body_km).astype(np.float32)
         facets, distances = self._surface.first_hit(starts[:, :3], directions[:, :3])
         rays = np.flatnonzero(facets >= 0)
         facets, distances = facets.take(rays), distances.take(rays)
@@ -194,7 +194,7 @@ class MeshTracer:
         """
         starts = points_km + np.float32(self._shadow_offset_km) * normals
         directions = np.broadcast_to(to_sun.astype(np.float32), starts.shape)  # one in memory, where there is one
-        return self._surface.occluded(starts[:, :3], directions[:, :3])
+        return self._surface.is_occluded(starts[:, :3], directions[:, :3])
 
 
 class EllipsoidTracer:
@@ -214,16 +214,16 @@ class EllipsoidTracer:
 
     def intersect(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Hits:
         """First hits of rays that come from outside."""
-        starts, directions = _approached(origins_body_km, directions_body, self.radius_km)
+        starts, directions = _approach(origins_body_km, directions_body, self.radius_km)
         near, _ = self._distances(starts, directions)
         hit = near > 0.0
         points = np.where(hit[:, None], starts + near[:, None] * directions, np.nan)
         normals = unit(points / self._radii_km**2)
         return Hits(hit, points, np.where(hit, 0, -1), normals)
 
-    def occluded(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Mask:
+    def is_occluded(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Mask:
         """Return True for rays (n,) that meet the ellipsoid; one that starts on it and leads outward does not."""
-        starts, directions = _approached(origins_body_km, directions_body, self.radius_km)
+        starts, directions = _approach(origins_body_km, directions_body, self.radius_km)
         _, far = self._distances(starts, directions)
         return np.asarray(far > 1e-9 * self.radius_km)
 
@@ -231,7 +231,7 @@ class EllipsoidTracer:
         """Return True if a point (3,), km, lies inside the ellipsoid."""
         return bool(np.sum((point_body_km / self._radii_km) ** 2) < 1.0)
 
-    def shadowed(self, hits: Hits, sun_body: Float) -> Mask:
+    def is_shadowed(self, hits: Hits, sun_body: Float) -> Mask:
         """Return True for hits (n,) that face away from the Sun."""
         return np.asarray(~(hits.normals @ sun_body > 0.0))
 
@@ -252,7 +252,7 @@ class EllipsoidTracer:
         normal /= np.sqrt((normal * normal).sum(axis=0))
         direction *= self._radii_km[:, None]
         cos_emission = -(normal * direction).sum(axis=0).astype(np.float32)
-        points, normals = padded((place * self._radii_km[:, None]).T), padded(normal.T)
+        points, normals = pad_vectors((place * self._radii_km[:, None]).T), pad_vectors(normal.T)
         return Sight(rays, np.zeros(rays.size, np.int32), points, normals, cos_emission)
 
     def dark(self, points_km: Float32, normals: Float32, to_sun: Float) -> Mask:
@@ -277,7 +277,7 @@ def _around_unit_sphere() -> Float:
     return directions / float(np.linalg.norm(directions[faces].mean(axis=1), axis=1).min())
 
 
-def _approached(origins_body_km: ArrayLike, directions_body: ArrayLike, radius_km: float) -> tuple[Float, Float]:
+def _approach(origins_body_km: ArrayLike, directions_body: ArrayLike, radius_km: float) -> tuple[Float, Float]:
     """Rays moved forward to the sphere around the body: starts (n, 3), km, and unit directions (n, 3)."""
     directions = as_floats(directions_body, (3,), "directions_body")
     origins = as_floats(origins_body_km, (3,), "origins_body_km")

@@ -71,7 +71,7 @@ class FacetAlbedo(Value):
     sha256: str = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", _checked(self.values, 1))
+        object.__setattr__(self, "values", _check_values(self.values, 1))
         object.__setattr__(self, "sha256", _hash("facets", self.values))
         Value.__post_init__(self)
 
@@ -101,7 +101,7 @@ class VertexAlbedo(Value):
     sha256: str = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", _checked(self.values, 1))
+        object.__setattr__(self, "values", _check_values(self.values, 1))
         object.__setattr__(self, "sha256", _hash("vertices", self.values))
         Value.__post_init__(self)
 
@@ -164,7 +164,7 @@ class AlbedoMap(Value):
     sha256: str = field(init=False)
 
     def __post_init__(self) -> None:
-        values = _checked(self.values, 2)
+        values = _check_values(self.values, 2)
         west, east = (float(edge) for edge in self.longitude_edges_rad)
         first, last = (float(edge) for edge in self.latitude_edges_rad)
         turn = abs(east - west)
@@ -266,7 +266,7 @@ def hash_with_albedo(surface_sha256: str, albedo: Albedo | None) -> str:
     return hashlib.sha256(f"{surface_sha256} with albedo {albedo.sha256}".encode()).hexdigest()
 
 
-def _checked(values: ArrayLike, dimensions: int) -> Float:
+def _check_values(values: ArrayLike, dimensions: int) -> Float:
     array = np.array(as_floats(values, (), "values"), order="C")
     shape = "(n,)" if dimensions == 1 else "(rows, columns)"
     require(array.ndim == dimensions and array.size > 0, f"albedo values must have shape {shape}, got {array.shape}")

@@ -34,7 +34,7 @@ class Deviation:
     volume_change: float
 
 
-def decimated(mesh: TriangleMesh, facets: int) -> TriangleMesh:
+def decimate_mesh(mesh: TriangleMesh, facets: int) -> TriangleMesh:
     """Merge edges of a mesh, least harm first, until ``facets`` facets are left.
 
     Notes
@@ -47,7 +47,7 @@ def decimated(mesh: TriangleMesh, facets: int) -> TriangleMesh:
         f"facets must be in [{_MIN_FACETS}, {len(mesh.faces) - 1}] for {mesh.name!r}, got {facets}",
     )
     before = defects_of(Surface(vertices=mesh.vertices_km, faces=mesh.faces))
-    if not _closed(before):
+    if not _is_closed(before):
         raise InputError(f"{mesh.name!r} is not closed ({before.text()}): repair it first")
     import fast_simplification
 
@@ -57,14 +57,14 @@ def decimated(mesh: TriangleMesh, facets: int) -> TriangleMesh:
         )
         surface = Surface(vertices=np.asarray(vertices, dtype=np.float64), faces=np.asarray(faces, dtype=np.int64))
         after = defects_of(surface)
-        if _closed(after) and len(surface.faces) <= facets:
+        if _is_closed(after) and len(surface.faces) <= facets:
             return TriangleMesh(surface.vertices, surface.faces, mesh.name)
     raise InputError(
         f"{mesh.name!r} does not survive the reduction to {facets} facets ({after.text()}): ask for another number"
     )
 
 
-def _closed(found: Defects) -> bool:
+def _is_closed(found: Defects) -> bool:
     return not (found.boundary_edges or found.inconsistent_edges)
 
 

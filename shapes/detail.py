@@ -15,7 +15,7 @@ from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 from giantlike.shapes.albedo import Albedo, FacetAlbedo, VertexAlbedo
 from giantlike.shapes.base import PlacedEllipsoid
-from giantlike.shapes.decimate import decimated
+from giantlike.shapes.decimate import decimate_mesh
 from giantlike.shapes.mesh import TriangleMesh
 
 _SAME_BODY = 0.1  # of the mean radius: coarse meshes lose volume; a body in other units differs by a factor of 1000
@@ -119,7 +119,7 @@ def levels_of_detail(
     *,
     facets: Sequence[int] | None = None,
     facet_px: float = 0.5,
-    simplify: Callable[[TriangleMesh, int], TriangleMesh] = decimated,
+    simplify: Callable[[TriangleMesh, int], TriangleMesh] = decimate_mesh,
 ) -> LevelsOfDetail:
     """Make coarser meshes of a body.
 
@@ -158,15 +158,15 @@ def levels_of_detail(
     counts = _quarters(len(mesh.faces)) if facets is None else sorted(facets, reverse=True)
     levels = [mesh]
     for count in counts:
-        coarser = _simplified(levels[-1], count, simplify)
+        coarser = _simplify(levels[-1], count, simplify)
         if coarser is None:
-            coarser = _simplified(mesh, count, simplify) if facets is None else simplify(mesh, count)
+            coarser = _simplify(mesh, count, simplify) if facets is None else simplify(mesh, count)
         if coarser is not None:
             levels.append(coarser.with_albedo(mesh.albedo))
     return LevelsOfDetail(meshes=tuple(reversed(levels)), facet_px=facet_px)
 
 
-def _simplified(
+def _simplify(
     mesh: TriangleMesh, facets: int, simplify: Callable[[TriangleMesh, int], TriangleMesh]
 ) -> TriangleMesh | None:
     """The mesh with fewer facets; None where its surface would break."""

@@ -89,7 +89,7 @@ def mesh_of(path: str | Path, surface: Surface) -> TriangleMesh:
     if largest > _LARGEST_KM:
         raise DataError(path, f"not a usable triangle mesh: it has coordinates of {largest:.3g} km")
     if surface.faces.size and surface.valid_faces.all() and surface.finite_vertices.all():
-        surface = surface.merged()
+        surface = surface.merge_vertices()
     try:
         mesh = TriangleMesh(surface.vertices, surface.faces, path.stem, file_sha256(path), surface.albedo)
     except InputError as error:

@@ -42,7 +42,7 @@ class Measures(Value):
     euler_number: int
 
 
-def measured(mesh: TriangleMesh) -> Measures:
+def measure_mesh(mesh: TriangleMesh) -> Measures:
     """Measure a mesh.
 
     Notes

@@ -69,7 +69,7 @@ class TriangleMesh(Value):
     _surface_sha256: str = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        vertices, faces = _checked(self.vertices_km, self.faces)
+        vertices, faces = _check_arrays(self.vertices_km, self.faces)
         a, b, c = (vertices[faces[:, i]] for i in range(3))
         vectors = np.cross(b - a, c - a) / 2.0
         areas = np.linalg.norm(vectors, axis=1)
@@ -262,7 +262,7 @@ class TriangleMesh(Value):
         return center, second - np.outer(center, center)
 
 
-def _checked(vertices_km: ArrayLike, faces: ArrayLike) -> tuple[Float, Faces]:
+def _check_arrays(vertices_km: ArrayLike, faces: ArrayLike) -> tuple[Float, Faces]:
     """Copies of vertices (n, 3) and faces (m, 3) that are safe to hand to a ray tracer."""
     vertices = np.array(as_floats(vertices_km, (3,), "vertices_km"), order="C")
     indices = np.asarray(faces)

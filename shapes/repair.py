@@ -33,7 +33,7 @@ class Repair(Value):
     facets_added: int
 
 
-def repaired(surface: Surface, *, max_hole_width: float = 0.2) -> Repair:
+def repair_surface(surface: Surface, *, max_hole_width: float = 0.2) -> Repair:
     """Repair a surface as far as possible without guessing at the shape.
 
     In order: facets that are invalid, without area or doubled are left out; vertices that coincide to 1e-9 of the
@@ -48,7 +48,7 @@ def repaired(surface: Surface, *, max_hole_width: float = 0.2) -> Repair:
     require(len(clean.faces) > 0, "nothing to repair: no facet of the surface is valid and has an area")
     faces, turned = _wound_alike(clean)
     wound = replace(clean, faces=faces)
-    closed, holes = _closed(wound, max_hole_width)
+    closed, holes = _fill_holes(wound, max_hole_width)
     faces, turned_pieces = _outward(closed)
     whole = replace(closed, faces=faces)
     return Repair(
@@ -65,7 +65,7 @@ def _without_broken_facets(surface: Surface) -> Surface:
     valid = surface.kept(surface.finite_vertices, surface.valid_faces)
     if len(valid.faces) == 0:
         return valid
-    merged = valid.merged().merged(_SAME_PLACE * float(np.ptp(valid.vertices, axis=0).max()))
+    merged = valid.merge_vertices().merge_vertices(_SAME_PLACE * float(np.ptp(valid.vertices, axis=0).max()))
     every = np.ones(len(merged.vertices), dtype=bool)
     solid = merged.kept(every, ~flat_facets(merged.vertices, merged.faces))
     single = ~duplicate_facets(solid.faces)
@@ -98,7 +98,7 @@ def _wound_alike(surface: Surface) -> tuple[Faces, Mask]:
     labels = connected_labels(2 * count, rows, columns)
     as_is, turned = labels[:count], labels[count:]
     smaller_first = as_is > turned  # labels rise with the first node: the first facet of a piece keeps its winding
-    return _turned(surface.faces, smaller_first), smaller_first
+    return _reverse_faces(surface.faces, smaller_first), smaller_first
 
 
 def _outward(surface: Surface) -> tuple[Faces, Mask]:
@@ -108,14 +108,14 @@ def _outward(surface: Surface) -> tuple[Faces, Mask]:
     corners = surface.vertices[surface.faces] - surface.vertices.mean(axis=0)
     volumes = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
     inward = np.bincount(piece, weights=volumes)[piece] < 0.0
-    return _turned(surface.faces, inward), inward
+    return _reverse_faces(surface.faces, inward), inward
 
 
-def _turned(faces: Faces, which: Mask) -> Faces:
+def _reverse_faces(faces: Faces, which: Mask) -> Faces:
     return np.where(which[:, None], faces[:, ::-1], faces)
 
 
-def _closed(surface: Surface, max_hole_width: float) -> tuple[Surface, int]:
+def _fill_holes(surface: Surface, max_hole_width: float) -> tuple[Surface, int]:
     """Fill small holes; also their number."""
     vertices, faces = [surface.vertices], [surface.faces]
     number, holes = len(surface.vertices), 0

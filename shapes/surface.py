@@ -50,7 +50,7 @@ class Surface(Value):
             vertices=self.vertices[vertices], faces=number[self.faces[faces]], in_km=self.in_km, albedo=albedo
         )
 
-    def merged(self, distance: float = 0.0) -> Surface:
+    def merge_vertices(self, distance: float = 0.0) -> Surface:
         """Merge vertices to the first of each cluster; all faces must be valid."""
         names = coincident_names(self.vertices) if distance == 0.0 else close_names(self.vertices, distance)
         first = names == np.arange(len(names))

@@ -18,7 +18,7 @@ from giantlike.catalogs.readers.mapped import ColumnMap, column_map, read_gaia, 
 from giantlike.catalogs.readers.rows import ReadStars
 from giantlike.catalogs.readers.ucac4 import read_ucac4, zone_files
 from giantlike.catalogs.stored import Source
-from giantlike.catalogs.table import joined
+from giantlike.catalogs.table import join_tables
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.values import Value
@@ -108,7 +108,7 @@ def build_catalog(
             raise DataError(file, f"has magnitudes in {have}, {files[0].name} in {first_band}: build two catalogs")
         if progress is not None:
             progress(done, len(files))
-    stars = joined([part.stars for part in parts])
+    stars = join_tables([part.stars for part in parts])
     if not len(stars):
         limit = "" if max_magnitude is None else f" to magnitude {max_magnitude:g}"
         raise DataError(files[0], f"no stars{limit} in {len(files)} file(s)")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike._system.reading import decompress_gzip, reads
-from giantlike.catalogs.readers.rows import CLOSE_ARCSEC, HIPPARCOS_EPOCH, ReadStars, parsed, rms, stars_of
+from giantlike.catalogs.readers.rows import CLOSE_ARCSEC, HIPPARCOS_EPOCH, ReadStars, parse_number, rms, stars_of
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 
@@ -42,7 +42,7 @@ class FileLines(Value):
         try:
             found = words.astype(np.float64)
         except ValueError:
-            row = next(row for row, word in enumerate(words) if parsed(word) is None)
+            row = next(row for row, word in enumerate(words) if parse_number(word) is None)
             raise self._refusal(row, place, "a number") from None
         wrong = np.abs(found) > _LARGEST
         if wrong.any():

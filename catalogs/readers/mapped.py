@@ -18,7 +18,7 @@ from giantlike.catalogs.readers.rows import (
     GAIA_EPOCH,
     REQUIRED,
     ReadStars,
-    parsed,
+    parse_number,
     rms,
     stars_of,
 )
@@ -185,7 +185,7 @@ def column_map(settings: Sequence[str], *, file: Path | None = None, band: str |
         name, equals, term = setting.partition("=")
         if not equals or not term.strip():
             raise InputError(f"expected NAME=COLUMN such as ra_deg=RAJ2000, got {setting!r}")
-        number = parsed(term)
+        number = parse_number(term)
         terms[name.strip()] = term.strip() if number is None else number
     return ColumnMap(terms=terms, band=known.band if band is None else band)
 
@@ -206,7 +206,9 @@ def read_mapped(path: Path, mapping: ColumnMap, *, max_magnitude: float | None =
     terms |= mapping.terms
     for name in REQUIRED:
         if name not in terms:
-            raise ValueError(f"it has no column {name!r}: say which one it is, --column {name}=NAME; {_listed(table)}")
+            raise ValueError(
+                f"it has no column {name!r}: say which one it is, --column {name}=NAME; {_list_columns(table)}"
+            )
     values = {name: _values(table, term) for name, term in terms.items() if name != "ids"}
     count = max(len(column) for column in values.values())
     columns: dict[str, NDArray[Any]] = {name: np.broadcast_to(column, (count,)) for name, column in values.items()}
@@ -222,7 +224,7 @@ def _values(table: Table, term: Term) -> Float:
     if not isinstance(term, str):
         return np.array([float(term)])
     name, _, factor = term.rpartition("*")
-    scale = parsed(factor) if name and term not in table.names else None
+    scale = parse_number(factor) if name and term not in table.names else None
     if scale is None:
         return table.numbers(_known(table, term))
     return scale * table.numbers(_known(table, name.strip()))
@@ -231,10 +233,10 @@ def _values(table: Table, term: Term) -> Float:
 def _known(table: Table, name: str) -> str:
     """The name of a column, which the table must have."""
     if name not in table.names:
-        raise ValueError(f"it has no column {name!r}; {_listed(table)}")
+        raise ValueError(f"it has no column {name!r}; {_list_columns(table)}")
     return name
 
 
-def _listed(table: Table) -> str:
+def _list_columns(table: Table) -> str:
     shown = ", ".join(list(table.names)[:_SHOWN_COLUMNS])
     return f"it has {shown}" + (" and more" if len(table.names) > _SHOWN_COLUMNS else "")

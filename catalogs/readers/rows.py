@@ -108,7 +108,7 @@ def rms(a: Float, b: Float) -> Float:
     return np.asarray(np.hypot(a, b) / np.sqrt(2.0))
 
 
-def parsed(word: str | bytes, of_text: Callable[[str | bytes], float] = float) -> float | None:
+def parse_number(word: str | bytes, of_text: Callable[[str | bytes], float] = float) -> float | None:
     """Number that a word stands for; None if it is not a number."""
     try:
         return of_text(word)

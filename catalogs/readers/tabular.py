@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike._system.reading import check, check_declared_bytes, decompress_gzip
-from giantlike.catalogs.readers.rows import parsed
+from giantlike.catalogs.readers.rows import parse_number
 from giantlike.core.arrays import Mask
 from giantlike.core.errors import DataError
 from giantlike.core.fits_structure import require_whole_fits
@@ -87,10 +87,10 @@ class _TextTable(Value):
         return tuple(self.columns)
 
     def numbers(self, name: str) -> NDArray[np.float64]:
-        return np.asarray(self._converted(name, "double", float), dtype=np.float64)
+        return np.asarray(self._convert(name, "double", float), dtype=np.float64)
 
     def integers(self, name: str) -> NDArray[np.int64]:
-        return np.asarray(self._converted(name, "int64", int), dtype=np.int64)
+        return np.asarray(self._convert(name, "int64", int), dtype=np.int64)
 
     def record(self, row: int) -> str:
         line = row + self.first_line
@@ -98,7 +98,7 @@ class _TextTable(Value):
             line += blank <= line
         return f"line {line}"
 
-    def _converted(self, name: str, kind: str, of_text: Callable[[str | bytes], float]) -> NDArray[Any]:
+    def _convert(self, name: str, kind: str, of_text: Callable[[str | bytes], float]) -> NDArray[Any]:
         import pyarrow as pa
         import pyarrow.compute as pc
 
@@ -108,7 +108,7 @@ class _TextTable(Value):
         try:
             values = pc.cast(present, kind)
         except pa.ArrowInvalid:
-            numbers = [None if word is None else parsed(word, of_text) for word in present.to_pylist()]
+            numbers = [None if word is None else parse_number(word, of_text) for word in present.to_pylist()]
             for row, (word, number) in enumerate(zip(present.to_pylist(), numbers, strict=True)):
                 if number is None and word is not None:
                     raise ValueError(f"{self.record(row)}: column {name!r} must be a number, got {word!r}") from None
@@ -219,10 +219,10 @@ def _fits_table(path: Path) -> Table:
         if found is None:
             raise ValueError("it holds no FITS table extension")
         data = {name: (np.array(found.data[name]), found.columns[name].null) for name in found.columns.names}
-    return _array_table((name, _masked(values, null)) for name, (values, null) in data.items())
+    return _array_table((name, _mask_null(values, null)) for name, (values, null) in data.items())
 
 
-def _masked(values: NDArray[Any], null: int | None) -> NDArray[Any]:
+def _mask_null(values: NDArray[Any], null: int | None) -> NDArray[Any]:
     if null is None or values.dtype.kind not in "iu":
         return values
     return np.ma.masked_equal(values, null)

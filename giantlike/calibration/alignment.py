@@ -97,7 +97,7 @@ def align(
     if drifts and not np.ptp(temperatures) > 0:
         detail = f"all rotations were measured at {reference:g} C: omit temperatures_c for a static alignment"
         return Failure(Reason.DEGENERATE_GEOMETRY, detail)
-    rotation, rate, used = _converged(rotations, covariances, offsets, drifts, outlier_sigma)
+    rotation, rate, used = _fit_rotation(rotations, covariances, offsets, drifts, outlier_sigma)
     residuals = _residuals(rotations, rotation, rate, offsets)
     _, covariance = _step(residuals, covariances, offsets, used, drifts)
     freedom = max(3 * int(used.sum()) - (6 if drifts else 3), 1)
@@ -132,7 +132,7 @@ def interlock(
     ----------
     .. [1] Inman and Holt, Artemis I Optical Navigation System Performance, IV.A (interlock of camera and trackers).
     """
-    one, other = _named(first_from_inertial), _named(second_from_inertial)
+    one, other = _as_frame_rotation(first_from_inertial), _as_frame_rotation(second_from_inertial)
     count = len(one.rotation)
     require(
         len(other.rotation) == count,
@@ -147,13 +147,13 @@ def interlock(
     return found if isinstance(found, Failure) else replace(found, first=between.source, second=between.target)
 
 
-def _named(attitudes: FrameRotation | Rotation) -> FrameRotation:
+def _as_frame_rotation(attitudes: FrameRotation | Rotation) -> FrameRotation:
     if isinstance(attitudes, FrameRotation):
         return attitudes
     return FrameRotation(rotation=attitudes, target="", source="")
 
 
-def _converged(
+def _fit_rotation(
     rotations: Rotation, covariances: Float, offsets_c: Float, drifts: bool, outlier_sigma: float
 ) -> tuple[Rotation, Float, Mask]:
     """Rotation at the reference temperature, rate, and mask (n,) of the measurements that agree with them."""

@@ -114,12 +114,12 @@ def board_observations(
     .. [1] Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation, Table 2 and Fig. 12.
     """
     corners = board_corners(across=across, down=down, square=square)
-    found = [_observed(image, corners, model, (across, down), sigma_px) for image in images]
+    found = [_observe_board(image, corners, model, (across, down), sigma_px) for image in images]
     failed = [(image.name, one) for image, one in zip(images, found, strict=True) if isinstance(one, Failure)]
     return [one for one in found if not isinstance(one, Failure)], failed
 
 
-def _observed(
+def _observe_board(
     image: Image, corners: Float, model: CameraModel, shape: tuple[int, int], sigma_px: float
 ) -> ImageObservations | Failure:
     found = find_board(image.pixels, across=shape[0], down=shape[1])

@@ -66,7 +66,7 @@ class Data(Value):
     attitude_weight: Float
 
     @classmethod
-    def of(
+    def from_images(
         cls,
         images: Sequence[ImageObservations],
         start: Rotation,
@@ -115,7 +115,7 @@ class State(Value):
         turned: Float = np.einsum("nij,nj->ni", self.rotation.as_matrix()[index], data.targets)
         return turned if data.pose == 3 else turned + self.position[index]
 
-    def moved(self, step: Step, data: Data) -> State | None:
+    def apply_step(self, step: Step, data: Data) -> State | None:
         """State after a step; None if the model refuses its parameters."""
         values = self.model.parameters
         values[data.estimated] += step.camera
@@ -146,7 +146,7 @@ def predict(state: State, data: Data) -> Float:
     return result
 
 
-def linearized(state: State, data: Data) -> tuple[Float, Float, Float]:
+def linearize(state: State, data: Data) -> tuple[Float, Float, Float]:
     """Pixels (n, 2) and their derivatives by the k estimated parameters and by the pose of the image.
 
     Returns ``pixels`` (n, 2), ``by_camera`` (n, 2, k), ``by_pose`` (n, 2, pose), in px, px per unit of the parameter,
@@ -246,7 +246,7 @@ class NormalEquations(Value):
 
 def normal_equations(state: State, data: Data, used: Mask, loss: Loss) -> NormalEquations | None:
     """Assemble the normal equations; None if a target in use cannot be projected."""
-    predicted, by_camera, by_pose = linearized(state, data)
+    predicted, by_camera, by_pose = linearize(state, data)
     residuals = data.points_px - predicted
     if not np.isfinite(residuals[used]).all():
         return None
@@ -314,7 +314,7 @@ def minimize(
             return Failure(Reason.DEGENERATE_GEOMETRY, "the normal equations are singular")
         if step is not None and step.decrement <= enough and damping <= _FIRST_DAMPING:
             return Minimum(state, normal, count)
-        moved = None if step is None else state.moved(step, data)
+        moved = None if step is None else state.apply_step(step, data)
         ahead = None if moved is None else normal_equations(moved, data, used, loss)
         if moved is not None and ahead is not None and ahead.cost <= normal.cost * (1.0 + _ROUNDING):
             state, normal = moved, ahead

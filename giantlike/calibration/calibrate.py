@@ -87,7 +87,7 @@ def calibrate(
         return rotations
     estimated = np.array([model.parameter_names.index(name) for name in estimate], dtype=np.intp)
     prior_sigma = np.array([options.prior_sigma.get(name, math.inf) for name in estimate])
-    data = Data.of(observations, rotations, estimated, model.parameters[estimated], prior_sigma)
+    data = Data.from_images(observations, rotations, estimated, model.parameters[estimated], prior_sigma)
     positions = np.array(
         [np.zeros(3) if image.position_reference is None else image.position_reference for image in observations]
     )
@@ -208,7 +208,7 @@ def _result(
     explained = float(gammainc(freedom / 2.0, chi2 / 2.0)) <= _NOISE_EXPLAINS
     scale = 1.0 if explained else chi2 / freedom
     temperature_c = float(np.mean(data.temperatures_c))
-    sensitivity = FieldSensitivity.of(state.model, columns=size[0], rows=size[1], temperature_c=temperature_c)
+    sensitivity = FieldSensitivity.from_model(state.model, columns=size[0], rows=size[1], temperature_c=temperature_c)
     values = state.model.parameters[data.estimated]
     return CalibrationResult(
         model=state.model,
@@ -226,7 +226,7 @@ def _result(
         magnitudes=np.concatenate([image.magnitudes for image in observations]),
         labels=np.concatenate([image.labels for image in observations]),
         used=used,
-        rejected=_rejected(fit, observations, predicted),
+        rejected=_list_rejected(fit, observations, predicted),
         residual_sigma_px=math.sqrt(float(squares.sum()) / freedom),
         reduced_chi2=chi2 / freedom,
         condition_number=condition,
@@ -287,7 +287,7 @@ def _images(
     return tuple(result)
 
 
-def _rejected(
+def _list_rejected(
     fit: _Fit, observations: Sequence[ImageObservations], predicted_px: Float
 ) -> tuple[RejectedObservation, ...]:
     """Observations left out, worst first."""

@@ -107,7 +107,7 @@ class FieldSensitivity(Value):
     unrotated: Float
 
     @classmethod
-    def of(cls, model: CameraModel, *, columns: int, rows: int, temperature_c: float = 0.0) -> FieldSensitivity:
+    def from_model(cls, model: CameraModel, *, columns: int, rows: int, temperature_c: float = 0.0) -> FieldSensitivity:
         """Sensitivity at the grid points of a detector that the model can project."""
         there = model.at_temperature(temperature_c)
         pixels, vectors = _imaged_grid(there, columns, rows)

@@ -267,7 +267,7 @@ def _all_stars(
     for image in images:
         if image.name not in attitudes:
             continue
-        refined = _refined(image, replace(camera, model=result.model), attitudes[image.name], options)
+        refined = _refine_attitude(image, replace(camera, model=result.model), attitudes[image.name], options)
         if isinstance(refined, RefinedAttitude):
             used = refined.solution.used
             seen = image.points_px[refined.matches.detection_indices]
@@ -296,7 +296,7 @@ def _identified_with(
     better = replace(camera, model=result.model)
     attitudes = {image.name: image.camera_from_reference for image in result.images}
     found = [
-        _identified(image, better, attitudes.get(image.name, image.camera_from_inertial), options, min_snr)
+        _identify_stars(image, better, attitudes.get(image.name, image.camera_from_inertial), options, min_snr)
         for image in images
     ]
     failed = [(image.name, one) for image, one in zip(images, found, strict=True) if isinstance(one, Failure)]
@@ -341,7 +341,7 @@ def _stars_of_ids(
     return field.select(place)
 
 
-def _refined(
+def _refine_attitude(
     image: StarImage, camera: Camera, camera_from_inertial: Rotation, options: StarOptions
 ) -> RefinedAttitude | Failure:
     camera = replace(camera, model=camera.model.at_temperature(image.temperature_c))
@@ -357,11 +357,11 @@ def _refined(
     )
 
 
-def _identified(
+def _identify_stars(
     image: StarImage, camera: Camera, camera_from_inertial: Rotation, options: StarOptions, min_snr: float
 ) -> ImageObservations | Failure:
     """Bright matches of an image with a camera, those that the attitude fit leaves out included: calibration judges."""
-    refined = _refined(image, camera, camera_from_inertial, options)
+    refined = _refine_attitude(image, camera, camera_from_inertial, options)
     if isinstance(refined, Failure):
         return refined
     solution, detected = refined.solution, refined.matches.detection_indices

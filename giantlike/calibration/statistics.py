@@ -51,11 +51,11 @@ def residual_statistics(result: CalibrationResult) -> tuple[ResidualGroup, ...]:
         "temperature_c": temperatures,
     }
     for kind, values in quantities.items():
-        groups += _binned(result, kind, values)
+        groups += _bin_residuals(result, kind, values)
     return tuple(groups)
 
 
-def _binned(result: CalibrationResult, kind: str, values: Float) -> list[ResidualGroup]:
+def _bin_residuals(result: CalibrationResult, kind: str, values: Float) -> list[ResidualGroup]:
     known = result.used & np.isfinite(values)
     if int(known.sum()) < _FEWEST or np.ptp(values[known]) == 0:
         return []

@@ -52,7 +52,7 @@ class FisheyeModel(AxialModel):
     def _angle_of_ideal(self, ideal: Float) -> Float:
         """Inverse of :meth:`_ideal`."""
 
-    def _corrected(self, ideal: Float) -> Float:
+    def _correct(self, ideal: Float) -> Float:
         e2 = ideal * ideal
         return ideal * (1.0 + e2 * (self.k1 + e2 * (self.k2 + e2 * (self.k3 + e2 * self.k4))))
 
@@ -63,7 +63,7 @@ class FisheyeModel(AxialModel):
 
     def _radius(self, angle: Float) -> Float:
         ideal = self._ideal(angle)
-        return np.where(ideal <= _limits(type(self), self.lens_coefficients)[0], self._corrected(ideal), np.nan)
+        return np.where(ideal <= _limits(type(self), self.lens_coefficients)[0], self._correct(ideal), np.nan)
 
     def _radius_slope(self, angle: Float, radius: Float) -> Float:
         return self._growth(self._ideal(angle)) * self._ideal_slope(angle)
@@ -77,7 +77,7 @@ class FisheyeModel(AxialModel):
         start = np.where(radius <= radii[-1], np.interp(radius, radii, ideals), np.nan)
 
         def residual_and_slope(ideal: Float, target: Float) -> tuple[Float, Float]:
-            return self._corrected(ideal) - target, self._growth(ideal)
+            return self._correct(ideal) - target, self._growth(ideal)
 
         return self._angle_of_ideal(solve_increasing(residual_and_slope, radius, start, widest))
 
@@ -142,4 +142,4 @@ def _limits(kind: type[FisheyeModel], coefficients: tuple[float, ...]) -> tuple[
     widest = float(model._ideal(np.array(np.pi)))
     fold = math.sqrt(smallest_positive_root(3 * model.k1, 5 * model.k2, 7 * model.k3, 9 * model.k4))
     ideals = np.linspace(0.0, min(fold, widest), 512)
-    return float(ideals[-1]), model._corrected(ideals), ideals
+    return float(ideals[-1]), model._correct(ideals), ideals

@@ -115,7 +115,7 @@ class GridCorrectedModel(Value):
         return pixels + self.correction(pixels)
 
     def unproject(self, points_px: ArrayLike) -> Float:
-        return self.base.unproject(blockwise(self._uncorrected, as_floats(points_px, (2,), "points_px"), (2,)))
+        return self.base.unproject(blockwise(self._undo_correction, as_floats(points_px, (2,), "points_px"), (2,)))
 
     def project_jacobian(self, points_camera: ArrayLike) -> Float:
         result: Float = self._slope(self.base.project(points_camera)) @ self.base.project_jacobian(points_camera)
@@ -228,7 +228,7 @@ class GridCorrectedModel(Value):
             for axis in (0, 1)
         )
 
-    def _uncorrected(self, pixels: Float) -> Float:
+    def _undo_correction(self, pixels: Float) -> Float:
         """Pixels of the base model by fixed-point iteration, whose error shrinks by the steepness of the correction."""
         base, nearer = pixels, self._steepness()
         for _ in range(_MAX_ITERATIONS):

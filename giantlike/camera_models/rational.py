@@ -31,7 +31,7 @@ class RationalModel(PlaneModel):
     def _distort(self, x: Float, y: Float) -> tuple[Float, Float]:
         from giantlike.camera_models import rational_loops
 
-        return rational_loops.distorted(x, y, self._numbers)
+        return rational_loops.distort(x, y, self._numbers)
 
     def _slopes(self, x: Float, y: Float) -> Slopes:
         from giantlike.camera_models import rational_loops
@@ -39,9 +39,9 @@ class RationalModel(PlaneModel):
         return rational_loops.slopes(x, y, self._numbers)
 
     def _project_block(self, points: Float) -> Float:
-        from giantlike.camera_models.rational_loops import projected
+        from giantlike.camera_models.rational_loops import project
 
-        return projected(_own(points), self._numbers, self.max_radius)
+        return project(_own(points), self._numbers, self.max_radius)
 
     def _project_jacobian_block(self, points: Float) -> Float:
         from giantlike.camera_models.rational_loops import projected_slopes
@@ -49,9 +49,9 @@ class RationalModel(PlaneModel):
         return projected_slopes(_own(points), self._numbers, self.max_radius)
 
     def _unproject_block(self, pixels: Float) -> Float:
-        from giantlike.camera_models.rational_loops import unprojected
+        from giantlike.camera_models.rational_loops import unproject
 
-        return unprojected(_own(pixels), self._numbers, self.max_radius, *self._radial_table)
+        return unproject(_own(pixels), self._numbers, self.max_radius, *self._radial_table)
 
     def _unproject_jacobian_block(self, pixels: Float) -> Float:
         from giantlike.camera_models.rational_loops import unprojected_slopes

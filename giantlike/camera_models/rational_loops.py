@@ -17,7 +17,7 @@ from giantlike.core.arrays import Float
 Coordinate = TypeVar("Coordinate", float, Float)
 
 
-def distorted(x: Coordinate, y: Coordinate, lens: Float) -> tuple[Coordinate, Coordinate]:
+def distort(x: Coordinate, y: Coordinate, lens: Float) -> tuple[Coordinate, Coordinate]:
     """Distorted coordinates of points of the image plane.
 
     ``lens`` (17,); returns ``u``, ``v`` as ``x``.
@@ -36,7 +36,7 @@ def distorted(x: Coordinate, y: Coordinate, lens: Float) -> tuple[Coordinate, Co
 
 
 def slopes(x: Coordinate, y: Coordinate, lens: Float) -> tuple[Coordinate, Coordinate, Coordinate, Coordinate]:
-    """Derivative of :func:`distorted`. ``lens`` (17,); returns ``ux``, ``uy``, ``vx``, ``vy`` as ``x``."""
+    """Derivative of :func:`distort`. ``lens`` (17,); returns ``ux``, ``uy``, ``vx``, ``vy`` as ``x``."""
     k1, k2, k3, k4, k5, k6, p1, p2 = lens[5], lens[6], lens[7], lens[8], lens[9], lens[10], lens[11], lens[12]
     r2 = x * x + y * y
     denominator = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
@@ -53,11 +53,11 @@ def slopes(x: Coordinate, y: Coordinate, lens: Float) -> tuple[Coordinate, Coord
     )
 
 
-_distorted, _slopes = compiled(distorted), compiled(slopes)
+_distort, _slopes = compiled(distort), compiled(slopes)
 
 
 @compiled
-def projected(points: Float, lens: Float, limit: float) -> Float:
+def project(points: Float, lens: Float, limit: float) -> Float:
     """Pixels of points.
 
     ``points`` (n, 3), camera axes; ``lens`` (17,); returns (n, 2) px, NaN behind the camera and beyond the limit.
@@ -65,7 +65,7 @@ def projected(points: Float, lens: Float, limit: float) -> Float:
     pixels = np.empty((len(points), 2))
     for i in range(len(points)):
         x, y = _on_plane(points[i, 0], points[i, 1], points[i, 2], limit)
-        u, v = _distorted(x, y, lens)
+        u, v = _distort(x, y, lens)
         pixels[i, 0] = lens[0] * u + lens[4] * v + lens[2]
         pixels[i, 1] = lens[1] * v + lens[3]
     return pixels
@@ -73,7 +73,7 @@ def projected(points: Float, lens: Float, limit: float) -> Float:
 
 @compiled
 def projected_slopes(points: Float, lens: Float, limit: float) -> Float:
-    """Derivatives of :func:`projected` by the points.
+    """Derivatives of :func:`project` by the points.
 
     ``points`` (n, 3), camera axes; ``lens`` (17,); returns (n, 2, 3) px per unit of the points.
     """
@@ -84,7 +84,7 @@ def projected_slopes(points: Float, lens: Float, limit: float) -> Float:
 
 
 @compiled
-def unprojected(pixels: Float, lens: Float, limit: float, mapped: Float, radii: Float) -> Float:
+def unproject(pixels: Float, lens: Float, limit: float, mapped: Float, radii: Float) -> Float:
     """Directions of pixels, by Newton's method from the radial profile.
 
     ``pixels`` (n, 2) px; ``lens`` (17,); ``mapped``, ``radii`` (m,); returns (n, 3), camera axes, unit vectors, NaN
@@ -94,7 +94,7 @@ def unprojected(pixels: Float, lens: Float, limit: float, mapped: Float, radii: 
     for i in range(len(pixels)):
         v = (pixels[i, 1] - lens[3]) / lens[1]
         u = (pixels[i, 0] - lens[2] - lens[4] * v) / lens[0]
-        x, y = _undistorted(u, v, lens, limit, mapped, radii)
+        x, y = _undistort(u, v, lens, limit, mapped, radii)
         z = 1.0 / math.sqrt(1.0 + x * x + y * y)
         directions[i, 0], directions[i, 1], directions[i, 2] = x * z, y * z, z
     return directions
@@ -102,12 +102,12 @@ def unprojected(pixels: Float, lens: Float, limit: float, mapped: Float, radii: 
 
 @compiled
 def unprojected_slopes(pixels: Float, lens: Float, limit: float, mapped: Float, radii: Float) -> Float:
-    """Derivatives of :func:`unprojected` by the pixels.
+    """Derivatives of :func:`unproject` by the pixels.
 
-    ``pixels``, ``lens``, ``limit``, ``mapped``, ``radii`` as for :func:`unprojected`; returns (n, 3, 2) 1/px.
+    ``pixels``, ``lens``, ``limit``, ``mapped``, ``radii`` as for :func:`unproject`; returns (n, 3, 2) 1/px.
     """
     result, by_point = np.empty((len(pixels), 3, 2)), np.empty((2, 3))
-    directions = unprojected(pixels, lens, limit, mapped, radii)
+    directions = unproject(pixels, lens, limit, mapped, radii)
     for i in range(len(pixels)):
         _fill_slopes(directions[i, 0], directions[i, 1], directions[i, 2], lens, limit, by_point)
         a = b = d = 0.0  # the pseudo-inverse: the length of a vector does not change its pixel
@@ -144,12 +144,12 @@ def _fill_slopes(x: float, y: float, z: float, lens: Float, limit: float, result
 
 
 @compiled
-def _undistorted(u: float, v: float, lens: Float, limit: float, mapped: Float, radii: Float) -> tuple[float, float]:
+def _undistort(u: float, v: float, lens: Float, limit: float, mapped: Float, radii: Float) -> tuple[float, float]:
     """Point that is imaged at another; NaN if none within the limit is. See PlaneModel."""
     start = _start(math.hypot(u, v), mapped, radii)
     x, y = u * start, v * start
     for _ in range(MAX_NEWTON_STEPS):
-        at_u, at_v = _distorted(x, y, lens)
+        at_u, at_v = _distort(x, y, lens)
         ux, uy, vx, vy = _slopes(x, y, lens)
         inverse = 1.0 / (ux * vy - uy * vx)
         du, dv = at_u - u, at_v - v

@@ -238,7 +238,7 @@ def _ck(job: _Job) -> tuple[Path, ...]:
         raise InputError("a C-kernel needs --instrument, the NAIF code of the camera frame")
     series, frame = attitude_series(job.records, job.camera), job.camera.mission_frame
     if frame is not None:
-        series = series.turned(frame.mission_from_camera(job.camera))
+        series = series.rotate(frame.mission_from_camera(job.camera))
     target = CkTarget(instrument_id=code, frame_name=_frame_name(job.camera, job.options))
     _require_label(series, target.frame_name, job.camera)
     comments = [

@@ -31,12 +31,12 @@ from giantlike.cislunar.udu import (
     scalar_update,
 )
 from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
-from giantlike.core.deprecation import moved
+from giantlike.core.deprecation import forward_names
 from giantlike.core.frames import skew
 from giantlike.core.values import Value
 from giantlike.dynamics import PointMasses, cislunar, fly
 
-__getattr__ = moved(__name__, {__name__: "predicted:predict_measurement"}, until="0.4")
+__getattr__ = forward_names(__name__, {__name__: "predicted:predict_measurement"}, until="0.4")
 
 POSITION, VELOCITY = slice(0, 3), slice(3, 6)
 ATTITUDE, ACCELERATION = slice(6, 9), slice(9, 12)

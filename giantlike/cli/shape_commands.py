@@ -17,12 +17,12 @@ from giantlike.cli.arguments import Json, Overwrite, Units, UnitsOption
 from giantlike.cli.outcome import ExitCode, Results, say, show_result, show_results
 from giantlike.core.errors import InputError, OpNavError
 from giantlike.shapes import TriangleMesh, load_shape, save_shape
-from giantlike.shapes.decimate import decimated, deviation
+from giantlike.shapes.decimate import decimate_mesh, deviation
 from giantlike.shapes.defects import defects_of
 from giantlike.shapes.files.dsk import DskIdentity
 from giantlike.shapes.load import UnitsWarning, mesh_of, read_surface
-from giantlike.shapes.measure import Measures, measured
-from giantlike.shapes.repair import repaired
+from giantlike.shapes.measure import Measures, measure_mesh
+from giantlike.shapes.repair import repair_surface
 from giantlike.shapes.save import keeps_albedo
 
 _KEYS = MappingProxyType(
@@ -91,7 +91,7 @@ def convert(
         surface = read_surface(source, units=units)
     lines: list[str] = []
     if repair:
-        mended = repaired(surface)
+        mended = repair_surface(surface)
         surface = mended.surface
         lines = [
             f"found: {mended.before.text() or 'no defects'}",
@@ -122,7 +122,7 @@ def decimate(
     dsk = _dsk_identity(target, dsk_center, dsk_frame, dsk_surface)
     with units_said():
         mesh = load_shape(source, units=units)
-    coarse = decimated(mesh, facets)
+    coarse = decimate_mesh(mesh, facets)
     change = deviation(mesh, coarse)
     with _kernels_loaded(dsk_kernel):
         save_shape(coarse, target, overwrite=overwrite, dsk=dsk)
@@ -189,7 +189,7 @@ def _info(path: Path, units: str) -> dict[str, Any]:
             "defects": asdict(found),
         }
         mesh = mesh_of(path, surface)
-        measures = measured(mesh)
+        measures = measure_mesh(mesh)
     except OpNavError as error:
         return values | {"detail": str(error)}
     for field in fields(measures):

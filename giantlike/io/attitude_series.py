@@ -64,7 +64,7 @@ class AttitudeSeries(Value):
         """Return attitudes (all by default) with the names of their frames. ``index`` slice or (k,)."""
         return FrameRotation(rotation=self.camera_from_inertial[index], target=self.frame, source=INERTIAL_FRAME)
 
-    def turned(self, turn: FrameRotation) -> AttitudeSeries:
+    def rotate(self, turn: FrameRotation) -> AttitudeSeries:
         """Return the series of another frame that is fixed with respect to this one."""
         product, matrix = turn * self.attitudes(), turn.rotation.as_matrix()
         return replace(
@@ -139,8 +139,8 @@ def read_attitude_csv(path: str | Path) -> AttitudeSeries:
 def read_attitude_table(path: str | Path) -> tuple[AttitudeSeries | None, tuple[UntimedAttitude, ...]]:
     """Read a table of attitudes of which some, or all, may have no epoch."""
     rows = read_csv_rows(path, _COLUMNS, _QUATERNION)
-    untimed = tuple(_untimed(row) for row in rows if not _has_epoch(row))
-    parts = sorted((_parsed(row) for row in rows if _has_epoch(row)), key=lambda part: part[0])
+    untimed = tuple(_parse_untimed(row) for row in rows if not _has_epoch(row))
+    parts = sorted((_parse_row(row) for row in rows if _has_epoch(row)), key=lambda part: part[0])
     if untimed and not parts:
         return None, untimed
     series = AttitudeSeries(
@@ -163,23 +163,23 @@ def _has_epoch(row: CsvRow) -> bool:
     return bool(row.text("epoch_utc") or row.text("et"))
 
 
-def _untimed(row: CsvRow) -> UntimedAttitude:
-    rotation, covariance = _measured(row)
+def _parse_untimed(row: CsvRow) -> UntimedAttitude:
+    rotation, covariance = _parse_attitude(row)
     name = row.text("name")
     if name is None:
         raise row.error("name", "a row needs epoch_utc or et, or the name of its image")
     return UntimedAttitude(name=name, camera_from_inertial=rotation, covariance_rad2=covariance)
 
 
-def _parsed(row: CsvRow) -> tuple[float, Rotation, Float, str]:
+def _parse_row(row: CsvRow) -> tuple[float, Rotation, Float, str]:
     """Epoch, attitude, covariance (3, 3) and name of a row."""
-    rotation, covariance = _measured(row)
+    rotation, covariance = _parse_attitude(row)
     return row.et(), rotation, covariance, row.text("name") or f"line {row.line}"
 
 
-def _measured(row: CsvRow) -> tuple[Rotation, Float]:
+def _parse_attitude(row: CsvRow) -> tuple[Rotation, Float]:
     """Attitude of a row and its covariance (3, 3), not a number where unknown."""
-    rotation, terms = row.needed(row.rotation(_QUATERNION), _QUATERNION), row.vector(_COVARIANCE)
+    rotation, terms = row.require(row.rotation(_QUATERNION), _QUATERNION), row.vector(_COVARIANCE)
     covariance = np.full((3, 3), np.nan)
     if terms is not None:
         covariance[_UPPER] = terms

@@ -59,7 +59,7 @@ def read_giant_camera(
     element = _element(ElementTree.parse(path).getroot(), name)
     kind = element.get("type", "")
     check(kind in _KINDS, f"camera {element.tag!r} is of type {kind!r}; known are {', '.join(_KINDS)}")
-    return _imported(element.tag, kind, {child.tag: _numbers(child.text or "") for child in element}, boresight)
+    return _make_camera(element.tag, kind, {child.tag: _numbers(child.text or "") for child in element}, boresight)
 
 
 def _element(root: ElementTree.Element, name: str | None) -> ElementTree.Element:
@@ -79,7 +79,7 @@ def _numbers(text: str) -> Float:
     return np.array([float(number) for number in _NUMBER.findall(bare)])
 
 
-def _imported(name: str, kind: str, values: dict[str, Float], boresight: Boresight | None) -> ImportedCamera:
+def _make_camera(name: str, kind: str, values: dict[str, Float], boresight: Boresight | None) -> ImportedCamera:
     """Camera of the values of one element, in our axes."""
     single = {key: float(numbers[0]) for key, numbers in values.items() if numbers.size == 1}
     matrix, focal = _matrix(single, values.get("intrinsic_matrix"))

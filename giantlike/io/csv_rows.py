@@ -45,7 +45,7 @@ class CsvRow:
         """Return a :class:`DataError` that names file, line, column and value."""
         return DataError(self.path, f"line {self.line}, column {column}: {problem}, got {self.cells.get(column, '')!r}")
 
-    def needed(self, value: Value | None, columns: Sequence[str]) -> Value:
+    def require(self, value: Value | None, columns: Sequence[str]) -> Value:
         """Return the value of cells that must not be empty."""
         if value is None:
             raise self.error(columns[0], f"{', '.join(columns)} must be filled in every row")

@@ -76,7 +76,7 @@ def read_ephemeris_table(path: str | Path) -> EphemerisSamples:
             )
     has_velocity, has_body = bool(names & set(_VELOCITY)), bool(names & set(_BODY))
     ordered = [rows[k] for k in order]
-    body = [row.needed(row.rotation(_BODY), _BODY) for row in ordered] if has_body else []
+    body = [row.require(row.rotation(_BODY), _BODY) for row in ordered] if has_body else []
     return EphemerisSamples(
         et=et[order],
         position_km=_vectors(ordered, _POSITION),
@@ -87,4 +87,4 @@ def read_ephemeris_table(path: str | Path) -> EphemerisSamples:
 
 def _vectors(rows: Sequence[CsvRow], columns: tuple[str, ...]) -> Float:
     """Values (n, 3) of three columns, which every row must fill."""
-    return np.array([row.needed(row.vector(columns), columns) for row in rows])
+    return np.array([row.require(row.vector(columns), columns) for row in rows])

@@ -192,7 +192,7 @@ def _open(data: bytes, hdu: int | str | None) -> tuple[dict[str, Card], NDArray[
             inherited = _cards(units[0].header).items()
             cards |= {key: card for key, card in inherited if key not in cards and not _STRUCTURAL.fullmatch(key)}
         if isinstance(unit, fits.CompImageHDU):
-            pixels = _expanded(data, index)
+            pixels = _expand(data, index)
         else:
             counts = _counts(data, unit)
             pixels = np.array(unit.data) if counts is None else counts
@@ -223,7 +223,7 @@ def _counts(data: bytes, unit: Any) -> NDArray[Any] | None:
     return pixels
 
 
-def _expanded(data: bytes, index: int) -> NDArray[Any]:
+def _expand(data: bytes, index: int) -> NDArray[Any]:
     """Pixels of a compressed image, expanded in a separate process: the codes of a damaged one can end it."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{index}.fits"

@@ -16,7 +16,7 @@ from giantlike.core.observer import ObserverState
 from giantlike.core.time import time_from_et
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 from giantlike.io.decoded import HeaderValue
-from giantlike.io.label_times import delayed, midpoint
+from giantlike.io.label_times import add_seconds, midpoint
 
 if TYPE_CHECKING:
     from astropy.time import Time
@@ -109,7 +109,7 @@ def fits_epoch(cards: Mapping[str, Card], exposure_s: float | None) -> Time | No
         return midpoint(start, end)
     elapsed_s = _seconds(cards.get("TELAPSE"))
     duration_s = exposure_s if elapsed_s is None else elapsed_s
-    return None if duration_s is None else delayed(start, duration_s / 2.0)
+    return None if duration_s is None else add_seconds(start, duration_s / 2.0)
 
 
 def fits_attitude(cards: Mapping[str, Card]) -> Rotation | None:
@@ -165,7 +165,7 @@ def fits_observer(cards: Mapping[str, Card], epoch: Time | None) -> ObserverStat
     sun = [n for n in numbers if n is not None and abs(n) < 1e30]  # -1E+32 stands for unknown
     if len(sun) < 6 or epoch is None:
         return None
-    position, velocity = _sun_state(delayed(epoch, -math.hypot(*sun[:3]) / SPEED_OF_LIGHT_KM_S))
+    position, velocity = _sun_state(add_seconds(epoch, -math.hypot(*sun[:3]) / SPEED_OF_LIGHT_KM_S))
     return ObserverState(position_km=position - np.array(sun[:3]), velocity_km_s=velocity - np.array(sun[3:]))
 
 

@@ -118,7 +118,7 @@ class GeometryTable(Value):
     def image(self, file: str) -> ImageGeometry | None:
         """Geometry of one image. Returns None when it is not there."""
         rows = [row for row in self.rows if row.file == file]
-        return _merged(rows) if rows else None
+        return _merge_rows(rows) if rows else None
 
     def match(self, images: Sequence[str | Path], base: str | Path) -> dict[Path, ImageGeometry]:
         """Geometry of each of a campaign's images; images that the table does not name are left out."""
@@ -141,7 +141,7 @@ class GeometryTable(Value):
                     f"({sharing[0]}, {sharing[1]}): write their paths relative to the campaign file",
                 )
             chosen[sharing[0]] = name
-        return {image: _merged(groups[file]) for image, file in chosen.items()}
+        return {image: _merge_rows(groups[file]) for image, file in chosen.items()}
 
 
 def read_geometry(path: str | Path, *, default_target: str | None = None) -> GeometryTable:
@@ -232,7 +232,7 @@ def _row(row: CsvRow, default_target: str | None) -> GeometryRow:
     if described and target is None:
         raise row.error("target", "a target name is needed where its geometry is given")
     return GeometryRow(
-        file=row.needed(row.text("file"), ("file",)),
+        file=row.require(row.text("file"), ("file",)),
         epoch=row.utc("epoch_utc"),
         exposure_s=exposure_s,
         camera_from_inertial=row.rotation(_ATTITUDE),
@@ -278,7 +278,7 @@ def _check_consistency(table: GeometryTable) -> None:
                 )
 
 
-def _merged(rows: list[GeometryRow]) -> ImageGeometry:
+def _merge_rows(rows: list[GeometryRow]) -> ImageGeometry:
     return ImageGeometry(
         epoch=_first(row.epoch for row in rows),
         exposure_s=_first(row.exposure_s for row in rows),

@@ -132,7 +132,7 @@ def read_image_file(path: str | Path, *, hdu: int | str | None = None, bottom_up
 def _read_image(path: Path, hdu: int | str | None) -> ImageFile:
     data = _content(path)
     digest = hashlib.sha256(data).hexdigest()
-    data = _unzipped(path, data)
+    data = _unzip(path, data)
     kind = _sniff(data)
     if hdu is not None and kind != "fits":
         raise InputError(f"hdu={hdu!r} is for FITS files, but {path} is {kind or 'of no known format'}")
@@ -227,7 +227,7 @@ def _content(path: Path) -> bytes:
 
 
 @reads("a gzip file")
-def _unzipped(path: Path, data: bytes) -> bytes:
+def _unzip(path: Path, data: bytes) -> bytes:
     return decompress_gzip(data)
 
 

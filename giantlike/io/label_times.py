@@ -40,7 +40,7 @@ def midpoint(start: Time, stop: Time) -> Time:
     return start + 0.5 * (stop - start)
 
 
-def delayed(epoch: Time, seconds: float) -> Time:
+def add_seconds(epoch: Time, seconds: float) -> Time:
     """Add elapsed time, in which a leap second counts, to an epoch."""
     from astropy.time import TimeDelta
 
@@ -117,7 +117,7 @@ def label_epoch(label: Mapping[str, HeaderValue], exposure_s: float | None) -> T
     if start is not None and stop is not None and stop >= start:
         return midpoint(start, stop)
     if start is not None and exposure_s is not None:
-        return delayed(start, exposure_s / 2.0)
+        return add_seconds(start, exposure_s / 2.0)
     if str(label.get("INSTRUMENT_NAME", "")).replace("_", " ").startswith("SOLID STATE IMAGING"):
         return utc_from_label(label.get("IMAGE_TIME"))
     return _galileo_epoch(label) if label.get("SENSOR") == "SSI" else None

@@ -351,7 +351,7 @@ def _table(schema: Any, items: Sequence[ObservableRow | ObservableBlock]) -> Any
     repeats, starts = np.repeat(np.arange(len(items)), counts), np.cumsum([0, *counts[:-1]])
     arrays = []
     for field in schema:
-        cells = [_shared(item, field.name) for item in items]
+        cells = [_find_shared(item, field.name) for item in items]
         array = pa.array(cells, type=field.type).take(repeats)
         if any(field.name in of_item for of_item in columns):
             pieces = [
@@ -363,7 +363,7 @@ def _table(schema: Any, items: Sequence[ObservableRow | ObservableBlock]) -> Any
     return pa.Table.from_arrays(arrays, schema=schema)
 
 
-def _shared(item: ObservableRow | ObservableBlock, name: str) -> Any:
+def _find_shared(item: ObservableRow | ObservableBlock, name: str) -> Any:
     """Cell that all rows of an item have; None where they differ."""
     return item.shared.get(name) if isinstance(item, ObservableBlock) else getattr(item, name)
 

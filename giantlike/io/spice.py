@@ -141,7 +141,7 @@ def load_kernels(patterns: Sequence[str | Path], base: str | Path, *, trusted: b
 
     paths: list[Path] = []
     for path in find_kernels(patterns, base):
-        expanded = _expanded(path)
+        expanded = _list_kernels(path)
         paths = [known for known in paths if known not in expanded] + expanded
     if not trusted:
         _require_loadable(paths)
@@ -273,7 +273,7 @@ def _ask(question: Callable[[], Answer], et: float | None, subject: str, advice:
         raise CoverageError(f"{subject}{when}: {advice} ({message})") from error
 
 
-def _expanded(path: Path, depth: int = 0) -> list[Path]:
+def _list_kernels(path: Path, depth: int = 0) -> list[Path]:
     """The kernel itself, checked, or the kernels that a meta-kernel lists."""
     text = _kernel_text(path)
     listed = [] if text is None else _meta_kernel_paths(path, text)
@@ -286,7 +286,7 @@ def _expanded(path: Path, depth: int = 0) -> list[Path]:
         full = path.parent / name
         if not full.is_file():
             raise DataError(path, f"the meta-kernel lists {name!r}, but {full} does not exist")
-        paths += _expanded(full, depth + 1)
+        paths += _list_kernels(full, depth + 1)
     return paths
 
 
@@ -315,10 +315,10 @@ def _meta_kernel_paths(path: Path, text: str) -> list[str]:
     for name, value in _ASSIGNMENT.findall(data):
         strings = [quoted.replace("''", "'") for quoted in _QUOTED.findall(value)]
         variables.setdefault(name.upper(), []).extend(strings)
-    names = _joined(variables.get("KERNELS_TO_LOAD", []))
+    names = _join_continued(variables.get("KERNELS_TO_LOAD", []))
     if not names:
         return []
-    symbols, values = variables.get("PATH_SYMBOLS", []), _joined(variables.get("PATH_VALUES", []))
+    symbols, values = variables.get("PATH_SYMBOLS", []), _join_continued(variables.get("PATH_VALUES", []))
     if len(symbols) != len(values):
         raise DataError(path, f"the meta-kernel has {len(symbols)} PATH_SYMBOLS, but {len(values)} PATH_VALUES")
     others = sorted(set(variables) - {"KERNELS_TO_LOAD", "PATH_SYMBOLS", "PATH_VALUES"})
@@ -331,7 +331,7 @@ def _meta_kernel_paths(path: Path, text: str) -> list[str]:
     return names
 
 
-def _joined(strings: list[str]) -> list[str]:
+def _join_continued(strings: list[str]) -> list[str]:
     """Strings of which one that ends in ``+`` is continued by the next."""
     joined: list[str] = []
     continues = False

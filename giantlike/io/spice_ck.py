@@ -87,7 +87,7 @@ def write_ck(
         frame = path.with_suffix(".tf")
         write_text_atomic(frame, _frame_kernel(target))
         written += [sclk, frame]
-    padded = None if max_gap_s is None else _padded(series, max_gap_s)
+    padded = None if max_gap_s is None else _pad_runs(series, max_gap_s)
     et, quaternions = (series.et, series.quaternions_xyzw) if padded is None else (padded.et, padded.quaternions_xyzw)
     spice_quaternions = np.ascontiguousarray(np.roll(quaternions, 1, axis=1))
     try:
@@ -122,7 +122,7 @@ class _Padded(Value):
     starts: NDArray[np.intp]
 
 
-def _padded(series: AttitudeSeries, max_gap_s: float) -> _Padded:
+def _pad_runs(series: AttitudeSeries, max_gap_s: float) -> _Padded:
     """Attitudes with the first and last of each run held still for a margin, or a third of the time to the next run."""
     parts = series.segments(max_gap_s)
     gaps = [series.et[after.start] - series.et[before.stop - 1] for before, after in pairwise(parts)]

@@ -91,7 +91,7 @@ def read_rows(path: Path, kind: type[Row]) -> list[Row]:
 def _cell(row: CsvRow, column: Column) -> str | int | float | None:
     text = row.text(column.name)
     if column.required:
-        row.needed(text, (column.name,))
+        row.require(text, (column.name,))
     if text is None or column.kind == "text":
         return text
     try:

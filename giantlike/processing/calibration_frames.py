@@ -90,10 +90,10 @@ def combine_frames(
         bad = np.isnan(stack[0])
         pixels = np.where(bad, 0.0, stack[0]).astype(np.float32)
         return CombinedFrame(pixels=pixels, mask=bad, noise=sky_noise(pixels, bad), count=1)
-    return _averaged(stack)
+    return _average(stack)
 
 
-def _averaged(stack: NDArray[np.float32]) -> CombinedFrame:
+def _average(stack: NDArray[np.float32]) -> CombinedFrame:
     """Clipped mean of exposures (n, rows, columns), whose bad pixels are NaN."""
     count, rows, columns = stack.shape
     steps = np.diff(stack[:, ::3, ::3], axis=0)
@@ -104,7 +104,7 @@ def _averaged(stack: NDArray[np.float32]) -> CombinedFrame:
     for first in range(0, rows, _BLOCK_ROWS):
         part = slice(first, first + _BLOCK_ROWS)
         block = stack[:, part].astype(np.float64)
-        kept = _unclipped(block, sigma) if count >= 3 else np.isfinite(block)
+        kept = _is_near_median(block, sigma) if count >= 3 else np.isfinite(block)
         number[part] = kept.sum(axis=0)
         pixels[part] = np.where(kept, block, 0.0).sum(axis=0) / np.maximum(number[part], 1)
         squares[part] = np.where(kept, (block - pixels[part]) ** 2, 0.0).sum(axis=0)
@@ -113,7 +113,7 @@ def _averaged(stack: NDArray[np.float32]) -> CombinedFrame:
     return CombinedFrame(pixels=pixels, mask=number == 0, noise=math.sqrt(variance / count), count=count)
 
 
-def _unclipped(block: Float, sigma: float) -> Mask:
+def _is_near_median(block: Float, sigma: float) -> Mask:
     """True where a value (n, rows, columns) is finite and near the median of its pixel."""
     finite = np.isfinite(block)
     middle = np.maximum((finite.sum(axis=0) - 1) // 2, 0)[None]

@@ -94,7 +94,7 @@ def normalized_correlation(
         return _whole(image, template)
     image_ok = np.ones(image.shape, bool) if image_usable is None else image_usable
     template_ok = np.ones(template.shape, bool) if template_usable is None else template_usable
-    return _masked(image, image_ok, template, template_ok, min_overlap)
+    return _correlate_masked(image, image_ok, template, template_ok, min_overlap)
 
 
 def find_peak(surface: Float, *, n_pixels: int = 0) -> CorrelationPeak | None:
@@ -191,7 +191,7 @@ def _whole(image: Float, template: Float) -> Float:
     return surface
 
 
-def _masked(image: Float, image_ok: Mask, template: Float, template_ok: Mask, min_overlap: float) -> Float:
+def _correlate_masked(image: Float, image_ok: Mask, template: Float, template_ok: Mask, min_overlap: float) -> Float:
     """Correlation over the pixels that are usable in both."""
     rows, columns = image.shape[0] - template.shape[0] + 1, image.shape[1] - template.shape[1] + 1
     if not (image_ok.any() and template_ok.any()):
@@ -199,8 +199,8 @@ def _masked(image: Float, image_ok: Mask, template: Float, template_ok: Mask, mi
     flat = np.where(image_ok, image - image[image_ok].mean(), 0.0)
     pattern = np.where(template_ok, template - template[template_ok].mean(), 0.0)
     scales = float(np.abs(flat).max()) or 1.0, float(np.abs(pattern).max()) or 1.0
-    summed = _summed_directly if rows * columns <= _FEW_SHIFTS else _summed_by_fft
-    count, sum_i, sum_t, square_i, square_t, product = summed(
+    sums = _sum_directly if rows * columns <= _FEW_SHIFTS else _sum_by_fft
+    count, sum_i, sum_t, square_i, square_t, product = sums(
         flat / scales[0], image_ok, pattern / scales[1], template_ok
     )
     enough = count >= max(min_overlap * float(count.max()), 3.0)
@@ -219,7 +219,7 @@ _Sums: TypeAlias = tuple[Float, Float, Float, Float, Float, Float]
 squares of both, and of their product."""
 
 
-def _summed_by_fft(flat: Float, image_ok: Mask, pattern: Float, template_ok: Mask) -> _Sums:
+def _sum_by_fft(flat: Float, image_ok: Mask, pattern: Float, template_ok: Mask) -> _Sums:
     """Sums for all shifts of a template within an image, both zero where they are not usable."""
     from scipy import fft
 
@@ -230,21 +230,21 @@ def _summed_by_fft(flat: Float, image_ok: Mask, pattern: Float, template_ok: Mas
         np.conj(fft.rfft2(a, size)) for a in (template_ok.astype(np.float64), pattern, pattern**2)
     )
 
-    def summed(spectrum: NDArray[np.complex128]) -> Float:
+    def sum_products(spectrum: NDArray[np.complex128]) -> Float:
         return np.asarray(fft.irfft2(spectrum, size)[:rows, :columns])
 
     return (
-        np.rint(summed(ones_i * ones_t)),
-        summed(flat_i * ones_t),
-        summed(ones_i * pattern_t),
-        summed(square_i * ones_t),
-        summed(ones_i * square_t),
-        summed(flat_i * pattern_t),
+        np.rint(sum_products(ones_i * ones_t)),
+        sum_products(flat_i * ones_t),
+        sum_products(ones_i * pattern_t),
+        sum_products(square_i * ones_t),
+        sum_products(ones_i * square_t),
+        sum_products(flat_i * pattern_t),
     )
 
 
-def _summed_directly(flat: Float, image_ok: Mask, pattern: Float, template_ok: Mask) -> _Sums:
-    """Return :func:`_summed_by_fft`, shift by shift."""
+def _sum_directly(flat: Float, image_ok: Mask, pattern: Float, template_ok: Mask) -> _Sums:
+    """Return :func:`_sum_by_fft`, shift by shift."""
     shape = flat.shape[0] - pattern.shape[0] + 1, flat.shape[1] - pattern.shape[1] + 1
     values = pattern[template_ok]
     of_template = np.stack([np.ones(values.size), values, values**2])

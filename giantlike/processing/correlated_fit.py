@@ -82,7 +82,7 @@ def _robust(residuals: Float, design: Float, sigma: Float, outlier_mad: float) -
         x[:, i] = design[:, i] / scale[i]
     weights, solution, left = np.ones(n), np.zeros(size), residuals.copy()
     for _ in range(_ITERATIONS):
-        solution = _weighted(residuals, x, weights)
+        solution = _solve_weighted(residuals, x, weights)
         if _remains(residuals, x, solution, left) < _START_REST * floor:
             break
         weights = 1.0 / np.maximum(np.abs(left), floor + _scatter(left))
@@ -91,14 +91,14 @@ def _robust(residuals: Float, design: Float, sigma: Float, outlier_mad: float) -
         biweight = np.maximum(1.0 - left**2 / ((_TUKEY_LIMIT * outlier_mad) ** 2 * variance), 0.0) ** 2
         if np.count_nonzero(biweight) <= size:
             break
-        solution = _weighted(residuals, x, biweight / variance)
+        solution = _solve_weighted(residuals, x, biweight / variance)
         if _remains(residuals, x, solution, left) < _REST * floor:
             break
     return solution / scale, np.abs(left) <= outlier_mad * np.sqrt(sigma**2 + _scatter(left) ** 2)
 
 
 @compiled
-def _weighted(residuals: Float, design: Float, weights: Float) -> Float:
+def _solve_weighted(residuals: Float, design: Float, weights: Float) -> Float:
     """Weighted least squares (k,); with a ridge where the design (n, k), of unit columns, is singular."""
     n, size = design.shape
     normal, right = np.zeros((size, size)), np.zeros((size, 1))
@@ -196,7 +196,7 @@ def correlated_solution(
     lengths = np.exp(np.arange(np.log(min_length), np.log(longest), np.log(_LENGTH_STEP)))
     ratios, grid = (part.ravel() for part in np.meshgrid(_RATIOS, lengths))  # one length after the other
     values = np.concatenate([residuals[:, None], design / scale], axis=1) / typical
-    white, log_determinant = _whitened(values, (sigma / typical) ** 2, np.exp(-steps[:, None] / grid), ratios)
+    white, log_determinant = _whiten(values, (sigma / typical) ** 2, np.exp(-steps[:, None] / grid), ratios)
     likelihood, solutions, covariances, noise = _restricted_likelihoods(white, log_determinant)
     chance = np.exp(likelihood - likelihood.max())
     chance /= chance.sum()
@@ -213,7 +213,7 @@ def correlated_solution(
     )
 
 
-def _whitened(values: Float, noise: Float, memory: Float, ratios: Float) -> tuple[Float, Float]:
+def _whiten(values: Float, noise: Float, memory: Float, ratios: Float) -> tuple[Float, Float]:
     """Whiten columns of values under g covariances: values of variance 1 (g, n, columns), and log determinants (g,).
 
     Noise of variance ``noise`` (n,) is added to a part of variance ``ratios`` (g,) whose correlation from one value to

@@ -236,7 +236,7 @@ class _Readout(Value):
         stored, image = image, image.linearized(detector)
         detector = image.detector or detector
         detector = detector.of_image(image.pixels, image.mask, step_dn=image.step_dn)
-        frame = FrameLines.of(image.pixels, detector.bias_dn)
+        frame = FrameLines.from_frame(image.pixels, detector.bias_dn)
         limit_dn = min(detector.saturation_dn, _type_limit(image.pixels), _plateau_dn(image, frame, detector))
         saturated = image.pixels >= limit_dn
         masked = _bad_pixels(image, frame, detector)

@@ -127,7 +127,7 @@ def _identify_shifted(
             f"the best of {options.ransac_iterations} samples agrees with {n_inliers} of {len(pairs)} pairs to "
             f"{options.inlier_px:g} px, {options.min_matches} are needed",
         )
-    return _verified(directions_inertial, points_px, camera, rotation, options)
+    return _verify(directions_inertial, points_px, camera, rotation, options)
 
 
 def common_shift_px(predicted_px: Float, points_px: Float, max_distance_px: float, spread_px: float) -> Float:
@@ -186,7 +186,7 @@ def ransac_attitude(
     return Rotation.from_quat(davenport_quaternions(directions[chosen], vectors[chosen])), most
 
 
-def _verified(
+def _verify(
     directions_inertial: Float, points_px: Float, camera: Camera, rotation: Rotation, options: StarOptions
 ) -> Identification | Failure:
     """Match all stars with an attitude, and refuse it if the matches may be random."""

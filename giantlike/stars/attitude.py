@@ -170,7 +170,7 @@ class _Stars(Value):
     def select(self, which: Mask) -> _Stars:
         return select_rows(self, which)
 
-    def inflated(self, floor_px: float, factor: float = 1.0) -> _Stars:
+    def inflate(self, floor_px: float, factor: float = 1.0) -> _Stars:
         """Stars with their standard deviations scaled and an error floor added to every covariance."""
         return replace(self, covariance_px2=factor**2 * self.covariance_px2 + floor_px**2 * np.eye(2))
 
@@ -179,7 +179,7 @@ class _Stars(Value):
         """Standard deviations (n,) per axis, px."""
         return np.asarray(np.sqrt(np.trace(self.covariance_px2, axis1=1, axis2=2) / 2.0))
 
-    def balanced(self) -> _Stars:
+    def limit_weights(self) -> _Stars:
         """Stars with weights limited, so that the error of one is not the error of the whole attitude."""
         weights = self.sigma_px**-2
         best = int(np.argmax(weights))
@@ -222,7 +222,7 @@ class _AttitudeState:
             columns.append(self.model.parameter_jacobian(vectors)[..., chosen])
         return np.concatenate(columns, axis=-1)
 
-    def moved(self, step: Float) -> _AttitudeState:
+    def apply_step(self, step: Float) -> _AttitudeState:
         model = self.model
         if step.size > 3:
             values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
@@ -263,7 +263,7 @@ def _gauss_newton(state: _AttitudeState, stars: _Stars, scale: Scale) -> tuple[_
         if not np.linalg.cond(scaled) < 1e12:
             return Failure(Reason.DEGENERATE_GEOMETRY, f"{len(residuals)} stars do not fix all parameters of the fit")
         step = np.linalg.solve(scaled, gradient * units) * units
-        state = state.moved(step)
+        state = state.apply_step(step)
         if np.abs(step).max() < _STEP_RAD:
             return state, np.linalg.inv(scaled) * np.outer(units, units)
     return Failure(Reason.NOT_CONVERGED, f"the fit of {len(residuals)} stars did not converge in {_MAX_STEPS} steps")
@@ -276,11 +276,11 @@ def _without_outliers(
     for _ in range(_MAX_ROUNDS):
         chosen = stars.select(used)
         floor = error_floor(chosen.residuals(state), chosen.covariance_px2)
-        fitted = fit(state, chosen.inflated(floor), scale)
+        fitted = fit(state, chosen.inflate(floor), scale)
         if isinstance(fitted, Failure):
             return fitted
         state, _ = fitted
-        allowed = stars.inflated(error_floor(chosen.residuals(state), chosen.covariance_px2))
+        allowed = stars.inflate(error_floor(chosen.residuals(state), chosen.covariance_px2))
         keep = np.asarray(squared_residuals(allowed.residuals(state), allowed.covariance_px2) <= outlier_sigma**2)
         if 2 * int(keep.sum()) < 4 + scale:
             return Failure(Reason.NOT_CONVERGED, f"only {int(keep.sum())} of {len(keep)} stars agree with one attitude")
@@ -303,27 +303,27 @@ def _solution(
     factor, floor = 1.0, 0.0
     if freedom > 0 and float(gammainc(freedom / 2.0, plain / 2.0)) > _NOISE_EXPLAINS:
         factor, floor = error_terms(chosen.residuals(state), chosen.covariance_px2, freedom=freedom)
-    told = stars.inflated(floor, factor)
-    weighted = told.select(used).balanced()
+    inflated = stars.inflate(floor, factor)
+    weighted = inflated.select(used).limit_weights()
     if not np.array_equal(weighted.covariance_px2, chosen.covariance_px2):
         fitted = fit(state, weighted, scale)
         if isinstance(fitted, Failure):
             return fitted
     state = fitted[0]
     by_pixels = _by_pixels(state, weighted, scale)
-    sigma_px = told.sigma_px
+    sigma_px = inflated.sigma_px
     sigma_px[used] = weighted.sigma_px
-    covariance_rad2, hidden_px, shared_px = _propagated(by_pixels, told.select(used)), 0.0, 0.0
+    covariance_rad2, hidden_px, shared_px = _propagate(by_pixels, inflated.select(used)), 0.0, 0.0
     likely = False
     few = int(used.sum()) <= MOST_WEIGHED
-    own = chosen if few else chosen.inflated(0.0, factor)
+    own = chosen if few else chosen.inflate(0.0, factor)
     left = _residuals(state, own, by_pixels, scale, uncertain)
     if left.residuals_px.size > left.jacobian.shape[-1]:
-        beyond = unmodeled_errors(left if few else left.gathered(), own_told=not few)
-        within_cells = not few and beyond.own_px > 0.0 and left.alike(told.sigma_px[used])
+        beyond = unmodeled_errors(left if few else left.average_cells(), own_included=not few)
+        within_cells = not few and beyond.own_px > 0.0 and left.alike(inflated.sigma_px[used])
         likely = beyond.likely or within_cells
         if likely or (floor == 0.0 and factor == 1.0):
-            covariance_rad2 = _propagated(by_pixels, own) + beyond.covariance_rad2
+            covariance_rad2 = _propagate(by_pixels, own) + beyond.covariance_rad2
             hidden_px, shared_px = beyond.own_px if floor == 0.0 else 0.0, beyond.shared_px
     return AttitudeSolution(
         camera_from_inertial=state.rotation,
@@ -356,7 +356,7 @@ def _residuals(
     )
 
 
-def _propagated(by_pixels: Float, stars: _Stars) -> Float:
+def _propagate(by_pixels: Float, stars: _Stars) -> Float:
     """Covariance (3, 3) of the rotation, rad^2, by errors of the stars."""
     covariance: Float = np.einsum("ina,nab,jnb->ij", by_pixels, stars.covariance_px2, by_pixels, optimize=True)
     return covariance

@@ -220,7 +220,7 @@ class _IdentificationProblem(Value):
                     return
                 found = find_candidates(index, vectors, group, scope)
                 found = found if self.apriori is None else found.select(self._near(found.matrices))
-                gathered = found if gathered is None else gathered.joined(found)
+                gathered = found if gathered is None else gathered.union(found)
             if gathered is not None:
                 shared = hypotheses(gathered, index, vectors, scope, least=least)
                 yield from itertools.islice(shared, _TRIED)

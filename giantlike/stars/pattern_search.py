@@ -14,7 +14,7 @@ from giantlike.core.arrays import Float, Mask, unit
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import davenport_quaternions
 from giantlike.stars.patterns import describe_quads, describe_triads
-from giantlike.stars.star_index import Pattern, StarIndex, cap_radius_rad, caps, scattered, subsets
+from giantlike.stars.star_index import Pattern, StarIndex, cap_radius_rad, caps, hash_rows, subsets
 
 _INSIDE = 0.9  # radius of a cap over the half field of view: caps of the index then lie inside the image
 _PER_CAP = 16  # detections: a third of the brightest may be false and one in five stars missing
@@ -69,7 +69,7 @@ class PatternCandidates(Value):
     def __len__(self) -> int:
         return len(self.matrices)
 
-    def joined(self, other: PatternCandidates) -> PatternCandidates:
+    def union(self, other: PatternCandidates) -> PatternCandidates:
         """Union with other candidates, each once."""
         both = PatternCandidates(
             np.concatenate([self.detections, other.detections]),
@@ -77,7 +77,7 @@ class PatternCandidates(Value):
             np.concatenate([self.matrices, other.matrices]),
             np.concatenate([self.scales, other.scales]),
         )
-        number = scattered(np.concatenate([both.detections, both.stars], axis=1))
+        number = hash_rows(np.concatenate([both.detections, both.stars], axis=1))
         return both.select(np.sort(np.unique(number, return_index=True)[1]))
 
     def select(self, chosen: Mask | NDArray[np.intp]) -> PatternCandidates:
@@ -174,12 +174,12 @@ def hypotheses(
             continue
         members = np.asarray(tree.query_ball_point(tree.data[peak], reach), dtype=np.intp)
         taken[members] = True
-        shared = _shared(candidates, members, index, vectors, scope)
+        shared = _pair_stars(candidates, members, index, vectors, scope)
         if len(shared.star_ids) > 3:
             yield shared
 
 
-def _shared(
+def _pair_stars(
     candidates: PatternCandidates, members: NDArray[np.intp], index: StarIndex, vectors: Float, scope: Scope
 ) -> Hypothesis:
     """One-to-one pairs of stars and detections from candidates that agree, and the attitude of all pairs."""

@@ -101,4 +101,4 @@ def read_rates(path: str | Path) -> AngularRates:
 
 
 def _sample(row: CsvRow) -> tuple[float, Float]:
-    return row.et(), row.needed(row.vector(_RATE), _RATE)
+    return row.et(), row.require(row.vector(_RATE), _RATE)

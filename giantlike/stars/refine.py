@@ -106,7 +106,7 @@ def refine_attitude(
         if radius == options.inlier_px and moved <= _SETTLED * radius:
             break
         previous, radius = now, options.inlier_px
-    return refinement.accepted(matches, solution, camera)
+    return refinement.judge(matches, solution, camera)
 
 
 def significant_matches(predicted_px: Float, points_px: Float, radius_px: float, area_px2: float) -> Matches:
@@ -178,7 +178,7 @@ class _Refinement(Value):
             uncertain=() if camera.uncertainty is None else camera.uncertainty.estimated,
         )
 
-    def accepted(self, matches: Matches, solution: AttitudeSolution, camera: Camera) -> RefinedAttitude | Failure:
+    def judge(self, matches: Matches, solution: AttitudeSolution, camera: Camera) -> RefinedAttitude | Failure:
         """Refined attitude, or a failure if so many random matches this close are too probable."""
         options, points_px, used = self.options, self.points_px, solution.used
         n_used = int(used.sum())

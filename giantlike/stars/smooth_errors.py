@@ -96,7 +96,7 @@ class AttitudeResiduals(Value):
         correlation = float(np.mean(normalized * normalized[nearest])) / max(float(np.mean(normalized**2)), 1e-12)
         return correlation > _SIGNIFICANT * math.sqrt((1.0 + _MUTUAL) / normalized.size)
 
-    def gathered(self) -> AttitudeResiduals:
+    def average_cells(self) -> AttitudeResiduals:
         """Means of the stars in each cell of the field, by their weights; shared errors are preserved."""
         low, high = self.points_px.min(axis=0), self.points_px.max(axis=0)
         cells = np.minimum(_CELLS * (self.points_px - low) / np.maximum(high - low, 1.0), _CELLS - 1).astype(np.intp)
@@ -115,7 +115,7 @@ class AttitudeResiduals(Value):
         )
 
 
-def unmodeled_errors(left: AttitudeResiduals, *, own_told: bool = False) -> UnmodeledErrors:
+def unmodeled_errors(left: AttitudeResiduals, *, own_included: bool = False) -> UnmodeledErrors:
     """Weigh errors of all sizes and lengths by the residuals of a fit, into :class:`UnmodeledErrors`.
 
     Notes
@@ -163,7 +163,7 @@ def unmodeled_errors(left: AttitudeResiduals, *, own_told: bool = False) -> Unmo
     weights = np.exp(weights - most)
     without = math.exp(none - most)
     own, shared, usual, chance = float(weights[2].sum()), float(weights[3:].sum()), without, _NONE
-    if own_told:
+    if own_included:
         usual, chance = without + own, _NONE + _PRIOR
     everything = float(weights.sum()) + without
     likely = (everything - usual) * chance > _LIKELIER * (1.0 - chance) * usual
@@ -182,7 +182,7 @@ def unmodeled_errors(left: AttitudeResiduals, *, own_told: bool = False) -> Unmo
         covariance_rad2=np.tensordot(squares, responses, axes=1),
         own_px=math.sqrt(float(squares[2])),
         scale_px=math.sqrt(float(squares[1])),
-        shared_px=math.sqrt(float(squares[3:] @ _told(alike[1:]))),
+        shared_px=math.sqrt(float(squares[3:] @ _reported_fractions(alike[1:]))),
     )
 
 
@@ -195,7 +195,7 @@ def _kernels(points_px: Float) -> Float:
     return np.stack([np.eye(len(points_px)), *stepped, *smooth])
 
 
-def _told(shared: Float) -> Float:
+def _reported_fractions(shared: Float) -> Float:
     """Fractions (m,) of the variances of shared errors by which :class:`UnmodeledErrors` reports them."""
     smooth = 1.0 - shared[len(_STEPPED) :].mean(axis=(1, 2))
     return np.concatenate([np.ones(len(_STEPPED)), smooth])

@@ -155,7 +155,7 @@ def build_index(
     members = _brightest_in_caps(directions, radius_rad, centers, density.per_cap)
     combinations = members[:, subsets(density.per_cap, size)].reshape(-1, size)
     combinations = combinations[combinations[:, -1] < len(directions)]
-    combinations = combinations[np.unique(scattered(combinations), return_index=True)[1]]
+    combinations = combinations[np.unique(hash_rows(combinations), return_index=True)[1]]
     widest = float(2.0 * np.sin(min(radius_rad, np.pi / 2.0)))
     parts = [
         _cells(pattern, directions, combinations[start : start + _CHUNK], widest)
@@ -180,7 +180,7 @@ def subsets(n: int, size: int) -> NDArray[np.intp]:
     return np.array(list(itertools.combinations(range(n), size)), dtype=np.intp).reshape(-1, size)
 
 
-def scattered(rows: NDArray[np.intp]) -> NDArray[np.uint64]:
+def hash_rows(rows: NDArray[np.intp]) -> NDArray[np.uint64]:
     """Hash (m,) of each row (m, up to 8): two different rows collide with a probability of 1e-19."""
     return rows.astype(np.uint64) @ _MIX[: rows.shape[1]]
 
@@ -254,7 +254,7 @@ def sky_index(
     key = (id(catalog), pattern, _step(radius_rad), max_magnitude)
     held = _memory.get(key)
     if held is None:
-        held = (catalog, _stored(catalog, pattern, cap_radius_rad(radius_rad), max_magnitude))
+        held = (catalog, _load_or_build(catalog, pattern, cap_radius_rad(radius_rad), max_magnitude))
         _memory[key] = held
         while len(_memory) > _KEPT:
             _memory.popitem(last=False)
@@ -267,7 +267,7 @@ def _step(radius_rad: float) -> int:
     return min(max(step, _NARROWEST_STEP), _WIDEST_STEP)
 
 
-def _stored(catalog: StarCatalog, pattern: Pattern, radius_rad: float, max_magnitude: float | None) -> StarIndex:
+def _load_or_build(catalog: StarCatalog, pattern: Pattern, radius_rad: float, max_magnitude: float | None) -> StarIndex:
     stars = _brightest(catalog, density_for(radius_rad).stars_wanted(radius_rad), max_magnitude)
     digest = hashlib.sha256(stars.ids.tobytes() + stars.ra_deg.tobytes() + stars.dec_deg.tobytes()).hexdigest()[:16]
     name = f"star-index-{_FORMAT}-{pattern}-{math.degrees(radius_rad):.3f}-{digest}.npz"

@@ -228,7 +228,7 @@ def _from_one(
 ) -> TransferredAttitude:
     star = stars[index]
     gap = abs(star.et - et)
-    covariance, errors = _carried([star], [relative.as_matrix()], _walk(gap, options))
+    covariance, errors = _propagate([star], [relative.as_matrix()], _walk(gap, options))
     return TransferredAttitude(
         camera_from_inertial=relative * star.camera_from_inertial,
         covariance_rad2=covariance,
@@ -251,7 +251,7 @@ def _between(
     by_second = rate @ np.linalg.inv(_left_jacobian(turn))
     by_first = part.as_matrix() - rate @ np.linalg.inv(_left_jacobian(-turn))
     drift = _walk(weight * (1 - weight) * span, options)
-    covariance, errors = _carried([first, second], [by_first, by_second], drift)
+    covariance, errors = _propagate([first, second], [by_first, by_second], drift)
     return TransferredAttitude(
         camera_from_inertial=part * first.camera_from_inertial,
         covariance_rad2=covariance,
@@ -262,7 +262,7 @@ def _between(
     )
 
 
-def _carried(stars: Sequence[StarAttitude], by_stars: Sequence[Float], drift: Float) -> tuple[Float, AttitudeErrors]:
+def _propagate(stars: Sequence[StarAttitude], by_stars: Sequence[Float], drift: Float) -> tuple[Float, AttitudeErrors]:
     """Covariance (3, 3) and errors of ``sum(B e) + drift`` of star solutions with errors ``e``.
 
     Noise is new in each solution. Other causes (the camera, the velocity of the observer) are common to all of them:

@@ -226,7 +226,7 @@ def _profile(
     second = np.cross(first, toward)
     angles: Float = np.arange(count, dtype=np.float64) * (2.0 * math.pi / count)
     across = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
-    limb = _SmoothLimb.of(np.asarray(radii), toward, across, distance)
+    limb = _SmoothLimb.from_ellipsoid(np.asarray(radii), toward, across, distance)
     reach = math.sqrt(2.0 * heights.span_km / float(np.mean(radii))) + 2.0 * heights.step_rad
     step = max(heights.step_rad / _PARTS, 2.0 * reach / _MOST_ALONG)
     places: Float = np.arange(-math.ceil(reach / step), math.ceil(reach / step) + 1, dtype=np.float64) * step
@@ -281,7 +281,7 @@ class _SmoothLimb(Value):
     """Cosine (k,) between the half-plane and the normal of the surface at the limb."""
 
     @classmethod
-    def of(cls, radii_km: Float, toward: Float, across: Float, distance_km: float) -> _SmoothLimb:
+    def from_ellipsoid(cls, radii_km: Float, toward: Float, across: Float, distance_km: float) -> _SmoothLimb:
         """Tangents from the camera to the ellipses in which half-planes cut the ellipsoid."""
         metric = radii_km**-2.0
         aa = np.einsum("ki,i,ki->k", across, metric, across)

@@ -77,7 +77,7 @@ class McEwen(SurfaceLaw):
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
         share = np.exp(phase_rad * (-1.0 / math.radians(self.phase_scale_deg)))
-        return _mixed(mu0, mu, share)
+        return _mix_laws(mu0, mu, share)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +110,7 @@ class LunarLambert(SurfaceLaw):
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
         share = np.polynomial.polynomial.polyval(np.degrees(phase_rad), self.weight)
-        return _mixed(mu0, mu, np.clip(share, 0.0, 1.0))
+        return _mix_laws(mu0, mu, np.clip(share, 0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,7 +191,7 @@ class Akimov(SurfaceLaw):
         return np.asarray(np.cos(reach) / cos_mirror * (0.5 * total / np.maximum(mu, _SMALLEST_COSINE)) * darkening)
 
 
-def _mixed(mu0: Float, mu: Float, share: Float) -> Float:
+def _mix_laws(mu0: Float, mu: Float, share: Float) -> Float:
     """Lommel-Seeliger by ``share`` and Lambert for the rest; few temporary arrays, since renders call it most."""
     lommel_seeliger = 2.0 / (mu0 + mu)
     lommel_seeliger -= 1.0

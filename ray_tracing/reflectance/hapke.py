@@ -80,9 +80,9 @@ class Hapke(SurfaceLaw):
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
         normal = np.ones(())
-        return self._reflected(mu0, mu, phase_rad) / self._reflected(normal, normal, np.zeros(()))
+        return self._reflect(mu0, mu, phase_rad) / self._reflect(normal, normal, np.zeros(()))
 
-    def _reflected(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
+    def _reflect(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
         """The law without the common factor w / 4."""
         cos_phase = np.cos(phase_rad)
         single = self._particle(cos_phase)
@@ -92,7 +92,7 @@ class Hapke(SurfaceLaw):
         if self.theta_bar_deg == 0.0:
             return mu0 / (mu0 + mu) * (single - 1.0 + self._multiple(mu0) * self._multiple(mu))
         slope = math.tan(math.radians(self.theta_bar_deg))
-        low, high, shadowed = _roughened(np.minimum(mu0, mu), np.maximum(mu0, mu), cos_phase, slope)
+        low, high, shadowed = _roughen(np.minimum(mu0, mu), np.maximum(mu0, mu), cos_phase, slope)
         scattered = single - 1.0 + self._multiple(low) * self._multiple(high)
         return np.asarray(mu0 * shadowed * low * high / np.maximum(low + high, _TINY) * scattered)
 
@@ -112,15 +112,15 @@ def _lobe(asymmetry: float, cos_phase: Float) -> Float:
     return np.asarray((1.0 - asymmetry**2) / (base * np.sqrt(base)))
 
 
-def _roughened(low: Float, high: Float, cos_phase: Float, slope: float) -> tuple[Float, Float, Float]:
+def _roughen(low: Float, high: Float, cos_phase: Float, slope: float) -> tuple[Float, Float, Float]:
     """Effective cosines, and the unshadowed fraction, for Sun and camera sorted by height; slope is tan(theta_bar).
 
     The law is symmetric in the two but for one mu0: brightness is ``mu0`` times the third value, times the product over
     the sum of the effective cosines, times the scattering of a smooth surface.
     """
     mean_cosine = 1.0 / math.sqrt(1.0 + math.pi * slope**2)
-    low_sine, low_once, low_twice, low_alone = _tilted(low, slope)
-    high_sine, high_once, high_twice, high_alone = _tilted(high, slope)
+    low_sine, low_once, low_twice, low_alone = _tilt(low, slope)
+    high_sine, high_once, high_twice, high_alone = _tilt(high, slope)
     sines = np.maximum(low_sine * high_sine, _TINY)
     cos_azimuth = np.clip((cos_phase - low * high) / sines, -1.0, 1.0)
     versine = 0.5 * (1.0 - cos_azimuth)
@@ -134,7 +134,7 @@ def _roughened(low: Float, high: Float, cos_phase: Float, slope: float) -> tuple
     return mean_cosine * np.maximum(low_rough, 0.0), mean_cosine * np.maximum(high_rough, 0.0), factor
 
 
-def _tilted(cosine: Float, slope: float) -> tuple[Float, Float, Float, Float]:
+def _tilt(cosine: Float, slope: float) -> tuple[Float, Float, Float, Float]:
     """Sine of an angle, the two exponentials of its cotangent, and its effective cosine at azimuth 0 over the mean."""
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
     steepness = np.minimum(cosine / np.maximum(slope * sine, _TINY), _STEEP)  # cot(theta_bar) cot(angle)

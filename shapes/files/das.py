@@ -37,7 +37,7 @@ def require_whole_das(path: Path) -> None:
         while number > 0:
             directory = _record(file, number, records, order)
             after = int(directory[1])
-            last_words = _checked(directory, number, before, records, last_words)
+            last_words = _check_directory(directory, number, before, records, last_words)
             before, number = number + 1, after - 1
 
 
@@ -49,7 +49,7 @@ def _record(file: BinaryIO, number: int, records: int, order: str) -> NDArray[np
     return np.frombuffer(file.read(_RECORD_BYTES), order).astype(np.int64)
 
 
-def _checked(
+def _check_directory(
     directory: NDArray[np.int64], number: int, before: int, records: int, last_words: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Last address (3,) of each type after a directory, record ``number`` from 0, whose predecessor is ``before``."""

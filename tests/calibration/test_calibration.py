@@ -16,7 +16,7 @@ from scipy.stats import chi2, norm
 import giantlike.calibration
 from giantlike.calibration import CalibrationOptions, CalibrationResult, ImageObservations, calibrate
 from giantlike.calibration.alignment import AlignmentResult, align, interlock
-from giantlike.calibration.bundle_adjustment import Data, State, linearized, normal_equations, predict
+from giantlike.calibration.bundle_adjustment import Data, State, linearize, normal_equations, predict
 from giantlike.calibration.criteria import CalibrationCriteria
 from giantlike.calibration.field_map import map_difference
 from giantlike.calibration.observability import ParameterVerdict
@@ -148,10 +148,10 @@ def test_jacobians_agree_with_numerical_differences(pose: int) -> None:
             )
         )  # fmt: skip
     start = Rotation.concatenate(rotations)
-    data = Data.of(images, start, indices, NAVCAM.parameters[indices], np.full(4, np.inf))
+    data = Data.from_images(images, start, indices, NAVCAM.parameters[indices], np.full(4, np.inf))
     position = np.array([image.position_reference for image in images])
     state = State(NAVCAM, start, position)
-    predicted, by_camera, by_pose = linearized(state, data)
+    predicted, by_camera, by_pose = linearize(state, data)
     assert_allclose(predicted, predict(state, data), rtol=0, atol=0)
     for k, size in enumerate((1e-3, 1e-6, 1e-7, 1e-8)):
         change = np.zeros(len(NAVCAM.parameters))
@@ -173,7 +173,7 @@ def test_the_step_with_poses_eliminated_is_that_of_the_whole_matrix() -> None:
     start = Rotation.from_quat(np.random.default_rng(5).normal(size=(3, 4)))
     rotations = [Rotation.align_vectors(ROUGH.unproject(one.points_px), one.targets)[0] for one in observations]
     start = Rotation.concatenate(rotations)
-    data = Data.of(
+    data = Data.from_images(
         observations, start, indices, ROUGH.parameters[indices], np.array([np.inf, np.inf, 1.0, 1.0, np.inf])
     )
     state = State(ROUGH, start, np.zeros((3, 3)))

@@ -357,7 +357,7 @@ def test_attitudes_are_not_written_under_the_name_of_another_frame_of_the_camera
     assert (caught.value.have, caught.value.need) == (CAMERA.frame_name, "GL_TEST_CAM")
     series = read_attitude_csv(export_run(folder, tmp_path / "a.csv", ExportFormat.CSV).files[0])
     with pytest.raises(FrameMismatchError, match="OTHER"):
-        replace(series, frame="OTHER").turned(FrameRotation(rotation=Rotation.identity(), target="A", source="CAM"))
+        replace(series, frame="OTHER").rotate(FrameRotation(rotation=Rotation.identity(), target="A", source="CAM"))
 
 
 def test_the_camera_of_a_run_that_calibrated_is_the_calibrated_one(run: Path) -> None:

@@ -12,7 +12,7 @@ from astropy.coordinates import Distance, SkyCoord
 from astropy.time import Time
 
 from giantlike.catalogs import StarTable, apparent_directions, et_of_julian_year
-from giantlike.catalogs.astrometry import deflected, sun_position_km
+from giantlike.catalogs.astrometry import deflect_light, sun_position_km
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec
@@ -91,7 +91,7 @@ def test_light_deflection_by_the_sun_agrees_with_erfa(distance_au: float) -> Non
     near = unit(-from_sun + unit(rng.normal(size=(50, 3))) * np.geomspace(0.02, 0.5, 50)[:, None])
     directions = np.concatenate([directions, near])
     expected = unit(erfa.ldsun(directions, from_sun, distance_au))
-    got = deflected(directions, from_sun * distance_au * AU_KM)
+    got = deflect_light(directions, from_sun * distance_au * AU_KM)
     assert np.abs(got - expected).max() < ERFA_RAD
 
 
@@ -99,7 +99,7 @@ def test_the_sun_bends_light_by_4_mas_at_a_right_angle_and_by_a_second_and_three
     to_sun = np.array([1.0, 0.0, 0.0])
     limb = 0.00465047  # rad, the Sun's radius from 1 au
     directions = np.array([[0.0, 1.0, 0.0], [np.cos(limb), np.sin(limb), 0.0]])
-    bent = deflected(directions, -to_sun * AU_KM)
+    bent = deflect_light(directions, -to_sun * AU_KM)
     angle_mas = np.linalg.norm(bent - directions, axis=1) / RAD_PER_MAS
     assert abs(angle_mas[0] - 4.07) < 0.01
     assert abs(angle_mas[1] - 1751.0) < 2.0
@@ -113,7 +113,7 @@ def test_light_deflection_is_an_option_that_needs_the_observers_place() -> None:
     plain = apparent_directions(stars, et, observer_position_km=position)
     bent = apparent_directions(stars, et, observer_position_km=position, light_deflection=True)
     from_sun = position - sun_position_km(et)
-    assert np.abs(bent - deflected(plain, from_sun)).max() < ERFA_RAD
+    assert np.abs(bent - deflect_light(plain, from_sun)).max() < ERFA_RAD
     assert 1.0 < np.linalg.norm(bent - plain, axis=1).max() / RAD_PER_MAS < 2000.0
     with pytest.raises(InputError, match="observer_position_km"):
         apparent_directions(stars, et, light_deflection=True)

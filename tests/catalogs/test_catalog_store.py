@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from giantlike.catalogs import MemoryCatalog, StarTable, apparent_directions, et_of_julian_year, load_catalog
 from giantlike.catalogs.cells import ABERRATION_RAD, FAST_RAD, OBSERVER_AU, YEARS_FROM_EPOCH, margins_rad
 from giantlike.catalogs.stored import Source, catalog_header, open_catalog, save_catalog
-from giantlike.catalogs.table import COLUMN_TYPES, joined
+from giantlike.catalogs.table import COLUMN_TYPES, join_tables
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import direction_from_radec
@@ -124,7 +124,7 @@ def test_an_empty_table_is_a_catalog_without_stars() -> None:
     empty = MemoryCatalog(sky(5).select([]), name="none", band="V", version="1")
     assert len(empty.cone([0.0, 0.0, 1.0], 1.0)) == 0
     with pytest.raises(InputError):
-        joined([])
+        join_tables([])
 
 
 # --- the file ----------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ def signal(sun: tuple[float, float, float], psf_px: float = 0.7) -> Float:
 def test_dead_lines_across_a_body_are_found_and_those_in_the_dark_are_not() -> None:
     defects = Defects(dead_columns=(40, 3), dead_rows=(50, 61))
     seen = record(signal((0.2, 0.1, -1.0)), np.random.default_rng(1), RECORDER, defects).pixels
-    found = dead_lines(FrameLines.of(seen, BIAS_DN), noise_dn=NOISE_DN)
+    found = dead_lines(FrameLines.from_frame(seen, BIAS_DN), noise_dn=NOISE_DN)
     assert found is not None
     assert np.flatnonzero(found.all(axis=0)).tolist() == [40]
     assert np.flatnonzero(found.all(axis=1)).tolist() == [50, 61]
@@ -39,4 +39,4 @@ def test_a_limb_a_crescent_a_bright_line_and_a_narrow_shadow_are_no_dead_lines()
     shadow *= 1.0 - blurred[:, None]  # black and a pixel wide, through the optics
     for number, light in enumerate((full, crescent, bright, shadow, np.zeros((SIZE, SIZE)))):
         seen = record(light, np.random.default_rng(number), RECORDER).pixels
-        assert dead_lines(FrameLines.of(seen, BIAS_DN), noise_dn=NOISE_DN) is None
+        assert dead_lines(FrameLines.from_frame(seen, BIAS_DN), noise_dn=NOISE_DN) is None

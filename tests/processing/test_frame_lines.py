@@ -14,9 +14,9 @@ ROUNDING_DN = 1e-9  # of means of values of some 300 DN
 @pytest.mark.parametrize("shape", [(9, 13), (2, 2), (40, 3001)])
 def test_lines_of_a_frame_are_those_of_numpy(shape: tuple[int, int], kind: type[np.generic]) -> None:
     pixels = np.random.default_rng(1).normal(300.0, 50.0, shape).astype(kind)
-    found, light = FrameLines.of(pixels, 10.5), pixels.astype(np.float64) - 10.5
+    found, light = FrameLines.from_frame(pixels, 10.5), pixels.astype(np.float64) - 10.5
     np.testing.assert_array_equal(found.light_dn, light)
-    for frame, image in ((found, light), (found.turned, light.T)):
+    for frame, image in ((found, light), (found.transpose(), light.T)):
         middle = image.shape[1] // 2
         means = [image[:, :middle].mean(axis=1), image[:, middle:].mean(axis=1)]
         np.testing.assert_array_equal(frame.light_dn, image)

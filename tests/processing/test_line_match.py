@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 from scipy.ndimage import map_coordinates
 
 from giantlike.core.arrays import Float
-from giantlike.processing.limb.line_match import matched, refined
-from giantlike.processing.limb.line_values import sampled
+from giantlike.processing.limb.line_match import fit_lines, refine_shifts
+from giantlike.processing.limb.line_values import sample_lines
 from tests.tolerances import FLOAT64_SUM
 
 LINES, HALF, MOST, STEP_PX = 5, 8, 3, 0.5
@@ -42,7 +42,9 @@ def problem() -> tuple[Float, Float, Float, Float]:
 def test_a_line_held_at_its_place_gets_the_least_squares_fit_there() -> None:
     values, expected, weights, shifts = problem()
     lag, fixed = np.full(LINES, MOST), np.ones(LINES, dtype=bool)
-    stayed, free, slope_variance, without = refined(values, expected, lag, shifts, fixed, weights, STEP_PX, HALF, MOST)
+    stayed, free, slope_variance, without = refine_shifts(
+        values, expected, lag, shifts, fixed, weights, STEP_PX, HALF, MOST
+    )
     assert np.array_equal(stayed, shifts)
     for line in range(LINES):
         root = np.sqrt(weights[line])[:, None]
@@ -63,7 +65,7 @@ def test_a_fit_counts_what_is_known_of_slopes_and_says_what_it_tells_of_shared_p
     others = np.stack([np.polynomial.polynomial.polyval(PLACES, power) for power in powers], axis=-1)
     variance, noise = random.uniform(0.5, 2.0, weights.shape), random.uniform(-0.1, 0.1, (2 * HALF + 1,) * 2)
     correlation = np.eye(2 * HALF + 1) + 0.5 * (noise + noise.T)
-    solution, noises, rms, taken, information, pull = matched(
+    solution, noises, rms, taken, information, pull = fit_lines(
         values,
         expected,
         np.repeat(others[None], LINES, axis=0),
@@ -104,6 +106,6 @@ def test_images_along_lines_are_those_of_scipy_also_beyond_their_borders() -> No
     normals = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     places = points[:, None] + offsets[None, :, None] * normals[:, None]
     coordinates = np.moveaxis(places[..., ::-1], -1, 0)
-    for found, image in zip(sampled(images, points, normals, offsets), images, strict=True):
+    for found, image in zip(sample_lines(images, points, normals, offsets), images, strict=True):
         expected = map_coordinates(image, coordinates, order=3, mode="nearest", prefilter=False)
         assert_allclose(found, expected, rtol=0, atol=FLOAT64_SUM)

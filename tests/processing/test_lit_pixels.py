@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from giantlike.processing.detection.candidates import connected, peaks_among
+from giantlike.processing.detection.candidates import label_groups, peaks_among
 
 FRAMES = [(1, 1), (1, 9), (9, 1), (2, 2), (17, 23), (60, 41)]
 
@@ -16,7 +16,7 @@ FRAMES = [(1, 1), (1, 9), (9, 1), (2, 2), (17, 23), (60, 41)]
 def test_pixels_that_touch_are_one_group(shape: tuple[int, int], density: float) -> None:
     for seed in range(5):
         mask = np.random.default_rng(seed).random(shape) < density
-        group, count = connected(np.flatnonzero(mask), shape[1])
+        group, count = label_groups(np.flatnonzero(mask), shape[1])
         labels, expected = ndimage.label(mask, structure=np.ones((3, 3)))
         assert count == expected
         pairs = set(zip(group.tolist(), labels[mask].tolist(), strict=True))

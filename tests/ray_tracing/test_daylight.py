@@ -85,7 +85,9 @@ def test_beyond_a_rough_trace_nothing_is_told() -> None:
     rough = AxisCells(first=0, count=4, per_px=1), AxisCells(first=0, count=4, per_px=1)
     for lit in (True, False):
         daylight = Daylight(cells=rough, lit=np.full((4, 4), lit), center_px=here, traced_center_px=here, scale=1.0)
-        dark, bright = daylight.of((AxisCells(first=-2, count=8, per_px=1), AxisCells(first=0, count=4, per_px=1)))
+        dark, bright = daylight.classify(
+            (AxisCells(first=-2, count=8, per_px=1), AxisCells(first=0, count=4, per_px=1))
+        )
         told_there = bright if lit else dark
         assert told_there[2:6].all()
         assert not (dark & bright).any()
@@ -98,9 +100,9 @@ def test_a_rough_trace_of_a_part_tells_nothing_dark() -> None:
     lit[:, :5] = True
     rough = AxisCells(first=0, count=8, per_px=1), AxisCells(first=0, count=8, per_px=1)
     here = np.zeros(2)
-    dark, bright = Daylight(cells=rough, lit=lit, center_px=here, traced_center_px=here, scale=1.0, whole=False).of(
-        rough
-    )
+    dark, bright = Daylight(
+        cells=rough, lit=lit, center_px=here, traced_center_px=here, scale=1.0, whole=False
+    ).classify(rough)
     assert not dark.any()
     assert bright[1:-1, 1:4].all()
     assert not bright[:, 4:].any()

@@ -111,9 +111,9 @@ def test_the_outline_of_an_asteroid_separates_rays_that_meet_it_from_those_that_
     steps = np.stack([np.cos(CIRCLE), np.sin(CIRCLE)], axis=-1)
     for side, expected in ((-1e-3, True), (1e-3, False)):
         rays = body.to_body(model.unproject(found.points_px + side * steps))
-        assert np.all(body.tracer.occluded(body.camera_body_km, rays) == expected)
+        assert np.all(body.tracer.is_occluded(body.camera_body_km, rays) == expected)
     farther = [body.to_body(model.unproject(found.points_px + out * steps)) for out in (3.0, 30.0, 300.0)]
-    assert not any(body.tracer.occluded(body.camera_body_km, rays).any() for rays in farther)
+    assert not any(body.tracer.is_occluded(body.camera_body_km, rays).any() for rays in farther)
 
 
 @settings(max_examples=10, deadline=None)

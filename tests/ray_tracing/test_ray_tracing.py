@@ -99,7 +99,7 @@ def test_mesh_hits_agree_with_a_test_of_every_facet_at_any_distance(distance_km:
     assert_allclose(hits.points_km[hits.hit], points[hits.hit], rtol=0, atol=rounding_km)
     assert_allclose(hits.normals[hits.hit], mesh.normals[hits.facets[hits.hit]], rtol=0, atol=0)
     assert np.isnan(hits.points_km[~hits.hit]).all()
-    assert np.array_equal(tracer_for(mesh).occluded(origins, directions), hits.hit)
+    assert np.array_equal(tracer_for(mesh).is_occluded(origins, directions), hits.hit)
 
 
 def test_ellipsoid_and_its_fine_mesh_are_hit_at_the_same_places() -> None:
@@ -121,7 +121,7 @@ def test_rays_that_are_nan_point_away_or_pass_by_hit_nothing(shape: Ellipsoid | 
     hits = tracer.intersect([0.0, 0.0, 5.0], directions)
     assert hits.hit.tolist() == [False, False, False, True]
     assert hits.facets[0] == -1
-    assert tracer.occluded([0.0, 0.0, 5.0], directions).tolist() == [False, False, False, True]
+    assert tracer.is_occluded([0.0, 0.0, 5.0], directions).tolist() == [False, False, False, True]
     assert_allclose(hits.points_km[3], [0.0, 0.0, 0.6], rtol=0, atol=1e-2)
     assert tracer.intersect(np.zeros((0, 3)), np.zeros((0, 3))).hit.shape == (0,)
     with pytest.raises(InputError, match="origins"):
@@ -196,12 +196,12 @@ def test_a_tower_throws_a_shadow_as_long_as_the_sun_is_low() -> None:
     tracer = tracer_for(body)
     hits = tracer.intersect(origin, points - origin)
     assert hits.hit.all()
-    dark = tracer.shadowed(hits, sun)
+    dark = tracer.is_shadowed(hits, sun)
     length = 1.0 / np.tan(elevation)
     assert_allclose([x[dark].min(), x[dark].max()], [-0.1 - length, -0.11], rtol=0, atol=0.01)
     near_km = 3e-5  # a shadow ray that starts 6e-6 km over the slab, 1e-6 of the radius, looks 1e-5 km into the shadow
     end = np.array([[-0.1 - length + near_km, 0.0, 0.0], [-0.1 - length - near_km, 0.0, 0.0]])
-    assert tracer.shadowed(tracer.intersect(origin, end - origin), sun).tolist() == [True, False]
+    assert tracer.is_shadowed(tracer.intersect(origin, end - origin), sun).tolist() == [True, False]
 
 
 def _block_with_tower(half: float = 0.1) -> TriangleMesh:
@@ -431,9 +431,9 @@ def test_light_of_a_cell_spreads_over_pixels_as_cell_psf_and_pixel_say(sigma_px:
 
 def test_light_beyond_the_pixels_is_lost_and_the_rest_falls_where_it_did() -> None:
     cells, light = AxisCells.covering(-3.0, 8.0, 2), np.random.default_rng(4).uniform(size=(24, 3))
-    whole = cells.spread(-20, 60, 0.8).of(light[: cells.count])
+    whole = cells.spread(-20, 60, 0.8).apply(light[: cells.count])
     assert_allclose(whole.sum(axis=0), 0.5 * light[: cells.count].sum(axis=0), rtol=0, atol=2e-5)  # half a pixel each
-    assert np.array_equal(cells.spread(1, 5, 0.8).of(light[: cells.count]), whole[21:26])
+    assert np.array_equal(cells.spread(1, 5, 0.8).apply(light[: cells.count]), whole[21:26])
 
 
 @pytest.mark.parametrize("k1", [-0.05, -0.4], ids=["everywhere", "up to a fold"])

@@ -8,7 +8,7 @@ from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Mask, unit
 from giantlike.core.errors import InputError
 from giantlike.ray_tracing import Body, Lambert, McEwen, RenderOptions, Trace, trace_body
-from giantlike.ray_tracing.refined import RefinedTrace, refined
+from giantlike.ray_tracing.refined import RefinedTrace, refine_trace
 from giantlike.shapes import irregular_body
 
 MODEL = PinholeModel(fx_px=1000.0, fy_px=1000.0, cx_px=63.5, cy_px=63.5)
@@ -38,7 +38,7 @@ def traced(rays: int, wanted: Mask | None = None) -> Trace:
 
 @pytest.fixture(scope="module")
 def split() -> RefinedTrace:
-    return refined(traced(2), 3)
+    return refine_trace(traced(2), 3)
 
 
 @pytest.mark.parametrize("law", [McEwen(), Lambert()])

@@ -107,11 +107,11 @@ def test_within_the_map_nothing_of_the_global_body_is_seen_and_the_surface_is_th
 
 def test_the_map_has_the_shadows_of_the_fine_body_and_no_others() -> None:
     sun = rotate(BODY_FROM_MAP, [np.cos(0.12), 0.0, np.sin(0.12)])  # 7 deg over the horizon; slopes reach 11 deg
-    dark = [tracer_for(body).shadowed(_look(body, 0.8 * HALF_KM)[0], sun) for body in (LAID, FINE)]
+    dark = [tracer_for(body).is_shadowed(_look(body, 0.8 * HALF_KM)[0], sun) for body in (LAID, FINE)]
     assert 0.2 < np.mean(dark[1]) < 0.8
     assert np.mean(dark[0] != dark[1]) < 0.03  # along the edges of shadows, where facets differ
     high = rotate(BODY_FROM_MAP, [np.cos(1.0), 0.0, np.sin(1.0)])
-    assert not tracer_for(LAID).shadowed(_look(LAID, 0.97 * HALF_KM)[0], high).any()
+    assert not tracer_for(LAID).is_shadowed(_look(LAID, 0.97 * HALF_KM)[0], high).any()
 
 
 @pytest.mark.parametrize("lift_km", [0.0, 0.03, -0.03])

@@ -25,14 +25,14 @@ from giantlike.shapes import (
     save_shape,
     sphere,
 )
-from giantlike.shapes.decimate import decimated, deviation, surface_distances
+from giantlike.shapes.decimate import decimate_mesh, deviation, surface_distances
 from giantlike.shapes.defects import Defects, defects_of
 from giantlike.shapes.files.dsk import DskIdentity
 from giantlike.shapes.files.exchange import read_exchange
 from giantlike.shapes.files.obj import read_plain_obj
 from giantlike.shapes.load import mesh_of, read_surface
-from giantlike.shapes.measure import measured
-from giantlike.shapes.repair import repaired
+from giantlike.shapes.measure import measure_mesh
+from giantlike.shapes.repair import repair_surface
 from giantlike.shapes.surface import Surface
 from tests.tolerances import FLOAT32, FLOAT64, FLOAT64_CHAIN, FLOAT64_SUM, SAMPLED, SETTLED
 
@@ -436,7 +436,7 @@ def test_each_defect_is_counted_and_nothing_else(rock: TriangleMesh, kind: str) 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_broken_is_mended_without_moving_the_surface(rock: TriangleMesh, kind: str) -> None:
-    result = repaired(broken(rock, kind)[0])
+    result = repair_surface(broken(rock, kind)[0])
     assert not result.after, result.after.text()
     mesh = TriangleMesh(result.surface.vertices, result.surface.faces)
     assert_allclose(mesh.volume_km3, rock.volume_km3, rtol=FLOAT64)
@@ -447,7 +447,7 @@ def test_what_is_broken_is_mended_without_moving_the_surface(rock: TriangleMesh,
 
 def test_a_clean_surface_has_no_defects_and_is_left_alone(rock: TriangleMesh) -> None:
     assert defects_of(surface_of(rock)) == Defects(**CLEAN)
-    result = repaired(surface_of(rock))
+    result = repair_surface(surface_of(rock))
     assert_array_equal(result.surface.faces, rock.faces)
     assert_array_equal(result.surface.vertices, rock.vertices_km)
 
@@ -458,7 +458,7 @@ def test_any_mix_of_windings_is_made_outward_piece_by_piece(rock: TriangleMesh) 
     turned = np.random.default_rng(4).random(len(faces)) < 0.5
     faces[turned] = faces[turned][:, ::-1]
     surface = Surface(vertices=np.concatenate([rock.vertices_km, moon.vertices_km]), faces=faces)
-    result = repaired(surface)
+    result = repair_surface(surface)
     assert not result.after
     assert result.facets_turned == turned.sum()
     mesh = TriangleMesh(result.surface.vertices, result.surface.faces)
@@ -470,17 +470,17 @@ def test_any_mix_of_windings_is_made_outward_piece_by_piece(rock: TriangleMesh) 
 def test_a_small_hole_is_closed_by_a_fan_and_missing_surface_is_not_made_up(rock: TriangleMesh) -> None:
     summit = int(rock.faces[0, 0])
     without_summit = Surface(vertices=rock.vertices_km, faces=rock.faces[(rock.faces != summit).all(axis=1)])
-    result = repaired(without_summit)
+    result = repair_surface(without_summit)
     assert not result.after
     assert (result.holes_filled, len(result.surface.faces)) == (1, len(rock.faces))
     assert_allclose(
         TriangleMesh(result.surface.vertices, result.surface.faces).volume_km3, rock.volume_km3, rtol=SAMPLED
     )
-    assert repaired(without_summit, max_hole_width=0.0).after.holes == 1
+    assert repair_surface(without_summit, max_hole_width=0.0).after.holes == 1
     half = Surface(vertices=rock.vertices_km, faces=rock.faces[(rock.vertices_km[rock.faces, 2] > 0.0).all(axis=1)])
-    assert repaired(half).holes_filled == 0
+    assert repair_surface(half).holes_filled == 0
     with pytest.raises(InputError, match="nothing to repair"):
-        repaired(Surface(vertices=rock.vertices_km, faces=np.array([[1, 1, 1]])))
+        repair_surface(Surface(vertices=rock.vertices_km, faces=np.array([[1, 1, 1]])))
 
 
 def test_a_moebius_strip_is_neither_turned_nor_called_consistent() -> None:
@@ -492,12 +492,12 @@ def test_a_moebius_strip_is_neither_turned_nor_called_consistent() -> None:
     faces = np.concatenate([np.stack(c, axis=-1) for c in ((left, right, next_left), (right, next_right, next_left))])
     strip = Surface(vertices=np.concatenate([ring + across, ring - across]), faces=faces)
     assert defects_of(strip).inconsistent_edges > 0
-    assert repaired(strip, max_hole_width=0.0).after.inconsistent_edges > 0
+    assert repair_surface(strip, max_hole_width=0.0).after.inconsistent_edges > 0
 
 
 def test_the_numbers_of_a_mesh_agree_with_trimesh(rock: TriangleMesh) -> None:
     mesh = rock.translated([0.5, -1.0, 0.2])
-    found, other = measured(mesh), trimesh.Trimesh(mesh.vertices_km, mesh.faces, process=False)
+    found, other = measure_mesh(mesh), trimesh.Trimesh(mesh.vertices_km, mesh.faces, process=False)
     assert_measures(found, other)
 
 
@@ -518,7 +518,7 @@ def assert_measures(found: object, other: trimesh.Trimesh) -> None:
 
 def test_the_moments_of_an_ellipsoid_mesh_are_those_of_the_ellipsoid() -> None:
     a, b, c = 3.0, 2.0, 1.0
-    found = measured(mesh_from_ellipsoid(Ellipsoid(radii_km=np.array([a, b, c])), facets=20_480))
+    found = measure_mesh(mesh_from_ellipsoid(Ellipsoid(radii_km=np.array([a, b, c])), facets=20_480))
     volume = 4.0 / 3.0 * np.pi * a * b * c
     expected = volume / 5.0 * np.array([b * b + c * c, a * a + c * c, a * a + b * b])
     assert_allclose(found.principal_moments, expected, rtol=2e-3)  # sagitta of facets of 1.2 degrees, five lengths
@@ -533,13 +533,13 @@ def test_every_real_shape_loads_and_its_numbers_agree_with_trimesh(data_dir: Pat
         surface = read_surface(path)
         mesh = mesh_of(path, surface)
         other = trimesh.Trimesh(mesh.vertices_km, mesh.faces, process=False)
-        assert_measures(measured(mesh), other)
+        assert_measures(measure_mesh(mesh), other)
         assert defects_of(surface).watertight == other.is_watertight
-        assert not repaired(surface).after, path.name
+        assert not repair_surface(surface).after, path.name
 
 
 def test_a_decimated_body_is_closed_and_near_the_original(rock: TriangleMesh) -> None:
-    coarse = decimated(rock, 400)
+    coarse = decimate_mesh(rock, 400)
     change = deviation(rock, coarse)
     assert 390 <= len(coarse.faces) <= 400
     assert not defects_of(surface_of(coarse))
@@ -547,20 +547,20 @@ def test_a_decimated_body_is_closed_and_near_the_original(rock: TriangleMesh) ->
     assert 0.0 < change.rms_km < change.max_km < 0.1 * rock.mean_radius_km
     for facets in (3, len(rock.faces)):
         with pytest.raises(InputError, match="facets must be in"):
-            decimated(rock, facets)
+            decimate_mesh(rock, facets)
 
 
 @pytest.mark.real_data
 def test_a_body_that_is_torn_at_one_pace_of_decimation_survives_another(data_dir: Path) -> None:
     vesta = load_shape(data_dir / "shapes" / "vesta_5002.ply")
-    coarse = decimated(vesta, 500)
+    coarse = decimate_mesh(vesta, 500)
     assert not defects_of(surface_of(coarse)).boundary_edges
     assert 480 <= len(coarse.faces) <= 500
 
 
 def test_an_open_body_is_not_decimated_but_to_be_repaired(rock: TriangleMesh) -> None:
     with pytest.raises(InputError, match=r"is not closed \(3 boundary edges, 1 holes\): repair it first"):
-        decimated(TriangleMesh(rock.vertices_km, rock.faces[1:], "rock"), 400)
+        decimate_mesh(TriangleMesh(rock.vertices_km, rock.faces[1:], "rock"), 400)
 
 
 def test_the_deviation_of_concentric_spheres_is_the_difference_of_their_radii() -> None:
@@ -595,7 +595,7 @@ def test_vertices_of_a_pole_computed_many_times_are_one_after_repair() -> None:
     faces = np.concatenate([np.stack([a, b, b + 24], axis=-1), np.stack([a, b + 24, a + 24], axis=-1)])
     surface = Surface(vertices=vertices, faces=faces)
     assert defects_of(surface).holes == 2  # cos(pi / 2) is 6e-17
-    result = repaired(surface)
+    result = repair_surface(surface)
     assert not result.after
     assert len(result.surface.vertices) == 11 * 24 + 2
 

@@ -362,7 +362,7 @@ def test_the_jacobian_of_the_fit_is_the_derivative() -> None:
     state = _AttitudeState(attitude, model)
 
     def predict(step: Float) -> Float:
-        return state.moved(step).predict(directions)
+        return state.apply_step(step).predict(directions)
 
     numerical = numerical_jacobian(predict, np.zeros(5), 1e-6)
     np.testing.assert_allclose(state.jacobian(directions, Scale.RADIAL), numerical, rtol=0, atol=1e-4)  # of 1e3 px

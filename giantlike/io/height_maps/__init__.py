@@ -51,11 +51,11 @@ def read_height_grid(
     InputError
         A GeoTIFF is to be read and the package tifffile is not installed.
     """
-    return _opened(Path(path), None if reference_radii_km is None else np.asarray(reference_radii_km), unit_km)
+    return _open_grid(Path(path), None if reference_radii_km is None else np.asarray(reference_radii_km), unit_km)
 
 
 @reads("a height map")
-def _opened(path: Path, radii_km: Float | None, unit_km: float | None) -> HeightGrid:
+def _open_grid(path: Path, radii_km: Float | None, unit_km: float | None) -> HeightGrid:
     with path.open("rb") as file:
         start = file.read(_LABEL_BYTES)
     if start.startswith(b"PK"):

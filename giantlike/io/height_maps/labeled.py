@@ -53,10 +53,10 @@ def open_labeled(
     def read(rows: slice, columns: slice) -> NDArray[Any]:
         return part(image, rows, columns)
 
-    return _projected(label, read, layout.rows, layout.columns, image, radii_km, unit_km)
+    return _grid_from_label(label, read, layout.rows, layout.columns, image, radii_km, unit_km)
 
 
-def _projected(
+def _grid_from_label(
     label: Pds3Label, read: Read, rows: int, columns: int, path: Path, radii_km: Float | None, unit_km: float | None
 ) -> HeightGrid:
     """Layout of a map by the projection of its label."""

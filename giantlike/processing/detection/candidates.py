@@ -65,7 +65,7 @@ def find_candidates(frame: Frame, filtered: FilteredImage, options: DetectionOpt
     above = _above(filtered, options.threshold_sigma)
     columns = above.shape[1]
     lit = np.flatnonzero(above)
-    component, n_components = connected(lit, columns)
+    component, n_components = label_groups(lit, columns)
     area = np.bincount(component, minlength=n_components)
     highest = peaks_among(filtered.response, lit)
     highest = highest[area[component[highest]] >= options.min_area_px]
@@ -134,7 +134,7 @@ def _maxima(response: Image32, pixels_px: NDArray[np.int64]) -> tuple[Float, Flo
 
 
 @compiled
-def connected(lit: Indices, columns: int) -> tuple[Indices, int]:
+def label_groups(lit: Indices, columns: int) -> tuple[Indices, int]:
     """Number the groups of pixels that touch, along sides or at corners.
 
     ``lit`` (n,); returns ``group`` (n,) and ``count``.

@@ -29,7 +29,7 @@ from scipy.spatial import cKDTree
 
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
-from giantlike.processing.detection.gauss_newton import fitted, last_steps, subtract, windowed_moments
+from giantlike.processing.detection.gauss_newton import fit_patches, last_steps, subtract, windowed_moments
 from giantlike.processing.detection.patches import MIN_PSF_SIGMA_PX, PIXEL_VARIANCE_PX2, Patches, chi2_inflation
 
 _MAX_STEPS = 16  # a star that has not converged after so many gets FIT_FAILED
@@ -91,7 +91,7 @@ def fit_stars(
     start = np.column_stack([places, flux_dn, level_dn, log_width, slopes])
     problem = _StarFitProblem(patches, psf, width_prior)
     if isolated:
-        return _finished(patches, problem.solve(start, _MAX_STEPS))
+        return _assess_fits(patches, problem.solve(start, _MAX_STEPS))
     solution = problem.solve(start, _STEPS_ALONE)
     pairs = neighbor_pairs(patches.centers_px.astype(np.float64), patches.reach_px)
     changed = np.ones(len(start), dtype=bool)
@@ -111,7 +111,7 @@ def fit_stars(
         solution.replace(which, found)
         changed[:] = False
         changed[which] = ~last_steps(found.parameters - before, before, found.covariance, found.reduced_chi2)
-    return _finished(patches, solution)
+    return _assess_fits(patches, solution)
 
 
 def windowed_shape(patches: Patches, points_px: Float, background_dn: Float, psf_sigma_px: float) -> Float:
@@ -186,7 +186,7 @@ class _StarFitProblem(Value):
     def solve(self, start: Float, steps: int) -> _StarFitSolution:
         """Gauss-Newton from ``start`` (n, 7)."""
         patches, psf = self.patches, self.psf_sigma_px
-        parameters, covariance, chi2, count, settled = fitted(
+        parameters, covariance, chi2, count, settled = fit_patches(
             patches.values_dn,
             patches.valid,
             patches.saturated,
@@ -204,7 +204,7 @@ class _StarFitProblem(Value):
         return _StarFitSolution(parameters, covariance, chi2, count, good, ~settled)
 
 
-def _finished(patches: Patches, solution: _StarFitSolution) -> StarFits:
+def _assess_fits(patches: Patches, solution: _StarFitSolution) -> StarFits:
     """Covariances and quality of the solution."""
     parameters, covariance = solution.parameters, solution.covariance
     freedom = np.maximum(solution.count - _N_UNKNOWNS, 1)

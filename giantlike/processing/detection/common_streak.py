@@ -67,12 +67,12 @@ def find_common_streak(
     if half < _HALF_PATCH_PX:
         patches = frame.patches(np.rint(guess.centers_px).astype(np.int64), half, noise_dn[chosen])
     first_sigma = _USUAL_WIDTH if psf_sigma_px is None else max(psf_sigma_px, MIN_PSF_SIGMA_PX)
-    agreed = _agreed(fit_lines(patches, guess, first_sigma), len(peaks_px), first_sigma)
+    agreed = _find_common(fit_lines(patches, guess, first_sigma), len(peaks_px), first_sigma)
     if agreed is None or psf_sigma_px is not None:
         return agreed
     few = np.arange(min(_FOR_WIDTH, len(chosen)))
     sigma = _best_width_px(patches.select(few), guess.select(few))
-    return _agreed(fit_lines(patches, guess, sigma), len(peaks_px), sigma)
+    return _find_common(fit_lines(patches, guess, sigma), len(peaks_px), sigma)
 
 
 def _best_width_px(patches: Patches, guess: StreakGuesses) -> float:
@@ -98,7 +98,7 @@ def unexplained_power(patches: Patches, fits: LineFits, shares: Float) -> Float:
 
     ``shares`` (n, w, w); returns (n,), at least 0.
     """
-    patches = patches.leveled(fits.planes, fits.centers_px)
+    patches = patches.subtract_slopes(fits.planes, fits.centers_px)
     light = np.where(patches.valid & ~patches.saturated, patches.values_dn - fits.background_dn[:, None, None], 0.0)
     left = np.where(light != 0.0, light - fits.flux_dn[:, None, None] * shares, 0.0)
     variance = patches.noise_dn**2
@@ -143,7 +143,7 @@ def _from_moments(patches: Patches) -> StreakGuesses:
     return StreakGuesses(centers, halves, flux, level)
 
 
-def _agreed(fits: LineFits, n_sources: int, sigma_px: float) -> CommonStreak | None:
+def _find_common(fits: LineFits, n_sources: int, sigma_px: float) -> CommonStreak | None:
     """Median of the lines if enough of them agree; directions are compared at twice their angle."""
     good = fits.converged & (fits.lengths_px > max(_SHORTEST_PX, _SHORTEST_WIDTHS * recorded_width_px(sigma_px)))
     if np.count_nonzero(good) < _LEAST_AGREEING:

@@ -26,7 +26,7 @@ def dead_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:
     Of each line the largest value is compared first. Two dead lines side by side are not found, nor are lines that
     no bright body crosses: these do no harm.
     """
-    rows, columns = (_dead_rows(image.light_dn, image.largest_dn, noise_dn) for image in (frame, frame.turned))
+    rows, columns = (_dead_rows(image.light_dn, image.largest_dn, noise_dn) for image in (frame, frame.transpose()))
     return whole_lines(frame.light_dn.shape, rows, columns)
 
 

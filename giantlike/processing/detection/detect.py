@@ -242,7 +242,7 @@ def _estimate_psf(frame: Frame, found: Candidates, psf_sigma_px: float) -> float
             width_prior=_PSF_WIDTH_PRIOR,
             isolated=True,
         )
-        level = patches.leveled(fits.planes, fits.points_px)
+        level = patches.subtract_slopes(fits.planes, fits.points_px)
         few = find_few_pixels(level, fits.points_px, fits.width_px, fits.background_dn, psf_sigma_px)
         wide = fits.converged & (fits.width_px > _HOT_PIXEL_WIDTH_PX) & ~few.not_star
         stars.extend(fits.width_px[wide])
@@ -323,7 +323,7 @@ def _measure(
         covariance_px2=np.where(failed[:, None, None], width**2 * np.eye(2), fits.covariance_px2),
         planes=np.where(failed[:, None], fits.planes * [1.0, 0.0, 0.0], fits.planes),
     )
-    patches = patches.leveled(fits.planes, fits.points_px)
+    patches = patches.subtract_slopes(fits.planes, fits.points_px)
     flux = np.where(failed, found.flux_dn, fits.flux_dn)
     core = core_of(patches, fits.points_px, psf_sigma_px)
     moments = windowed_shape(patches, fits.points_px, fits.background_dn, psf_sigma_px)

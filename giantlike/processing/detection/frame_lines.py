@@ -31,7 +31,7 @@ class FrameLines(Value):
     across_means_dn: Float
 
     @classmethod
-    def of(cls, pixels: NDArray[Any], bias_dn: float) -> FrameLines:
+    def from_frame(cls, pixels: NDArray[Any], bias_dn: float) -> FrameLines:
         """Take the bias off a frame."""
         rows, columns = pixels.shape
         light, native = np.empty(pixels.shape), pixels.dtype.newbyteorder("=")
@@ -48,8 +48,7 @@ class FrameLines(Value):
             across_means_dn=across_sums / np.maximum(across_halves, 1)[:, None],
         )
 
-    @property
-    def turned(self) -> FrameLines:
+    def transpose(self) -> FrameLines:
         """The same frame with its columns as rows."""
         return replace(
             self,

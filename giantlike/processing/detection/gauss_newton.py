@@ -23,14 +23,14 @@ _ROOT_2, _ROOT_PI = math.sqrt(2.0), math.sqrt(math.pi)
 
 
 @compiled
-def fitted(
+def fit_patches(
     values_dn: Float,
     valid: Mask,
     saturated: Mask,
     variance_dn2: Float,
     corner_px: NDArray[np.int64],
     start: Float,
-    most_steps: int,
+    max_steps: int,
     gain_e_per_dn: float,
     relative_noise: float,
     log_psf: float,
@@ -52,7 +52,7 @@ def fitted(
     for star in range(n):
         now, pace = parameters[star], 1.0
         last[:] = 0.0
-        for done in range(most_steps):
+        for done in range(max_steps):
             _shares(corner_px[star, 0] - now[0], now[4], columns)
             _shares(corner_px[star, 1] - now[1], now[4], rows)
             counts[star] = _add_up(
@@ -87,7 +87,7 @@ def fitted(
             for k in range(7):
                 last[k] = step[k]
                 now[k] += pace * step[k]
-            if settled[star] or done == most_steps - 1:
+            if settled[star] or done == max_steps - 1:
                 for k in range(7):
                     for m in range(7):
                         covariances[star, k, m] = covariance[k, m]

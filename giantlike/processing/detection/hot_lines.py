@@ -38,7 +38,7 @@ def hot_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:
     Lines whose mean brightness is an outlier are tested pixel by pixel. More than two adjacent hot lines are not found,
     nor are lines that are hot over less than half of half a frame.
     """
-    rows, columns = (_hot_rows(image, noise_dn) for image in (frame, frame.turned))
+    rows, columns = (_hot_rows(image, noise_dn) for image in (frame, frame.transpose()))
     return whole_lines(frame.light_dn.shape, rows, columns)
 
 

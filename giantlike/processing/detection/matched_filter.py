@@ -74,7 +74,7 @@ def matched_filter(
     half, box_half = math.ceil(_KERNEL_HALF_WIDTHS * width), math.ceil(_BOX_HALF_WIDTHS * width + length)
     box = (2 * box_half + 1, 2 * box_half + 1)
     if bad is not None:
-        image = _filled(image, bad, box)
+        image = _fill_bad_pixels(image, bad, box)
     if half_streak_px is None:
         taps = np.exp(-0.5 * (np.arange(-half, half + 1) / width) ** 2)
         taps /= taps.sum()
@@ -88,7 +88,7 @@ def matched_filter(
     np.subtract(response, around, out=response)
     pedestal = 1.0 / (box[0] * box[1])
     response_noise = math.sqrt(float(np.sum(kernel**2)) - pedestal)
-    grid = NoiseGrid.of(response.shape, width)
+    grid = NoiseGrid.from_shape(response.shape, width)
     sigma = grid.robust_sigma(response, bad, np.zeros((0, 2), dtype=np.int64), 0)
     if bad is not None:
         response[bad] = 0.0
@@ -124,7 +124,7 @@ def noise_between(
 
     ``sources_px`` (n, 2), detected sources, (x, y); returns ``median`` in DN and ``at_sources`` (n,) DN.
     """
-    grid = NoiseGrid.of(filtered.response.shape, filtered.width_px)
+    grid = NoiseGrid.from_shape(filtered.response.shape, filtered.width_px)
     sigma = grid.robust_sigma(filtered.response, bad, sources_px, filtered.reach_px)
     noise = np.maximum(sigma / filtered.response_noise, noise_floor_dn)
     return float(np.median(noise)), grid.at(noise, sources_px)
@@ -140,7 +140,7 @@ def _line_kernel(half_streak_px: tuple[float, float], width_px: float, half: int
     return kernel
 
 
-def _filled(image: Image32, bad: Mask, box: tuple[int, int]) -> Image32:
+def _fill_bad_pixels(image: Image32, bad: Mask, box: tuple[int, int]) -> Image32:
     """Return ``image`` with bad pixels replaced by the mean of the good ones in the box, or of all good ones."""
     good = (~bad).astype(np.float32)
     total = cv2.blur(np.where(bad, np.float32(0.0), image), box)
@@ -165,7 +165,7 @@ class NoiseGrid:
     breadth: int
 
     @classmethod
-    def of(cls, shape: tuple[int, ...], width_px: float) -> NoiseGrid:
+    def from_shape(cls, shape: tuple[int, ...], width_px: float) -> NoiseGrid:
         """Grid for an image of ``shape`` (rows, columns) filtered for stars of ``width_px``."""
         rows, columns = (max(1, round(n / NOISE_BOX_PX)) for n in shape)
         finest = math.isqrt(max(1, shape[0] * shape[1] // (rows * columns * _MIN_NOISE_SAMPLES)))
@@ -190,7 +190,7 @@ class NoiseGrid:
         values = self.boxes(response[:: self.step, :: self.step])
         count = np.full(values.shape[:-1], values.shape[-1], dtype=np.int64)
         if bad is not None or len(sources_px):
-            excluded = self._excluded(bad, sources_px, reach_px)
+            excluded = self._exclude(bad, sources_px, reach_px)
             kept = values.shape[-1] - np.count_nonzero(excluded, axis=-1)
             some = kept > (1.0 - _MAX_EXCLUDED) * values.shape[-1]
             values = np.where(excluded & some[..., None], np.float32(np.inf), values)
@@ -200,7 +200,7 @@ class NoiseGrid:
             return np.asarray(cv2.medianBlur(sigma, 3), dtype=np.float32)
         return sigma
 
-    def _excluded(self, bad: Mask | None, sources_px: NDArray[np.integer], reach_px: int) -> Mask:
+    def _exclude(self, bad: Mask | None, sources_px: NDArray[np.integer], reach_px: int) -> Mask:
         step = self.step
         taken = np.zeros((-(-self.shape[0] // step), -(-self.shape[1] // step)), dtype=np.uint8)
         taken[sources_px[:, 1] // step, sources_px[:, 0] // step] = 1

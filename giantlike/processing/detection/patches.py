@@ -95,7 +95,7 @@ class Patches(Value):
         level: Float = planes[:, 0] + np.sum(planes[:, 1:] * away, axis=1)
         return level
 
-    def leveled(self, planes: Float, points_px: Float) -> Patches:
+    def subtract_slopes(self, planes: Float, points_px: Float) -> Patches:
         """Patches without the slopes of their backgrounds (n, 3): the level is everywhere that at ``points_px``."""
         plane = np.tensordot(planes, self.plane_terms(), axes=1)
         values = self.values_dn - plane + self.level_dn(planes, points_px)[:, None, None]

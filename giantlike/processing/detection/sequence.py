@@ -144,10 +144,10 @@ def compare_sequence(detections: Sequence[Detections]) -> list[Detections]:
     """
     if len(detections) < 2:
         return list(detections)
-    return [_compared(k, detections) for k in range(len(detections))]
+    return [_flag_by_others(k, detections) for k in range(len(detections))]
 
 
-def _compared(k: int, detections: Sequence[Detections]) -> Detections:
+def _flag_by_others(k: int, detections: Sequence[Detections]) -> Detections:
     here = detections[k]
     others = sorted((j for j in range(len(detections)) if j != k), key=lambda j: abs(j - k))[:_COMPARED]
     others = [j for j in others if len(detections[j])]

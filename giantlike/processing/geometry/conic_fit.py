@@ -109,7 +109,7 @@ def fit_ellipse(
         )
     if not _value(ellipse_center(theta)[None], theta)[0] > 0.0:
         theta = -theta
-    return _unscaled(local, noise, theta, correlation_length, middle, scale)
+    return _undo_scaling(local, noise, theta, correlation_length, middle, scale)
 
 
 def conic_matrix(coefficients: Float) -> Float:
@@ -149,7 +149,7 @@ def _value(points: Float, theta: Float) -> Float:
     return _monomials(points)[0] @ theta
 
 
-def _summed(weights: Float, slopes: Float) -> Float:
+def _sum_covariance(weights: Float, slopes: Float) -> Float:
     """Weighted sum (6, 6) over the points (n,) of the covariance that derivatives (2, n, 6) make for unit noise."""
     return np.asarray(np.sum((slopes * weights[:, None]).mT @ slopes, axis=0))
 
@@ -165,10 +165,10 @@ def _hyper(points: Float, sigma: Float) -> Float:
         values, vectors = np.linalg.eigh(second)
         inverse = (vectors[:, 1:] / values[1:]) @ vectors[:, 1:].T
         pulled = xi @ inverse
-        first = _summed(weights * variance, slopes)
+        first = _sum_covariance(weights * variance, slopes)
         mixed = np.outer((weights * variance) @ xi, _SECOND_ORDER)
         shares = weights**2 * variance
-        absorbed = _summed(shares * np.sum(pulled * xi, axis=1), slopes)
+        absorbed = _sum_covariance(shares * np.sum(pulled * xi, axis=1), slopes)
         turned = np.sum((slopes * (shares * np.sum(slopes * pulled, axis=2))[:, :, None]).mT @ xi, axis=0)
         metric = (first + mixed + mixed.T) / count - (absorbed + turned + turned.T) / count**2
         ratios, solutions = np.linalg.eig(np.linalg.solve(second + 1e-15 * np.trace(second) * np.eye(6), metric))
@@ -208,12 +208,12 @@ def _along(points: Float, center: Float) -> NDArray[np.intp]:
     return np.argsort((angles - middle + np.pi) % (2.0 * np.pi), kind="stable")
 
 
-def _unscaled(
+def _undo_scaling(
     local: Float, noise: Float, theta: Float, correlation_length: float | None, middle: Float, scale: float
 ) -> ConicFit:
     """Convert a fit to points about ``middle`` in units of ``scale`` to the unit of the points."""
     residuals, covariance = _statistics(local, noise, theta, correlation_length, scale)
-    move = _moved(middle, scale)
+    move = _scaling_matrix(middle, scale)
     coefficients = move @ theta
     size = float(np.linalg.norm(coefficients))
     across = np.eye(6) - np.outer(coefficients, coefficients) / size**2
@@ -223,7 +223,7 @@ def _unscaled(
     )
 
 
-def _moved(middle: Float, scale: float) -> Float:
+def _scaling_matrix(middle: Float, scale: float) -> Float:
     """Matrix (6, 6) from coefficients in ``(point - middle) / scale`` to those in the point itself."""
     x, y = middle / scale
     to_local = np.array([[1.0 / scale, 0.0, -x], [0.0, 1.0 / scale, -y], [0.0, 0.0, 1.0]])

@@ -33,7 +33,7 @@ def poses_of_three_points(points_body_km: Float, rays_camera: Float) -> tuple[Fl
     """
     triples, roots = _relative_distances(points_body_km, rays_camera)
     seen = rays_camera[triples] * roots[:, :, None]
-    return _aligned(points_body_km[triples], seen)
+    return _align(points_body_km[triples], seen)
 
 
 def _relative_distances(points: Float, rays: Float) -> tuple[NDArray[np.int64], Float]:
@@ -51,7 +51,7 @@ def _relative_distances(points: Float, rays: Float) -> tuple[NDArray[np.int64], 
     below = np.stack([2.0 * h * (m23 - m12), -2.0 + 2.0 * h * h * m23, zero])[:2]
     below2 = _product(below, below)
     quartic = _product(above, above)
-    quartic = quartic + _padded(2.0 * m12 * below2, 5) + _padded(2.0 * h * m12 * _product(above, below), 5)
+    quartic = quartic + _pad(2.0 * m12 * below2, 5) + _pad(2.0 * h * m12 * _product(above, below), 5)
     quartic = quartic - c * _product(q, below2)
     roots, usable = _roots(quartic)
     triple, which = np.nonzero(usable)
@@ -73,7 +73,7 @@ def _product(first: Float, second: Float) -> Float:
     return result
 
 
-def _padded(polynomial: Float, length: int) -> Float:
+def _pad(polynomial: Float, length: int) -> Float:
     return np.pad(polynomial, [(0, length - len(polynomial)), (0, 0)])
 
 
@@ -90,7 +90,7 @@ def _roots(quartic: Float) -> tuple[Float, Mask]:
     return np.asarray(roots.real, dtype=np.float64), real & sound[:, None]
 
 
-def _aligned(points_body: Float, seen_camera: Float) -> tuple[Float, Float]:
+def _align(points_body: Float, seen_camera: Float) -> tuple[Float, Float]:
     """Rotations (k, 3, 3) and positions (k, 3) that take triples (k, 3, 3) of points to camera axes."""
     body_middle, seen_middle = points_body.mean(axis=1), seen_camera.mean(axis=1)
     frames = [_triad(triple - triple[:, :1]) for triple in (points_body, seen_camera)]

@@ -116,7 +116,7 @@ def solve_pnp(
         return Failure(Reason.TOO_FEW_MATCHES, f"needed {options.min_inliers} points, got {len(points)}")
     problem = _PoseProblem(points, pixels, spread, model, camera_from_body, options)
     start = _ransac(problem)
-    return start if isinstance(start, Failure) else _refined(problem, *start)
+    return start if isinstance(start, Failure) else _refine(problem, *start)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,13 +130,13 @@ class _PoseProblem(Value):
     known: Rotation
     options: PnpOptions
 
-    def projected(self, rotations: Float, positions: Float) -> Float:
+    def project(self, rotations: Float, positions: Float) -> Float:
         """Pixels (m, n, 2) of all points under poses (m, 3, 3), (m, 3)."""
         return self.model.project(self.points @ np.swapaxes(rotations, -1, -2) + positions[:, None])
 
     def residuals(self, rotation: Rotation, position: Float) -> Float:
         """Observed minus projected pixels (n, 2) of a pose."""
-        return np.asarray(self.pixels - self.projected(rotation.as_matrix()[None], position[None])[0])
+        return np.asarray(self.pixels - self.project(rotation.as_matrix()[None], position[None])[0])
 
     @property
     def n_free(self) -> int:
@@ -167,7 +167,7 @@ def _ransac(problem: _PoseProblem) -> tuple[Rotation, Float, Mask] | Failure:
         return Failure(
             Reason.DEGENERATE_GEOMETRY, "no sample of the points determines a pose: do they lie on one line?"
         )
-    distances = np.linalg.norm(problem.projected(rotations, positions) - problem.pixels, axis=-1)
+    distances = np.linalg.norm(problem.project(rotations, positions) - problem.pixels, axis=-1)
     limit = np.full(count, options.inlier_px)
     if problem.weighs_attitude:  # samples use the a priori attitude as if exact
         range_km = float(np.median(np.linalg.norm(positions, axis=1)))
@@ -196,7 +196,7 @@ def _positions(rays: Float, turned: Float) -> Float:
     return result
 
 
-def _refined(problem: _PoseProblem, rotation: Rotation, position: Float, agree: Mask) -> PnpFix | Failure:
+def _refine(problem: _PoseProblem, rotation: Rotation, position: Float, agree: Mask) -> PnpFix | Failure:
     """Alternate fitting and selecting the points that agree until the selection no longer changes."""
     options, floor2 = problem.options, 0.0
     for _ in range(_ROUNDS):
@@ -215,7 +215,7 @@ def _refined(problem: _PoseProblem, rotation: Rotation, position: Float, agree: 
             floor2 = error_floor(left[agree], problem.spread[agree], freedom=freedom) ** 2
         if np.array_equal(before, agree) and abs(floor2 - was) <= 1e-3 * (was + 1e-12):
             break
-    scaled, scale = _scaled(_normal_equations(problem, rotation, position, agree, floor2)[0])
+    scaled, scale = _scale(_normal_equations(problem, rotation, position, agree, floor2)[0])
     covariance = np.linalg.inv(scaled) * np.outer(scale, scale)
     if freedom > 2:
         share = floor2 / (floor2 + 0.5 * float(np.mean(np.trace(problem.spread[agree], axis1=1, axis2=2))))
@@ -241,7 +241,7 @@ def _gauss_newton(
             return Failure(
                 Reason.NOT_CONVERGED, "the fit of the pose left the region that the camera model can project"
             )
-        scaled, scale = _scaled(information)
+        scaled, scale = _scale(information)
         if not np.linalg.cond(scaled) < _CONDITION_LIMIT:
             return Failure(
                 Reason.DEGENERATE_GEOMETRY,
@@ -273,7 +273,7 @@ def _normal_equations(
     return information, gradient
 
 
-def _scaled(information: Float) -> tuple[Float, Float]:
+def _scale(information: Float) -> tuple[Float, Float]:
     """Information matrix scaled to a unit diagonal, and the scales (k,)."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     return information * np.outer(scale, scale), scale

@@ -10,7 +10,7 @@ _FROM_SUN_TO_TERMINATOR = 2.0
 """Change of the altitude between a limb below the Sun and one at the terminator, in sigmas of the altitude."""
 
 
-def lifted(lift_px: Float, sights: Float, position_camera_km: Float, sun_direction_camera: Float) -> Float:
+def lift_points(lift_px: Float, sights: Float, position_camera_km: Float, sun_direction_camera: Float) -> Float:
     """Motions of the points of a limb with its altitude: uniform, and by the elevation of the Sun at each.
 
     For an image, points are pixels, and motions are changes of the signal.

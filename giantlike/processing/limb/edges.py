@@ -53,7 +53,7 @@ class EdgePoints(Value):
     def __len__(self) -> int:
         return len(self.points_px)
 
-    def moved(self, corner_px: tuple[int, int]) -> EdgePoints:
+    def shift(self, corner_px: tuple[int, int]) -> EdgePoints:
         """Return the edges of a part of an image in the pixels of the whole.
 
         ``corner_px``: column and row of the first pixel of the part.

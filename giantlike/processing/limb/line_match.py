@@ -22,7 +22,7 @@ _COLUMNS = 4  # of a match: profile, offset, outward shift, slope
 
 
 @compiled
-def started(
+def find_shifts(
     values: Float,
     usable: Mask,
     expected: Float,
@@ -69,12 +69,12 @@ def started(
                 product += value * target[i]
             spread = math.sqrt(max(square - total * total / width, 0.0))
             correlation[k] = product / spread if spread > _FLAT * math.sqrt(square) else 0.0
-        told = usable[line, middle - half - most : middle + half + most + 1]
-        whole = told.all()
+        good = usable[line, middle - half - most : middle + half + most + 1]
+        whole = good.all()
         if not whole:
             for k in range(lags):
                 data = values[line, middle - half - most + k :][:width]
-                correlation[k] = _correlation(data, target, told[k : k + width], least)
+                correlation[k] = _correlation(data, target, good[k : k + width], least)
         lag[line] = np.argmax(correlation)
         if np.isfinite(about_px[line]):
             lag[line] = min(max(int(np.rint(about_px[line] / step_px)) + most, 0), 2 * most)
@@ -89,7 +89,7 @@ def started(
         data = values[line, middle - half - most + lag[line] :][:width]
         one[:] = 1.0
         if not whole:
-            there = told[lag[line] : lag[line] + width]
+            there = good[lag[line] : lag[line] + width]
             complete[line] = there.sum() >= least and there[half - core : half + core + 1].all()
             if complete[line]:
                 for i in range(width):
@@ -103,7 +103,7 @@ def started(
 
 
 @compiled
-def refined(
+def refine_shifts(
     values: Float,
     expected: Float,
     lag: Indices,
@@ -116,9 +116,9 @@ def refined(
 ) -> tuple[Float, Float, Float, Float]:
     """Shift each line to its best position by linear steps, and fit it there with a free slope.
 
-    ``values``, ``expected`` (n, m); ``lag`` (n,); ``shift_px`` (n,), as of :func:`started`; ``fixed`` (n,); ``weights``
-    (n, w) 1/DN^2; returns ``shift_px`` (n,); ``free`` (n, 4), gain, offset, gain times the remaining shift, gain times
-    slope; ``slope_variance`` (n,), infinite where the expected profile is dark; ``without_slope`` (n, 2).
+    ``values``, ``expected`` (n, m); ``lag`` (n,); ``shift_px`` (n,), as of :func:`find_shifts`; ``fixed`` (n,);
+    ``weights`` (n, w) 1/DN^2; returns ``shift_px`` (n,); ``free`` (n, 4), gain, offset, gain times the remaining shift,
+    gain times slope; ``slope_variance`` (n,), infinite where the expected profile is dark; ``without_slope`` (n, 2).
     """
     n, middle, width = len(values), values.shape[1] // 2, 2 * half + 1
     shifts, free, variance, without = shift_px.copy(), np.empty((n, _COLUMNS)), np.full(n, np.inf), np.empty((n, 2))
@@ -149,7 +149,7 @@ def refined(
 
 
 @compiled
-def matched(
+def fit_lines(
     values: Float,
     expected: Float,
     others: Float,
@@ -165,10 +165,10 @@ def matched(
 ) -> tuple[Float, Float, Float, Float, Float, Float]:
     """Fit each line with the prior of slopes, and find its information on parameters common to all lines.
 
-    ``values``, ``expected`` (n, m); ``others`` (n, m, c); ``lag`` (n,); ``shift_px`` (n,), as of :func:`refined`;
+    ``values``, ``expected`` (n, m); ``others`` (n, m, c); ``lag`` (n,); ``shift_px`` (n,), as of :func:`refine_shifts`;
     ``weights``, ``variance_dn2`` (n, w); ``stiffness`` (n,) 1/DN^2; ``correlation`` (w, w); returns ``solution`` (n,
-    4), as ``free`` of :func:`refined`; ``noise`` (n,); ``left_rms`` (n,) DN; ``taken`` (n, 4, c), derivative of the
-    solution by each shared parameter; ``information`` (n, c, c); ``pull`` (n, c).
+    4), as ``free`` of :func:`refine_shifts`; ``noise`` (n,); ``left_rms`` (n,) DN; ``taken`` (n, 4, c), derivative of
+    the solution by each shared parameter; ``information`` (n, c, c); ``pull`` (n, c).
     """
     n, middle, width, count = len(values), values.shape[1] // 2, 2 * half + 1, others.shape[2]
     solutions, noises, rms = np.empty((n, _COLUMNS)), np.empty(n), np.empty(n)

@@ -12,7 +12,7 @@ from giantlike.core.arrays import Float
 
 
 @compiled
-def sampled(images: Float, points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
+def sample_lines(images: Float, points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
     """Weighted means of 4 x 4 pixels, the weights a cubic B-spline about each position.
 
     ``images`` (k, rows, columns); ``points_px``, ``normals_px`` (n, 2); ``offsets_px`` (m,); returns (k, n, m).

@@ -42,12 +42,12 @@ def partial_area_edges(
     spread_px2 = blur_sigma_px**2 + 1.0 / 12.0
 
     def measure(windows: Float) -> WindowEdges:
-        return _measured(windows, half, spread_px2, variance_dn2)
+        return _find_edges(windows, half, spread_px2, variance_dn2)
 
     return measured_edges(pixels_dn, usable, seeds_px, half_px=half, measure=measure)
 
 
-def _measured(windows: Float, half: int, spread_px2: float, variance_dn2: Callable[[Float], Float]) -> WindowEdges:
+def _find_edges(windows: Float, half: int, spread_px2: float, variance_dn2: Callable[[Float], Float]) -> WindowEdges:
     """Edges of windows (n, 2 half + 1, 2 half + 1), [row, column]."""
     core = windows[:, half - 1 : half + 2, half - 1 : half + 2]
     down = (core[:, 2] - core[:, 0]).sum(axis=1)

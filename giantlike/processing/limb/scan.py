@@ -19,7 +19,7 @@ from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.statistics import MAD_TO_SIGMA, robust_sigma
 from giantlike.core.values import Value
 from giantlike.processing.limb import line_match
-from giantlike.processing.limb.line_values import sampled
+from giantlike.processing.limb.line_values import sample_lines
 from giantlike.processing.limb.view import in_frame
 
 SAMPLING_VARIANCE_PX2 = 1.0 / 3.0
@@ -158,7 +158,7 @@ def values_on_lines(images: Float, points_px: Float, normals_px: Float, offsets_
 
     ``images`` (k, rows, columns); ``points_px``, ``normals_px`` (n, 2); ``offsets_px`` (m,); returns (k, n, m).
     """
-    return sampled(np.ascontiguousarray(images), points_px, normals_px, offsets_px)
+    return sample_lines(np.ascontiguousarray(images), points_px, normals_px, offsets_px)
 
 
 def _places(points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
@@ -207,16 +207,16 @@ def match_profiles(
     about = np.full(len(expected), np.nan) if about_px is None else about_px
     values, expected = scans.values_dn, np.ascontiguousarray(expected)
     enough = math.ceil(_LEAST_USABLE * (2 * half + 1)), math.floor(_CORE_PX / step)
-    lag, start_px, best, rival, light, used, complete = line_match.started(
+    lag, start_px, best, rival, light, used, complete = line_match.find_shifts(
         values, scans.usable, expected, about, step, half, most, _RIVAL_PX, *enough
     )
     variance = variance_dn2(light)
     weights = used / (variance + (_MODEL_ERROR * light.max(axis=1, keepdims=True)) ** 2)
-    shift, free, slope_variance, without_slope = line_match.refined(
+    shift, free, slope_variance, without_slope = line_match.refine_shifts(
         values, expected, lag, start_px, np.isfinite(about), weights, step, half, most
     )
     others = np.zeros((*expected.shape, 0)) if shared is None else shared
-    solution, noise, left_rms, taken, information, pull = line_match.matched(
+    solution, noise, left_rms, taken, information, pull = line_match.fit_lines(
         values,
         expected,
         others,
@@ -293,11 +293,11 @@ def _stiffness(free: Float, slope_variance: Float) -> Float:
     ``free`` (n, 4) are solutions with free slopes, of ``slope_variance`` (n,). Their scatter beyond noise gives the
     size of slopes: where the expected brightness is correct it is small, and a free slope only adds noise to the shift.
     """
-    told = (free[:, 0] > 0.0) & np.isfinite(slope_variance)
-    if not told.any():
+    determined = (free[:, 0] > 0.0) & np.isfinite(slope_variance)
+    if not determined.any():
         return np.full(len(free), _LEAST_SLOPE**-2)
-    slope = np.abs(free[told, 3] / free[told, 0])
-    noise = np.median(slope_variance[told] / free[told, 0] ** 2)
+    slope = np.abs(free[determined, 3] / free[determined, 0])
+    noise = np.median(slope_variance[determined] / free[determined, 0] ** 2)
     excess = (MAD_TO_SIGMA * float(np.median(slope))) ** 2 - float(noise)
     spread = max(_SLOPE_ROOM**2 * excess, _LEAST_SLOPE**2)
     result: Float = 1.0 / (spread * np.maximum(free[:, 0] ** 2, 1e-300))

@@ -61,8 +61,8 @@ def search_limb(
     step = float(np.clip(_COARSE_STEP * radius_px, _FINE_STEP_PX, _MAX_COARSE_STEP_PX))
     coarsest = step
     corner, crop, good = _around_outline(view, center_px + (1.0 + search_range) * (points_px - center_px), search_px)
-    dark_sky, bad = (crop - _sky_dn(crop, good)).astype(np.float32), np.flatnonzero(~good)
-    dark_sky.ravel()[bad] = 0.0
+    without_sky, bad = (crop - _sky_dn(crop, good)).astype(np.float32), np.flatnonzero(~good)
+    without_sky.ravel()[bad] = 0.0
     scales = _around(1.0, search_range, int(np.ceil(search_range * radius_px / step)))
     best = CoarseLimb(shift_px=np.zeros(2), scale=1.0, contrast=0.0)
     shifts = _around(0.0, search_px, int(np.ceil(search_px / step)))
@@ -71,7 +71,7 @@ def search_limb(
     while True:
         if sigma_px != max(0.5 * step, _COARSE_BLUR_PX):
             sigma_px = max(0.5 * step, _COARSE_BLUR_PX)
-            blurred = cv2.GaussianBlur(dark_sky, (0, 0), sigma_px).astype(np.float32, copy=False)
+            blurred = cv2.GaussianBlur(without_sky, (0, 0), sigma_px).astype(np.float32, copy=False)
             blurred.ravel()[bad] = np.nan
         offset_px = min(max(step, _COARSE_OFFSET_PX), 0.25 * radius_px)
         thin = slice(None, None, max(len(points_px) // _COARSE_POINTS, 1) if step == coarsest else 1)
@@ -83,7 +83,7 @@ def search_limb(
             limb.brightness[thin] / limb.brightness[thin].mean(),
             shifts,
             scales,
-            _COARSE_NOISE_SIGMAS * view.dark_noise_dn + 1e-6,
+            _COARSE_NOISE_SIGMAS * view.sky_noise_dn + 1e-6,
             step < coarsest,
         )
         winners = values.reshape(scales.size, -1).argmax(axis=1)
@@ -149,14 +149,14 @@ def _no_contrast(
     view: LimbView, limb: PredictedLimb, found: CoarseLimb, *, search_px: float, min_contrast: float
 ) -> Failure:
     """Say that no outline has contrast enough, and whether that is because the disk is clipped."""
-    light = view.clipped | (view.usable & (view.pixels_dn > _LIGHT_SIGMAS * view.dark_noise_dn))
-    clipped = float(view.clipped.sum()) / max(float(light.sum()), 1.0)
+    light = view.clipped_pixels | (view.usable & (view.pixels_dn > _LIGHT_SIGMAS * view.sky_noise_dn))
+    clipped = float(view.clipped_pixels.sum()) / max(float(light.sum()), 1.0)
     brightest_dn = float(view.pixels_dn[view.usable].max()) if view.usable.any() else 0.0
     return Failure(
         Reason.SATURATED if clipped > SATURATED_SHARE else Reason.NO_LIMB,
         f"no limb within {search_px:g} px of the predicted one: the best contrast across {len(limb.points_px)} lit "
         f"limb points is {min(found.contrast, min_contrast - 0.001):.3f}, needed {min_contrast:.3f}; the brightest "
-        f"good pixel holds {brightest_dn:.4g} DN over bias, noise in the dark is {view.dark_noise_dn:.3g} DN, "
+        f"good pixel holds {brightest_dn:.4g} DN over bias, noise in the dark is {view.sky_noise_dn:.3g} DN, "
         f"{clipped:.0%} of the light is clipped",
     )
 

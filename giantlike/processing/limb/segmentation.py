@@ -208,7 +208,7 @@ def _assignments(blobs: Blobs, places: Float, looks: Float, search_px: float) ->
             shift = blobs.centroids_px[blob] - places[body]
             if np.linalg.norm(shift) > search_px:
                 continue
-            chosen, cost = _assigned(blobs.centroids_px, places + shift, looks, search_px, len(places))
+            chosen, cost = _assign(blobs.centroids_px, places + shift, looks, search_px, len(places))
             if chosen is not None:
                 total = cost + float(shift @ shift) / (search_px / 3.0) ** 2
                 found[chosen] = min(found.get(chosen, math.inf), total)
@@ -227,7 +227,7 @@ def _looks(blobs: Blobs, expected: Sequence[ExpectedBlob], log_area_sigma: float
     return result
 
 
-def _assigned(
+def _assign(
     centroids_px: Float, places_px: Float, looks: Float, search_px: float, count: int
 ) -> tuple[tuple[int, ...] | None, float]:
     """The cheapest assignment of blobs to bodies at given positions, and its cost."""

@@ -72,18 +72,18 @@ def estimate_shared(
     information, pull, gain_change = match.information[good], match.pull[good], match.shared_gain[good]
     spread, believed = 1.0, np.ones(len(prior))
     for _ in range(_SPREAD_STEPS):
-        values, inverse, gain = _solved(information, pull, gain_change, prior * spread * believed, expected)
+        values, inverse, gain = _solve(information, pull, gain_change, prior * spread * believed, expected)
         above = np.where(open_above, (values - expected) * np.sqrt(prior), 0.0)
         believed = _CONTRADICTED / np.maximum(above, _CONTRADICTED)
         scores = gain[:, None] * pull - gain[:, None] ** 2 * np.einsum("nij,j->ni", information, values)
         scatter = _scatter(scores)
-        told = np.einsum("n,nij->ij", gain**2, information)
-        spread = max(float(np.trace(inverse @ scatter) / max(np.trace(inverse @ told), 1e-9)), 1.0)
+        formal = np.einsum("n,nij->ij", gain**2, information)
+        spread = max(float(np.trace(inverse @ scatter) / max(np.trace(inverse @ formal), 1e-9)), 1.0)
     covariance = inverse @ (scatter + spread**2 * np.diag(prior)) @ inverse
     return SharedEstimate(values=values, covariance=(covariance + covariance.T) / 2.0)
 
 
-def _solved(
+def _solve(
     information: Float, pull: Float, gain_change: Float, prior: Float, expected: Float
 ) -> tuple[Float, Float, Float]:
     """Shared parameters (c,), inverse (c, c) of their information, and gains (n,) relative to the previous ones."""

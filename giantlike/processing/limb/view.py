@@ -49,7 +49,7 @@ class LimbView(Value):
         return None if self.plane.psf is None else self.plane.psf.sigma_px
 
     @property
-    def clipped(self) -> Mask:
+    def clipped_pixels(self) -> Mask:
         """Saturated pixels (rows, columns) where some lie in a patch, of a bright body; single ones are defects."""
         if not self.saturated.any():
             return self.saturated
@@ -60,11 +60,11 @@ class LimbView(Value):
     @property
     def with_clipped(self) -> Mask:
         """Pixels (rows, columns) that are usable or clipped: a clipped one is bright, whatever its value."""
-        clipped = self.clipped
+        clipped = self.clipped_pixels
         return np.asarray(self.usable | clipped) if clipped.any() else self.usable
 
     @property
-    def dark_noise_dn(self) -> float:
+    def sky_noise_dn(self) -> float:
         """Standard deviation of a dark pixel, DN."""
         return math.sqrt(float(self.detector.variance_dn2(np.zeros(1))[0]))
 

@@ -51,7 +51,7 @@ def zernike_edges(
     table = _table(size, round(float(blur_sigma_px), 6))
 
     def measure(windows: Float) -> WindowEdges:
-        return _measured(windows, table, curvature_px * table.radius_px, variance_dn2)
+        return _find_edges(windows, table, curvature_px * table.radius_px, variance_dn2)
 
     return measured_edges(pixels_dn, usable, seeds_px, half_px=size // 2, measure=measure)
 
@@ -78,12 +78,12 @@ def zernike_kernels(size: int) -> tuple[NDArray[np.complex128], Float]:
     inside = rho2 <= 1.0
     area = (2.0 / (size * _SUBPIXELS)) ** 2
 
-    def summed(values: Float) -> Float:
+    def integrate(values: Float) -> Float:
         cells = np.where(inside, values, 0.0).reshape(size, _SUBPIXELS, size, _SUBPIXELS)
         result: Float = area * cells.sum(axis=(1, 3))
         return result
 
-    return summed(x) + 1j * summed(y), summed(2.0 * rho2 - 1.0)
+    return integrate(x) + 1j * integrate(y), integrate(2.0 * rho2 - 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,12 +158,12 @@ def _sampling_px(table: _Table, blur_sigma_px: float) -> float:
     else:
         light = (depth > 0).astype(np.float64)
     windows = light.reshape(-1, size, 15, size, 15).mean(axis=(2, 4))
-    found = _measured(windows, table, 0.0, np.zeros_like)
+    found = _find_edges(windows, table, 0.0, np.zeros_like)
     error = np.einsum("ij,ij->i", found.offsets_px, np.stack([np.cos(turn), np.sin(turn)], axis=-1)) - off
     return float(np.sqrt(np.mean(error**2)))
 
 
-def _measured(windows: Float, table: _Table, curvature: float, variance_dn2: Callable[[Float], Float]) -> WindowEdges:
+def _find_edges(windows: Float, table: _Table, curvature: float, variance_dn2: Callable[[Float], Float]) -> WindowEdges:
     """Edges of windows (n, size, size)."""
     a11 = np.einsum("nij,ij->n", windows, table.first)
     a20 = np.einsum("nij,ij->n", windows, table.second)

@@ -183,7 +183,7 @@ def measure_by_cells(
         settled = settle_limb(tried, start, search, min_points=options.min_cells, closest_km=closest_km)
         if not isinstance(settled, Failure) or settled.reason is not Reason.NOT_CONVERGED:
             break
-    if view.clipped.any() and _mostly_lost(settled):
+    if view.clipped_pixels.any() and _mostly_lost(settled):
         by_lines = measure_clipped(view, figure, law, found[0], search, options)
         return settled if isinstance(by_lines, Failure) else by_lines
     return settled

@@ -151,7 +151,7 @@ class EllipseFit(BodyEstimator[EllipseFitOptions, PositionFix]):
         stand_in = replace(stand_in, figure=altitude.above(stand_in.figure))
         view = limb_view(inputs)
         measured = limb_edges(view, stand_in, sunlight_px(inputs.geometry, inputs.camera.model), self.options)
-        if view.clipped.any() and _mostly_lost(measured):
+        if view.clipped_pixels.any() and _mostly_lost(measured):
             search = IteratedSearch(search_px=self.options.search_px, search_range=self.options.search_range)
             law, start_km = inputs.geometry.target.reflectance, stand_in.position_camera_km
             measured = measure_clipped(view, stand_in.figure, law, start_km, search, ScanOptions())
@@ -225,10 +225,10 @@ def limb_edges(
             size=size,
             curvature_px=1.0 / view.radius_px,
         )
-        both.append(_near_prediction(view, found.moved(box.corner_px), stand_in, sunlight, options))
+        both.append(_near_prediction(view, found.shift(box.corner_px), stand_in, sunlight, options))
     small, large = _pair_edges(*both)
     if len(small) < options.min_edges:
-        light = (view.usable & (view.pixels_dn > threshold)) | view.clipped
+        light = (view.usable & (view.pixels_dn > threshold)) | view.clipped_pixels
         good = np.arange(max(len(seeds), len(small))) < len(small)
         elsewhere = {"not like the predicted limb in place, direction or contrast": len(seeds) - len(small)}
         return too_few(view, light, good, elsewhere, needed=options.min_edges)
@@ -312,7 +312,7 @@ def _sky(view: LimbView, stand_in: EllipsoidStandIn, search_px: float) -> tuple[
             Reason.NO_LIMB, f"no sky in the frame beside the body, as predicted and {search_px:g} px around it"
         )
     background = background_of(sky)
-    sigma_dn = max(background.sigma_dn, 0.1 * view.dark_noise_dn)
+    sigma_dn = max(background.sigma_dn, 0.1 * view.sky_noise_dn)
     bright = float(np.percentile(body, 75.0)) - background.level_dn if body.size else 0.0
     return Background(level_dn=background.level_dn, sigma_dn=sigma_dn), max(bright, 0.0)
 

@@ -18,7 +18,7 @@ from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import solution_gain
-from giantlike.processing.limb.altitude import lifted
+from giantlike.processing.limb.altitude import lift_points
 from giantlike.processing.limb.measurement import LimbMeasurement, smooth_parts
 from giantlike.processing.outline_errors import outline_errors
 from giantlike.ray_tracing import Air
@@ -290,7 +290,7 @@ def fit_horizon(
     lift = altitude_design(points, model, figure, start_km) if altitude.sigma_km > 0.0 else np.zeros(len(points))
     by_altitude = altitude.sigma_km * lift[:, None]
     if altitude.uneven:
-        by_altitude = lifted(by_altitude[:, 0], model.unproject(points), start_km, sun_direction_camera)
+        by_altitude = lift_points(by_altitude[:, 0], model.unproject(points), start_km, sun_direction_camera)
     own, weighting = _own_errors(measured, residuals, design)
     others = {
         **{cause: shared[keep] @ shared[keep].T for cause, shared in measured.common_px.items()},

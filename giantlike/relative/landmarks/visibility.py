@@ -146,7 +146,7 @@ class LandmarkViewer:
                 (dark, np.broadcast_to(sun, ground.shape), options.max_shadowed),
             ):
                 blocked = np.zeros(self._owner.size, dtype=bool)
-                blocked[look] = self._tracer.occluded(ground, toward)
+                blocked[look] = self._tracer.is_occluded(ground, toward)
                 which[:] = self._share(blocked) > limit
         useful = np.flatnonzero(framed & facing & lit & large & ~hidden & ~dark)
         useful = self._select_apart(useful, predicted, options.max_landmarks)

@@ -62,7 +62,7 @@ def clipping_level_dn(view: LimbView, scans: Scans) -> float | None:
 
     Returns None where no patch of saturated pixels lies on the lines.
     """
-    clipped = view.clipped
+    clipped = view.clipped_pixels
     if clipped.any():
         clipped = clipped & pixels_near(scans.points_px, scans.normals_px, scans.offsets_px, view.usable.shape)
     return float(view.pixels_dn[clipped].min()) if clipped.any() else None

@@ -14,7 +14,7 @@ from giantlike.core.causes import Cause
 from giantlike.core.findings import Corrections
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import BodyTurn, Failure, PositionFix, Reason
-from giantlike.processing.limb.altitude import lifted
+from giantlike.processing.limb.altitude import lift_points
 from giantlike.processing.limb.measurement import LimbMeasurement
 from giantlike.processing.limb.view import LimbView
 from giantlike.ray_tracing import Body
@@ -121,7 +121,7 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
         if sigma_km > 0.0:
             sights, sun = view.model.unproject(measured.predicted_px), view.sun_direction_camera
             lift_px = sigma_km * np.linalg.norm(measured.design, axis=1)
-            lift = {Cause.ALTITUDE: lifted(lift_px, sights, measured.position_camera_km, sun)}
+            lift = {Cause.ALTITUDE: lift_points(lift_px, sights, measured.position_camera_km, sun)}
             measured = replace(measured, common_px={**measured.common_px, **lift})
         solution = solve_limb(measured, view.radius_px, min_length_px=self.options.scan.spacing_px)
         if altitude_km:

@@ -24,7 +24,7 @@ from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.statistics import excess
 from giantlike.core.values import Value
 from giantlike.image_model.columns import Block, Columns, Prior, Use, split_noise
-from giantlike.processing.limb.altitude import lifted
+from giantlike.processing.limb.altitude import lift_points
 from giantlike.relative.template.covariance import LinearFit, RobustFit
 from giantlike.relative.template.haze import haze_altitude, haze_block
 from giantlike.relative.template.linear import BEND_SIGMA, PIXEL_VARIANCE_PX2, SMEAR_SIGMA_PX2, LinearProblem
@@ -454,7 +454,7 @@ class _SolvedStep:
         rows, columns = np.indices(growth.shape)
         x, y = self.state.center_px - self.problem.pixels.corner_px
         sights = np.stack([columns - x, rows - y, np.ones_like(growth)], axis=-1).reshape(-1, 3)
-        lifts = lifted(growth.ravel(), sights, np.array([0.0, 0.0, 1.0]), np.array(options.sun_direction))
+        lifts = lift_points(growth.ravel(), sights, np.array([0.0, 0.0, 1.0]), np.array(options.sun_direction))
         return Block(
             effect="altitude",
             cause=Cause.ALTITUDE,

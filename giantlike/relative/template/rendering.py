@@ -30,7 +30,7 @@ from giantlike.ray_tracing import (
     trace_body,
 )
 from giantlike.ray_tracing.daylight import Daylight
-from giantlike.ray_tracing.refined import refined
+from giantlike.ray_tracing.refined import refine_trace
 from giantlike.relative.place import apparent_radius_px
 from giantlike.relative.template.haze import haze_laws
 from giantlike.relative.template.moved_body import MovedBody, ShadedRays
@@ -234,7 +234,7 @@ class TemplateRenderer(Value):
         if not trace.lit:
             return Failure(Reason.NOT_LIT, "no part of the body that the camera sees is lit by the Sun")
         parts = _SMOOTH_PARTS if isinstance(self.target.shape, Ellipsoid) else _PARTS
-        body = MovedBody(trace=refined(trace, parts) if fine else trace, state=state)
+        body = MovedBody(trace=refine_trace(trace, parts) if fine else trace, state=state)
         return body, body.shade(laws)
 
     def _daylight(self, rough: MovedBody, state: TemplateState) -> Daylight | None:

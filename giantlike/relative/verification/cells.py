@@ -138,9 +138,9 @@ class Cells(Value):
     def light(self, trace: Trace) -> Float:
         """Brightness in :attr:`inner` of a trace, as that of its template and without what else is in one."""
         across, down = trace.footprint.spread
-        columns = across.of(trace.cell_brightness(trace.body.reflectance))
+        columns = across.apply(trace.cell_brightness(trace.body.reflectance))
         x, y = trace.footprint.corner_px.tolist()
-        return self.inner.cut(down.of(columns.T), (x, y))
+        return self.inner.cut(down.apply(columns.T), (x, y))
 
 
 def cells_around(

@@ -194,8 +194,8 @@ def test_landmarks_in_use_are_seen_lit_and_not_oblique() -> None:
             assert cosines[1] > np.cos(np.radians(options.max_incidence_deg))
             ground = landmark.grid_body_km(7) + 0.01 * landmark.size_km * landmark.normal_body
             tracer = tracer_for(rock())
-            assert np.mean(tracer.occluded(ground, camera_km - ground)) < 0.2
-            assert np.mean(tracer.occluded(ground, np.broadcast_to(sun_body, ground.shape))) < 0.55
+            assert np.mean(tracer.is_occluded(ground, camera_km - ground)) < 0.2
+            assert np.mean(tracer.is_occluded(ground, np.broadcast_to(sun_body, ground.shape))) < 0.55
     assert seen.numbers.size > 5
     assert seen.dark > 0
     assert seen.oblique > len(catalog) // 3

@@ -150,13 +150,13 @@ def test_few_rays_to_the_sun_light_a_rock_as_all_do(
 ) -> None:
     (_, mesh), sun, place = rock(1), sun_at(phase_deg), ROCK_RANGE * POSITION_KM
     body = Body(shape=mesh, camera_from_body=Rotation.identity(), position_camera_km=place)
-    sent, occluded = [], EmbreeSurface.occluded
+    sent, occluded = [], EmbreeSurface.is_occluded
 
     def counted(self: EmbreeSurface, origins: Float32, directions: Float32) -> Mask:
         sent.append(len(origins))
         return occluded(self, origins, directions)
 
-    monkeypatch.setattr(EmbreeSurface, "occluded", counted)
+    monkeypatch.setattr(EmbreeSurface, "is_occluded", counted)
     found = []
     for few in (True, False):
         if not few:
