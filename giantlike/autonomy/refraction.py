@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike
 from giantlike.core.arrays import Float, as_finite, as_floats, require, require_number, unit
 from giantlike.core.deprecation import forward_names
 
-__getattr__ = forward_names(__name__, {__name__: "refracted:apply_refraction unrefracted:remove_refraction"}, until="0.4")
+__getattr__ = forward_names(
+    __name__, {__name__: "refracted:apply_refraction unrefracted:remove_refraction"}, until="0.4"
+)
 
 LOWEST_ELEVATION_RAD = math.radians(10.0)
 """Lowest elevation: ERFA's two constants are good to 0.1 arcsec above 15 degrees, some arcsec at 10 (refco.c)."""

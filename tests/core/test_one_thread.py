@@ -9,21 +9,30 @@ from typing import Any, NoReturn
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from giantlike import calibration, navigation, stars
+from giantlike.calibration.alignment import align
+from giantlike.calibration.calibrate import calibrate
+from giantlike.calibration.star_images import calibrate_stars, identify_first
+from giantlike.cislunar.batch import estimate_batch
+from giantlike.passes.estimator import estimate_pass
 from giantlike.processing import detect_sources
+from giantlike.stars.apriori import identify_apriori
+from giantlike.stars.attitude import fit_attitude
+from giantlike.stars.lost_in_space import identify_lost_in_space
+from giantlike.stars.refine import refine_attitude
+from giantlike.stars.transfer import carry_attitude
 
 FUNCTIONS: list[Callable[..., Any]] = [
-    stars.fit_attitude,
-    stars.refine_attitude,
-    stars.identify_apriori,
-    stars.identify_lost_in_space,
-    stars.carry_attitude,
-    calibration.calibrate,
-    calibration.calibrate_stars,
-    calibration.identify_first,
-    calibration.align,
-    navigation.estimate_batch,
-    navigation.estimate_pass,
+    fit_attitude,
+    refine_attitude,
+    identify_apriori,
+    identify_lost_in_space,
+    carry_attitude,
+    calibrate,
+    calibrate_stars,
+    identify_first,
+    align,
+    estimate_batch,
+    estimate_pass,
     detect_sources,
 ]
 

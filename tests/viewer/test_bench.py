@@ -127,7 +127,7 @@ def test_the_odds_of_other_models_and_the_larger_sigma_are_explained() -> None:
         findings=Findings(checks=checks),
     )
     words = explain(fix)
-    assert "second_light 10^4.0, other_sun 10^-20.0 (suspect where their sum exceeds 10^3.8)." in words
+    assert "second_light 10^4.0, other_sun 10^-20.0 (suspect where their sum exceeds 10^4.0)." in words
     assert "Odds of another place in the search region: 10^-5.0 (suspect above 10^-3.0)." in words
     assert "Probability that a right prediction is off by as much: 0.25 (suspect below 0.001)." in words
     assert "multiplied by 2.5 (tension)" in words
