@@ -26,7 +26,7 @@ from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells, mot
 from giantlike.relative.verification.haze import HAZE_CELLS_PER_RADIUS, hint_of_haze, in_haze, may_be_hazy, veils
 from giantlike.relative.verification.light_side import light_side
 from giantlike.relative.verification.proportion import in_proportion, looks_bent
-from giantlike.relative.verification.rival import other_size_log_odds, rival_log_odds
+from giantlike.relative.verification.rival import find_other_size, rival_log_odds
 from giantlike.rings import Rings
 from giantlike.shapes import Ellipsoid
 
@@ -186,9 +186,29 @@ def _odds(coarse: _Coarse, inputs: EstimatorInputs, search_px: float) -> tuple[d
         return alternatives, _NOTHING_THERE if _fits_dark_body(coarse.fit) else -math.inf
     albedo = geometry.target.uncertainty.albedo
     if cells.has_face:
-        alternatives[Alternative.OTHER_SIZE] = other_size_log_odds(cells, own, albedo)
+        alternatives[Alternative.OTHER_SIZE] = _other_size_log_odds(coarse, inputs, albedo)
     rival = rival_log_odds(cells, own, inputs.predicted_px, search_px, albedo)
     return alternatives, max(rival, _NOTHING_THERE) if _fits_dark_body(coarse.fit) else rival
+
+
+def _other_size_log_odds(coarse: _Coarse, inputs: EstimatorInputs, albedo: float) -> float:
+    """Logarithm of the odds that the image shows a body of another apparent size, not this one with large markings.
+
+    The size that matches best is rendered and fitted as the body was; both count no better than without markings.
+    """
+    cells, body = coarse.cells, coarse.trace.body
+    found = find_other_size(cells, coarse.trace, coarse.own, albedo)
+    if found is None or coarse.fit is None:
+        return -math.inf
+    log_odds, size, offset_px = found
+    range_km = float(np.linalg.norm(body.position_camera_km)) / size
+    position_km = range_km * inputs.camera.model.unproject(cells.center_px + offset_px)
+    trace = cells.trace(replace(body, position_camera_km=position_km), inputs.geometry.sun_direction_camera)
+    other = None if trace is None else cells.render(trace)
+    if trace is None or other is None:
+        return -math.inf
+    fit = fit_cells(cells, trace, other, albedo=albedo, turn_rad=inputs.turn_rad)
+    return -math.inf if fit is None else min(log_odds, fit.log_evidence - coarse.fit.log_evidence)
 
 
 def _second_exposure_log_odds(fix: CenterFix, smear: Smear, coarse: _Coarse, inputs: EstimatorInputs) -> float:

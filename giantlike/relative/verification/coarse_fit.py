@@ -42,7 +42,7 @@ _LAW_SIGMA = 1.0
 """A priori standard deviation of the fraction of another law: 0 is the assumed law, 1 the other one."""
 _MOVED, _GROWN, _STRAINED = 0.5, 0.3, 0.3
 """A priori standard deviations of motion (radii), growth and strain of a body: far beyond the linear range."""
-_OTHER_LAWS = (Lambert(), LommelSeeliger(), Minnaert(k=0.7))
+OTHER_LAWS = (Lambert(), LommelSeeliger(), Minnaert(k=0.7))
 """Laws of a mixture: strong, no and medium limb darkening, as for limbs. Minnaert's is not a sum of the others: without
 it, such a surface was mistaken for another shape by up to 3 standard deviations."""
 _OTHER_LAW = 0.5
@@ -421,8 +421,8 @@ def _design(cells: Cells, trace: Trace, own: Template, motion: Callable[[Float],
     """Design with the light of the body under its law and others, a plane, and derivatives by position and size."""
     light = cells.place(own.brightness, own)
     light = light if motion is None else motion(light)
-    others = np.empty((len(_OTHER_LAWS), *light.shape))
-    for number, law in enumerate(_OTHER_LAWS):
+    others = np.empty((len(OTHER_LAWS), *light.shape))
+    for number, law in enumerate(OTHER_LAWS):
         other = cells.light(trace.with_reflectance(law))
         others[number] = other if motion is None else motion(other)
     x, y = own.center_px[0] - cells.inner.x, own.center_px[1] - cells.inner.y

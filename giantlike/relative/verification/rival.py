@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 
 from giantlike.core.arrays import Float
-from giantlike.ray_tracing import Template
+from giantlike.ray_tracing import Template, Trace
 from giantlike.relative.verification.cells import BLOCK, Cells
+from giantlike.relative.verification.coarse_fit import OTHER_LAWS
 from giantlike.relative.verification.light_side import independent_parts
 from giantlike.relative.verification.shifts import ShiftedMatches
 
@@ -59,24 +60,26 @@ def rival_log_odds(cells: Cells, own: Template, predicted_px: Float, search_px: 
     return 0.5 * parts * math.log(left / left_there)
 
 
-def other_size_log_odds(cells: Cells, own: Template, albedo: float) -> float:
-    """Logarithm of the odds that the image shows a body of another apparent size, not this one with large markings.
+def find_other_size(cells: Cells, trace: Trace, own: Template, albedo: float) -> tuple[float, float, Float] | None:
+    """Apparent size of a body, relative to this one, that matches an image best without markings.
 
-    Returns minus infinity where too little of the body lies in the frame.
+    Returns the logarithm of the odds, the size, and its offset (2,), px; None where this one matches as well. The body
+    itself is matched under several laws, as a strong limb darkening resembles a smaller body.
     """
     parts = independent_parts(cells, own)
     if parts == 0.0:
-        return -math.inf
+        return None
     light = cells.place(own.brightness, own)
     x, y = own.center_px[0] - cells.inner.x, own.center_px[1] - cells.inner.y
-    lights = [light, *(_resize(light, x, y, size) for size in _SIZES)]
-    left = (
-        ShiftedMatches.from_cells(cells, math.ceil(cells.radius))
-        .find_unexplained_share(np.stack(lights))
-        .min(axis=(1, 2))
-    )
-    left = np.maximum(left, albedo**2)
-    return 0.5 * parts * math.log(left[0] / left[1:].min())
+    lit = np.stack([light, *(cells.light(trace.with_reflectance(law)) for law in OTHER_LAWS)])
+    resized = np.stack([_resize(light, x, y, size) for size in _SIZES])
+    matches = ShiftedMatches.from_cells(cells, math.ceil(cells.radius))
+    left = max(float(matches.find_unexplained_share(lit).min()), albedo**2)
+    left_by_other = matches.find_unexplained_share(resized)
+    which, row, column = np.unravel_index(int(np.argmin(left_by_other)), left_by_other.shape)
+    log_odds = 0.5 * parts * math.log(left / max(float(left_by_other.min()), albedo**2))
+    offset_px = cells.size * (np.array([column, row], dtype=np.float64) - left_by_other.shape[1] // 2)
+    return (log_odds, _SIZES[which], offset_px) if log_odds > 0.0 else None
 
 
 def _resize(light: Float, x: float, y: float, size: float) -> Float:
