@@ -10,9 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from giantlike._system.atomic import write_text_atomic
+from giantlike.camera import Camera
+from giantlike.campaign.file.inputs import camera_of
+from giantlike.campaign.file.mission_defaults import with_mission
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError, InputError
 from giantlike.image import Image
+from giantlike.presets import camera_preset
 
 _TEMPLATE = Path(__file__).parent / "pages" / "campaign.toml.template"
 _LOOKED_AT = 20
@@ -23,18 +27,22 @@ _LONG_S = 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraChoice:
-    """Camera of a new campaign: a file, a preset, or a rough field of view.
+    """Camera of a new campaign: a file, a preset, a mission, or a rough field of view.
 
     fov_deg: along x.
     """
 
     file: Path | None = None
     preset: str | None = None
+    mission: str | None = None
     fov_deg: float | None = None
 
     def __post_init__(self) -> None:
-        given = [name for name in (self.file, self.preset, self.fov_deg) if name is not None]
-        require(len(given) == 1, "give one of --camera FILE, --preset NAME and --fov DEG (rough field of view along x)")
+        given = [name for name in (self.file, self.preset, self.mission, self.fov_deg) if name is not None]
+        require(
+            len(given) == 1,
+            "give one of --camera FILE, --preset NAME, --mission NAME and --fov DEG (rough field of view along x)",
+        )
 
 
 def write_campaign_file(images: Path, output: Path, camera: CameraChoice, *, overwrite: bool = False) -> Path:
@@ -73,15 +81,40 @@ def _looked_at(folder: Path) -> tuple[str, list[Image]]:
     raise InputError(f"{folder}: holds no image of a readable format")
 
 
-def _camera(camera: CameraChoice, size: tuple[int, int], base: Path) -> str:
-    if camera.file is not None:
-        return f"file = {json.dumps(Path(os.path.relpath(camera.file, base)).as_posix())}"
-    if camera.preset is not None:
-        return f"preset = {json.dumps(camera.preset)}"
+def _camera(choice: CameraChoice, size: tuple[int, int], base: Path) -> str:
+    """Section of the camera; one that does not fit the images is refused, as a run would."""
+    if choice.fov_deg is not None:
+        return (
+            f"[camera]\ncolumns = {size[0]}\nrows = {size[1]}\nfov_deg = {choice.fov_deg}        "
+            "# rough, along x: give a camera file, or a [calibration] below"
+        )
+    if choice.file is not None:
+        binned = _binning(str(choice.file), Camera.load(choice.file), size, may_bin=False)
+        return f"[camera]\nfile = {json.dumps(Path(os.path.relpath(choice.file, base)).as_posix())}{binned}"
+    if choice.preset is not None:
+        binned = _binning(choice.preset, camera_preset(choice.preset).camera, size)
+        return f"[camera]\npreset = {json.dumps(choice.preset)}{binned}"
+    table = with_mission(base, {"mission": {"name": choice.mission}})
+    binned = _binning(str(choice.mission), camera_of(base, table["camera"])[0], size)
     return (
-        f"columns = {size[0]}\nrows = {size[1]}\nfov_deg = {camera.fov_deg}        "
-        "# rough, along x: give a camera file, or a [calibration] below"
+        "[mission]                   # defaults of camera, reading of images and SPICE\n"
+        f"name = {json.dumps(choice.mission)}\n"
+        f'# kernels = "kernels"       # a folder: its SPICE kernels are found by their names\n\n[camera]{binned}'
     )
+
+
+def _binning(name: str, camera: Camera, size: tuple[int, int], *, may_bin: bool = True) -> str:
+    """Line for images that are summed over blocks of pixels; nothing where they are as large as the camera's."""
+    full = camera.columns, camera.rows
+    if full == size:
+        return ""
+    factor = full[0] // size[0]
+    require(
+        may_bin and factor > 1 and full == (factor * size[0], factor * size[1]),
+        f"{name}: the camera has {full[0]} x {full[1]} pixels and the images {size[0]} x {size[1]}, which is no whole "
+        "number of them: give a camera file of such images, or --fov",
+    )
+    return f"\nbinned = {factor}"
 
 
 def _stars(images: Sequence[Image]) -> str:

@@ -36,12 +36,13 @@ def init(
     images: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of images.")],
     camera: Annotated[Path | None, typer.Option(help="Camera file.", metavar="FILE")] = None,
     preset: Annotated[str | None, typer.Option(help="Camera that comes with the package.", metavar="NAME")] = None,
+    mission: Annotated[str | None, typer.Option(help="Camera, images and SPICE of a mission.", metavar="NAME")] = None,
     fov: Annotated[float | None, typer.Option(help="Rough field of view along x.", metavar="DEG")] = None,
     output: Annotated[Path, typer.Option(help="File to write.", metavar="FILE")] = Path("campaign.toml"),
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> ExitCode:
     """Write a commented campaign file for a folder of images."""
-    choice = CameraChoice(file=camera, preset=preset, fov_deg=fov)
+    choice = CameraChoice(file=camera, preset=preset, mission=mission, fov_deg=fov)
     path = write_campaign_file(images, output, choice, overwrite=overwrite)
     return show_result({"campaign": path}, f"wrote {path}; complete it, then giantlike check {path}", json=json)

@@ -172,5 +172,22 @@ def test_init_writes_a_campaign_file_that_loads_and_tells_what_it_saw(folder: Pa
     assert "holds no image" in giantlike("init", folder, "--fov", "20", "--output", folder / "x.toml").stderr
 
 
+def test_init_takes_a_preset_or_a_mission_that_fits_the_images(tmp_path: Path) -> None:
+    (tmp_path / "images").mkdir()
+    write_fits(tmp_path / "images" / "a.fits", np.zeros((256, 256), np.uint16), header={})
+    for option in ("--preset", "--mission"):
+        path = tmp_path / f"{option[2:]}.toml"
+        assert giantlike("init", tmp_path / "images", option, "cassini_nac", "--output", path).exit_code == 0
+        assert Campaign.load(path).camera.columns == 256
+        assert giantlike("check", path, "--images").exit_code == 0
+        unknown = giantlike("init", tmp_path / "images", option, "casini_nac", "--output", tmp_path / "x.toml")
+        assert unknown.exit_code == 2
+        assert "cassini_nac" in unknown.stderr
+    write_fits(tmp_path / "images" / "a.fits", np.zeros((300, 256), np.uint16), header={})
+    other = giantlike("init", tmp_path / "images", "--preset", "cassini_nac", "--output", tmp_path / "x.toml")
+    assert other.exit_code == 2
+    assert "1024 x 1024 pixels and the images 256 x 300" in other.stderr
+
+
 def test_completion_is_offered() -> None:
     assert "--install-completion" in giantlike("--help").stdout
