@@ -9,8 +9,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-import zipfile
-import zlib
 from collections import OrderedDict
 from dataclasses import dataclass
 from enum import StrEnum
@@ -23,6 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.archives import array_of, open_archive_of_arrays
+from giantlike._system.reading import reads
 from giantlike.catalogs import (
     StarCatalog,
     StarTable,
@@ -32,6 +32,7 @@ from giantlike.catalogs import (
     write_to_cache,
 )
 from giantlike.core.arrays import Float
+from giantlike.core.errors import DataError
 from giantlike.core.frames import rotate
 from giantlike.core.values import Value
 from giantlike.stars.field import EPOCH_WHEN_UNKNOWN
@@ -295,16 +296,23 @@ def _brightest(catalog: StarCatalog, count: int, max_magnitude: float | None) ->
         limit = min(limit + max(step, 0.3), deepest)
 
 
+_UNIT = 1e-9
+"""Maximum departure of the norm of a direction from one: rounding leaves 1e-15."""
+
+
 def _read(path: Path, pattern: Pattern, radius_rad: float) -> StarIndex | None:
     """Index from a file; None if the file is missing or damaged, so that it is rebuilt."""
     try:
-        with np.load(path, allow_pickle=False) as columns:
-            index = StarIndex(pattern=pattern, radius_rad=radius_rad, **{name: columns[name] for name in columns.files})
+        index = StarIndex(pattern=pattern, radius_rad=radius_rad, **_read_columns(path))
         return index if _is_whole(index) else None
-    except (OSError, ValueError, TypeError, LookupError, EOFError, MemoryError, NotImplementedError):
+    except (DataError, TypeError, ValueError, AttributeError):
         return None
-    except (AttributeError, RuntimeError, zipfile.BadZipFile, zlib.error):
-        return None
+
+
+@reads("a star index")
+def _read_columns(path: Path) -> dict[str, NDArray[Any]]:
+    with open_archive_of_arrays(path) as columns:
+        return {name: array_of(columns, name) for name in columns.files}
 
 
 def _is_whole(index: StarIndex) -> bool:
@@ -318,5 +326,7 @@ def _is_whole(index: StarIndex) -> bool:
     ]
     if any(array.dtype != kind or array.shape != shape for array, kind, shape in forms):
         return False
-    ordered = bool((np.diff(index.cells.astype(np.int64)) >= 0).all()) and bool(np.isfinite(index.directions).all())
+    ordered = bool((np.diff(index.cells.astype(np.int64)) >= 0).all())
+    with np.errstate(over="ignore", invalid="ignore"):
+        ordered &= bool((np.abs(np.linalg.norm(index.directions, axis=1) - 1.0) < _UNIT).all())
     return ordered and int(index.patterns.max(initial=0)) < max(stars, 1)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike._system.reading import reads
+from giantlike._system.reading import check, reads
 from giantlike.camera import Camera
 from giantlike.campaign.compare.differences import Difference, ResultComparison, differences_of
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
@@ -42,6 +42,7 @@ _META_START = re.compile(rf"^{_SPACES}META_START{_SPACES}$", re.MULTILINE)
 _TDM_ITEM = re.compile(rf"^{_SPACES}([A-Z_0-9]++){_SPACES}={_SPACES}(.*+)$", re.MULTILINE)
 _TDM_ANGLE = re.compile(rf"^{_SPACES}(ANGLE_[12]){_SPACES}={_SPACES}(\S++){_SPACES}(\S++)", re.MULTILINE)
 """Lines of a TDM: each is looked at once."""
+_FULL_TURN_DEG = 360.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -257,6 +258,7 @@ def _read_tdm(path: Path) -> tuple[list[_Seen], bool]:
             raise DataError(path, f"REFERENCE_FRAME {meta['REFERENCE_FRAME']}: angles are compared in ICRF or EME2000")
         angles: dict[str, dict[str, float]] = {}
         for name, epoch, value in _TDM_ANGLE.findall(segment):
+            check(abs(float(value)) <= _FULL_TURN_DEG, f"{name} is an angle in degrees, found {value}")
             angles.setdefault(epoch, {})[name] = float(value)
         seen += [
             _Seen(
