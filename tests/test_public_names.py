@@ -18,7 +18,14 @@ PROMISED: dict[str, dict[str, Any]] = json.loads(
     Path(__file__).with_name("public_names_0_1_0.json").read_text(encoding="utf-8")
 )
 
-MOVED = ("giantlike.bench", "giantlike.calibration", "giantlike.navigation", "giantlike.stars")
+MOVED = (
+    "giantlike.bench",
+    "giantlike.calibration",
+    "giantlike.navigation",
+    "giantlike.plotting",
+    "giantlike.simulation",
+    "giantlike.stars",
+)
 """Modules with names that were moved elsewhere."""
 
 RENAMED_PARAMETERS = {"render": {"recentre"}}

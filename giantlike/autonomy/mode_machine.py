@@ -49,7 +49,7 @@ class InstrumentState:
     interlock: second narrow camera from the first, once calibrated.
     target: the body that a narrow camera sees.
     target_camera: the narrow camera that sees it.
-    slew: asked for by the last target determination.
+    slew: requested by the last target determination.
     pose: the last one.
     """
 

@@ -24,7 +24,7 @@ _STEPS = 6  # of the inverse: each gains a factor of the refraction's slope, bel
 class SiteAtmosphere:
     """Air at the camera.
 
-    pressure_hpa: hPa; at the site, not reduced to sea level; 0 is no air.
+    pressure_hpa: hPa; at the site, not reduced to sea level; 0: no atmosphere.
     humidity: relative, 0 to 1.
     wavelength_um: effective wavelength of camera and source.
     """

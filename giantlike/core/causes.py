@@ -13,6 +13,7 @@ from enum import StrEnum
 import numpy as np
 
 from giantlike.core.arrays import Float, as_floats, require
+from giantlike.core.deprecation import forward_names
 from giantlike.core.values import check_covariance, read_only
 
 
@@ -155,3 +156,6 @@ def require_sum(parts: Mapping[Cause, Float], causes: Iterable[Cause], covarianc
     scale = np.outer(sigma, sigma)
     worst = float(np.max(np.abs(total - covariance) / np.where(scale > 0.0, scale, 1.0), initial=0.0))
     require(worst <= SUM_TOLERANCE, f"parts must sum to {name}, they differ by {worst:.2g} of it")
+
+
+__getattr__ = forward_names(__name__, {__name__: "summed:sum_parts added:add_parts"}, until="0.4")

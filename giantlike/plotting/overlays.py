@@ -186,7 +186,7 @@ def overlay_panels(
 
 
 def overlay_figure(panels: Sequence[OverlayPanel]) -> Figure:
-    """Draw panels side by side with matplotlib; :func:`giantlike.plotting.overlay_svg` is faster, for pages.
+    """Draw panels side by side with matplotlib; :func:`giantlike.plotting.svg_overlay` is faster, for pages.
 
     Parameters
     ----------

@@ -13,8 +13,8 @@ LEAST_BEND = 0.25
 for square-root tables, at most 0.03 for another law alone, and 0.3 for markings."""
 DISPLAY_BEND_SIGMA = 1.0
 """A priori standard deviation of the curvature, about 0, of 8-bit JPEG and PNG files whose camera declares neither
-gamma
-nor noise: values may be linear (0), or display-coded, where light is their power of 2.2 (nearly 1, the square)."""
+gamma nor noise: values may be linear (0), or display-coded, where light is their power of 2.2 (nearly 1, the
+square)."""
 BEND_STEP = 0.1
 """Step of the curvature for the numerical derivative of a fix."""
 MOST_BEND = 0.98

@@ -1,5 +1,6 @@
 """Simulated images with their truth, and a whole simulated approach to a small body."""
 
+from giantlike.core.deprecation import forward_names
 from giantlike.simulation.approach import ApproachOptions, Visit, demo_camera, plan_approach
 from giantlike.simulation.images import simulate_image
 from giantlike.simulation.incident import Sources
@@ -16,3 +17,16 @@ __all__ = [
     "simulate_image",
     "write_approach",
 ]
+
+__getattr__ = forward_names(
+    __name__,
+    {
+        "giantlike.simulation.approach": "Approach Frame:ApproachFrame",
+        "giantlike.simulation.detector": "DetectorModel HotPixels expose",
+        "giantlike.simulation.images": "SimulatedImage",
+        "giantlike.simulation.incident": "SimulationOptions",
+        "giantlike.simulation.shot": "Photometry",
+        "giantlike.simulation.stars": "StarField:DetectorStars point_sources star_field",
+    },
+    until="0.4",
+)

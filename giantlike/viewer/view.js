@@ -180,7 +180,7 @@ function layerSwitch(name) {
   };
   return label;
 }
-function lateLayer() {  // the terminator is traced when it is asked for
+function lateLayer() {  // the terminator is traced on request
   const button = cell("button", "trace the terminator");
   button.id = "terminator"; button.title = "where the Sun stands at the horizon of the surface";
   button.onclick = guarded(async () => {
@@ -274,7 +274,7 @@ function select(mark) {
   if (mark.point[0] < x || mark.point[0] > x + w || mark.point[1] < y || mark.point[1] > y + h) {
     state.box = { x: mark.point[0] - w / 2, y: mark.point[1] - h / 2, w, h }; zoomed();
   }
-  asked += 1;  // the readout is of the mark now, not of a pixel that is still being asked for
+  asked += 1;  // the readout is of the mark now, not of a pixel whose answer is still due
   $("readout").textContent = `${mark.layer.name} ${mark.place + 1} of ${mark.layer.points.length}: ${mark.layer.labels[mark.place] || mark.layer.title}`
     + `   x ${mark.point[0].toFixed(2)}  y ${mark.point[1].toFixed(2)} px`;
 }

@@ -64,9 +64,9 @@ from giantlike.plotting import (
     star_residual_charts,
 )
 from giantlike.plotting.charts import charts_svg
-from giantlike.plotting.overlay_svg import overlay_svg
 from giantlike.plotting.overlays import BodyMarks, CenterMark, stretch_image
 from giantlike.plotting.residuals import Series, series_charts
+from giantlike.plotting.svg_overlay import overlay_svg
 from giantlike.relative import ESTIMATORS
 from giantlike.scene import Scene, Target, TargetGeometry
 from giantlike.shapes import sphere

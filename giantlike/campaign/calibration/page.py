@@ -38,7 +38,7 @@ _TRENDS = {
 }
 _MEANING = {
     ParameterVerdict.SUPPORTED: "supported by the data",
-    ParameterVerdict.NOT_SIGNIFICANT: "cannot be told from zero: the data would do without it",
+    ParameterVerdict.NOT_SIGNIFICANT: "not significantly different from zero: the data do not need it",
     ParameterVerdict.ENTANGLED: "known in combination with others only; its own value fluctuates",
     ParameterVerdict.PRIOR_ONLY: "the a priori value; the data add nothing",
 }

@@ -20,10 +20,10 @@ from giantlike.image import Image
 from giantlike.plotting import StarMarks, overlay_panels
 from giantlike.plotting.charts import Axis, Chart, ChartSheet, charts_svg
 from giantlike.plotting.layers import Layer, MarkShape
-from giantlike.plotting.overlay_svg import overlay_svg
 from giantlike.plotting.overlays import CENTERS, MARKS, BodyMarks, CenterMark
 from giantlike.plotting.residual_map import residual_map_svg
 from giantlike.plotting.style import BLUE, GRAY
+from giantlike.plotting.svg_overlay import overlay_svg
 
 _MAX_ARROWS = 150
 """Stars whose residuals a card shows, evenly chosen: more arrows than that cover each other."""

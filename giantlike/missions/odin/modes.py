@@ -166,7 +166,7 @@ def determination_task(
             slew = Slew(target=target, camera=1, new_from_old=pointing_slew(named[target].direction, boresight))
             return replace(state, target=target, target_camera=1, slew=slew)
     reasons = "; ".join(each.why for each in found) or "no patch of light"
-    return Failure(Reason.AMBIGUOUS, f"neither Moon nor Earth was told from other light: {reasons}")
+    return Failure(Reason.AMBIGUOUS, f"neither Moon nor Earth was distinguished from other light: {reasons}")
 
 
 def processing_task(

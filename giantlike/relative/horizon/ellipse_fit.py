@@ -47,8 +47,7 @@ _BOX_MARGIN_PX = 8
 """Margin around the search region of the limb, px, for the windows of edges."""
 _STRETCH = 1.5
 """Maximum ratio of the apparent size of a body under distortion to its size by the scale at the center; limb beyond it
-is
-not measured."""
+is not measured."""
 _MIN_COSINE = 0.2
 """Minimum cosine between sunlight and the normal of an edge; below it the limb merges with the terminator."""
 _MAX_TURN_RAD = 0.5
@@ -64,8 +63,7 @@ less.
 """
 _GROWTH_LENGTH = 3.0
 """Correlation length, along the Sun, of the error of that correction, radii: it has one sign along most of the limb,
-and
-is symmetric about the direction of the Sun."""
+and is symmetric about the direction of the Sun."""
 _GROWTH_ERROR, _WINDOW_ERROR_PX2 = 0.5, 3.0
 """Relative error of that correction; and its additional error times the radius, px^2.
 

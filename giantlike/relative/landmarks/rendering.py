@@ -35,12 +35,10 @@ _MOVED_PX = 1
 """Maximum motion, px, of the body up to which the rays of a pose are reused; as much more ground is traced."""
 _REACH_PX, _REACH_SIGMA = 2, 2.5
 """Ground traced around the matched pixels, px (for derivatives) and widths of the point spread function (99 % of its
-light
-at the edge). With 3 px and 3.5 widths eight rocks of 300 px have the same errors and sigmas."""
+light at the edge). With 3 px and 3.5 widths eight rocks of 300 px have the same errors and sigmas."""
 _TURNED_PX = 0.01
 """Maximum motion, px, of the surface by a change of perspective up to which rays are reused: half of the sigma of a
-body
-of 300 px, with opposite signs on its two sides."""
+body of 300 px, with opposite signs on its two sides."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -36,8 +36,7 @@ _DAMPED_AFTER = 3  # renders, after which steps are halved: they come from the s
 _LOOSE = 3.0  # factor of the limit of agreement, while templates are rendered for an inaccurate pose
 _CELLS_ACROSS = 10
 """Cells across a landmark in the first search; pixels where landmarks are narrower than two cells. Errors of 24 rocks
-of
-300 px are 0.027 px with it, and 0.027, 0.028 and 0.028 px with half of it, 0.7 of it and no cells."""
+of 300 px are 0.027 px with it, and 0.027, 0.028 and 0.028 px with half of it, 0.7 of it and no cells."""
 _RADIUS_PX = 1.5  # px, distance from the common shift by noise of the correlation peaks
 
 

@@ -29,8 +29,7 @@ _FADE = 0.02
 """Relative error of the brightness along the terminator in addition to that of the law: it moves the edge there."""
 _HEIGHT = 0.1
 """Height, radii, of relief with slopes of one radian: markings of a quarter of the radius may be slopes of waves of
-half
-a radius, whose height is 1 / 4 pi of it."""
+half a radius, whose height is 1 / 4 pi of it."""
 _UNKNOWN = 0.1
 """A priori relative error of the size: larger than any search."""
 

@@ -62,8 +62,7 @@ pixels have errors of 0.28 px, and 1.7 px with rays as far apart as pixels; at 6
 and 0.22 px with cells as wide as the point spread function."""
 _AVERAGED_PX, _LEAST_BLOCK_PX = 62.5, 3
 """Diameter divided by the square of the side of an averaged block, px, as for ``cross_correlation``: the cost grows
-with
-the limb; and minimum side, used from 563 px on. Ellipsoids of 600 and 1,000 px have errors of 0.15 and 0.13 px in
+with the limb; and minimum side, used from 563 px on. Ellipsoids of 600 and 1,000 px have errors of 0.15 and 0.13 px in
 blocks of 3 and 4 px, and 0.12 and 0.32 px in pixels, where edges of templates are coarser. Blocks of 2 px at 300 px are
 as accurate, with smaller sigmas: see "Means over blocks" of ``benchmarks/README.md``."""
 

@@ -41,8 +41,7 @@ _FILL_SIDES_PX, _FILL_SHARE = (65, 17, 5), 0.1
 smallest square that reaches it is used."""
 _CUT = 1.0
 """Width of the threshold relative to it. Errors perpendicular to the direction of the Sun, for exact ellipsoids of 120
-px
-at 90 and 125 degrees of phase, are 0.060 and 0.140 px with a sharp threshold, 0.021 and 0.052 with 1, and 0.021 and
+px at 90 and 125 degrees of phase, are 0.060 and 0.140 px with a sharp threshold, 0.021 and 0.052 with 1, and 0.021 and
 0.042 with 1.6."""
 _ROUNDING = 1e-3  # px, of distances
 _GAIN_ROUNDS = 30

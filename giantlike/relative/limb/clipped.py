@@ -32,8 +32,7 @@ EXTRAPOLATION_ERROR = 0.17
 The first order is fitted, so that the error is of second order. Maximum likelihood of 80 limbs of the independent
 renderer (radii of 30-150 px, phase angles of 15-125 deg, levels of a fifth to five sixths of the peak, three laws):
 squared errors per degree of freedom are 0.4 to 2.0 at each level. With a linear error of 0.2 they are 0.1 to 0.3 at
-half
-of the peak and more, 2 at a third, and the log likelihood is lower by 55.
+half of the peak and more, 2 at a third, and the log likelihood is lower by 55.
 """
 _EACH_LINE = 4
 """Every so many lines are used to choose among them."""

@@ -34,8 +34,7 @@ _MAX_RANGE_STEP = 0.1
 """Maximum step relative to the range, over which the outline is linear in the position to a few percent."""
 _SURE = 3.0
 """Standard deviations of the range of an approximating ellipsoid that must lie within the search: of 28 correct fixes
-of
-rocks by ellipsoids that exceeded it, 11 were classified as suspect."""
+of rocks by ellipsoids that exceeded it, 11 were classified as suspect."""
 _MAX_RANGE_SIGMA = 0.25
 """Maximum relative standard deviation of the range of a position, up to which errors are linear."""
 LEAST_PSF_PX2 = 0.01

@@ -64,8 +64,7 @@ _FIRST_LINES = 100
 """Lines of the first measurement, whose error may be up to the width of a profile."""
 _FIRST_MATCHES = 3
 """Maximum number of matches of the first measurement. Its lines are offset from the compared positions, so that relief
-of
-the outline moves the body by a tenth of that. Errors of nine rocks of 300 px fell from 0.0054 to 0.0042 px by it."""
+of the outline moves the body by a tenth of that. Errors of nine rocks of 300 px fell from 0.0054 to 0.0042 px by it."""
 _FIRST_TOLERANCE_PX = 0.1
 """Motion of the limb, px, below which the first measurement has converged."""
 _RELIEF_TOLERANCE, _RELIEF_SEARCH = 0.1, 3.0

@@ -43,8 +43,7 @@ OTHER_LAWS: tuple[Reflectance, ...] = (Lambert(), LommelSeeliger(), Minnaert(k=0
 """Laws mixed into the assumed one: strong, no and medium limb darkening.
 
 At one phase angle the mixtures of the first two include all of McEwen's and lunar-Lambert laws and nearly Hapke's law
-of
-dark surfaces, but not the third.
+of dark surfaces, but not the third.
 """
 LAW_SIGMA = 1.0
 """A priori standard deviation of the fraction of each of the other laws: as likely as the assumed law."""

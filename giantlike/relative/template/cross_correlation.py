@@ -58,9 +58,8 @@ _MOST_OVEREXPOSED = 2.0
 saturated and only the wings of the point spread function are left, which are not Gaussian."""
 _LEAST_LIMB_PX = 60.0
 """Minimum length of lit limb in the frame, px, to locate an ellipsoid without markings, as in ``auto``. Flat fields,
-laws
-and templates are right to some 1e-3; squared errors by the brightness gradient alone were then 6 per degree of freedom
-(484 px, six draws of noise)."""
+laws and templates are right to some 1e-3; squared errors by the brightness gradient alone were then 6 per degree of
+freedom (484 px, six draws of noise)."""
 _ROUNDS, _SETTLED_BEND = 3, 0.02
 """Maximum number of fits with a response, and change of its curvature at convergence; the rest is estimated
 linearly."""

@@ -24,12 +24,10 @@ _LEAST_COSINE = 0.03
 radii."""
 _RING = 0.01
 """A priori standard deviation of the height of light beyond the limb, radii. The amplitudes of attenuation and
-scattering
-are 1 +- 1 times those of :data:`VEIL_DEPTH`."""
+scattering are 1 +- 1 times those of :data:`VEIL_DEPTH`."""
 _OF_BLUR = 0.5
 """Ratio of the standard deviation of the altitude to the blur by haze. With 1, squared errors of 24 views in six kinds
-of
-haze (scale heights of 0.1 to 0.6 px, optical depths of 0.02 to 0.3) are 0.1 to 0.3 of the covariance, with 0 3 to 40
+of haze (scale heights of 0.1 to 0.6 px, optical depths of 0.02 to 0.3) are 0.1 to 0.3 of the covariance, with 0 3 to 40
 times it."""
 
 

@@ -28,12 +28,10 @@ _AS_IT_IS = np.ones(1)
 _TWICE_ALONG_X, _TWICE_ALONG_Y = (_SECOND_DERIVATIVE, _AS_IT_IS), (_AS_IT_IS, _SECOND_DERIVATIVE)
 _MIXING_SIGMA = 1.0
 """A priori standard deviation of the fraction of another law; 1 is that law alone. Laws of real bodies lie roughly
-between
-the mixed ones."""
+between the mixed ones."""
 _WING_SIGMA, _WING_WIDTHS = 0.1, (2.0, 6.0)
 """A priori standard deviation of the fractions of light in wings of the point spread function, and their widths
-relative
-to its core; two, as for horizons, span the widths between."""
+relative to its core; two, as for horizons, span the widths between."""
 BEND_SIGMA = 1.0
 """A priori standard deviation of the curvature of a response about 0; square-root tables have nearly 1."""
 SMEAR_SIGMA_PX2 = 1.0

@@ -47,8 +47,7 @@ _MAX_RAYS_PER_PIXEL_SIDE = 24  # bounds the cost of small bodies; ``min_rays_acr
 _NARROW_SIDE = 0.5  # ratio of rays over the narrow side of a body to rays across it: few bodies are more elongated
 _LIMB_PX, _TURNED_PX = 1.0, (0.006, 0.1)
 """Maximum motion, px, of the limb, and of the surface by a change of perspective (in the last renders and before), up
-to
-which a body is not retraced. Its light moves at most a third as far, a fifth of the noise of small bright bodies."""
+to which a body is not retraced. Its light moves at most a third as far, a fifth of the noise of small bright bodies."""
 _TOLD_PX = 0.5
 """As above, up to which a rough trace shows where a body is lit; its cells also use their neighbors, 1 px away."""
 _CUT_PX = 2.0
@@ -63,8 +62,7 @@ _PARTS = 2
 px with it and 0.02 px without, of rocks of 300 px on blocks of 2 px 0.009 and 0.02 px."""
 _SMOOTH_PARTS = 3
 """As above, for ellipsoids, whose errors come from the sampling of the limb alone: 0.006 px rms with 3 and 0.010 with 2
-in
-28 views of 300 px, for a fifth more time. Rocks gain a sixth by it, but are then overconfident."""
+in 28 views of 300 px, for a fifth more time. Rocks gain a sixth by it, but are then overconfident."""
 _FINE_RAYS = 2  # along the side of a pixel, at least, before uneven ones get more
 _COARSE_RADIUS_PX = 20.0  # px, from which renders on the way are rough; smaller bodies are all edge
 _OTHER_LAWS: tuple[Reflectance, ...] = (Hapke(w=0.9), Minnaert(k=0.6))

@@ -36,9 +36,8 @@ _LINEAR = 0.01
 """Motion in radii, and relative change of the range, up to which the coarse render is linear: a fifth of a cell."""
 _SHARP_PX = 0.4
 """As above, for the limb, px, where the range is declared, not estimated. The square of a motion looks like a blur;
-this
-one is within half of the standard deviation for known optics (0.3 px^2). A range in error by 1 % moves the limb of a
-body of 300 px by 1.5 px."""
+this one is within half of the standard deviation for known optics (0.3 px^2). A range in error by 1 % moves the limb of
+a body of 300 px by 1.5 px."""
 _BELIEVED = 0.5
 """Motion in radii, and relative change of the range, beyond which the coarse fit has not found the body."""
 _SMEAR = np.array([[1.0, 0.0, -1.0], [0.0, 2.0, 0.0]])

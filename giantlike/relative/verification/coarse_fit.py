@@ -81,11 +81,10 @@ variances of eight correct limbs with unmodeled relief of 1 % grew threefold wit
 1.7 rows shifted by two pixels were not detected as another shape."""
 _LEAST_SCALE = 0.1
 """Minimum ratio of the scatter of the residuals of lit cells to the errors of the model. None of 80 correct fixes of
-the
-independent renderer without albedo variations had an error of more than 1.1 standard deviations in position or shape
-under any law (0.6 with a minimum of 0.6); a pole in error by 10 deg has 5 to 14 (1 to 3 with 0.6). Motion by other laws
-that leaves no residuals is counted separately. Where fewer parts of a body are seen than there are unknowns, the
-minimum is 1."""
+the independent renderer without albedo variations had an error of more than 1.1 standard deviations in position or
+shape under any law (0.6 with a minimum of 0.6); a pole in error by 10 deg has 5 to 14 (1 to 3 with 0.6). Motion by
+other laws that leaves no residuals is counted separately. Where fewer parts of a body are seen than there are unknowns,
+the minimum is 1."""
 _EDGES_OF_RIGHT = 0.45
 """Ratio of the scatter of limb and terminator to the errors of the model up to which the shape is correct. Of 288
 undisturbed bodies of the gauntlet (20-250 px) only four crescents exceeded 0.4; one rock with craters (300 px, 120

@@ -37,12 +37,10 @@ depth of 0.02, up to 1.8 with wrong laws and widths. With 3, squared errors of h
 covariance, not 0.9 (views 220 to 227)."""
 _HINT_BLUR, _HINT_DEPTH = 0.2, 0.035
 """Ratio of the blur of a limb to the uncertainty of the optics, and depth of haze estimated in coarse cells: finer
-cells
-are tested where either is exceeded. In haze of 0.3 px of scale height and a depth of 0.05 the blur is 0.9 to 2.3 around
-120 px and 0.5 to 1.5 around 60; of exact bodies at most 0.16, and their depth 0.033 (32 fixes). Finer cells are tested
-in 3 of 96 fixes without haze (30 to 300 px), in two thirds with the limit of one sigma alone. With 0.4 and 0.04 squared
-errors of limbs in haze of a depth of 0.02 rise from 1.5 to 6.2 times the covariance (views 220 to 227).
-"""
+cells are tested where either is exceeded. In haze of 0.3 px of scale height and a depth of 0.05 the blur is 0.9 to 2.3
+around 120 px and 0.5 to 1.5 around 60; of exact bodies at most 0.16, and their depth 0.033 (32 fixes). Finer cells are
+tested in 3 of 96 fixes without haze (30 to 300 px), in two thirds with the limit of one sigma alone. With 0.4 and 0.04
+squared errors of limbs in haze of a depth of 0.02 rise from 1.5 to 6.2 times the covariance (views 220 to 227)."""
 _LEAST_EXPLAINED = 0.25
 """Minimum fraction of the squared residuals beyond noise that haze explains: 0.2 to 1 in haze (120 px). With relief and
 markings 3 of 15 fixes beyond 3 sigmas have 0.2 or more, at most 0.34."""

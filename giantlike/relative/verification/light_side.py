@@ -22,14 +22,12 @@ _OTHER_SIDES_RAD = (0.5 * math.pi, math.pi, 1.5 * math.pi)
 """Angles by which the Sun is turned about the line of sight."""
 _CLEAR = 0.2
 """Ratio of the residual variance for the Sun to that for other directions without cast shadows below which shadows
-could
-not make these fit better."""
+could not make these fit better."""
 _EXACT = 1e-9
 """Share of the variance that rounding leaves of an exact model."""
 _HALVED_RADIUS, _HALVED_BLUR = 8.0, 0.5
 """Minimum radius and maximum standard deviation of the point spread function, cells, to test blocks of 2 x 2 cells with
-one
-ray per cell first; for smaller or more blurred bodies these are too coarse."""
+one ray per cell first; for smaller or more blurred bodies these are too coarse."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
