@@ -215,7 +215,7 @@ class Findings(_Stated):
     checks: statistics of the tests made on every fix, see :class:`~giantlike.relative.judge.Judgement`, and the
         variance inflation factor that they gave (``tension``).
     chosen, because: estimator that ``auto`` chose, and the reason.
-    checked_by: estimator whose fix confirms the chosen one.
+    checked_by: estimators whose fixes confirm the chosen one.
     agreement: p-value of the difference of these two fixes.
     weight: weight of the first of two fixes in their mean.
     """

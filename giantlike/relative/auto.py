@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import ClassVar
@@ -13,6 +13,7 @@ import numpy as np
 
 from giantlike._system.threads import at_once
 from giantlike.atmosphere import Atmosphere
+from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import require
 from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
@@ -113,6 +114,11 @@ class Choice:
         order = sorted(self.checks, key=lambda name: _CHOICES[name][1] == _CHOICES[taken][1])
         return [name for name in order if name != taken]
 
+    def checks_by_other_part(self, taken: str, second: str) -> list[str]:
+        """Names of the estimators that check the second of two fixes by another part of the image, in order."""
+        names = dict.fromkeys((*self.checks, *self.estimators))
+        return [name for name in names if name != taken and _CHOICES[name][1] != _CHOICES[second][1]]
+
     @property
     def sure(self) -> list[str]:
         """Names of the first estimator and of its first check; both are run, unless none finds the body."""
@@ -161,11 +167,12 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     The estimators of the choice are tried in order; the first fix that is not suspect is taken, else the first fix. The
     first of other fixes that is not suspect and precise enough confirms it: estimators of another part of the image
     (the limb instead of the light) come before others of the same light. Where the two differ by more than their
-    covariances explain, these grow. An unconfirmed fix is flagged ``UNCHECKED``.
+    covariances explain, these grow. An unconfirmed fix is flagged ``UNCHECKED``. Where the confirming fix is so
+    precise that it has more than half of the weight, a third one of another part of the image than its own confirms it.
 
     The result is the fix of the chosen estimator, a :class:`~giantlike.core.outcomes.PositionFix` if it estimates the
     range, under the name ``auto``, fused with the confirming fix (:func:`~giantlike.relative.consensus.fuse`). Its
-    ``findings`` are the estimator (``chosen``), the reason (``because``), the confirming estimator (``checked_by``),
+    ``findings`` are the estimator (``chosen``), the reason (``because``), the confirming estimators (``checked_by``),
     the p-value of the difference (``agreement``) and the weight of the chosen estimator in the position (``weight``).
     ``score``, residuals and counts are from the chosen estimator. A failure is that of the first choice; its text names
     the others that were tried. Where ``cross_correlation`` detects a nonlinear response, the others are run on a
@@ -231,15 +238,23 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
                 return _join_failures(choice, outcomes)
             fix = outcome(taken)
             assert isinstance(fix, CenterFix)
-            seconds = ((name, outcome(name)) for name in choice.checks_of(taken))
-            confirmed = None if fix.flags.suspect else find_confirming(fix, seconds)
-        findings = replace(fix.findings, chosen=taken, because=choice.because)
-        if confirmed is None:
-            return replace(fix, estimator=self.name, flags=fix.flags | Quality.UNCHECKED, findings=findings)
-        name, second = confirmed
-        findings = replace(findings, checked_by=name, agreement=agreement_of(fix, second))
-        fix = replace(fix, estimator=self.name, findings=findings)
-        return _with_turn(fuse(fix, second, inputs.camera.model), second)
+            fix = replace(
+                fix, estimator=self.name, findings=replace(fix.findings, chosen=taken, because=choice.because)
+            )
+
+            def check(fix: CenterFix, names: Sequence[str]) -> tuple[str, CenterFix] | None:
+                seconds = ((name, outcome(name)) for name in names)
+                return None if fix.flags.suspect else find_confirming(fix, seconds)
+
+            confirmed = check(fix, choice.checks_of(taken))
+            if confirmed is None:
+                return replace(fix, flags=fix.flags | Quality.UNCHECKED)
+            name, second = confirmed
+            fused = _confirm(fix, name, second, inputs.camera.model)
+            third = check(fused, choice.checks_by_other_part(taken, name)) if _second_decides(fused) else None
+        if third is not None:
+            fused = _confirm(fused, *third, inputs.camera.model)
+        return _with_turn(fused, second)
 
     def _choice(self, inputs: EstimatorInputs) -> Choice:
         diameter_px = 2.0 * inputs.radius_px
@@ -268,6 +283,21 @@ def _in_haze(scene: Scene, name: str, sigma_km: float) -> Scene:
     return replace(
         scene, targets=tuple(replace(one, atmosphere=haze) if one.name == name else one for one in scene.targets)
     )
+
+
+def _confirm(fix: CenterFix, name: str, second: CenterFix, model: CameraModel) -> CenterFix:
+    """Fuse a fix with another one that confirms it."""
+    known = fix.findings
+    names, agreement = filter(None, (known.checked_by, name)), agreement_of(fix, second)
+    findings = replace(known, checked_by=", ".join(names), agreement=agreement, weight=None)
+    fused = fuse(replace(fix, findings=findings), second, model)
+    weights = [one for one in (known.weight, fused.findings.weight) if one is not None]
+    return replace(fused, findings=replace(fused.findings, weight=math.prod(weights) if weights else None))
+
+
+def _second_decides(fused: CenterFix) -> bool:
+    """Return True if a fused fix is mostly its second one, which the first is too weak to check."""
+    return fused.findings.weight is not None and fused.findings.weight < 0.5
 
 
 def _with_turn(fix: CenterFix, second: CenterFix) -> CenterFix:

@@ -95,11 +95,11 @@ def test_an_irregular_body_is_found_by_its_light_and_checked_by_its_limb(rock: T
     assert case.nees(fix) < NEES_LIMIT
 
 
-def test_an_ellipsoid_is_found_by_its_horizon_and_checked_by_its_light() -> None:
+def test_an_ellipsoid_is_found_by_its_horizon_and_by_its_light_which_its_limb_checks() -> None:
     case = body_image(MOON, 4, phase_deg=50.0).believed(off_px=(6.0, -4.0), range_error=0.01)
     fix = Auto().estimate(case.image, case.camera, case.scene)
     assert isinstance(fix, PositionFix)
-    assert (fix.findings.chosen, fix.findings.checked_by) == ("ellipsoid_cra", "cross_correlation")
+    assert (fix.findings.chosen, fix.findings.checked_by) == ("ellipsoid_cra", "cross_correlation, limb_matching")
     assert case.nees(fix) < NEES_LIMIT
 
 
@@ -228,6 +228,23 @@ def test_an_ellipsoid_that_one_estimator_alone_finds_is_unchecked(name: str) -> 
     assert isinstance(fix, CenterFix)
     assert fix.flags == Quality.UNCHECKED
     assert not fix.findings.checked_by
+
+
+def test_light_that_the_horizon_is_too_weak_to_check_is_checked_by_the_limb() -> None:
+    """As on a Jupiter of Voyager: the horizon does not constrain one axis, on which the light is 5 sigma off."""
+    case = body_image(MOON, 8, phase_deg=50.0)
+    open_axis = np.diag([0.01, 4.0])
+    weak = replace(_fix((10.0, 10.0)), covariance_px2=open_axis, parts={Cause.NOISE: open_axis})
+    light, limb = _with_parts((10.0, 10.5), albedo=0.01), _with_parts((10.0, 10.0), edge=0.01)
+    told = {"ellipsoid_cra": weak, "cross_correlation": light}
+    alone = _Told(**told).estimate(case.image, case.camera, case.scene)
+    assert isinstance(alone, CenterFix)
+    assert alone.findings.checked_by == "cross_correlation"
+    checked = _Told(**told, limb_matching=limb).estimate(case.image, case.camera, case.scene)
+    assert isinstance(checked, CenterFix)
+    assert checked.findings.checked_by == "cross_correlation, limb_matching"
+    assert (alone.center_px[1] - 10.0) / math.sqrt(alone.covariance_px2[1, 1]) > 4.0
+    assert (checked.center_px[1] - 10.0) / math.sqrt(checked.covariance_px2[1, 1]) < 2.0
 
 
 def test_a_fix_to_which_its_own_checks_object_gives_way_to_the_next(rock: TriangleMesh) -> None:
