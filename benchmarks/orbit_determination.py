@@ -95,6 +95,7 @@ def main() -> None:
         write_arc(arguments.write, Arc(times=arc.times, relative_km=fall), np.random.default_rng(3))
         return
     example, started = orbit_example(), time.process_time()
+    dynamics = example.Dynamics("BENNU", {"BENNU": GM_KM3_S2})
     squared: dict[str, list[float]] = {"consider": [], "estimate": []}
     normalized: dict[str, list[list[float]]] = {"consider": [], "estimate": []}
     sigmas: dict[str, list[list[float]]] = {"consider": [], "estimate": []}
@@ -102,9 +103,9 @@ def main() -> None:
         path = Path(folder) / "observables.parquet"
         for seed in range(arguments.draws):
             write_arc(path, arc, np.random.default_rng(seed))
-            observations = example.read(str(path), "BENNU")
+            observations = example.read(str(path), ["BENNU"])
             for name in squared:
-                solution = example.solve(observations, gm=GM_KM3_S2, estimate=name == "estimate")
+                solution = example.solve(observations, dynamics, estimate=name == "estimate")
                 error, sigma = solution.values - truth, np.sqrt(np.diag(solution.covariance))
                 squared[name].append(float(error @ np.linalg.solve(solution.covariance, error)))
                 normalized[name].append((error / sigma).tolist())

@@ -1,81 +1,203 @@
-"""Solve the arc of a spacecraft near a body from the observables file of a run, and from nothing else.
+"""Solve the arc of a spacecraft from the observables file of a run, and from nothing else but gravity and ephemerides.
 
-Batch least squares over the position and velocity of the spacecraft relative to the body at the first image, and a
-constant acceleration (of sunlight, and of whatever else is slow); the body pulls with ``--gm``. Attitudes, the size of
-the body, its pole and the camera are considered: they are not estimated, and their errors, each common to all rows that
-share it, enter the covariance. ``--estimate`` solves for them, with what is known of them as a priori.
+Batch least squares over the position and velocity of the spacecraft relative to a central body at the first image, a
+constant acceleration (of sunlight, and of whatever else is slow), and the velocity changes of maneuvers. Attitudes,
+sizes and poles of the bodies, the camera, and errors of the ephemerides are considered: they are not estimated, and
+their errors, each common to all rows that share it, enter the covariance. ``--estimate`` solves for them, with what is
+known of them as a priori.
 
     python examples/orbit_determination.py demo-output/run/observables.parquet --target MOON
+    python examples/orbit_determination.py run/observables.parquet --center SATURN --kernels sat.bsp,gm.tpc
+        --maneuver 2005-11-27T10:00:00=5 --ephemeris-km 3
 
-Only numpy, scipy and pyarrow are used: it is what another program would do with the file.
+One target needs no kernel: the spacecraft then flies relative to it. Several targets need ephemerides of all of them
+and of the central body. Kernels give gravitational parameters too; ``--gm NAME=KM3_S2`` replaces them.
+
+Exit code 1: the data do not determine the orbit, or contradict it beyond chance.
+
+Only numpy, scipy, pyarrow and, for kernels, spiceypy are used: it is what another program would do with the file.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass
+import math
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pyarrow import parquet
 from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+from scipy.stats import chi2
 
 Array = NDArray[np.float64]
 
-POSITION_KM, VELOCITY_KM_S = 1e6, 1.0  # a priori sigmas of the state: none, in effect
-ACCELERATION_KM_S2 = 1e-10  # a priori sigma: twice that of sunlight on a spacecraft at 1 au
+POSITION_KM, VELOCITY_KM_S = 1e6, 1.0  # units of the state; it has no a priori
+ACCELERATION_KM_S2 = 1e-10  # a priori sigma: twice the acceleration of a spacecraft at 1 au by sunlight
 DIFFERENCES = [1e-3] * 3 + [1e-8] * 3 + [1e-14] * 3  # km, km/s, km/s^2: a meter over some days, of ranges of km
-STEPS = 8
-SETTLED = 1e-3  # of a sigma
+DEGREE = 3  # of the first guess: an arc of less than a revolution
+ROUNDS = 3  # of shared partials, which depend weakly on the solution
+OPEN = 0.1  # sigma of the position over the distance to the nearest body: the linear covariance ends there
+FALSE_ALARM = 1e-6  # rate at which correct data are called a contradiction
 OWN = ("noise", "background", "psf", "edge", "reflectance", "albedo", "relief", "altitude", "orientation")
 """Parts of the covariance of which no derivative is given: taken as new in each row."""
 
 
+class RefusedError(Exception):
+    """The data do not determine an orbit, or contradict it."""
+
+
 @dataclass(frozen=True)
 class Observation:
-    """One row: epoch, direction and range from the spacecraft to the body, and how pixels follow from them."""
+    """One row: epoch, direction and range from the spacecraft to a body, and how pixels follow from them.
+
+    ``shared`` has the derivative by each error that rows share, and its covariance.
+    """
 
     et: float
+    utc: str
+    target: str
     direction: Array
     range_km: float
     ranged: bool
     by_position: Array
     noise: Array
     shared: dict[str, tuple[Array, Array]]
+    observer: tuple[Array, Array] | None
 
     def residual(self, relative_km: Array) -> Array:
-        """Observed less computed (pixel, line and, if measured, range) for a body at (3,) km from the spacecraft."""
-        plane = relative_km / float(relative_km @ self.direction) - self.direction
-        pixels = -self.by_position[:2] @ plane * self.range_km
+        """Observed less computed pixel, line and, if any, range, of bodies at (..., 3) km from the spacecraft."""
+        plane = relative_km / (relative_km @ self.direction)[..., None] - self.direction
+        pixels = -self.range_km * plane @ self.by_position[:2].T
         if not self.ranged:
-            return pixels
-        return np.append(pixels, self.range_km - np.linalg.norm(relative_km))
+            return np.asarray(pixels)
+        short = self.range_km - np.linalg.norm(relative_km, axis=-1, keepdims=True)
+        return np.concatenate([pixels, short], axis=-1)
+
+
+@dataclass(frozen=True)
+class Maneuver:
+    """A change of velocity at an epoch, with the a priori sigma (km/s) of each component about zero."""
+
+    et: float
+    sigma_km_s: float
+
+
+def stay(_: str, __: float) -> Array:
+    """Place of a body that is itself the center."""
+    return np.zeros(3)
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """Point masses with gravitational parameters (km^3/s^2), their places relative to the center, and maneuvers."""
+
+    center: str
+    gm: dict[str, float] = field(default_factory=dict)
+    place: Callable[[str, float], Array] = stay
+    maneuvers: tuple[Maneuver, ...] = ()
+    acceleration_sigma: float = ACCELERATION_KM_S2
+
+    def pull(self, et: float, position: Array) -> Array:
+        """Acceleration (..., 3) of the spacecraft relative to the center."""
+        total = np.zeros_like(position)
+        for name, gm in self.gm.items():
+            body = self.place(name, et)
+            total += gm * (body - position) / np.linalg.norm(body - position, axis=-1, keepdims=True) ** 3
+            if name != self.center:
+                total -= gm * body / np.linalg.norm(body) ** 3
+        return total
+
+    @property
+    def information(self) -> Array:
+        """A priori inverse variances of the unknowns (9 + 3 m,); none of the state."""
+        sigmas = [self.acceleration_sigma] * 3 + [each.sigma_km_s for each in self.maneuvers for _ in range(3)]
+        return np.concatenate([np.zeros(6), np.array(sigmas) ** -2.0])
+
+    @property
+    def units(self) -> Array:
+        """Size of each unknown (9 + 3 m,)."""
+        kicks = [each.sigma_km_s for each in self.maneuvers for _ in range(3)]
+        return np.array([POSITION_KM] * 3 + [VELOCITY_KM_S] * 3 + [self.acceleration_sigma] * 3 + kicks)
+
+    @property
+    def differences(self) -> Array:
+        """Steps (9 + 3 m,) of numerical derivatives."""
+        return np.array(DIFFERENCES + [DIFFERENCES[3]] * (3 * len(self.maneuvers)))
+
+    def fly(self, values: Array, times: Array) -> Array:
+        """Positions (..., n, 3) of the spacecraft relative to the center, km, for unknowns (..., 9 + 3 m).
+
+        The start is the first of the times; all flights take common steps.
+        """
+        epochs, order = np.unique(times, return_inverse=True)
+        places, state, start = np.empty((*values.shape[:-1], len(epochs), 3)), values[..., :6], float(epochs[0])
+        stops = [each.et for each in self.maneuvers]
+        for k in [*np.argsort(stops).tolist(), None]:
+            end = float(epochs[-1]) if k is None else min(stops[k], float(epochs[-1]))
+            inside = np.flatnonzero((epochs >= start) & (epochs <= end))
+            if end > start:
+                flown = solve_ivp(
+                    self._rate,
+                    (start, end),
+                    state.ravel(),
+                    t_eval=np.union1d(epochs[inside], [start, end]),
+                    args=(values[..., 6:9],),
+                    method="DOP853",
+                    rtol=1e-11,
+                    atol=1e-9,
+                )
+                if not flown.success:
+                    raise RefusedError(
+                        f"the flight from {start:.0f} to {end:.0f} cannot be integrated: {flown.message}"
+                    )
+                states = flown.y.T.reshape(-1, *state.shape)
+                places[..., inside, :] = np.moveaxis(states[np.isin(flown.t, epochs[inside]), ..., :3], 0, -2)
+                state, start = states[-1], end
+            elif inside.size:
+                places[..., inside, :] = state[..., None, :3]
+            if k is not None:
+                kick = values[..., 9 + 3 * k : 12 + 3 * k]
+                state = np.concatenate([state[..., :3], state[..., 3:] + kick], axis=-1)
+        return np.asarray(places[..., order, :])
+
+    def _rate(self, et: float, flat: Array, push: Array) -> Array:
+        """Derivative of states (..., 6) by time."""
+        state = flat.reshape(*push.shape[:-1], 6)
+        return np.concatenate([state[..., 3:], self.pull(et, state[..., :3]) + push], axis=-1).ravel()
 
 
 @dataclass(frozen=True)
 class Solution:
-    """State (km, km/s) relative to the body and acceleration (km/s^2), with their covariance (9, 9)."""
+    """State (km, km/s) relative to the center, acceleration (km/s^2) and velocity changes (km/s), with covariance."""
 
     et: float
     values: Array
     covariance: Array
     chi2: float
     n_residuals: int
+    normalized: dict[str, float]
 
 
-def read(path: str, target: str | None) -> list[Observation]:
-    """Preferred fixes of a target in order of time."""
+def read(path: str, targets: Sequence[str] = ()) -> list[Observation]:
+    """Preferred fixes of targets, by default of all, in order of time."""
     table = parquet.read_table(path)
     camera = json.loads(table.schema.metadata[b"camera_parameters"])
     rows = [row for row in table.to_pylist() if row["kind"] == "body" and row["preferred"]]
     names = sorted({row["target"] for row in rows})
-    if target is None and len(names) != 1:
-        raise SystemExit(f"{path}: name a target with --target: {', '.join(names) or 'there is none'}")
-    chosen = [row for row in rows if row["target"] == (target or names[0]) and row["geometric_direction_icrf"]]
-    if not chosen:
-        raise SystemExit(f"{path}: no preferred fix of {target} with a geometric direction; it has {', '.join(names)}")
+    missing = set(targets) - set(names)
+    chosen = [row for row in rows if row["target"] in (targets or names) and row["geometric_direction_icrf"]]
+    if missing or not chosen:
+        raise RefusedError(
+            f"{path}: no preferred fix of {', '.join(sorted(missing)) or 'any body'} with a geometric direction; "
+            f"it has {', '.join(names) or 'none'}"
+        )
     camera_covariance = np.array(camera["covariance"], dtype=np.float64)
     return sorted((observation(row, camera_covariance) for row in chosen), key=lambda each: each.et)
 
@@ -100,120 +222,159 @@ def observation(row: dict[str, Any], camera_covariance: Array) -> Observation:
         if count and row[partial] is not None and covariance is not None:
             matrix = np.reshape(covariance, (count, count)) if np.size(covariance) > 1 else covariance * np.eye(count)
             shared[key] = np.reshape(row[partial], (3, count))[:size], np.asarray(matrix, dtype=np.float64)
+    position_km, velocity_km_s = row["observer_position_icrf_km"], row["observer_velocity_icrf_km_s"]
+    known = row["states_origin"] == "SOLAR SYSTEM BARYCENTER" and position_km is not None
     return Observation(
         et=row["epoch_et_s"],
+        utc=row["epoch_utc"],
+        target=row["target"],
         direction=np.array(row["geometric_direction_icrf"]),
         range_km=range_km,
         ranged=ranged,
         by_position=np.reshape(row["partial_target_position"], (3, 3)),
         noise=noise,
         shared=shared,
+        observer=(np.array(position_km), np.array(velocity_km_s)) if known else None,
     )
 
 
 def squared(sigma: float | None) -> float | None:
+    """Square of a sigma, if there is one."""
     return None if sigma is None else sigma**2
 
 
-def propagate(values: Array, times: Array, gm: float) -> Array:
-    """Positions (n, 3) of the spacecraft relative to the body, km."""
-
-    def rate(_: float, state: Array) -> Array:
-        pull = -gm * state[:3] / np.linalg.norm(state[:3]) ** 3 if gm else np.zeros(3)
-        return np.concatenate([state[3:], pull + values[6:]])
-
-    if times[-1] == times[0]:
-        return np.repeat(values[None, :3], len(times), axis=0)
-    start = times[0]
-    done = solve_ivp(
-        rate, (0.0, times[-1] - start), values[:6], t_eval=times - start, method="DOP853", rtol=1e-11, atol=1e-9
-    )
-    return np.asarray(done.y[:3].T)
-
-
-def first_guess(observations: list[Observation]) -> Array:
-    """Straight line through the measured positions; those without a range are taken at the computed one."""
+def first_guess(observations: list[Observation], dynamics: Dynamics) -> Array:
+    """Polynomial through the measured positions; those without a range are taken at the computed one."""
     times = np.array([each.et for each in observations])
-    places = np.array([-each.range_km * each.direction for each in observations])
-    slope, place = np.polyfit(times - times[0], places, 1) if np.ptp(times) > 0 else (np.zeros(3), places[0])
-    return np.concatenate([place, slope, np.zeros(3)])
+    since = (times - times[0]) / max(float(np.ptp(times)), 1.0)
+    places = np.array([dynamics.place(each.target, each.et) - each.range_km * each.direction for each in observations])
+    *_, slope, place = np.polyfit(since, places, min(DEGREE, len(set(times.tolist())) - 1))
+    return np.concatenate([place, slope / max(float(np.ptp(times)), 1.0), np.zeros(3 + 3 * len(dynamics.maneuvers))])
 
 
 def solve(
     observations: list[Observation],
+    dynamics: Dynamics | None = None,
     *,
-    gm: float = 0.0,
+    start: Array | None = None,
     estimate: bool = False,
-    acceleration_sigma: float = ACCELERATION_KM_S2,
 ) -> Solution:
-    """Batch least squares; shared errors are considered, or estimated with what is known of them."""
-    times = np.array([each.et for each in observations])
-    keys = {key: matrix for each in observations for key, (_, matrix) in each.shared.items()}
-    starts = dict(zip(keys, np.cumsum([0, *(len(matrix) for matrix in keys.values())]).tolist(), strict=False))
-    n_shared = sum(len(matrix) for matrix in keys.values())
-    prior = np.diag(np.array([POSITION_KM] * 3 + [VELOCITY_KM_S] * 3 + [acceleration_sigma] * 3) ** -2.0)
-    known = np.zeros((n_shared, n_shared))
-    for key, matrix in keys.items():
-        known[starts[key] : starts[key] + len(matrix), starts[key] : starts[key] + len(matrix)] = matrix
-    weights = _block([np.linalg.inv(each.noise) for each in observations])
-    values, steps = first_guess(observations), np.array(DIFFERENCES)
-    for _ in range(STEPS):
-        places = propagate(values, times, gm)
-        by_shared = np.vstack(
-            [_by_shared(each, place, starts, n_shared) for each, place in zip(observations, places, strict=True)]
+    """Batch least squares; shared errors are considered, or estimated with what is known of them.
+
+    To estimate them is to weight the data with the covariance that holds their errors.
+    """
+    dynamics = Dynamics(observations[0].target) if dynamics is None else dynamics
+    times, information = np.array([each.et for each in observations]), dynamics.information
+    n_residuals = sum(len(each.noise) for each in observations)
+    if n_residuals <= 6:
+        raise RefusedError(
+            f"{n_residuals} residuals do not determine six unknowns and check them: more images are needed"
         )
-        residuals = _residuals(observations, places)
-        moved = (propagate(values + step, times, gm) for step in np.diag(steps))
-        design = np.array([residuals - _residuals(observations, each) for each in moved]).T / steps
-        if estimate:
-            design = np.hstack([design, by_shared])
-            apart = np.zeros((9 + n_shared, 9 + n_shared))
-            apart[:9, :9], apart[9:, 9:] = prior, np.linalg.inv(known)
-        else:
-            apart = prior
-        pulled = np.concatenate([-prior @ np.concatenate([np.zeros(6), values[6:]]), np.zeros(len(apart) - 9)])
-        covariance = _inverse(design.T @ weights @ design + apart)
-        change = (covariance @ (design.T @ weights @ residuals + pulled))[:9]
-        values = values + change
-        if float(np.max(np.abs(change) / np.sqrt(np.diag(covariance))[:9])) < SETTLED:
-            break
+    noise = block_diagonal([each.noise for each in observations])
+    values = first_guess(observations, dynamics) if start is None else start
+
+    there = np.array([dynamics.place(each.target, each.et) for each in observations])
+
+    def residuals(trials: Array) -> Array:
+        relative = there - dynamics.fly(trials, times)
+        each_row = [each.residual(relative[..., k, :]) for k, each in enumerate(observations)]
+        return np.concatenate(each_row, axis=-1)
+
+    for _ in range(ROUNDS):
+        by_shared, known = shared_errors(observations, dynamics, dynamics.fly(values, times))
+        total = noise + by_shared @ known @ by_shared.T
+        root = np.asarray(np.linalg.cholesky(total if estimate else noise))
+        values = minimize(residuals, values, root, dynamics)
+    design = np.linalg.solve(root, derivatives(residuals, values, dynamics))
+    covariance = invert(design.T @ design + np.diag(information))
     if not estimate:
-        sensitivity = covariance @ design.T @ weights @ by_shared
-        covariance = covariance + sensitivity @ known @ sensitivity.T
-    residuals = _residuals(observations, propagate(values, times, gm))
-    total = np.linalg.inv(weights) + by_shared @ known @ by_shared.T
+        gain = covariance @ design.T @ np.linalg.solve(root, by_shared)
+        covariance = covariance + gain @ known @ gain.T
+    left, nearest_km = residuals(values), float(np.linalg.norm(there - dynamics.fly(values, times), axis=1).min())
+    squares = float(left @ np.linalg.solve(total, left))
+    check_solution(covariance, squares + float(information @ values**2), n_residuals, nearest_km)
+    sigma = np.sqrt(np.diag(total))
+    names = np.concatenate([[each.target] * len(each.noise) for each in observations])
     return Solution(
         et=float(times[0]),
         values=values,
-        covariance=covariance[:9, :9],
-        chi2=float(residuals @ np.linalg.solve(total, residuals)),
-        n_residuals=len(residuals),
+        covariance=covariance,
+        chi2=squares,
+        n_residuals=n_residuals,
+        normalized={
+            name: float(np.sqrt(np.mean((left / sigma)[names == name] ** 2))) for name in dict.fromkeys(names.tolist())
+        },
     )
 
 
-def _inverse(matrix: Array) -> Array:
-    """Inverse of an information matrix whose units differ by many orders."""
-    scale = 1.0 / np.sqrt(np.diag(matrix))
-    return np.asarray(np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale))
+def minimize(residuals: Callable[[Array], Array], values: Array, root: Array, dynamics: Dynamics) -> Array:
+    """Unknowns with the smallest weighted squares, by Levenberg and Marquardt."""
+    units, weight = dynamics.units, np.sqrt(dynamics.information)
+
+    def weighted(scaled: Array) -> Array:
+        return np.append(np.linalg.solve(root, residuals(scaled * units)), weight * scaled * units)
+
+    def slopes(scaled: Array) -> Array:
+        by_data = np.linalg.solve(root, derivatives(residuals, scaled * units, dynamics))
+        return np.vstack([-by_data * units, np.diag(weight * units)])
+
+    found = least_squares(weighted, values / units, jac=slopes, method="lm", x_scale="jac")
+    if not found.success:
+        raise RefusedError(f"no flight under these forces follows the data: {found.message}")
+    return np.asarray(found.x * units)
 
 
-def _residuals(observations: list[Observation], places: Array) -> Array:
-    return np.concatenate([each.residual(-place) for each, place in zip(observations, places, strict=True)])
+def derivatives(residuals: Callable[[Array], Array], values: Array, dynamics: Dynamics) -> Array:
+    """Derivatives (n, k) of the computed observations, by central differences."""
+    steps = np.diag(dynamics.differences)
+    low, high = np.split(residuals(values + np.concatenate([-steps, steps])), 2)
+    return np.asarray((low - high).T / (2.0 * dynamics.differences))
 
 
-def _by_shared(each: Observation, place: Array, starts: dict[str, int], count: int) -> Array:
-    """Derivatives of one observation by all shared parameters.
+def check_solution(covariance: Array, squares: float, n_residuals: int, range_km: float) -> None:
+    """Refuse a solution that the data leave open, or that they contradict."""
+    sigma_km = math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+    if not sigma_km < OPEN * range_km:
+        raise RefusedError(
+            f"the data leave the position open by {sigma_km:.3g} km (sigma), {range_km:.3g} km from the nearest body"
+        )
+    chance = float(chi2.sf(squares, n_residuals - 6))
+    if not chance > FALSE_ALARM:
+        raise RefusedError(
+            f"chi-square {squares:.3g} of {n_residuals} residuals (chance {chance:.1e}): the dynamics or the stated "
+            "errors are wrong; look for a maneuver, a missing mass, or a body whose fixes differ from the others"
+        )
 
-    That of a range goes by the range: the solved one has less noise than the measured one, which the file has.
+
+def shared_errors(observations: list[Observation], dynamics: Dynamics, places: Array) -> tuple[Array, Array]:
+    """Derivatives (n, s) of the observations by all shared errors, and the covariance (s, s) of these.
+
+    Derivatives of ranges go by the range: the solved one has less noise than the measured one, which the file has.
     """
-    rows = np.zeros((len(each.noise), count))
-    for key, (partial, matrix) in each.shared.items():
-        rows[:, starts[key] : starts[key] + len(matrix)] = partial
-    rows[2:] *= np.linalg.norm(place) / each.range_km
-    return rows
+    keys = {key: matrix for each in observations for key, (_, matrix) in each.shared.items()}
+    ends = np.cumsum([len(matrix) for matrix in keys.values()]).tolist()
+    spans = {key: slice(end - len(matrix), end) for (key, matrix), end in zip(keys.items(), ends, strict=True)}
+    rows = []
+    for each, at in zip(observations, places, strict=True):
+        row = np.zeros((len(each.noise), ends[-1] if ends else 0))
+        for key, (partial, _) in each.shared.items():
+            row[:, spans[key]] = partial
+        row[2:] *= np.linalg.norm(dynamics.place(each.target, each.et) - at) / each.range_km
+        rows.append(row)
+    return np.vstack(rows), block_diagonal(list(keys.values()))
 
 
-def _block(blocks: list[Array]) -> Array:
+def invert(information: Array) -> Array:
+    """Inverse of an information matrix whose units differ by many orders."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
+    if not values[0] > len(values) * np.finfo(np.float64).eps * values[-1]:
+        raise RefusedError("the data do not determine the unknowns: a combination of them changes no residual")
+    return np.asarray((vectors / values) @ vectors.T * np.outer(scale, scale))
+
+
+def block_diagonal(blocks: list[Array]) -> Array:
+    """Matrix with blocks on its diagonal."""
     size = sum(len(block) for block in blocks)
     whole, at = np.zeros((size, size)), 0
     for block in blocks:
@@ -222,26 +383,86 @@ def _block(blocks: list[Array]) -> Array:
     return whole
 
 
-def main() -> None:
+def dynamics_from(arguments: argparse.Namespace, observations: list[Observation]) -> tuple[Dynamics, Array | None]:
+    """Dynamics of the command line, and the state at the first image by the file, where kernels have the center."""
+    targets = list(dict.fromkeys(each.target for each in observations))
+    center = arguments.center or targets[0]
+    first = observations[0]
+    maneuvers = tuple(Maneuver(et_of(utc, first), 1e-6 * float(size)) for utc, size in arguments.maneuver)
+    if not arguments.kernels:
+        if targets != [center]:
+            raise RefusedError(
+                f"{', '.join(targets)} about {center}: several bodies need --kernels, or name one by --target"
+            )
+        gm = dict.fromkeys([center], float(arguments.gm[-1][1])) if arguments.gm else {}
+        return Dynamics(center, gm, maneuvers=maneuvers), None
+    import spiceypy
+
+    spiceypy.furnsh(arguments.kernels)
+
+    def place(name: str, et: float) -> Array:
+        return np.asarray(spiceypy.spkpos(name, et, "J2000", "NONE", center)[0])
+
+    gm = dict[str, float]()
+    for name in dict.fromkeys([center, *targets, *arguments.pull]):
+        given = [value for key, value in arguments.gm if key in (name, "")]
+        gm[name] = float(given[0]) if given else float(spiceypy.bodvrd(name, "GM", 1)[1][0])
+    start = None
+    if first.observer is not None:
+        state = np.concatenate(first.observer) - spiceypy.spkezr(center, first.et, "J2000", "NONE", "SSB")[0]
+        start = np.concatenate([state, np.zeros(3 + 3 * len(maneuvers))])
+    return Dynamics(center, gm, place, maneuvers), start
+
+
+def et_of(utc: str, first: Observation) -> float:
+    """TDB seconds past J2000 of a UTC epoch in the same stretch between leap seconds as the first image."""
+    epochs = [datetime.fromisoformat(text).replace(tzinfo=UTC) for text in (utc, first.utc)]
+    return first.et + (epochs[0] - epochs[1]).total_seconds()
+
+
+def named(text: str) -> tuple[str, str]:
+    """Name and value of NAME=VALUE; a bare value has no name."""
+    name, _, value = text.rpartition("=")
+    return name, value
+
+
+def main() -> int:
+    """Solve, print, and return the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("file", help="observables.parquet of a run")
-    parser.add_argument("--target", help="needed where the file has several")
-    parser.add_argument("--gm", type=float, default=0.0, help="gravitational parameter of the body, km^3/s^2")
-    parser.add_argument("--estimate", action="store_true", help="solve for attitudes, size, pole and camera as well")
+    parser.add_argument("--target", type=lambda text: text.split(","), default=[], help="names, by default all")
+    parser.add_argument("--center", help="central body; by default the one target")
+    parser.add_argument("--kernels", type=lambda text: text.split(","), help="ephemerides and gravitational parameters")
+    parser.add_argument("--pull", type=lambda text: text.split(","), default=[], help="further bodies that pull")
+    parser.add_argument("--gm", type=named, action="append", default=[], help="[NAME=]km^3/s^2")
+    parser.add_argument("--maneuver", type=named, action="append", default=[], help="UTC=sigma in mm/s of an impulse")
+    parser.add_argument("--ephemeris-km", type=float, default=0.0, help="sigma of each body relative to the center")
+    parser.add_argument("--estimate", action="store_true", help="solve for the shared errors as well")
     arguments = parser.parse_args()
-    observations = read(arguments.file, arguments.target)
-    solution = solve(observations, gm=arguments.gm, estimate=arguments.estimate)
+    try:
+        observations = read(arguments.file, arguments.target)
+        dynamics, start = dynamics_from(arguments, observations)
+        if arguments.ephemeris_km > 0.0:
+            for each in observations:
+                if each.target != dynamics.center:
+                    by_place = each.by_position[: len(each.noise)]
+                    each.shared[f"ephemeris of {each.target}"] = by_place, arguments.ephemeris_km**2 * np.eye(3)
+        solution = solve(observations, dynamics, start=start, estimate=arguments.estimate)
+    except RefusedError as refused:
+        print(f"no orbit: {refused}", file=sys.stderr)
+        return 1
     sigma = np.sqrt(np.diag(solution.covariance))
     print(f"{len(observations)} observations, {solution.n_residuals} residuals, chi-square {solution.chi2:.1f}")
-    print(f"spacecraft relative to the body, ICRF, at et {solution.et:.3f} s (TDB past J2000)")
-    for name, unit, factor, start in (
-        ("position", "km", 1.0, 0),
-        ("velocity", "mm/s", 1e6, 3),
-        ("acceleration", "nm/s^2", 1e12, 6),
-    ):
-        for axis, k in zip("xyz", range(start, start + 3), strict=True):
-            print(f"  {name} {axis}: {factor * solution.values[k]:16.6f} +- {factor * sigma[k]:.6f} {unit}")
+    for name, rms in solution.normalized.items():
+        print(f"  {name}: rms of residuals over sigma {rms:.2f}")
+    print(f"spacecraft relative to {dynamics.center}, ICRF, at et {solution.et:.3f} s (TDB past J2000)")
+    rows = [("position", "km", 1.0), ("velocity", "mm/s", 1e6), ("acceleration", "nm/s^2", 1e12)]
+    rows += [(f"maneuver {utc}", "mm/s", 1e6) for utc, _ in arguments.maneuver]
+    for k, (name, unit, factor) in enumerate(rows):
+        for axis, n in zip("xyz", range(3 * k, 3 * k + 3), strict=True):
+            print(f"  {name} {axis}: {factor * solution.values[n]:16.6f} +- {factor * sigma[n]:.6f} {unit}")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import runpy
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -45,14 +45,38 @@ class Arc(Value):
     ----------
     times : (n,) float64, TDB seconds past J2000
     relative_km : callable
-        Position (3,) of the spacecraft relative to the body at a time.
+        Position (3,) of the spacecraft relative to the central body at a time.
     per_attitude : int
         Images in a row that share an attitude.
+    bodies : mapping of str to callable
+        Positions (3,) of the bodies, one an image in turn, relative to the central one.
+    center : callable, optional
+        Position and velocity of the central body at a time, relative to the barycenter; else on a circular orbit.
     """
 
     times: Float
     relative_km: Callable[[float], Float]
     per_attitude: int = 10
+    bodies: Mapping[str, Callable[[float], Float]] = field(default_factory=lambda: {"BENNU": lambda _: np.zeros(3)})
+    center: Callable[[float], tuple[Float, Float]] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Body(Value):
+    """Ephemeris of a body about the central one."""
+
+    center: Callable[[float], tuple[Float, Float]]
+    offset_km: Callable[[float], Float]
+    origin: str = BARYCENTER
+
+    def inertial_from_body(self, _: float) -> Rotation:
+        """Orientation of the body axes."""
+        return Rotation.identity()
+
+    def state(self, et: float) -> tuple[Float, Float]:
+        """Position (3,), km, and velocity (3,), km/s."""
+        position, velocity = self.center(et)
+        return position + self.offset_km(et), velocity + (self.offset_km(et + 1.0) - self.offset_km(et - 1.0)) / 2.0
 
 
 def orbit_example() -> SimpleNamespace:
@@ -62,18 +86,20 @@ def orbit_example() -> SimpleNamespace:
 
 def write_arc(path: Path, arc: Arc, rng: np.random.Generator) -> None:
     """Write the observables file of an arc with one draw of all errors."""
-    orbit = CircularOrbit(epoch_et=float(arc.times[0]))
-    scale_error = rng.normal(0.0, SCALE)
+    center = CircularOrbit(epoch_et=float(arc.times[0])).state if arc.center is None else arc.center
+    scale_errors = rng.normal(0.0, SCALE, len(arc.bodies))
     errors = rng.normal(0.0, ATTITUDE_RAD, (1 + len(arc.times) // arc.per_attitude, 3))
     rows = []
     for k, et in enumerate(arc.times.tolist()):
-        states, apparent_km = _circumstances(orbit, arc, et)
+        number = k % len(arc.bodies)
+        name = list(arc.bodies)[number]
+        states, apparent_km = _circumstances(center, arc, name, et)
         pointing = _pointing(apparent_km, rng)
         told = Rotation.from_rotvec(-errors[k // arc.per_attitude]) * pointing
         true_km = rotate(pointing, apparent_km)
         noise = rng.multivariate_normal(np.zeros(3), NOISE)
         center_px = MODEL.project(true_km) + noise[:2]
-        range_km = float(np.linalg.norm(true_km)) * (1.0 - scale_error + noise[2])
+        range_km = float(np.linalg.norm(true_km)) * (1.0 - scale_errors[number] + noise[2])
         context = ImageContext(
             file=f"image_{k:03d}.fits",
             camera=CAMERA,
@@ -92,23 +118,26 @@ def write_arc(path: Path, arc: Arc, rng: np.random.Generator) -> None:
             uncertainty=TargetUncertainty(scale=SCALE),
             circumstances=states,
         )
-        fix = _fix(center_px, range_km * MODEL.unproject(center_px))
+        fix = _fix(name, center_px, range_km * MODEL.unproject(center_px))
         rows.append(row_of_body(context, sighting, fix, is_preferred=True))
     write_observables(path, rows, observables_metadata("arc", CAMERA))
 
 
-def _circumstances(orbit: CircularOrbit, arc: Arc, et: float) -> tuple[Circumstances, Float]:
+def _circumstances(
+    center: Callable[[float], tuple[Float, Float]], arc: Arc, name: str, et: float
+) -> tuple[Circumstances, Float]:
     """States, and the apparent vector (3,) from the spacecraft to the body, km, inertial axes."""
-    body_km, body_km_s = orbit.state(et)
+    center_km, center_km_s = center(et)
+    body = _Body(center=center, offset_km=arc.bodies[name])
     moved = arc.relative_km(et + 1.0) - arc.relative_km(et - 1.0)
-    position, velocity = body_km + arc.relative_km(et), body_km_s + moved / 2.0
-    seen_km, emission = light_path(orbit, et, position)
+    position, velocity = center_km + arc.relative_km(et), center_km_s + moved / 2.0
+    seen_km, emission = light_path(body, et, position)
     states = Circumstances(
         origin=BARYCENTER,
         observer_position_km=position,
         observer_velocity_km_s=velocity,
-        target_velocity_km_s=orbit.state(emission)[1],
-        target_motion_km=body_km - orbit.state(emission)[0],
+        target_velocity_km_s=body.state(emission)[1],
+        target_motion_km=body.state(et)[0] - body.state(emission)[0],
         light_time_s=et - emission,
     )
     return states, boosted(seen_km, velocity)
@@ -122,7 +151,7 @@ def _pointing(apparent_km: Float, rng: np.random.Generator) -> Rotation:
     return Rotation.from_rotvec(rng.uniform(-np.pi, np.pi) * place) * to_axis
 
 
-def _fix(center_px: Float, position_km: Float) -> PositionFix:
+def _fix(name: str, center_px: Float, position_km: Float) -> PositionFix:
     """Fix with the parts and derivatives that the error budget gives."""
     by_turn = place_jacobian(MODEL, position_km) @ -skew(position_km)
     by_scale = np.array([[0.0], [0.0], [-1.0]])
@@ -135,7 +164,7 @@ def _fix(center_px: Float, position_km: Float) -> PositionFix:
     in_image = sum_parts(parts)
     return PositionFix(
         estimator="cross_correlation",
-        target="BENNU",
+        target=name,
         center_px=center_px,
         covariance_px2=in_image[:2, :2],
         predicted_px=center_px,

@@ -92,6 +92,7 @@ def test_et_is_tdb_seconds_past_j2000() -> None:
     assert abs(et_from_time(time_from_utc("2000-01-01T11:58:55.816Z"))) < 1e-4
     et = 596930900.3060744
     assert abs(et_from_time(time_from_et(et)) - et) < EPOCH_S
+    assert et_from_time(Time("2000-01-02T12:00:00", scale="tdb")) == 86400.0
     assert utc_text(Time("2018-12-01T10:07:11.123", scale="utc")) == "2018-12-01T10:07:11.123000"
     with pytest.raises(InputError, match="ISO 8601"):
         time_from_utc("yesterday")
@@ -130,6 +131,21 @@ def test_checks_name_what_is_wrong() -> None:
 
 
 # --- Frames with names ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("utc", "et"),
+    [
+        ("1979-03-05T10:00:00", -657251949.8145534),
+        ("2004-10-26T14:30:00", 152073064.1824572),
+        ("2019-03-03T05:00:00.123", 604861269.3084089),
+        ("2024-12-30T12:00:00", 788832069.1838841),
+    ],
+)
+def test_et_is_the_number_of_cspice(utc: str, et: float) -> None:
+    """``str2et`` of CSPICE N0067 with naif0012.tls; astropy's TDB is up to 18 us off."""
+    assert abs(et_from_time(time_from_utc(utc)) - et) < 2e-7
+    assert utc_text(time_from_et(et)) == utc_text(Time(utc, scale="utc"))
 
 
 def named(target: str, source: str, turn_rad: float = 0.1) -> FrameRotation:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import calendar
+import math
 import re
 import warnings
 from typing import TYPE_CHECKING
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
 _ORDINAL = re.compile(r"(\d{4})-(\d{3})T(\d{2}:\d{2}(?::\d{2}(?:\.\d*)?)?)")  # ISO 8601, ordinal date
 _J2000_JD = 2451545.0  # Julian date of J2000, 2000-01-01 12:00 TDB
+_AMPLITUDE_S, _ECCENTRICITY, _ANOMALY_RAD = 1.657e-3, 1.671e-2, (6.239996, 1.99096871e-7)
+"""DELTET/K, DELTET/EB and DELTET/M of all leap seconds kernels."""
 
 
 def time_from_utc(text: str) -> Time:
@@ -45,16 +48,31 @@ def utc_text(epoch: Time, digits: int = 6) -> str:
 
 
 def et_from_time(epoch: Time) -> float:
-    """Return TDB seconds past J2000, the ``et`` of SPICE; the two agree to the 30 us of SPICE's own TDB model."""
+    """Return TDB seconds past J2000 by SPICE's model of TDB, which differs from astropy's by up to 30 us.
+
+    An epoch that is given in TDB is taken as it is.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        tdb = epoch.tdb
-    return float(((tdb.jd1 - _J2000_JD) + tdb.jd2) * SECONDS_PER_DAY)
+        known = epoch if epoch.scale == "tdb" else epoch.tt
+    seconds = float(((known.jd1 - _J2000_JD) + known.jd2) * SECONDS_PER_DAY)
+    if epoch.scale == "tdb":
+        return seconds
+    et = seconds
+    for _ in range(3):
+        et = seconds + _tdb_minus_tt_s(et)
+    return et
 
 
 def time_from_et(et: float) -> Time:
-    """Return the epoch of TDB seconds past J2000."""
+    """Return the epoch, in TT, of TDB seconds past J2000 by SPICE's model of TDB."""
     from astropy.time import Time
 
     days, rest = divmod(et, SECONDS_PER_DAY)
-    return Time(_J2000_JD + days, rest / SECONDS_PER_DAY, format="jd", scale="tdb")
+    return Time(_J2000_JD + days, (rest - _tdb_minus_tt_s(et)) / SECONDS_PER_DAY, format="jd", scale="tt")
+
+
+def _tdb_minus_tt_s(et: float) -> float:
+    """TDB minus TT by the model and the constants of SPICE's leap seconds kernels (SPICE Required Reading, TIME)."""
+    anomaly = _ANOMALY_RAD[0] + _ANOMALY_RAD[1] * et
+    return _AMPLITUDE_S * math.sin(anomaly + _ECCENTRICITY * math.sin(anomaly))
