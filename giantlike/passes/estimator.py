@@ -34,6 +34,9 @@ WEAK = 30.0
 """Inflation from which a combination is reported: its parts then correlate by more than 0.999."""
 _JITTER_REACH = 1e3
 """Factor, down and up, within which the jitter is searched around the first guess."""
+_LARGEST_NOISE = 10.0
+"""Ratio of residuals to stated noise from which a pass is refused: noise is measured in each image, to better than a
+factor of ten."""
 _LOG_STEP = 0.05
 """Step in the logarithm of the jitter by which the curvature of its likelihood is taken."""
 
@@ -244,21 +247,28 @@ def _result(
     options: PassOptions,
     state: _PassState,
     jitter: tuple[float, float, float],
-) -> PassFix:
-    """Covariance by cause, tests and weak combinations of the fit where it rests."""
+) -> PassFix | Failure:
+    """Covariance by cause, tests and weak combinations of the converged fit."""
     which, normal, prior = np.flatnonzero(layout.estimated), state.normal, layout.information
     own = np.ix_(which, which)
     inverse = scaled_inverse((normal.information + prior)[own])
     told = inverse @ normal.information[own]
     freedom = max(normal.count - round(float(np.trace(told))), 1)
     chi2 = normal.squares
-    scale2 = max(chi2 / freedom, 1.0) if options.scale_noise else 1.0
+    ratio2 = max((chi2 - _squares_of_considered(normal, layout, inverse)) / freedom, 1.0)
+    scale2 = ratio2 if options.scale_noise else 1.0
+    if ratio2 > _LARGEST_NOISE**2:
+        return Failure(
+            Reason.LARGE_RESIDUALS,
+            f"residuals are {math.sqrt(ratio2):.3g} times the stated noise (chi-square {chi2:.3g}, {freedom} degrees "
+            "of freedom): the trajectory, the shape or an error that the images share is missing among the terms",
+        )
     parts = {"noise": scale2 * symmetric(told @ inverse), "a priori": symmetric(inverse @ prior[own] @ inverse)}
     for term, members in layout.groups.items():
-        considered = [k for k in members if not layout.estimated[k]]
-        if considered:
-            moved = inverse @ normal.information[np.ix_(which, considered)]
-            known = layout.covariance_apriori[np.ix_(considered, considered)]
+        held = [k for k in members if not layout.estimated[k]]
+        if held:
+            moved = inverse @ normal.information[np.ix_(which, held)]
+            known = layout.covariance_apriori[np.ix_(held, held)]
             parts[f"considered {term}"] = symmetric(moved @ known @ moved.T)
     covariance = symmetric(np.sum(list(parts.values()), axis=0))
     departure = state.departure[which]
@@ -295,6 +305,15 @@ def _result(
         n_rejected=sum(keep.size for keep in state.keeps) - normal.count,
         iterations=state.iterations,
     )
+
+
+def _squares_of_considered(normal: Normal, layout: PassLayout, inverse: Float) -> float:
+    """Reduction of chi-square if the errors that are considered were estimated, too."""
+    estimated, held = np.flatnonzero(layout.estimated), np.flatnonzero(~layout.estimated)
+    shared = normal.information[np.ix_(estimated, held)]
+    left = normal.information[np.ix_(held, held)] - shared.T @ inverse @ shared
+    known, pull = layout.covariance_apriori[np.ix_(held, held)], normal.pull[held]
+    return float(pull @ known @ np.linalg.solve(np.eye(held.size) + left @ known, pull))
 
 
 def _tags(

@@ -23,10 +23,19 @@ from giantlike.relative.place import apparent_radius_px
 
 OBSERVABLES = "observables.parquet"
 _NEW_PARTS = ("part_noise", "part_background")
-_SHARED_PARTS = ("part_psf", "part_edge", "part_camera", "part_reflectance", "part_albedo", "part_relief", "part_pole")
+_SHARED_PARTS = (
+    "part_psf",
+    "part_edge",
+    "part_camera",
+    "part_aberration",
+    "part_epoch",
+    "part_reflectance",
+    "part_albedo",
+    "part_relief",
+    "part_pole",
+    "part_spin",
+)
 _ATTITUDE_PARTS = ("part_attitude", "part_orientation")
-_FLOOR_KM = 1e-9
-"""Standard deviation below which a part of a covariance is rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,7 +170,9 @@ def _image(row: ObservableRow, camera: Camera, choice: RunPass, middle_s: float,
         if name in _NEW_PARTS or (name in _ATTITUDE_PARTS and not attitude_is_shared):
             own += part
         else:
-            shared[f"{cause} {row.shared_attitude}" if name in _ATTITUDE_PARTS else cause] = _root(part)
+            shifts = _signed_shifts(row, cause, camera)
+            key = f"{cause} {row.shared_attitude}" if name in _ATTITUDE_PARTS else cause
+            shared[key] = _root(part) if shifts is None else by_place @ shifts
     time_s = _epoch(row) - middle_s
     by_state = -turn.as_matrix() @ np.hstack([np.eye(3), time_s * np.eye(3)])
     return PassImage(
@@ -184,6 +195,26 @@ def _image(row: ObservableRow, camera: Camera, choice: RunPass, middle_s: float,
     )
 
 
+def _signed_shifts(row: ObservableRow, cause: str, camera: Camera) -> Float | None:
+    """Shifts (3, k), px, px and km, by one standard deviation of each parameter of a cause, from the partials of a row.
+
+    Returns None for a cause without partials: its shifts are known apart from their signs.
+    """
+    pole, spin, known = row.sigma_pole_rad, row.sigma_spin_rad, camera.uncertainty
+    covariances: dict[str, tuple[Sequence[float] | None, object]] = {
+        "attitude": (row.partial_attitude, row.attitude_covariance_rad2),
+        "pole": (row.partial_pole, None if pole is None else pole**2 * np.eye(2)),
+        "spin": (row.partial_spin, None if spin is None else spin**2 * np.eye(1)),
+        "camera": (row.partial_camera_parameters, None if known is None else known.covariance),
+    }
+    partial, covariance = covariances.get(cause, (None, None))
+    if partial is None or covariance is None:
+        return None
+    by_parameters = np.reshape(np.array(partial, dtype=np.float64), (3, -1))
+    size = by_parameters.shape[1]
+    return np.asarray(by_parameters @ _root(np.array(covariance, dtype=np.float64).reshape(size, size)))
+
+
 def _place(model: CameraModel, pixel: float | None, line: float | None, range_km: float | None) -> Float:
     """Vector (3,), km, camera axes, of a pixel and a range."""
     place: Float = np.array(range_km, dtype=np.float64) * unit(
@@ -201,8 +232,8 @@ def _rate(row: ObservableRow, turn: Rotation) -> Float:
 
 
 def _root(covariance: Float) -> Float:
-    """Symmetric root (3, 3): the same shifts in all images whose part is the same."""
+    """Symmetric root (k, k): the same shifts in all images whose part is the same."""
     values, axes = np.linalg.eigh((covariance + covariance.T) / 2.0)
-    sigmas = np.sqrt(np.maximum(values, _FLOOR_KM**2))
+    sigmas = np.sqrt(np.maximum(values, 0.0))
     root: Float = (axes * sigmas) @ axes.T
     return root

@@ -165,6 +165,32 @@ def test_a_considered_trajectory_enlarges_the_covariance_and_an_ignored_one_make
     assert estimated.sigma("limb_altitude") <= considered.sigma("limb_altitude") * (1.0 + 1e-9)
 
 
+@pytest.mark.parametrize("seed", [0, 2, 5])
+def test_residuals_by_considered_errors_are_not_noise(seed: int) -> None:
+    """The ratio of residuals to noise was 2.4 to 5.5 where a trajectory that errs as declared was considered."""
+    rng = np.random.default_rng(seed)
+    sigmas = np.array([50.0, 50.0, 50.0, 0.02, 0.02, 0.02])
+    truth = replace(drawn(rng), trajectory=sigmas * rng.normal(size=6))
+    fix = solved(simulated_pass(truth, rng, images=60, points=60, trajectory_sigmas=sigmas), usual())
+    assert fix.chi2 > 5.0 * fix.freedom
+    assert fix.noise_scale < 1.05
+
+
+def test_a_pass_whose_residuals_are_far_beyond_the_noise_is_a_failure() -> None:
+    rng = np.random.default_rng(5)
+    truth = replace(drawn(rng), trajectory=np.array([0.0, 0.0, 0.0, 2.0, -2.0, 0.0]))
+    given = simulated_pass(truth, rng, images=20, points=60, trajectory_sigmas=TRAJECTORY_SIGMAS)
+    exact = replace(
+        given,
+        images=tuple(replace(image, by_trajectory=np.zeros((3, 0))) for image in given.images),
+        covariance_trajectory=np.zeros((0, 0)),
+    )
+    outcome = estimate_pass(exact, usual(outlier_sigmas=1e6))
+    assert isinstance(outcome, Failure)
+    assert outcome.reason is Reason.LARGE_RESIDUALS
+    assert "times the stated noise" in outcome.detail
+
+
 def test_what_a_pass_cannot_tell_is_refused_by_name_or_left_as_known_before() -> None:
     rng = np.random.default_rng(6)
     given = simulated_pass(Truth(), rng, images=20)

@@ -127,6 +127,32 @@ def test_attitudes_that_images_share_are_shared_errors() -> None:
     assert all(set(image.observed.shared_px) == {"attitude one"} for image in given.images)
 
 
+def test_errors_that_images_share_keep_their_signs() -> None:
+    """A pole that moves the body to the right in one image and to the left in the next; spin, too, is one error."""
+    right = (2.0, 0.0, 1.0, 0.0, 0.0, 3.0)
+    rows_of_pass = [
+        replace(
+            row,
+            sigma_pole_rad=1e-3,
+            partial_pole=tuple(sign * value for value in right),
+            part_pole=tuple(1e-6 * np.ravel(np.reshape(right, (3, 2)) @ np.reshape(right, (3, 2)).T)),
+            sigma_spin_rad=1e-3,
+            partial_spin=(0.0, sign, 0.0),
+            part_spin=tuple(np.diag([0.0, 1e-6, 0.0]).ravel()),
+        )
+        for row, sign in zip(rows(2), (1.0, -1.0), strict=True)
+    ]
+    given = pass_from_rows(rows_of_pass, CAMERA, RunPass(target="ROCK", radius_km=RADIUS_KM))
+    assert given is not None
+    one, other = (image.observed for image in given.images)
+    assert isinstance(one, MeasuredPosition)
+    assert isinstance(other, MeasuredPosition)
+    for cause in ("pole", "spin"):
+        size = float(np.linalg.norm(one.shared_km[cause]))
+        assert size > 1e-2
+        assert_allclose(one.shared_km[cause], -other.shared_km[cause], rtol=0, atol=1e-3 * size)
+
+
 def test_bodies_turned_with_the_attitude_are_errors_of_it() -> None:
     """0.3 px along x, 6.2 km at the body: new in each image, or shared with its attitude."""
     sigma_px, sigma_km = 0.3, 0.3 * RANGE_KM / 7312.5
