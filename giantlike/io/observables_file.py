@@ -270,7 +270,7 @@ class ObservableBlock(Value):
 
 
 def write_observables(path: Path, rows: Iterable[ObservableRow | ObservableBlock], metadata: Mapping[str, str]) -> int:
-    """Write observables: Parquet, or JSON lines where the file name ends in ``.jsonl``.
+    """Write observables: Parquet, or JSON lines where the file name ends in ``.jsonl``, with its metadata in the first.
 
     Rows are written as they come, so that no more than some thousand are in memory.
     """
@@ -380,9 +380,14 @@ def _cells(field: Any, values: NDArray[Any]) -> Any:
 
 
 def _write_json_lines(path: Path, rows: Iterator[ObservableRow | ObservableBlock], metadata: Mapping[str, str]) -> int:
-    """Write one object a line; values that are not known are left out."""
-    count = 0
+    """Write one object a line, the metadata first; values that are not known are left out."""
+    count, columns = 0, columns_of(ObservableRow)
+    head = {"kind": "metadata", "format": FORMAT, "format_version": FORMAT_VERSION, **metadata}
+    head |= {name: json.loads(head[name]) for name in ("camera", "camera_parameters") if name in head}
+    units = {"units": {column.name: column.unit for column in columns if column.unit}}
+    frames = {"frames": {column.name: column.frame for column in columns if column.frame}}
     with path.open("w", encoding="utf-8") as file:
+        file.write(json.dumps(head | units | frames, allow_nan=False) + "\n")
         for item in rows:
             for row in item.rows() if isinstance(item, ObservableBlock) else (item,):
                 cells = ((field.name, getattr(row, field.name)) for field in dataclasses.fields(row))

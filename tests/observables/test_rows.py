@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera, ModelUncertainty
 from giantlike.camera_models import BrownModel
+from giantlike.campaign.store.observables import observables_metadata
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.errors import DataError, InputError
@@ -23,7 +24,7 @@ from giantlike.core.light import boosted
 from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import AttitudeErrors, CenterFix, PositionFix, Quality
 from giantlike.ephemeris import BARYCENTER
-from giantlike.io.observables_file import ObservableRow, read_observables, write_observables
+from giantlike.io.observables_file import FORMAT_VERSION, ObservableRow, read_observables, write_observables
 from giantlike.io.tables import columns_of
 from giantlike.observables import (
     ImageContext,
@@ -384,8 +385,13 @@ def test_stars_are_the_same_row_by_row_and_column_by_column(tmp_path: Path) -> N
 
 def test_json_lines_hold_the_same_without_what_is_unknown(tmp_path: Path) -> None:
     path = tmp_path / "o.jsonl"
-    write_observables(path, _rows(), {})
-    body, landmark = (json.loads(line) for line in path.read_text().splitlines())
+    write_observables(path, _rows(), observables_metadata("test", CONTEXT.camera))
+    head, body, landmark = (json.loads(line) for line in path.read_text().splitlines())
+    assert head["kind"] == "metadata"
+    assert head["format_version"] == FORMAT_VERSION
+    assert head["camera"] == CONTEXT.camera.to_mapping()
+    assert head["units"]["covariance_position_icrf_km2"] == "km²"
+    assert head["frames"]["partial_attitude"] == "camera"
     assert body["geometric_ra_deg"] == _rows()[0].geometric_ra_deg
     assert body["covariance"] == _rows()[0].covariance
     assert "feature" not in body
