@@ -14,6 +14,8 @@ import numpy as np
 
 from giantlike._system.atomic import make_folder, name_of_file
 from giantlike.camera import Camera
+from giantlike.campaign.file.schema import AdesFile
+from giantlike.campaign.file.toml_file import read_toml
 from giantlike.campaign.store.observables import run_observables, write_run_observables
 from giantlike.campaign.store.records import Attitude, AttitudeRecord
 from giantlike.campaign.store.results import RunResult, attitude_series, camera_of_run, load_result
@@ -21,6 +23,7 @@ from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
 from giantlike.core.frames import quaternion_xyzw, require_same_frame
 from giantlike.core.outcomes import Failure
+from giantlike.io.ades import AdesContext, write_ades
 from giantlike.io.attitude_series import AttitudeSeries, UntimedAttitude, write_attitude_csv
 from giantlike.io.camera_sip import PosedModel
 from giantlike.io.ccsds_aem import AemNames, write_aem
@@ -30,7 +33,15 @@ from giantlike.io.picture_sequence import PsfPicture, write_psf
 from giantlike.io.spc_sumfile import write_sumfile
 from giantlike.io.spice_ck import CkTarget, write_ck
 from giantlike.io.wcs_header import write_wcs
-from giantlike.observables.exchange import Angles, picture_of, psf_camera, sumfile_of, tracking_segments
+from giantlike.observables.exchange import (
+    AdesSource,
+    Angles,
+    astrometry_of,
+    picture_of,
+    psf_camera,
+    sumfile_of,
+    tracking_segments,
+)
 from giantlike.observables.pointing import pointing_from_bodies
 
 
@@ -53,6 +64,8 @@ class ExportFormat(StrEnum):
     """JPL picture sequence file: pointing, bodies and stars of each picture."""
     SUMFILE = "sumfile"
     """SUMFILEs of stereophotoclinometry, one for each target in an image, in a folder."""
+    ADES = "ades"
+    """Astrometry for the Minor Planet Center, XML or, by the name of the output, PSV: the preferred fixes."""
 
 
 class PointingSource(StrEnum):
@@ -74,6 +87,7 @@ EXPORT_NAMES: Mapping[ExportFormat, str] = MappingProxyType(
         ExportFormat.OBSERVABLES: "observables.jsonl",
         ExportFormat.TDM: "observables.tdm",
         ExportFormat.PSF: "pictures.psf",
+        ExportFormat.ADES: "astrometry.xml",
         ExportFormat.SUMFILE: "sumfiles",
     }
 )
@@ -95,6 +109,7 @@ class ExportOptions:
         and who writes the message.
     angles: TDM: corrections removed from the angles.
     sip_order: WCS: order of the polynomials, 2 to 9.
+    ades: ADES: TOML file with a table ``[ades]``, such as the campaign file.
     """
 
     pointing: PointingSource = PointingSource.STARS
@@ -110,6 +125,7 @@ class ExportOptions:
     originator: str = "UNKNOWN"
     angles: Angles = Angles.ASTROMETRIC
     sip_order: int = 5
+    ades: Path | None = None
 
     def __post_init__(self) -> None:
         require(self.ck_type in (1, 3), f"C-kernels are written of type 1 or 3, got {self.ck_type}")
@@ -140,6 +156,8 @@ def export_run(
     camera = camera_of_run(folder)
     if format_name is ExportFormat.TDM:
         return _tdm(output, _single_rows(result, camera), options)
+    if format_name is ExportFormat.ADES:
+        return _astrometry(output, result, camera, options)
     if format_name is ExportFormat.PSF:
         return _pictures(output, result, camera, options)
     if format_name is ExportFormat.SUMFILE:
@@ -301,6 +319,37 @@ def _tdm(output: Path, rows: Iterable[ObservableRow], options: ExportOptions) ->
     write_tdm(output, tracked.segments, originator=options.originator)
     count = sum(len(segment.points) for segment in tracked.segments)
     return Exported(files=(output,), n_observations=count, left_out=tracked.left_out)
+
+
+def _astrometry(output: Path, result: RunResult, camera: Camera, options: ExportOptions) -> Exported:
+    """Write the preferred fixes of bodies for the Minor Planet Center."""
+    if options.ades is None:
+        raise InputError("ADES needs --ades FILE.toml with a table [ades]: station, submitter, measurers, telescope")
+    content, _ = read_toml(
+        options.ades, AdesFile, "file", complete=lambda _, table: {"ades": table["ades"]} if "ades" in table else {}
+    )
+    section = content.ades
+    source = AdesSource(
+        objects=section.objects,
+        n_stars={record.file: record.n_matched or 0 for record in result.attitudes},
+        earth_kernel=str(options.ades.parent / section.earth_kernel),
+        sigma_position_km=section.sigma_position_km,
+        sigma_time_s=section.sigma_time_s,
+    )
+    context = AdesContext(
+        station=section.station,
+        submitter=section.submitter,
+        measurers=tuple(section.measurers),
+        design=section.design,
+        aperture_m=section.aperture_m,
+        detector=section.detector,
+        star_catalog=section.star_catalog,
+    )
+    found, left_out = astrometry_of(_single_rows(result, camera), source)
+    require(bool(found), f"{output}: no observation to write ({_said(left_out)})")
+    make_folder(output.parent)
+    write_ades(output, context, found)
+    return Exported(files=(output,), n_observations=len(found), left_out=left_out)
 
 
 def _pictures(output: Path, result: RunResult, camera: Camera, options: ExportOptions) -> Exported:

@@ -44,6 +44,10 @@ def export(
     originator: Annotated[str, typer.Option(help="aem, tdm: creator of the message.")] = "UNKNOWN",
     angles: Annotated[Angles, typer.Option(help="tdm: what is removed of the angles.")] = Angles.ASTROMETRIC,
     sip_order: Annotated[int, typer.Option(help="wcs: order of the polynomials.", min=2, max=9)] = 5,
+    ades: Annotated[
+        Path | None,
+        typer.Option(help="ades: file with a table [ades]: the campaign file, say.", metavar="FILE.toml"),
+    ] = None,
     json: Json = False,
 ) -> ExitCode:
     """Write the attitudes or observables of a run for other programs.
@@ -51,7 +55,8 @@ def export(
     csv: quaternions and covariances. ck: SPICE C-kernel of type 3 or 1. aem: CCSDS attitude ephemeris. wcs: a FITS
     header with TAN-SIP world coordinates for each image. observables: bodies, landmarks and stars as JSON lines, or as
     the Parquet file that every run writes. tdm: CCSDS tracking data message of the preferred fixes. psf: JPL picture
-    sequence file. sumfile: SUMFILEs of stereophotoclinometry.
+    sequence file. sumfile: SUMFILEs of stereophotoclinometry. ades: astrometry for the Minor Planet Center, .xml or
+    .psv.
     """
     options = ExportOptions(
         pointing=pointing,
@@ -67,6 +72,7 @@ def export(
         originator=originator,
         angles=angles,
         sip_order=sip_order,
+        ades=ades,
     )
     target = output or folder / EXPORT_NAMES[kind]
     there = any(target.iterdir()) if target.is_dir() else target.exists()

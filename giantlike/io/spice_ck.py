@@ -30,8 +30,8 @@ _TICKS_PER_SECOND = 100_000  # of the made-up clock: epochs are rounded to 10 us
 _MARGIN_S = 1e-3
 """Time before the first and after the last attitude of a run over which a C-kernel of type 3 holds them still, s.
 
-SPICE takes an epoch in UTC to a TDB that differs by up to 30 us from the one here, and texts are rounded to 1 us: an
-attitude alone would not be found at its own epoch. Exposures are longer than a millisecond, or the camera hardly turns.
+Texts of epochs are rounded to 1 us, and clocks count ticks: an attitude alone would not be found at its own epoch.
+Exposures are longer than a millisecond, or the camera hardly turns.
 """
 _FRAME_NAME = re.compile(r"[A-Z][A-Z0-9_+-]{0,25}")  # SPICE allows 26 characters
 _SEGMENT_NAME = 40  # characters of a segment identifier: NAIF's CK Required Reading

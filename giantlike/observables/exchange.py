@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import PurePath
 
@@ -16,7 +16,10 @@ from giantlike.camera import Camera
 from giantlike.core.arrays import Float, require
 from giantlike.core.frames import radec_from_direction, rotate
 from giantlike.core.light import aberrate
-from giantlike.core.time import time_from_et
+from giantlike.core.time import time_from_et, utc_text
+from giantlike.core.version import VERSION
+from giantlike.ephemeris import BARYCENTER
+from giantlike.io.ades import AdesObservation, is_designation
 from giantlike.io.ccsds_tdm import ABERRATION_REMOVED, TdmPoint, TdmSegment
 from giantlike.io.observables_file import ObservableBlock, ObservableRow
 from giantlike.io.picture_sequence import PictureObject, PsfCamera, PsfImage, PsfPicture
@@ -81,6 +84,82 @@ def tracking_segments(rows: Iterable[ObservableRow], *, angles: Angles, spacecra
         for target, found in points.items()
     )
     return Tracked(segments=segments, left_out=dict(left_out))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AdesSource:
+    """Inputs of an ADES file besides the rows.
+
+    objects: designations by target.
+    n_stars: stars of the attitudes, by image.
+    earth_kernel: SPK of the Earth.
+    sigma_position_km, sigma_time_s: of the spacecraft along each axis, and of the epochs.
+    """
+
+    earth_kernel: str
+    objects: Mapping[str, str] = field(default_factory=dict)
+    n_stars: Mapping[str, int] = field(default_factory=dict)
+    sigma_position_km: float | None = None
+    sigma_time_s: float | None = None
+
+
+def astrometry_of(
+    rows: Iterable[ObservableRow], source: AdesSource
+) -> tuple[tuple[AdesObservation, ...], dict[str, int]]:
+    """Astrometric observations from the preferred fixes of bodies, and the number of fixes left out by reason."""
+    made, left_out = list[AdesObservation](), Counter[str]()
+    with spiceypy.KernelPool([source.earth_kernel]):
+        for row in rows:
+            if row.kind != "body" or not row.preferred or row.target is None:
+                continue
+            designation = designation_of(source.objects.get(row.target, row.target))
+            if designation is None:
+                left_out[f"{row.target} has no designation of the Minor Planet Center"] += 1
+            elif row.epoch_et_s is None or row.astrometric_ra_deg is None or row.astrometric_dec_deg is None:
+                left_out["no epoch, or velocity of the spacecraft unknown"] += 1
+            elif row.sigma_ra_cos_dec_arcsec is None or row.states_origin != BARYCENTER:
+                left_out["no covariance, or no position of the spacecraft from the barycenter"] += 1
+            else:
+                made.append(_astrometry(row, designation, source))
+    return tuple(made), dict(left_out)
+
+
+def _astrometry(row: ObservableRow, designation: tuple[str, str], source: AdesSource) -> AdesObservation:
+    """Observation of a row that has what is needed."""
+    assert row.epoch_et_s is not None
+    earth = np.asarray(spiceypy.spkezr("EARTH", row.epoch_et_s, "J2000", "NONE", "SSB")[0], dtype=np.float64)
+    sigma_km = source.sigma_position_km
+    return AdesObservation(
+        identification=designation,
+        epoch_utc=utc_text(time_from_et(row.epoch_et_s)),
+        ra_deg=float(row.astrometric_ra_deg or 0.0),
+        dec_deg=float(row.astrometric_dec_deg or 0.0),
+        sigma_ra_arcsec=float(row.sigma_ra_cos_dec_arcsec or 0.0),
+        sigma_dec_arcsec=float(row.sigma_dec_arcsec or 0.0),
+        correlation=float(np.clip(row.correlation_ra_dec or 0.0, -0.999999, 0.999999)),
+        position_km=_vector(row.observer_position_icrf_km) - earth[:3],
+        velocity_km_s=_vector(row.observer_velocity_icrf_km_s) - earth[3:],
+        position_covariance_km2=None if sigma_km is None else sigma_km**2 * np.eye(3),
+        sigma_time_s=source.sigma_time_s,
+        exposure_s=row.exposure_s or None,
+        n_stars=source.n_stars.get(row.file) or None,
+        remarks=f"ICRF; center of the shape of the object by giantlike {VERSION}",
+    )
+
+
+def designation_of(name: str) -> tuple[str, str] | None:
+    """Element of ADES and text for a designation, or for the name of a moon or a numbered asteroid in SPICE."""
+    for kind in ("permID", "provID"):
+        if is_designation(kind, name):
+            return kind, name
+    try:
+        code = spiceypy.bodn2c(name)
+    except spiceypy.exceptions.NotFoundError:
+        return ("trkSub", name) if is_designation("trkSub", name) else None
+    planet, moon = divmod(code, 100)
+    if 4 <= planet <= 8 and 0 < moon < 99:
+        return "permID", f"{('Mars', 'Jupiter', 'Saturn', 'Uranus', 'Neptune')[planet - 4]} {moon}"
+    return ("permID", str(code - 2_000_000)) if 2_000_000 < code < 3_000_000 else None
 
 
 def sumfile_of(camera: Camera, body: ObservableRow, landmarks: Sequence[ObservableRow]) -> Sumfile:

