@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import Field, PlainValidator
+from pydantic import BeforeValidator, Field, PlainValidator
 
 from giantlike.atmosphere import Atmosphere
 from giantlike.calibration import CalibrationOptions
@@ -309,6 +309,53 @@ class ReportSection(TomlSection):
     """Number of images shown with their results."""
 
 
+class GeometrySection(TomlSection):
+    """``[geometry]``: where body, pole and Sun are in an image, as read off a picture or a press kit.
+
+    One table per image and target (`[[geometry]]` for several), in place of a row of `images.geometry`. Azimuths are
+    angles in the image, clockwise from up (the direction of the first row). The orientation needs the north azimuth and
+    the sub-observer point, a sphere needs none; the Sun needs the sub-solar point, or the phase angle and the Sun
+    azimuth, and what is given beyond that has to agree. Without an a priori attitude, camera axes are used as inertial
+    axes ([how](howto/a-priori.md#off-a-picture-or-a-press-kit)).
+    """
+
+    file: str | None = None
+    """Image; may be left out where the campaign has one."""
+    target: str | None = None
+    """Name of the target; may be left out where the campaign has one."""
+    epoch_utc: str | None = None
+    """Mid-exposure, ISO 8601; not needed for a fix in camera axes."""
+    exposure_s: float | None = Field(default=None, ge=0)
+    """Exposure, s."""
+    center_px: list[float] | None = None
+    """Pixel [x, y] of the center of the body, roughly; default: the center of the image."""
+    range_km: float | None = Field(default=None, gt=0)
+    """Distance from the camera to the center of the body, km."""
+    diameter_px: float | None = Field(default=None, gt=0)
+    """Widest diameter of the body in the image, px, in place of `range_km`; where both are given, they have to agree
+    to 5 %."""
+    azimuth_zero: Literal["up", "right"] = "up"
+    """Direction from which azimuths are counted; `"right"` for the north azimuth of PDS labels."""
+    north_azimuth_deg: float | None = None
+    """Direction of the north pole (body-fixed +z axis) in the image, deg."""
+    sub_observer_latitude_deg: float | None = Field(default=None, ge=-90, le=90)
+    """Planetocentric latitude of the point below the camera, deg."""
+    sub_observer_longitude_deg: float | None = Field(default=None, ge=-360, le=360)
+    """Its east longitude, deg (west: with a minus sign); not needed for a body of revolution with a Sun azimuth."""
+    sub_solar_latitude_deg: float | None = Field(default=None, ge=-90, le=90)
+    """Planetocentric latitude of the point below the Sun, deg."""
+    sub_solar_longitude_deg: float | None = Field(default=None, ge=-360, le=360)
+    """Its east longitude, deg."""
+    sun_azimuth_deg: float | None = None
+    """Direction of the Sun in the image, from the center of the body to the middle of its bright limb, deg."""
+    phase_angle_deg: float | None = Field(default=None, ge=0, le=180)
+    """Angle at the body between Sun and camera, deg: 0 for a full disk, 90 for half of it."""
+
+
+def _as_list(value: object) -> object:
+    return [value] if isinstance(value, Mapping) else value
+
+
 class CampaignFile(TomlSection):
     """A whole campaign file."""
 
@@ -323,5 +370,6 @@ class CampaignFile(TomlSection):
     stars: StarsSection | None = None
     calibration: CalibrationSection | None = None
     calibration_frames: CalibrationFramesSection | None = None
+    geometry: Annotated[list[GeometrySection], BeforeValidator(_as_list)] = Field(default_factory=list)
     targets: list[TargetSection] = Field(default_factory=list)
     report: ReportSection = ReportSection()

@@ -1,6 +1,6 @@
 """Images of a campaign with their a priori epoch, pose and scene.
 
-Sources, in order of precedence: the geometry table, the image's own header, SPICE.
+Sources, in order of precedence: the geometry table or ``[geometry]``, the image's own header, SPICE.
 """
 
 from __future__ import annotations
@@ -76,6 +76,9 @@ def open_image(campaign: Campaign, entry: ImageEntry, frames: CalibrationFrames 
     if image.camera_from_inertial is None and has_world_coordinates(image.metadata):
         image, more = _with_world_coordinates(image, campaign)
         notes += more
+    if image.camera_from_inertial is None and known is not None and known.seen:
+        image = image.with_attitude(Rotation.identity())
+        notes += ("no a priori attitude: camera axes are used as inertial axes",)
     return PreparedImage(image, notes)
 
 
@@ -124,7 +127,8 @@ def targets_in(campaign: Campaign, key: str) -> tuple[TargetSetup, ...]:
     if campaign.spice is not None or campaign.label_geometry:
         return campaign.targets
     known = campaign.geometry.get(key)
-    return tuple(target for target in campaign.targets if known is not None and target.name in known.targets)
+    named = () if known is None else (*known.targets, *known.seen)
+    return tuple(target for target in campaign.targets if target.name in named)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,8 +190,8 @@ def scene_of(campaign: Campaign, image: Image, target: TargetSetup, shape: Shape
     """Build the scene of one target in an image."""
     known = campaign.geometry.get(image.name)
     row = None if known is None else known.targets.get(target.name)
-    if row is None and campaign.label_geometry:
-        row = row_of_label(campaign, image, target)
+    if row is None:
+        row = stated_row(campaign, image, target)
     spice = None if campaign.spice is None else _SpiceGeometry.at(campaign.spice, target, image.et)
     if row is not None:
         apparent = _from_row(row, image, target, shape, spice)
@@ -268,22 +272,25 @@ def attitude_of_label(campaign: Campaign, image: Image) -> Rotation | None:
     return label.camera_from_body * inertial_from_body.inv()
 
 
-def row_of_label(campaign: Campaign, image: Image, target: TargetSetup) -> GeometryRow | None:
-    """Position of a target, its orientation and its Sun from the label of an image.
+def stated_row(campaign: Campaign, image: Image, target: TargetSetup) -> GeometryRow | None:
+    """Position of a target, its orientation and its Sun from ``[geometry]`` or else from the label of an image.
 
-    Returns None where the label is of another target or has no geometry, or the attitude is unknown.
+    Returns None where neither states the geometry of the target, or the attitude is unknown.
     """
-    label = geometry_of_label(image.metadata, campaign.camera.model)
-    attitude = image.camera_from_inertial
-    if label is None or attitude is None or not _is(target, label.target):
+    known, attitude = campaign.geometry.get(image.name), image.camera_from_inertial
+    stated = None if known is None else known.seen.get(target.name)
+    if stated is None and campaign.label_geometry:
+        label = geometry_of_label(image.metadata, campaign.camera.model)
+        stated = label if label is not None and _is(target, label.target) else None
+    if stated is None or attitude is None:
         return None
-    turn = label.camera_from_body
+    turn = stated.camera_from_body
     return GeometryRow(
         file=image.name,
         target=target.name,
-        target_position_inertial_km=rotate(attitude.inv(), label.position_camera_km),
+        target_position_inertial_km=rotate(attitude.inv(), stated.position_camera_km),
         body_from_inertial=None if turn is None else turn.inv() * attitude,
-        sun_direction_inertial=rotate(attitude.inv(), label.sun_direction_camera),
+        sun_direction_inertial=rotate(attitude.inv(), stated.sun_direction_camera),
     )
 
 
