@@ -364,8 +364,10 @@ class CampaignFile(TomlSection):
     images: ImagesSection
     camera: dict[str, Any]
     """`file`, the name of a camera file; `preset`, the name of a real camera that comes with the package
-    ([list](camera_presets.md)), and with it `binned`, the pixels along one side of a block that was summed; or the keys
-    of a [camera file](campaigns.md#the-camera-file). A `[mission]` may provide it."""
+    ([list](camera_presets.md)); or the keys of a [camera file](campaigns.md#the-camera-file). A `[mission]` may provide
+    it. To the first two, `binned` adds a reduction of the images: the pixels along one side of a block that was summed
+    (2, or 1.6), or the scale of a smaller picture (0.625), or its size (`[640, 640]`); and keys of the tables
+    `camera.detector` and `camera.psf`, such as `gamma`, win over theirs, for the images as they are."""
     spice: SpiceSection | None = None
     stars: StarsSection | None = None
     calibration: CalibrationSection | None = None
