@@ -128,6 +128,14 @@ def test_uncertainties_of_targets_and_a_priori_attitudes_are_turned_into_radians
     np.testing.assert_allclose(np.sqrt(np.diag(campaign.apriori_covariance_rad2)), math.radians(0.5), rtol=1e-12)
 
 
+def test_a_pole_may_be_unknown(tmp_path: Path) -> None:
+    table = campaign_table()
+    table["targets"][0] |= {"uncertainty": {"pole_deg": "unknown"}, "shape": {"radii_km": [1.0, 1.0, 0.9]}}
+    known = Campaign.load(write(tmp_path, table)).targets[0].uncertainty
+    assert known.pole_unknown
+    assert known.pole_rad == 0.0
+
+
 def test_rings_are_taken_from_a_name_or_from_radii(tmp_path: Path) -> None:
     table = campaign_table()
     for given, outer_km in (("SATURN", 140_600.0), ({"inner_km": 2, "outer_km": 3.5}, 3.5)):
@@ -295,6 +303,11 @@ WRONG_VALUES: list[tuple[Callable[[dict[str, Any]], Any], str]] = [
         ),
         r"targets\[0\].shape: .*no radii of 599",
     ),
+    (lambda t: t["targets"][0].update(uncertainty={"pole_deg": 30}),
+     r"targets\[0\].uncertainty.pole_deg: expected a number from 0 to 25, or \"unknown\", got 30"),
+    (lambda t: t["targets"][0].update(uncertainty={"pole_deg": "unknown"}),
+     r"targets\[0\].uncertainty.pole_deg: PEBBLE: unknown pole: an ellipsoid is needed, .* 12%, got 18%"),
+    (lambda t: t["targets"][0].update(shape="rock.obj", uncertainty={"pole_deg": "unknown"}), "12%, got a mesh"),
     (lambda t: t["targets"][0].update(uncertainty={"scale": -1.0}), r"targets\[0\].uncertainty.scale: "),
     (lambda t: t["targets"][0].update(atmosphere="VULCAN"), r"targets\[0\].atmosphere: no atmosphere of 'VULCAN'"),
     (lambda t: t["targets"][0].update(air=False, atmosphere="EARTH"), "an airless body"),

@@ -171,6 +171,26 @@ def test_a_table_that_does_not_describe_the_picture_is_refused(
         Campaign.load(write(tmp_path, table))
 
 
+def test_an_unknown_pole_needs_no_orientation_and_is_taken_as_up_in_the_image(tmp_path: Path, picture: bytes) -> None:
+    (tmp_path / "pebble.png").write_bytes(picture)
+    oblate = {"name": "PEBBLE", "shape": {"radii_km": [1.1, 1.1, 1.0]}, "estimators": ["moment"]}
+    sun = {"range_km": 32.0, "sun_azimuth_deg": 110.0, "phase_angle_deg": 60.0}
+    for uncertainty in ({}, {"pole_deg": "unknown"}):
+        path = write(tmp_path, sun, targets=[oblate | {"uncertainty": uncertainty}])
+        campaign = Campaign.load(path)
+        image = open_image(campaign, campaign.images[0]).image.with_attitude(Rotation.from_rotvec([0.3, 2.0, 0.1]))
+        scene = scene_of(campaign, image, campaign.targets[0], campaign.targets[0].load_shape())
+        if not uncertainty:
+            assert isinstance(scene, Failure)
+            assert "north, sub-observer point" in scene.detail
+            continue
+        assert not isinstance(scene, Failure)
+        geometry = scene.geometry(image)
+        assert isinstance(geometry, TargetGeometry)
+        pole = rotate(geometry.camera_from_body, np.array([0.0, 0.0, 1.0]))
+        np.testing.assert_allclose(pole, [0.0, -1.0, 0.0], rtol=0, atol=1e-12)
+
+
 def test_a_row_of_the_table_and_a_geometry_of_the_same_image_are_refused(tmp_path: Path) -> None:
     (tmp_path / "pebble.png").write_bytes(b"")
     (tmp_path / "geometry.csv").write_text("file,target,target_x_km,target_y_km,target_z_km\npebble.png,PEBBLE,0,0,3\n")

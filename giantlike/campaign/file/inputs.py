@@ -259,8 +259,11 @@ def _target(path: Path, where: str, section: BodySection, spice: SpiceSetup | No
         shape = (x_km, y_km, z_km)
     with prefix_errors(f"{where}."):
         reflectance = McEwen() if section.reflectance is None else reflectance_from_mapping(section.reflectance)
-    limb = LimbSetup()
+    limb, uncertainty = LimbSetup(), TargetUncertainty()
     if isinstance(section, TargetSection):
+        with prefix_errors(f"{where}.uncertainty.pole_deg: "):
+            uncertainty = _uncertainty(section)
+            uncertainty.require_known_pole(section.name, None if isinstance(shape, str) else shape)
         terrain = None if section.terrain is None else existing_file(path, f"{where}.terrain", section.terrain)
         limb = LimbSetup.from_section(section, where, shape, terrain)
     return TargetSetup(
@@ -271,19 +274,21 @@ def _target(path: Path, where: str, section: BodySection, spice: SpiceSetup | No
         estimators=_estimators(path, where, section) if isinstance(section, TargetSection) else (),
         spice_body=spice_body,
         frame=section.frame or spice_body,
-        uncertainty=_uncertainty(section) if isinstance(section, TargetSection) else TargetUncertainty(),
+        uncertainty=uncertainty,
         limb=limb,
     )
 
 
 def _uncertainty(section: TargetSection) -> TargetUncertainty:
     known = section.uncertainty
+    unknown = known.pole_deg == "unknown"
     return TargetUncertainty(
         scale=known.scale,
-        pole_rad=known.pole_deg * RAD_PER_DEG,
+        pole_rad=0.0 if isinstance(known.pole_deg, str) else known.pole_deg * RAD_PER_DEG,
         spin_rad=known.spin_deg * RAD_PER_DEG,
         ephemeris_km=known.ephemeris_km,
         albedo=known.albedo,
+        pole_unknown=unknown,
     )
 
 

@@ -24,6 +24,7 @@ from giantlike.rings import Rings
 from giantlike.stars.options import StarOptions
 from giantlike.stars.transfer import TransferMethod
 
+_MOST_POLE_DEG = 25
 Radii: TypeAlias = tuple[float, float, float]
 """Radii of an ellipsoid along its body-fixed x, y and z axes, km."""
 
@@ -46,6 +47,14 @@ def _checked_shape(value: object) -> str | Radii | None:
     if any(isinstance(r, bool) or not isinstance(r, int | float) or not math.isfinite(r) or not r > 0 for r in radii):
         raise InputError(f"radii_km must be three positive and finite numbers, got {radii!r}")
     return float(radii[0]), float(radii[1]), float(radii[2])
+
+
+def _checked_pole(value: object) -> float | str:
+    """Error of a pole, or that it is unknown."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if value != "unknown" and not (number and 0 <= value <= _MOST_POLE_DEG):  # type: ignore[operator]
+        raise InputError(f'expected a number from 0 to {_MOST_POLE_DEG}, or "unknown", got {value!r}')
+    return "unknown" if value == "unknown" else float(value)  # type: ignore[arg-type]
 
 
 def _checked_rings(value: object) -> Rings | None:
@@ -265,8 +274,10 @@ class UncertaintySection(TomlSection):
 
     scale: float = Field(default=0.0, ge=0, le=0.3)
     """Relative error of the size of the shape."""
-    pole_deg: float = Field(default=0.0, ge=0, le=25)
-    """Error of the direction of the body-fixed z axis, about each of the other two axes, deg."""
+    pole_deg: Annotated[float | Literal["unknown"], PlainValidator(_checked_pole)] = 0.0
+    """Error of the direction of the body-fixed z axis, about each of the other two axes, deg, up to 25; or `"unknown"`,
+    for ellipsoids whose radii differ by at most 12 %: fixes then hold how far they move over all orientations, of which
+    none needs to be given."""
     spin_deg: float = Field(default=0.0, ge=0, le=25)
     """Error of the rotation about the body-fixed z axis, deg."""
     ephemeris_km: float = Field(default=0.0, ge=0)

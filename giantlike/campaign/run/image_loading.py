@@ -30,6 +30,8 @@ from giantlike.processing.calibration_frames import CalibrationFrames
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape
 
+_POLE_UP = Rotation.from_matrix([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""``camera_from_body`` with the pole up in the image: the most frequent view of poles in random directions."""
 _SUN_COLUMNS = "sun_x, sun_y, sun_z"
 
 
@@ -225,8 +227,11 @@ def _from_row(
         inertial_from_body = target.inertial_from_body(position, et)
     elif isinstance(shape, Ellipsoid) and np.ptp(shape.radii_km) == 0:
         inertial_from_body = Rotation.identity()  # a sphere looks the same from everywhere
+    elif target.uncertainty.pole_unknown:
+        attitude = image.camera_from_inertial
+        inertial_from_body = _POLE_UP if attitude is None else attitude.inv() * _POLE_UP
     else:
-        return _missing(image, target, "body_qx, body_qy, body_qz, body_qw")
+        return _missing(image, target, "body_qx, body_qy, body_qz, body_qw (in [geometry]: north, sub-observer point)")
     if sun is None:
         if spice is None or et is None:
             return _missing(image, target, _SUN_COLUMNS)

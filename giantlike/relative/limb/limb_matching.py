@@ -175,6 +175,8 @@ def _with_facets(measured: LimbMeasurement, mesh: TriangleMesh) -> LimbMeasureme
 def _attitude_share(inputs: EstimatorInputs, sight: Float) -> float:
     """Fraction of a turn about the line of sight (3,) attributed to the camera, which turns the Sun too."""
     known, covariance_rad2 = inputs.geometry.target.uncertainty, inputs.image.attitude_covariance_rad2
+    if known.pole_unknown:
+        return 0.0
     if covariance_rad2 is None:
         return 1.0
     axis = rotate(inputs.geometry.camera_from_body.inv(), sight)
