@@ -196,7 +196,7 @@ def test_scale_and_orientation_of_a_body_are_in_its_covariance() -> None:
 
 @pytest.mark.monte_carlo(few=5, full=12)
 def test_a_body_of_unknown_pole_is_found_within_its_covariance(draws: int) -> None:
-    """Random poles, while the one of the prediction is up in the image: with it as exact, errors exceed the covariance."""
+    """Random poles, while the predicted one is up in the image: taken as exact, it makes sigmas too small."""
     position, radii = np.array([5.0, -8.0, RANGE_KM]), np.array([40.0, 40.0, 39.8])
     up = Rotation.from_matrix([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     squares = {True: 0.0, False: 0.0}
