@@ -170,7 +170,9 @@ def _named_files(check: _Check, table: dict[str, Any], broken: set[str]) -> None
     spice = check.attempt("spice", spice_of, path, section("spice"))
     if images is not None and images.geometry is not None:
         bodies = [target for _, target in targets]
-        rows = check.attempt("images.geometry", geometry_of, path, "images.geometry", images.geometry, bodies)
+        found = check.attempt("images.files", images_of, path, images.files) or ()
+        known = path, "images.geometry", images.geometry, bodies, [image.path for image in found]
+        rows = check.attempt("images.geometry", geometry_of, *known)
         if rows is not None and not {"spice", "geometry"} & set(table):
             _targets_nowhere(check, table, rows)
     stars, calibration = section("stars"), section("calibration")

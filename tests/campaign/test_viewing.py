@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from giantlike.scene import Scene, Target, TargetGeometry
 from giantlike.shapes import Ellipsoid
 from giantlike.simulation import Shot, Sources, simulate_image
 from tests.campaign_files import BODY_TURN, CAMERA, RADII_KM, SUN_CAMERA, campaign_table
+from tests.io.test_epic_metadata import RECORDS
 
 POSITION_KM = np.array([1.5, 0.8, 32.0])
 
@@ -189,6 +191,32 @@ def test_an_unknown_pole_needs_no_orientation_and_is_taken_as_up_in_the_image(tm
         assert isinstance(geometry, TargetGeometry)
         pole = rotate(geometry.camera_from_body, np.array([0.0, 0.0, 1.0]))
         np.testing.assert_allclose(pole, [0.0, -1.0, 0.0], rtol=0, atol=1e-12)
+
+
+def test_the_metadata_of_epic_are_the_geometry_of_its_pictures(tmp_path: Path) -> None:
+    (record, _) = RECORDS
+    name = f"epic_1b_{record['identifier']}.png"
+    encoded, png = cv2.imencode(".png", np.zeros((1024, 1024), np.uint8))
+    assert encoded
+    (tmp_path / name).write_bytes(bytes(png))
+    (tmp_path / "epic.json").write_text(json.dumps(RECORDS))
+    earth = {"name": "EARTH", "shape": {"radii_km": [6378.137, 6378.137, 6356.752]}, "estimators": ["moment"]}
+    path = write(
+        tmp_path,
+        [],
+        images={"files": [name], "geometry": "epic.json"},
+        camera={"preset": "dscovr_epic", "binned": 2, "detector": {"gamma": "sRGB"}},
+        targets=[earth],
+    )
+    assert [str(one) for one in check_campaign(path, all_images=True)] == []
+    campaign = Campaign.load(path)
+    image = open_image(campaign, campaign.images[0]).image
+    scene = scene_of(campaign, image, campaign.targets[0], campaign.targets[0].load_shape())
+    assert not isinstance(scene, Failure)
+    geometry = scene.geometry(image)
+    assert isinstance(geometry, TargetGeometry)
+    np.testing.assert_allclose(campaign.camera.model.project(geometry.position_camera_km), 511.5, rtol=0, atol=1e-6)
+    assert math.degrees(geometry.phase_angle_rad) == pytest.approx(9.88, abs=0.01)
 
 
 def test_a_row_of_the_table_and_a_geometry_of_the_same_image_are_refused(tmp_path: Path) -> None:

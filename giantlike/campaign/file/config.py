@@ -218,9 +218,10 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
     geometry: dict[str, ImageGeometry] = {}
     unmatched: list[str] = []
     if content.images.geometry is not None:
-        geometry_table = geometry_of(path, "images.geometry", content.images.geometry, content.targets)
+        paths = [image.path for image in images]
+        geometry_table = geometry_of(path, "images.geometry", content.images.geometry, content.targets, paths)
         geometry_file = geometry_table.path
-        by_path = geometry_table.match([image.path for image in images], folder)
+        by_path = geometry_table.match(paths, folder)
         geometry = {image.key: by_path[image.path] for image in images if image.path in by_path}
         unseen = [image for image in images if image.key not in views]
         unmatched = _find_unmatched(geometry_table, unseen, geometry, folder, with_spice=content.spice is not None)

@@ -25,6 +25,7 @@ from giantlike.core.frames import INERTIAL_FRAME, FrameRotation, rotation_from_x
 from giantlike.core.units import RAD_PER_DEG, SPEED_OF_LIGHT_KM_S
 from giantlike.ephemeris import BARYCENTER
 from giantlike.image import ObserverState
+from giantlike.io.epic_metadata import read_epic
 from giantlike.io.geometry_table import GeometryTable, read_geometry
 from giantlike.io.spice import ellipsoid_from_pck, find_kernels, orientation, spk_state
 from giantlike.io.spice_pointing import LabelClock, nearest_attitude
@@ -135,10 +136,15 @@ def catalog_of(path: Path, name: str) -> str:
     return name if name == "default" else str(existing_file(path, "stars.catalog", name))
 
 
-def geometry_of(path: Path, key: str, name: str, targets: Sequence[BodySection]) -> GeometryTable:
-    """Read the geometry table that a file names; rows without a target belong to a single target."""
-    only = targets[0].name if len(targets) == 1 else None
-    return read_geometry(existing_file(path, key, name), default_target=only)
+def geometry_of(
+    path: Path, key: str, name: str, targets: Sequence[BodySection], images: Sequence[Path] = ()
+) -> GeometryTable:
+    """Read the geometry table or EPIC metadata that a file names; rows without a target belong to a single target."""
+    file = existing_file(path, key, name)
+    if file.suffix.lower() == ".json":
+        names = {(target.spice_body or target.name).upper(): target.name for target in targets}
+        return read_epic(file, images, {body: names[body] for body in ("EARTH", "MOON") if body in names})
+    return read_geometry(file, default_target=targets[0].name if len(targets) == 1 else None)
 
 
 def require_unique(names: Iterable[str], problem: str) -> None:

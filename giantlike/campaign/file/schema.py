@@ -123,7 +123,8 @@ class ImagesSection(TomlSection):
     files: list[str] = Field(min_length=1)
     """File names or glob patterns (`**` for subfolders) of images in any readable format."""
     geometry: str | None = None
-    """Table of a priori geometry ([columns](howto/a-priori.md)); missing values come from headers, then SPICE."""
+    """Table of a priori geometry ([columns](howto/a-priori.md)), or the JSON that NASA's EPIC API gives for a day of
+    pictures; missing values come from headers, then SPICE."""
     hdu: Annotated[int | str | None, PlainValidator(_checked_hdu)] = None
     """Number (from 0) or name of the FITS extension; default: the first with an image."""
     bottom_up: bool = False
