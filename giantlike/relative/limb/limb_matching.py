@@ -126,7 +126,8 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
         solution = solve_limb(measured, view.radius_px, min_length_px=self.options.scan.spacing_px)
         if altitude_km:
             solution = replace(solution, corrections=Corrections(limb_altitude_km=altitude_km))
-        if not (inputs.place_alone or measured.terrain or sigma_km):  # relief and haze are no part of the outline
+        unknown = inputs.geometry.target.uncertainty.pole_unknown  # no turn from it then
+        if not (inputs.place_alone or measured.terrain or sigma_km or unknown):  # relief and haze: not in the outline
             solution = replace(solution, turn=self._turn(lines, view, body, inputs))
         return fix_of_strained(inputs, measured, solution, self.options)
 
@@ -175,8 +176,6 @@ def _with_facets(measured: LimbMeasurement, mesh: TriangleMesh) -> LimbMeasureme
 def _attitude_share(inputs: EstimatorInputs, sight: Float) -> float:
     """Fraction of a turn about the line of sight (3,) attributed to the camera, which turns the Sun too."""
     known, covariance_rad2 = inputs.geometry.target.uncertainty, inputs.image.attitude_covariance_rad2
-    if known.pole_unknown:
-        return 0.0
     if covariance_rad2 is None:
         return 1.0
     axis = rotate(inputs.geometry.camera_from_body.inv(), sight)
