@@ -41,6 +41,7 @@ DEFAULT_NAME = "camera"
 """Name of a camera that was given none; it does not tell one camera from another."""
 _WIDEST_PLANE_DEG = 170.0  # a gnomonic focal plane of 11 focal lengths each way; at 180 degrees it is infinite
 _WIDEST_FISHEYE_DEG = 360.0  # all directions
+_WHOLE_PX = 1e-6  # rounding of a size divided by a factor that is no whole number
 _EDGE_NODES = 33  # nodes along the longer side of the frame; the corners are among them
 
 
@@ -459,13 +460,14 @@ class Camera(Pictured):
         )
         return replace(self, columns=columns, rows=rows, model=divisible(self.model).windowed(x0_px, y0_px))
 
-    def binned(self, factor: int, *, detector: Detector) -> Camera:
+    def binned(self, factor: float, *, detector: Detector) -> Camera:
         """Return the camera of images whose pixels are blocks of ``factor`` by ``factor`` pixels.
 
         Parameters
         ----------
-        factor : int
-            Pixels along one side of a block; columns and rows that fill no block are left out.
+        factor : float
+            Pixels along one side of a block; columns and rows that fill no block are left out. Not a whole number for
+            resampled images, and below 1 for enlarged ones.
         detector : Detector
             Detector of the binned images: the effect of binning on read noise and saturation depends on the
             electronics.
@@ -477,13 +479,13 @@ class Camera(Pictured):
         Raises
         ------
         InputError
-            The factor is below one.
+            The factor is not positive.
         """
         psf = None if self.psf is None else GaussianPsf(sigma_px=self.psf.sigma_px / factor)
         return replace(
             self,
-            columns=self.columns // factor,
-            rows=self.rows // factor,
+            columns=math.floor(self.columns / factor + _WHOLE_PX),
+            rows=math.floor(self.rows / factor + _WHOLE_PX),
             model=divisible(self.model).binned(factor),
             psf=psf,
             detector=detector,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -31,6 +32,8 @@ _MASK_DIRECTIONS = 720  # points of an outline, every half degree: 3 px apart on
 _SUBPIXEL_BITS = 4  # fractional bits of the corners that OpenCV fills between: 1/16 px
 _SUBPIXELS = 1 << _SUBPIXEL_BITS  # to a pixel
 _FAR_SUBPIXELS = 1 << 24  # limit of the corners, a million pixels: OpenCV's int32 arithmetic overflows beyond
+_NEARLY_ROUND = 0.12
+"""Largest relative difference of the radii of a body of unknown pole; Saturn has 0.098, Haumea 0.56."""
 _ONE_AT_A_TIME = threading.RLock()
 """Lock of the ephemerides: CSPICE is not thread safe, and estimators may run in several threads."""
 
@@ -55,11 +58,15 @@ class TargetUncertainty:
     albedo : float
         Relative standard deviation of the brightness of the surface about its law (albedo variations), which are not
         attributed to another body, shape or Sun. 0.5 and more for clouds above sea.
+    pole_unknown : bool
+        True where the orientation of the body is not known at all; for ellipsoids that are nearly spheres
+        (:meth:`require_known_pole`). Fixes then hold how far they move over all orientations.
 
     Raises
     ------
     InputError
-        A value is negative, or not small: 0.3 of the size, 0.5 rad; or the albedo is not in [0.01, 2].
+        A value is negative, or not small: 0.3 of the size, 0.5 rad; or the albedo is not in [0.01, 2]; or a pole is
+        unknown and has an error.
     """
 
     scale: float = 0.0
@@ -67,6 +74,7 @@ class TargetUncertainty:
     spin_rad: float = 0.0
     ephemeris_km: float = 0.0
     albedo: float = 0.15
+    pole_unknown: bool = False
 
     def __post_init__(self) -> None:
         require_number(self.albedo, "albedo", least=0.01, most=2.0)
@@ -74,6 +82,35 @@ class TargetUncertainty:
         require_number(self.pole_rad, "pole_rad", least=0.0, most=0.5)
         require_number(self.spin_rad, "spin_rad", least=0.0, most=0.5)
         require_number(self.ephemeris_km, "ephemeris_km", least=0.0)
+        alone = not (self.pole_unknown and (self.pole_rad or self.spin_rad))
+        require(alone, "an unknown pole has no pole_rad and no spin_rad: nothing is known of the orientation")
+
+    def require_known_pole(self, name: str, radii_km: Sequence[float] | None) -> None:
+        """Raise where the pole is unknown and the body is no ellipsoid, or looks too different from other sides.
+
+        Parameters
+        ----------
+        name : str
+            Name of the body.
+        radii_km : sequence of 3 floats, km, or None
+            Radii of an ellipsoid; None for another shape.
+
+        Raises
+        ------
+        InputError
+            The pole is unknown, and there are no radii or they differ by more than 12 %.
+        """
+        if not self.pole_unknown:
+            return
+        why = "unknown pole: an ellipsoid is needed, whose radii differ by at most"
+        require(radii_km is not None, f"{name}: {why} {_NEARLY_ROUND:.0%}, got a mesh")
+        assert radii_km is not None
+        difference = (max(radii_km) - min(radii_km)) / max(radii_km)
+        require(
+            difference <= _NEARLY_ROUND,
+            f"{name}: {why} {_NEARLY_ROUND:.0%}, got {difference:.0%}: such a body looks different from each side; "
+            "estimate its orientation, or declare pole_deg and spin_deg of a guess",
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -140,6 +177,8 @@ class Target(Value):
             self.terrain is None or self.atmosphere is None,
             f"{self.name}: give either terrain or an atmosphere: the limb is seen at one of them",
         )
+        radii_km = self.shape.radii_km.tolist() if isinstance(self.shape, Ellipsoid) else None
+        self.uncertainty.require_known_pole(self.name, radii_km)
         Value.__post_init__(self)
 
     @property

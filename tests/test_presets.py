@@ -19,6 +19,17 @@ FIELDS_DEG = {
     "osirisrex_polycam": 0.8,
     "new_horizons_lorri": 0.2912,
     "voyager1_nac": 0.424,
+    "voyager1_wac": 3.17,
+    "voyager2_nac": 0.424,
+    "voyager2_wac": 3.17,
+    "voyager1_nac_geomed": 0.424 / 0.8 * 0.85,  # 1000 pixels, of which raw frames fill 800 / 0.85
+    "voyager1_wac_geomed": 3.17 / 0.8 * 0.85,
+    "voyager2_nac_geomed": 0.424 / 0.8 * 0.85,
+    "voyager2_wac_geomed": 3.17 / 0.8 * 0.85,
+    "dscovr_epic": 0.61,
+    "vex_vmc": 17.5 / 413 * 516,  # 413 pixels of 0.74 mrad fill the field of the lens
+    "goes_abi_full_disk": 17.4,
+    "himawari_ahi_full_disk": 17.6,
 }
 ROUNDED = 0.02  # fields of view are quoted with two digits
 

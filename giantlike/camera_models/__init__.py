@@ -12,6 +12,7 @@ from giantlike.camera_models.opencv import OpenCVModel
 from giantlike.camera_models.owen import OwenModel
 from giantlike.camera_models.pinhole import PinholeModel
 from giantlike.camera_models.registry import MODELS, model_from_mapping, model_to_mapping
+from giantlike.camera_models.scan import SweepXModel, SweepYModel
 from giantlike.camera_models.scaramuzza import ScaramuzzaModel
 
 __all__ = [
@@ -25,6 +26,8 @@ __all__ = [
     "OwenModel",
     "PinholeModel",
     "ScaramuzzaModel",
+    "SweepXModel",
+    "SweepYModel",
     "ifov_rad",
     "model_from_mapping",
     "model_to_mapping",

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from giantlike.camera_models.base import CameraModel
-from giantlike.core.arrays import Float, as_finite, as_floats, require
+from giantlike.core.arrays import Float, as_finite, as_floats, require, require_number
 from giantlike.core.documented import documented_by
 
 AFFINE_NAMES = ("fx_px", "fy_px", "cx_px", "cy_px", "skew_px")
@@ -176,19 +176,19 @@ class AffineModel(ABC):
         scaled = {name: scale * getattr(self, name) for name in ("fx_px", "fy_px", "skew_px")}
         return dataclasses.replace(self, **scaled, **dict.fromkeys(TEMPERATURE_NAMES, 0.0))
 
-    def binned(self, factor: int) -> Self:
+    def binned(self, factor: float) -> Self:
         """Return the model of an image whose pixels are blocks of ``factor`` by ``factor`` pixels.
 
         Parameters
         ----------
-        factor : int
-            Pixels along one side of a block, at least 1.
+        factor : float
+            Pixels along one side of a block; not a whole number for resampled images, below 1 for enlarged ones.
 
         Returns
         -------
         model of the same type
         """
-        require(factor >= 1, f"a binning factor must be >= 1, got {factor}")
+        require_number(factor, "a binning factor", above=0.0)
         middle = (factor - 1) / 2  # of the first block
         return dataclasses.replace(
             self,

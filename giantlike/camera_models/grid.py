@@ -143,7 +143,7 @@ class GridCorrectedModel(Value):
         """
         return dataclasses.replace(self, base=self.base.at_temperature(temperature_c))
 
-    def binned(self, factor: int) -> Self:
+    def binned(self, factor: float) -> Self:
         return dataclasses.replace(
             self,
             base=self.base.binned(factor),

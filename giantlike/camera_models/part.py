@@ -8,7 +8,7 @@ from typing import ClassVar, Protocol, Self, runtime_checkable
 from numpy.typing import ArrayLike
 
 from giantlike.camera_models.base import CameraModel
-from giantlike.core.arrays import Float, as_floats, require, require_number
+from giantlike.core.arrays import Float, as_floats, require_number
 from giantlike.core.documented import documented_by
 
 
@@ -16,7 +16,7 @@ from giantlike.core.documented import documented_by
 class DivisibleModel(CameraModel, Protocol):
     """A camera model that returns the models of its windows and blocks itself, as all lenses of this package do."""
 
-    def binned(self, factor: int) -> Self:
+    def binned(self, factor: float) -> Self:
         """Return the model of an image whose pixels are blocks of ``factor`` by ``factor`` pixels."""
         ...
 
@@ -86,9 +86,9 @@ class PartModel:
         """Return the same part of the model at a temperature."""
         return replace(self, base=self.base.at_temperature(temperature_c))
 
-    def binned(self, factor: int) -> Self:
+    def binned(self, factor: float) -> Self:
         """Return the model of an image whose pixels are blocks of ``factor`` by ``factor`` pixels of this one."""
-        require(factor >= 1, f"a binning factor must be >= 1, got {factor}")
+        require_number(factor, "a binning factor", above=0.0)
         middle_px = 0.5 * (factor - 1) * self.size_px  # of the first block
         return replace(self, x0_px=self.x0_px + middle_px, y0_px=self.y0_px + middle_px, size_px=factor * self.size_px)
 

@@ -15,6 +15,7 @@ from giantlike.camera_models.grid import GridCorrectedModel
 from giantlike.camera_models.opencv import OpenCVModel
 from giantlike.camera_models.owen import OwenModel
 from giantlike.camera_models.pinhole import PinholeModel
+from giantlike.camera_models.scan import SweepXModel, SweepYModel
 from giantlike.camera_models.scaramuzza import ScaramuzzaModel
 from giantlike.core.arrays import as_floats, require
 from giantlike.core.errors import InputError
@@ -31,6 +32,8 @@ MODELS: Mapping[str, type[AffineModel]] = MappingProxyType(
             EquidistantModel,
             EquisolidModel,
             ScaramuzzaModel,
+            SweepXModel,
+            SweepYModel,
         )
     }
 )

@@ -39,7 +39,7 @@ from giantlike.shapes import Shape
 from giantlike.stars.matching import predicted_in_frame
 from giantlike.stars.navigation import sky_of
 
-_SECTIONS = "campaign|mission|images|camera|spice|stars|calibration|calibration_frames|targets|report"
+_SECTIONS = "campaign|mission|images|camera|spice|stars|calibration|calibration_frames|geometry|targets|report"
 _KEY = re.compile(rf"\[?((?:{_SECTIONS})\b(?:[\w.]|\[\d+\])*)\]?:? ")
 _ALONE: dict[str, Any] = {
     "shape": (1.0, 1.0, 1.0),
@@ -170,8 +170,10 @@ def _named_files(check: _Check, table: dict[str, Any], broken: set[str]) -> None
     spice = check.attempt("spice", spice_of, path, section("spice"))
     if images is not None and images.geometry is not None:
         bodies = [target for _, target in targets]
-        rows = check.attempt("images.geometry", geometry_of, path, "images.geometry", images.geometry, bodies)
-        if rows is not None and "spice" not in table:
+        found = check.attempt("images.files", images_of, path, images.files) or ()
+        known = path, "images.geometry", images.geometry, bodies, [image.path for image in found]
+        rows = check.attempt("images.geometry", geometry_of, *known)
+        if rows is not None and not {"spice", "geometry"} & set(table):
             _targets_nowhere(check, table, rows)
     stars, calibration = section("stars"), section("calibration")
     if stars is not None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from giantlike._system.atomic import write_text_atomic
 from giantlike.camera import Camera
-from giantlike.campaign.file.inputs import camera_of
+from giantlike.campaign.file.inputs import camera_of, reduce_camera
 from giantlike.campaign.file.mission_defaults import with_mission
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError, InputError
@@ -89,7 +89,7 @@ def _camera(choice: CameraChoice, size: tuple[int, int], base: Path) -> str:
             "# rough, along x: give a camera file, or a [calibration] below"
         )
     if choice.file is not None:
-        binned = _binning(str(choice.file), Camera.load(choice.file), size, may_bin=False)
+        binned = _binning(str(choice.file), Camera.load(choice.file), size)
         return f"[camera]\nfile = {json.dumps(Path(os.path.relpath(choice.file, base)).as_posix())}{binned}"
     if choice.preset is not None:
         binned = _binning(choice.preset, camera_preset(choice.preset).camera, size)
@@ -103,18 +103,22 @@ def _camera(choice: CameraChoice, size: tuple[int, int], base: Path) -> str:
     )
 
 
-def _binning(name: str, camera: Camera, size: tuple[int, int], *, may_bin: bool = True) -> str:
-    """Line for images that are summed over blocks of pixels; nothing where they are as large as the camera's."""
+def _binning(name: str, camera: Camera, size: tuple[int, int]) -> str:
+    """Line for images that are summed or resampled; nothing where they are as large as the camera's."""
     full = camera.columns, camera.rows
     if full == size:
         return ""
     factor = full[0] // size[0]
-    require(
-        may_bin and factor > 1 and full == (factor * size[0], factor * size[1]),
-        f"{name}: the camera has {full[0]} x {full[1]} pixels and the images {size[0]} x {size[1]}, which is no whole "
-        "number of them: give a camera file of such images, or --fov",
-    )
-    return f"\nbinned = {factor}"
+    if factor > 1 and full == (factor * size[0], factor * size[1]):
+        return f"\nbinned = {factor}"
+    try:
+        reduce_camera(camera, list(size))
+    except InputError as error:
+        raise InputError(
+            f"{name}: the camera has {full[0]} x {full[1]} pixels and the images {size[0]} x {size[1]}, which are no "
+            "reduction of them: give a camera file of such images, or --fov"
+        ) from error
+    return f"\nbinned = [{size[0]}, {size[1]}]      # of the whole frame"
 
 
 def _stars(images: Sequence[Image]) -> str:

@@ -24,7 +24,7 @@ def checked_gamma(gamma: object) -> Gamma | None:
     """Return a gamma as declared; None where none is."""
     if gamma is None:
         return None
-    if gamma == "srgb":
+    if isinstance(gamma, str) and gamma.lower() == "srgb":
         return "srgb"
     if isinstance(gamma, bool) or not isinstance(gamma, int | float):
         raise InputError(f'gamma must be "srgb" or a number, got {gamma!r}')

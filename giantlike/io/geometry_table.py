@@ -28,7 +28,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -42,6 +42,7 @@ from giantlike.core.observer import ObserverState
 from giantlike.core.time import utc_text
 from giantlike.core.values import Value
 from giantlike.io.csv_rows import CsvRow, read_csv_rows, write_csv_rows
+from giantlike.io.viewing_geometry import StatedGeometry
 
 if TYPE_CHECKING:
     from astropy.time import Time
@@ -95,6 +96,7 @@ class ImageGeometry(Value):
     """Geometry of one image, from all its rows of a table.
 
     targets: the rows with a target, by its name.
+    seen: geometry in camera axes of targets without a row, by name.
     """
 
     epoch: Time | None
@@ -102,6 +104,7 @@ class ImageGeometry(Value):
     camera_from_inertial: Rotation | None
     observer: ObserverState | None
     targets: Mapping[str, GeometryRow]
+    seen: Mapping[str, StatedGeometry] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

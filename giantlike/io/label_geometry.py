@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,34 +15,14 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec, rotate, rotation_from_xyzw
-from giantlike.core.values import Value
 from giantlike.io.decoded import HeaderValue
+from giantlike.io.viewing_geometry import StatedGeometry, ViewingGeometry
 
-_POLE_WEIGHT = 1e-6
-"""Weight of the azimuth of the pole relative to the direction to the viewer, which is met exactly."""
 MSI_FROM_NEAR = Rotation.from_matrix([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 """Axes of NEAR MSI from the spacecraft's axes: boresight along +X, samples along +Z, lines along -Y."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LabelGeometry(Value):
-    """Geometry of one image as its label states it.
-
-    target: name of the target in the label.
-    position_camera_km: from the camera to the center of the target.
-    sun_direction_camera: from the target to the Sun.
-    camera_from_body: orientation of the target; None where the label does not give it.
-    camera_from_inertial: attitude of the camera; None where the label does not give it.
-    """
-
-    target: str
-    position_camera_km: Float
-    sun_direction_camera: Float
-    camera_from_body: Rotation | None = None
-    camera_from_inertial: Rotation | None = None
-
-
-def geometry_of_label(header: Mapping[str, HeaderValue], model: CameraModel) -> LabelGeometry | None:
+def geometry_of_label(header: Mapping[str, HeaderValue], model: CameraModel) -> StatedGeometry | None:
     """Read the geometry that a label states.
 
     Parameters
@@ -55,7 +34,7 @@ def geometry_of_label(header: Mapping[str, HeaderValue], model: CameraModel) -> 
 
     Returns
     -------
-    LabelGeometry or None
+    StatedGeometry or None
         None where the label is of another mission or holds no geometry.
 
     Raises
@@ -79,33 +58,25 @@ def geometry_of_label(header: Mapping[str, HeaderValue], model: CameraModel) -> 
     return None
 
 
-def _galileo(header: Mapping[str, HeaderValue], model: CameraModel) -> LabelGeometry:
+def _galileo(header: Mapping[str, HeaderValue], model: CameraModel) -> StatedGeometry:
     def number(key: str) -> float:
         return _number(header, key)
 
-    pixel = np.array([number("SUB_SPACECRAFT_SAMPLE"), number("SUB_SPACECRAFT_LINE")]) - 1.0
-    position = number("TARGET_CENTER_DISTANCE") * model.unproject(pixel)
     viewer, sun = (
         direction_from_radec(-number(f"{name}_LONGITUDE"), number(f"{name}_LATITUDE"))
         for name in ("SUB_SPACECRAFT", "SUB_SOLAR")
     )
-    azimuth = math.radians(number("NORAZ"))
-    # The pole seen from the camera: across the line of sight, so that it projects along the azimuth.
-    across = model.unproject_jacobian(pixel) @ [math.cos(azimuth), math.sin(azimuth)]
-    camera_from_body, _ = Rotation.align_vectors(
-        np.stack([-unit(position), unit(across)]),
-        np.stack([viewer, unit(np.array([0.0, 0.0, 1.0]) - viewer[2] * viewer)]),
-        weights=[1.0, _POLE_WEIGHT],
-    )
-    return LabelGeometry(
+    return ViewingGeometry(
         target=str(header["TARGET"]),
-        position_camera_km=position,
-        sun_direction_camera=rotate(camera_from_body, sun),
-        camera_from_body=camera_from_body,
-    )
+        center_px=np.array([number("SUB_SPACECRAFT_SAMPLE"), number("SUB_SPACECRAFT_LINE")]) - 1.0,
+        range_km=number("TARGET_CENTER_DISTANCE"),
+        north_azimuth_rad=math.radians(number("NORAZ")),
+        observer_direction_body=viewer,
+        sun_direction_body=sun,
+    ).in_camera(model)
 
 
-def _near(header: Mapping[str, HeaderValue]) -> LabelGeometry:
+def _near(header: Mapping[str, HeaderValue]) -> StatedGeometry:
     def vector(*items: int) -> Float:
         return np.array([_number(header, f"NEAR-{item:03d}") for item in items])
 
@@ -113,7 +84,7 @@ def _near(header: Mapping[str, HeaderValue]) -> LabelGeometry:
     near_from_inertial = rotation_from_xyzw(unit(scalar_last), "NEAR-019 to NEAR-022")
     camera_from_inertial = MSI_FROM_NEAR * near_from_inertial
     spacecraft_km, target_km = vector(23, 24, 25), vector(27, 28, 29)
-    return LabelGeometry(
+    return StatedGeometry(
         target=str(header["NEAR-047"]).strip(),
         position_camera_km=rotate(camera_from_inertial, target_km - spacecraft_km),
         sun_direction_camera=rotate(camera_from_inertial, -unit(target_km)),

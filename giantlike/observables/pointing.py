@@ -186,7 +186,9 @@ def _covariance(used: Sequence[_Measured], camera: Camera) -> Float:
 
 def _own(row: ObservableRow) -> Float:
     """Covariance (2, 2) of a place by what is its own, px^2."""
-    parts = (getattr(row, f"part_{cause}") for cause in _ONE_BY_ONE)
+    # An unknown pole has a part, but no sigma and no derivative.
+    causes = _ONE_BY_ONE if row.sigma_pole_rad else (*_ONE_BY_ONE, Cause.POLE)
+    parts = (getattr(row, f"part_{cause}") for cause in causes)
     return np.asarray(
         sum((_numbers(part).reshape(3, 3)[:2, :2] for part in parts if part is not None), np.zeros((2, 2)))
     )

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from functools import cache
 from typing import TypeVar
 
 import numpy as np
@@ -26,6 +27,7 @@ from giantlike.core.statistics import excess
 from giantlike.image import Image
 from giantlike.relative.place import apparent_radius_px, place_jacobian
 from giantlike.scene import TargetGeometry
+from giantlike.shapes import Ellipsoid
 
 AnyFix = TypeVar("AnyFix", bound=CenterFix)
 
@@ -50,6 +52,7 @@ _LEAST_STEP_PX = 0.5
 of a pixel, are then a few percent of it."""
 _MOST_STEP_RAD = 0.01
 """Largest such rotation where the declared error is smaller: up to it illumination is linear in the rotation."""
+_AXES = 6  # of an icosahedron
 _WORST_CONDITION = 100.0
 """Maximum condition number of an arc of an outline to separate center and radius: 30 deg of a circle have about 60, and
 a shorter arc amplifies any distortion of the camera without limit."""
@@ -83,6 +86,11 @@ def with_budget(
     if isinstance(by_body, Failure):
         return by_body
     body = _body_parts(by_body, geometry)
+    if geometry.target.uncertainty.pole_unknown and Cause.POLE not in parts:
+        unknown = _unknown_pole_part(geometry, motion, size)
+        if isinstance(unknown, Failure):
+            return unknown
+        body[Cause.POLE] = unknown
     if Cause.ORIENTATION not in parts and image.attitude_covariance_rad2 is not None:
         turned = _orientation_part(fix, image.attitude_covariance_rad2, geometry, motion, radius_px)
         if isinstance(turned, Failure):
@@ -329,6 +337,34 @@ def _moved_bodies(
                     replace(geometry, camera_from_body=before * turn.inv()),
                 ),
             )
+
+
+def _unknown_pole_part(
+    geometry: TargetGeometry, motion: Callable[[TargetGeometry], Float | Failure], size: int
+) -> Float | Failure:
+    """Mean square motion of the position over the orientations of a body that is nearly a sphere.
+
+    To first order in the flattening, the outline depends on products of two components of the pole, whose means over
+    all directions are those over the six axes of an icosahedron. The declared orientation is one of the six.
+    """
+    shape = geometry.target.shape
+    part = np.zeros((size, size))
+    if not isinstance(shape, Ellipsoid) or np.ptp(shape.radii_km) == 0.0:
+        return part
+    for turn in _icosahedron()[1:]:
+        shift = motion(replace(geometry, camera_from_body=geometry.camera_from_body * turn))
+        if isinstance(shift, Failure):
+            return Failure(shift.reason, f"no fix with another pole of the body, which is unknown: {shift.detail}")
+        part += np.outer(shift, shift) / _AXES
+    return part
+
+
+@cache
+def _icosahedron() -> tuple[Rotation, ...]:
+    """Rotations of the z axis to the six axes of an icosahedron through its vertices, the first none."""
+    polar, steps = math.atan(2.0), range(_AXES - 1)
+    tilted = (Rotation.from_euler("yz", [polar, math.tau * step / len(steps)]) for step in steps)
+    return Rotation.identity(), *tilted
 
 
 def _orientation_part(

@@ -29,6 +29,7 @@ from giantlike.ray_tracing import FocalPlane
 from giantlike.relative.place import apparent_radius_px
 from giantlike.relative.response import DISPLAY_BEND_SIGMA
 from giantlike.scene import Scene, TargetGeometry
+from giantlike.shapes import Ellipsoid
 
 ESTIMATED_NOISE = "estimated_noise"
 """Provenance key of fixes made without a declared detector: the noise estimated from the image."""
@@ -151,7 +152,10 @@ class EstimatorInputs(Value):
         """Declared standard deviation of the orientation of the body in the image, about any axis, rad."""
         known, attitude = self.geometry.target.uncertainty, self.image.attitude_covariance_rad2
         roll = 0.0 if attitude is None else float(attitude[2, 2])
-        return math.sqrt(known.pole_rad**2 + known.spin_rad**2 + roll)
+        shape, unknown = self.geometry.target.shape, 0.0
+        if known.pole_unknown and isinstance(shape, Ellipsoid):
+            unknown = float(np.ptp(shape.radii_km)) / shape.mean_radius_km  # moves the outline as far as a turn by it
+        return math.sqrt(known.pole_rad**2 + known.spin_rad**2 + roll + unknown**2)
 
     def focal_plane(self, psf_sigma_px: float | None = None) -> FocalPlane:
         """Return the focal plane for renders."""

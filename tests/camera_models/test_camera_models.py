@@ -23,6 +23,8 @@ from giantlike.camera_models import (
     OwenModel,
     PinholeModel,
     ScaramuzzaModel,
+    SweepXModel,
+    SweepYModel,
     ifov_rad,
     model_from_mapping,
     model_to_mapping,
@@ -63,7 +65,10 @@ EQUISOLID = EquisolidModel(fx_px=900.0, fy_px=900.0, cx_px=1295.5, cy_px=971.5, 
 ODIN_WAC = ScaramuzzaModel.from_polynomial(  # Table 2 of the ODIN paper
     a0_px=533.039, a2=-7.764e-4, a3=4.340e-7, a4=-8.639e-10, cx_px=1024.0, cy_px=768.0, stretch=1.001
 )  # fmt: skip
-EVERY = (SHEARED, NAVCAM, RATIONAL, TILTED, FISHEYE, EQUISOLID, ODIN_WAC)
+SCANS = tuple(
+    kind(fx_px=4000.0, fy_px=4100.0, cx_px=1300.0, cy_px=970.0, skew_px=2.0) for kind in (SweepXModel, SweepYModel)
+)
+EVERY = (SHEARED, NAVCAM, RATIONAL, TILTED, FISHEYE, EQUISOLID, ODIN_WAC, *SCANS)
 EACH = pytest.mark.parametrize("model", EVERY, ids=lambda m: m.type_name)
 BEHIND_ITSELF = pytest.mark.parametrize("model", [FISHEYE, EQUISOLID, ODIN_WAC], ids=lambda m: m.type_name)
 

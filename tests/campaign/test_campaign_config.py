@@ -16,6 +16,7 @@ from giantlike.atmosphere import Atmosphere
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.file.options import options_from_mapping
 from giantlike.core.errors import DataError, InputError
+from giantlike.presets import camera_preset
 from giantlike.ray_tracing import Hapke, Lambert, LunarLambert, McEwen, Reflectance
 from giantlike.shapes import Ellipsoid, TriangleMesh
 from giantlike.stars.transfer import TransferMethod
@@ -125,6 +126,14 @@ def test_uncertainties_of_targets_and_a_priori_attitudes_are_turned_into_radians
     np.testing.assert_allclose(found, [1e-3, math.radians(0.1), math.radians(0.2), 5.0, 0.5], rtol=1e-12)
     assert campaign.apriori_covariance_rad2 is not None
     np.testing.assert_allclose(np.sqrt(np.diag(campaign.apriori_covariance_rad2)), math.radians(0.5), rtol=1e-12)
+
+
+def test_a_pole_may_be_unknown(tmp_path: Path) -> None:
+    table = campaign_table()
+    table["targets"][0] |= {"uncertainty": {"pole_deg": "unknown"}, "shape": {"radii_km": [1.0, 1.0, 0.9]}}
+    known = Campaign.load(write(tmp_path, table)).targets[0].uncertainty
+    assert known.pole_unknown
+    assert known.pole_rad == 0.0
 
 
 def test_rings_are_taken_from_a_name_or_from_radii(tmp_path: Path) -> None:
@@ -294,6 +303,11 @@ WRONG_VALUES: list[tuple[Callable[[dict[str, Any]], Any], str]] = [
         ),
         r"targets\[0\].shape: .*no radii of 599",
     ),
+    (lambda t: t["targets"][0].update(uncertainty={"pole_deg": 30}),
+     r"targets\[0\].uncertainty.pole_deg: expected a number from 0 to 25, or \"unknown\", got 30"),
+    (lambda t: t["targets"][0].update(uncertainty={"pole_deg": "unknown"}),
+     r"targets\[0\].uncertainty.pole_deg: PEBBLE: unknown pole: an ellipsoid is needed, .* 12%, got 18%"),
+    (lambda t: t["targets"][0].update(shape="rock.obj", uncertainty={"pole_deg": "unknown"}), "12%, got a mesh"),
     (lambda t: t["targets"][0].update(uncertainty={"scale": -1.0}), r"targets\[0\].uncertainty.scale: "),
     (lambda t: t["targets"][0].update(atmosphere="VULCAN"), r"targets\[0\].atmosphere: no atmosphere of 'VULCAN'"),
     (lambda t: t["targets"][0].update(air=False, atmosphere="EARTH"), "an airless body"),
@@ -443,3 +457,66 @@ def test_option_tables_fill_enumerations_tuples_and_nested_options() -> None:
         options_from_mapping(Outer, {"inner": {"sise": 3}}, "here")
     with pytest.raises(InputError, match=r"here.pair: expected"):
         options_from_mapping(Outer, {"pair": [1.0]}, "here")
+
+
+REDUCED = {2: (512, 2.0), 1.6: (640, 1.6), 0.625: (640, 1.6), (640, 640): (640, 1.6), (300, 300): (300, 1024 / 300)}
+
+
+@pytest.mark.parametrize("binned", REDUCED)
+@pytest.mark.parametrize("source", ["preset", "file"])
+def test_a_reduced_picture_sees_the_same_sky_as_the_whole_frame(tmp_path: Path, source: str, binned: Any) -> None:
+    """A corner of a pixel of the picture is where it was in the frame."""
+    full = camera_preset("cassini_nac").camera
+    full.save(tmp_path / "whole.toml")
+    chosen = {"preset": "cassini_nac"} if source == "preset" else {"file": "whole.toml"}
+    value = list(binned) if isinstance(binned, tuple) else binned
+    camera = Campaign.load(write(tmp_path, campaign_table() | {"camera": chosen | {"binned": value}})).camera
+    size, factor = REDUCED[binned]
+    assert (camera.columns, camera.rows) == (size, size)
+    corners = np.array([[-0.5, -0.5], [100.5, 33.5]])  # of the picture
+    np.testing.assert_allclose(
+        camera.model.unproject(corners), full.model.unproject((corners + 0.5) * factor - 0.5), rtol=0, atol=1e-12
+    )
+    assert camera.psf is not None
+    assert camera.psf.sigma_px == pytest.approx(0.54 / factor)
+    assert camera.detector.estimated
+
+
+def test_an_enlarged_picture_is_given_by_its_size(tmp_path: Path) -> None:
+    table = campaign_table() | {"camera": {"preset": "galileo_ssi", "binned": [1600, 1600]}}
+    camera = Campaign.load(write(tmp_path, table)).camera
+    assert (camera.columns, camera.rows) == (1600, 1600)
+    assert camera.model.focal_length_px == pytest.approx(2 * camera_preset("galileo_ssi").camera.model.focal_length_px)
+
+
+@pytest.mark.parametrize(
+    ("binned", "expected"),
+    [
+        (0, r"camera.binned: expected a number above 0 or \[columns, rows\], got 0"),
+        (True, "camera.binned: expected a number above 0"),
+        ([640, 480], "640 x 480 pixels are no reduction of 1024 x 1024: the picture was cut"),
+        ([640, 6.5], "expected the columns and rows of the picture"),
+    ],
+)
+def test_a_reduction_that_is_none_is_refused(tmp_path: Path, binned: Any, expected: str) -> None:
+    text = problem(tmp_path, lambda t: t.update(camera={"preset": "cassini_nac", "binned": binned}))
+    assert_matches(text, expected)
+
+
+def test_gamma_and_other_keys_of_the_images_are_added_to_a_preset_a_file_or_a_mission(tmp_path: Path) -> None:
+    """A picture made for display was coded, whatever its camera is."""
+    known = {"detector": {"gamma": "sRGB", "read_noise_e": 2.0}, "psf": {"sigma_px": 1.1}}
+    for chosen in ({"preset": "cassini_nac"}, {"file": "camera.toml"}, {}):
+        table = campaign_table() | {"camera": chosen | known | ({"binned": 0.5} if chosen else {})}
+        if not chosen:
+            table["mission"] = {"name": "cassini_nac"}
+        camera = Campaign.load(write(tmp_path, table)).camera
+        assert camera.detector.gamma == "srgb"
+        assert camera.detector.read_noise_e == 2.0
+        assert not camera.detector.estimated
+        assert camera.psf is not None
+        assert camera.psf.sigma_px == 1.1  # of the picture as it is, after the reduction
+    text = problem(tmp_path, lambda t: t.update(camera={"preset": "cassini_nac", "detector": {"gama": 2.2}}))
+    assert_matches(text, r"\[camera\]: \[detector\]: unknown key 'gama'; the keys are")
+    text = problem(tmp_path, lambda t: t.update(camera={"preset": "cassini_nac", "detector": 2.2}))
+    assert_matches(text, "camera.detector: expected a table, got 2.2")

@@ -104,6 +104,17 @@ def test_two_bodies_give_all_three_angles_without_an_a_priori_attitude() -> None
     assert found.targets == ("MOON", "ROCK")
 
 
+def test_the_part_of_an_unknown_pole_counts_though_it_has_no_sigma() -> None:
+    """Without sigma and derivative, unlike an error of a declared pole, it is an error of each row."""
+    rows = [body(target, ATTITUDE, np.random.default_rng(12)) for target in TRUE_KM]
+    unknown = [replace(row, part_pole=np.diag([9.0, 9.0, 0.0]).ravel().tolist()) for row in rows]
+    known = solved(rows).covariance_rad2
+    added = solved(unknown).covariance_rad2 - known
+    assert np.linalg.eigvalsh(added).min() > -1e-12
+    # 3 px of two bodies, instead of an ephemeris of 0.4 km, which is 1.2 px
+    assert np.trace(added[:2, :2]) > np.trace(known[:2, :2])
+
+
 def test_one_body_leaves_the_roll_as_it_was_known_before() -> None:
     rng = np.random.default_rng(13)
     apriori = Rotation.from_rotvec([4e-4, 7e-4, -3e-3]) * ATTITUDE

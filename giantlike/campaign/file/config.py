@@ -30,7 +30,9 @@ from giantlike.campaign.file.inputs import (
 from giantlike.campaign.file.mission_defaults import with_mission
 from giantlike.campaign.file.schema import CalibrationSection, CampaignFile, StarsSection
 from giantlike.campaign.file.toml_file import prefix_errors, read_toml
+from giantlike.campaign.file.viewing import viewing_of
 from giantlike.core.arrays import Float, require
+from giantlike.core.errors import InputError
 from giantlike.core.units import RAD_PER_DEG
 from giantlike.io.geometry_table import GeometryTable, ImageGeometry
 from giantlike.processing.detection.options import DetectionOptions
@@ -93,7 +95,7 @@ class Campaign:
         True if the geometry in labels is used.
     geometry_file : Path or None
     geometry : mapping of str to ImageGeometry
-        Rows of the geometry table, by image key.
+        Rows of the geometry table and tables ``[geometry]``, by image key.
     camera : Camera
     camera_file : Path or None
     spice : SpiceSetup or None
@@ -207,19 +209,24 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
     folder = path.parent
     images = images_of(path, content.images.files)
     camera, camera_file = camera_of(path, content.camera)
+    spice = spice_of(path, content.spice)
+    targets, guessed = targets_of(path, content.targets, spice)
+    views = viewing_of(content.geometry, images, targets, camera)
     preset = preset_of(content.camera)
     bottom_up = content.images.bottom_up or (preset is not None and preset.bottom_up)
     geometry_file = None
     geometry: dict[str, ImageGeometry] = {}
     unmatched: list[str] = []
     if content.images.geometry is not None:
-        geometry_table = geometry_of(path, "images.geometry", content.images.geometry, content.targets)
+        paths = [image.path for image in images]
+        geometry_table = geometry_of(path, "images.geometry", content.images.geometry, content.targets, paths)
         geometry_file = geometry_table.path
-        by_path = geometry_table.match([image.path for image in images], folder)
+        by_path = geometry_table.match(paths, folder)
         geometry = {image.key: by_path[image.path] for image in images if image.path in by_path}
-        unmatched = _find_unmatched(geometry_table, images, geometry, folder, with_spice=content.spice is not None)
-    spice = spice_of(path, content.spice)
-    targets, guessed = targets_of(path, content.targets, spice)
+        unseen = [image for image in images if image.key not in views]
+        unmatched = _find_unmatched(geometry_table, unseen, geometry, folder, with_spice=content.spice is not None)
+        for key in sorted(set(views) & set(geometry)):
+            raise InputError(f"geometry: {key!r} has a row in images.geometry too: leave one of them out")
     stars, calibration, sigma_deg = content.stars, content.calibration, content.images.attitude_sigma_deg
     if calibration is not None:
         stars = stars or StarsSection(lost_in_space=True)
@@ -236,7 +243,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         bottom_up=bottom_up,
         label_geometry=content.images.label_geometry,
         geometry_file=geometry_file,
-        geometry=geometry,
+        geometry=geometry | views,
         camera=camera,
         camera_file=camera_file,
         spice=spice,
@@ -244,7 +251,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         calibration=calibration,
         targets=targets,
         max_overlays=content.report.max_overlays,
-        warnings=(*guessed, *unmatched, *_oddities(geometry_file, geometry, targets, spice)),
+        warnings=(*guessed, *unmatched, *_oddities(geometry_file, geometry | views, targets, spice)),
         apriori_sigma_rad=None if sigma_deg is None else sigma_deg * RAD_PER_DEG,
         frames=frames_of(path, content.calibration_frames, bottom_up=bottom_up),
     )
@@ -332,7 +339,7 @@ def _oddities(
     spice: SpiceSetup | None,
 ) -> list[str]:
     """Warnings of settings that are allowed but probably not intended."""
-    named = {name for image in geometry.values() for name in image.targets}
+    named = {name for image in geometry.values() for name in (*image.targets, *image.seen)}
     texts = [
         f"{geometry_file}: target {name!r} is not in the campaign, its rows are not used"
         for name in sorted(named - {target.name for target in targets})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,11 +21,11 @@ from giantlike.campaign.file.schema import BodySection, Radii, SpiceSection, Tar
 from giantlike.campaign.file.toml_file import prefix_errors
 from giantlike.core.arrays import Float, require
 from giantlike.core.detector import Detector
-from giantlike.core.errors import InputError
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation, rotation_from_xyzw
 from giantlike.core.units import RAD_PER_DEG, SPEED_OF_LIGHT_KM_S
 from giantlike.ephemeris import BARYCENTER
 from giantlike.image import ObserverState
+from giantlike.io.epic_metadata import read_epic
 from giantlike.io.geometry_table import GeometryTable, read_geometry
 from giantlike.io.spice import ellipsoid_from_pck, find_kernels, orientation, spk_state
 from giantlike.io.spice_pointing import LabelClock, nearest_attitude
@@ -35,6 +36,9 @@ from giantlike.scene import TargetUncertainty
 from giantlike.shapes import Ellipsoid, Shape, load_shape
 from giantlike.shapes.files.formats import read_file
 from giantlike.shapes.load import guessed_units
+
+CAMERA_CHANGES = frozenset({"binned", "psf", "detector"})
+"""Keys of ``[camera]`` that refine a camera from a file, a preset or a mission; other keys declare another camera."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,10 +136,15 @@ def catalog_of(path: Path, name: str) -> str:
     return name if name == "default" else str(existing_file(path, "stars.catalog", name))
 
 
-def geometry_of(path: Path, key: str, name: str, targets: Sequence[BodySection]) -> GeometryTable:
-    """Read the geometry table that a file names; rows without a target belong to a single target."""
-    only = targets[0].name if len(targets) == 1 else None
-    return read_geometry(existing_file(path, key, name), default_target=only)
+def geometry_of(
+    path: Path, key: str, name: str, targets: Sequence[BodySection], images: Sequence[Path] = ()
+) -> GeometryTable:
+    """Read the geometry table or EPIC metadata that a file names; rows without a target belong to a single target."""
+    file = existing_file(path, key, name)
+    if file.suffix.lower() == ".json":
+        names = {(target.spice_body or target.name).upper(): target.name for target in targets}
+        return read_epic(file, images, {body: names[body] for body in ("EARTH", "MOON") if body in names})
+    return read_geometry(file, default_target=targets[0].name if len(targets) == 1 else None)
 
 
 def require_unique(names: Iterable[str], problem: str) -> None:
@@ -146,36 +155,66 @@ def require_unique(names: Iterable[str], problem: str) -> None:
 
 def camera_of(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None]:
     """Camera of a ``[camera]`` table, and its file where it has one."""
-    preset = preset_of(table)
+    preset, file = preset_of(table), None
     if preset is not None:
-        return _bin_camera(preset.camera, table.get("binned", 1)), None
-    if "file" not in table:
+        camera = preset.camera
+    elif "file" not in table:
         with prefix_errors("[camera]: "):
             return Camera.from_mapping(table), None
-    others = sorted(set(table) - {"file"})
-    if others:
-        raise InputError(f"[camera]: give either file or the keys of a camera, not both; found {others[0]!r}")
-    name = table["file"]
-    require(isinstance(name, str), f"camera.file: expected the name of a camera file, got {name!r}")
-    file = existing_file(path, "camera.file", name)
-    return Camera.load(file), file
+    else:
+        others = sorted(set(table) - {"file"} - CAMERA_CHANGES)
+        require(not others, f"[camera]: give either file or the keys of a camera, not both; found {others[:1]}")
+        name = table["file"]
+        require(isinstance(name, str), f"camera.file: expected the name of a camera file, got {name!r}")
+        file = existing_file(path, "camera.file", name)
+        camera = Camera.load(file)
+    camera = reduce_camera(camera, table.get("binned", 1))
+    changes = {key: table[key] for key in ("psf", "detector") if key in table}
+    for key, change in changes.items():
+        require(isinstance(change, Mapping), f"camera.{key}: expected a table, got {change!r}")
+    if changes:
+        known = camera.to_mapping()
+        with prefix_errors("[camera]: "):
+            changed = Camera.from_mapping(known | {key: {**known.get(key, {}), **changes[key]} for key in changes})
+        camera = replace(camera, psf=changed.psf, detector=changed.detector)
+    return camera, file
 
 
 def preset_of(table: Mapping[str, Any]) -> CameraPreset | None:
     """Preset that a ``[camera]`` table names."""
     if "preset" not in table:
         return None
-    require(set(table) <= {"preset", "binned"}, "[camera]: give either preset, or file, or the keys of a camera")
+    alone = set(table) <= {"preset"} | CAMERA_CHANGES
+    require(alone, "[camera]: give either preset, or file, or the keys of a camera")
     with prefix_errors("camera.preset: "):
         return camera_preset(str(table["preset"]))
 
 
-def _bin_camera(camera: Camera, factor: object) -> Camera:
-    """Camera of summed images; the effect of summing on noise and saturation is unknown."""
-    whole = isinstance(factor, int) and not isinstance(factor, bool) and factor >= 1
-    require(whole, f"camera.binned: expected a whole number from 1, got {factor!r}")
-    assert isinstance(factor, int)
-    return camera if factor == 1 else camera.binned(factor, detector=Detector(estimated=True))
+def reduce_camera(camera: Camera, binned: object) -> Camera:
+    """Camera of summed or resampled images, whose noise and saturation are unknown.
+
+    ``binned``: pixels along one side of a block (2), the scale of a reduced picture (0.625), or its size [640, 640].
+    """
+    size = None
+    if isinstance(binned, list) and len(binned) == 2:
+        size = [number for number in binned if isinstance(number, int) and number >= 1]
+        require(len(size) == 2, f"camera.binned: expected the columns and rows of the picture, got {binned!r}")
+        factors = [camera.columns / size[0], camera.rows / size[1]]
+        require(
+            abs(factors[0] / factors[1] - 1.0) <= 1.0 / min(size),  # sizes are rounded to a pixel
+            f"camera.binned: {size[0]} x {size[1]} pixels are no reduction of {camera.columns} x {camera.rows}: the "
+            "picture was cut; give its camera with columns, rows and [model]",
+        )
+        factor = math.sqrt(factors[0] * factors[1])
+    else:
+        numeric = isinstance(binned, int | float) and not isinstance(binned, bool) and 0 < binned < math.inf
+        require(numeric, f"camera.binned: expected a number above 0 or [columns, rows], got {binned!r}")
+        assert isinstance(binned, int | float)
+        factor = float(binned) if binned >= 1 else 1.0 / binned  # nothing is binned by less than a pixel: a scale
+    if factor == 1.0:
+        return camera
+    reduced = camera.binned(factor, detector=Detector(estimated=True, gamma=camera.detector.gamma))
+    return reduced if size is None else replace(reduced, columns=size[0], rows=size[1])
 
 
 def spice_of(path: Path, section: SpiceSection | None) -> SpiceSetup | None:
@@ -226,8 +265,11 @@ def _target(path: Path, where: str, section: BodySection, spice: SpiceSetup | No
         shape = (x_km, y_km, z_km)
     with prefix_errors(f"{where}."):
         reflectance = McEwen() if section.reflectance is None else reflectance_from_mapping(section.reflectance)
-    limb = LimbSetup()
+    limb, uncertainty = LimbSetup(), TargetUncertainty()
     if isinstance(section, TargetSection):
+        with prefix_errors(f"{where}.uncertainty.pole_deg: "):
+            uncertainty = _uncertainty(section)
+            uncertainty.require_known_pole(section.name, None if isinstance(shape, str) else shape)
         terrain = None if section.terrain is None else existing_file(path, f"{where}.terrain", section.terrain)
         limb = LimbSetup.from_section(section, where, shape, terrain)
     return TargetSetup(
@@ -238,19 +280,21 @@ def _target(path: Path, where: str, section: BodySection, spice: SpiceSetup | No
         estimators=_estimators(path, where, section) if isinstance(section, TargetSection) else (),
         spice_body=spice_body,
         frame=section.frame or spice_body,
-        uncertainty=_uncertainty(section) if isinstance(section, TargetSection) else TargetUncertainty(),
+        uncertainty=uncertainty,
         limb=limb,
     )
 
 
 def _uncertainty(section: TargetSection) -> TargetUncertainty:
     known = section.uncertainty
+    unknown = known.pole_deg == "unknown"
     return TargetUncertainty(
         scale=known.scale,
-        pole_rad=known.pole_deg * RAD_PER_DEG,
+        pole_rad=0.0 if isinstance(known.pole_deg, str) else known.pole_deg * RAD_PER_DEG,
         spin_rad=known.spin_deg * RAD_PER_DEG,
         ephemeris_km=known.ephemeris_km,
         albedo=known.albedo,
+        pole_unknown=unknown,
     )
 
 

@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from giantlike.campaign.file.hints import nearest
+from giantlike.campaign.file.inputs import CAMERA_CHANGES
 from giantlike.core.arrays import require
 from giantlike.io.mission_files import mission, mission_names
-
-_ADDITIONS = frozenset({"binned"})
-"""Keys of ``[camera]`` that refine the camera of the mission; any other key declares another camera."""
 
 
 def with_mission(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
@@ -36,7 +34,7 @@ def with_mission(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
         given = table.get(key, {})
         if not isinstance(given, Mapping) or (key == "spice" and "spice" not in table and folder is None):
             continue
-        if key == "camera" and not set(given) <= _ADDITIONS:
+        if key == "camera" and not given.keys() <= CAMERA_CHANGES:
             continue
         completed[key] = {**defaults, **given}
     spice = completed.get("spice", {})

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import Field, PlainValidator
+from pydantic import BeforeValidator, Field, PlainValidator
 
 from giantlike.atmosphere import Atmosphere
 from giantlike.calibration import CalibrationOptions
@@ -24,6 +24,7 @@ from giantlike.rings import Rings
 from giantlike.stars.options import StarOptions
 from giantlike.stars.transfer import TransferMethod
 
+_MOST_POLE_DEG = 25
 Radii: TypeAlias = tuple[float, float, float]
 """Radii of an ellipsoid along its body-fixed x, y and z axes, km."""
 
@@ -46,6 +47,14 @@ def _checked_shape(value: object) -> str | Radii | None:
     if any(isinstance(r, bool) or not isinstance(r, int | float) or not math.isfinite(r) or not r > 0 for r in radii):
         raise InputError(f"radii_km must be three positive and finite numbers, got {radii!r}")
     return float(radii[0]), float(radii[1]), float(radii[2])
+
+
+def _checked_pole(value: object) -> float | str:
+    """Error of a pole, or that it is unknown."""
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if value != "unknown" and not (number and 0 <= value <= _MOST_POLE_DEG):  # type: ignore[operator]
+        raise InputError(f'expected a number from 0 to {_MOST_POLE_DEG}, or "unknown", got {value!r}')
+    return "unknown" if value == "unknown" else float(value)  # type: ignore[arg-type]
 
 
 def _checked_rings(value: object) -> Rings | None:
@@ -114,7 +123,8 @@ class ImagesSection(TomlSection):
     files: list[str] = Field(min_length=1)
     """File names or glob patterns (`**` for subfolders) of images in any readable format."""
     geometry: str | None = None
-    """Table of a priori geometry ([columns](howto/a-priori.md)); missing values come from headers, then SPICE."""
+    """Table of a priori geometry ([columns](howto/a-priori.md)), or the JSON that NASA's EPIC API gives for a day of
+    pictures; missing values come from headers, then SPICE."""
     hdu: Annotated[int | str | None, PlainValidator(_checked_hdu)] = None
     """Number (from 0) or name of the FITS extension; default: the first with an image."""
     bottom_up: bool = False
@@ -265,8 +275,10 @@ class UncertaintySection(TomlSection):
 
     scale: float = Field(default=0.0, ge=0, le=0.3)
     """Relative error of the size of the shape."""
-    pole_deg: float = Field(default=0.0, ge=0, le=25)
-    """Error of the direction of the body-fixed z axis, about each of the other two axes, deg."""
+    pole_deg: Annotated[float | Literal["unknown"], PlainValidator(_checked_pole)] = 0.0
+    """Error of the direction of the body-fixed z axis, about each of the other two axes, deg, up to 25; or `"unknown"`,
+    for ellipsoids whose radii differ by at most 12 %: fixes then hold how far they move over all orientations, of which
+    none needs to be given."""
     spin_deg: float = Field(default=0.0, ge=0, le=25)
     """Error of the rotation about the body-fixed z axis, deg."""
     ephemeris_km: float = Field(default=0.0, ge=0)
@@ -344,6 +356,53 @@ class AdesFile(TomlSection):
     ades: AdesSection
 
 
+class GeometrySection(TomlSection):
+    """``[geometry]``: where body, pole and Sun are in an image, as read off a picture or a press kit.
+
+    One table per image and target (`[[geometry]]` for several), in place of a row of `images.geometry`. Azimuths are
+    angles in the image, clockwise from up (the direction of the first row). The orientation needs the north azimuth and
+    the sub-observer point, a sphere needs none; the Sun needs the sub-solar point, or the phase angle and the Sun
+    azimuth, and what is given beyond that has to agree. Without an a priori attitude, camera axes are used as inertial
+    axes ([how](howto/a-priori.md#off-a-picture-or-a-press-kit)).
+    """
+
+    file: str | None = None
+    """Image; may be left out where the campaign has one."""
+    target: str | None = None
+    """Name of the target; may be left out where the campaign has one."""
+    epoch_utc: str | None = None
+    """Mid-exposure, ISO 8601; not needed for a fix in camera axes."""
+    exposure_s: float | None = Field(default=None, ge=0)
+    """Exposure, s."""
+    center_px: list[float] | None = None
+    """Pixel [x, y] of the center of the body, roughly; default: the center of the image."""
+    range_km: float | None = Field(default=None, gt=0)
+    """Distance from the camera to the center of the body, km."""
+    diameter_px: float | None = Field(default=None, gt=0)
+    """Widest diameter of the body in the image, px, in place of `range_km`; where both are given, they have to agree
+    to 5 %."""
+    azimuth_zero: Literal["up", "right"] = "up"
+    """Direction from which azimuths are counted; `"right"` for the north azimuth of PDS labels."""
+    north_azimuth_deg: float | None = None
+    """Direction of the north pole (body-fixed +z axis) in the image, deg."""
+    sub_observer_latitude_deg: float | None = Field(default=None, ge=-90, le=90)
+    """Planetocentric latitude of the point below the camera, deg."""
+    sub_observer_longitude_deg: float | None = Field(default=None, ge=-360, le=360)
+    """Its east longitude, deg (west: with a minus sign); not needed for a body of revolution with a Sun azimuth."""
+    sub_solar_latitude_deg: float | None = Field(default=None, ge=-90, le=90)
+    """Planetocentric latitude of the point below the Sun, deg."""
+    sub_solar_longitude_deg: float | None = Field(default=None, ge=-360, le=360)
+    """Its east longitude, deg."""
+    sun_azimuth_deg: float | None = None
+    """Direction of the Sun in the image, from the center of the body to the middle of its bright limb, deg."""
+    phase_angle_deg: float | None = Field(default=None, ge=0, le=180)
+    """Angle at the body between Sun and camera, deg: 0 for a full disk, 90 for half of it."""
+
+
+def _as_list(value: object) -> object:
+    return [value] if isinstance(value, Mapping) else value
+
+
 class CampaignFile(TomlSection):
     """A whole campaign file."""
 
@@ -352,12 +411,15 @@ class CampaignFile(TomlSection):
     images: ImagesSection
     camera: dict[str, Any]
     """`file`, the name of a camera file; `preset`, the name of a real camera that comes with the package
-    ([list](camera_presets.md)), and with it `binned`, the pixels along one side of a block that was summed; or the keys
-    of a [camera file](campaigns.md#the-camera-file). A `[mission]` may provide it."""
+    ([list](camera_presets.md)); or the keys of a [camera file](campaigns.md#the-camera-file). A `[mission]` may provide
+    it. To the first two, `binned` adds a reduction of the images: the pixels along one side of a block that was summed
+    (2, or 1.6), or the scale of a smaller picture (0.625), or its size (`[640, 640]`); and keys of the tables
+    `camera.detector` and `camera.psf`, such as `gamma`, win over theirs, for the images as they are."""
     spice: SpiceSection | None = None
     stars: StarsSection | None = None
     calibration: CalibrationSection | None = None
     calibration_frames: CalibrationFramesSection | None = None
+    geometry: Annotated[list[GeometrySection], BeforeValidator(_as_list)] = Field(default_factory=list)
     targets: list[TargetSection] = Field(default_factory=list)
     report: ReportSection = ReportSection()
     ades: AdesSection | None = None

@@ -1,6 +1,6 @@
 """Images of a campaign with their a priori epoch, pose and scene.
 
-Sources, in order of precedence: the geometry table, the image's own header, SPICE.
+Sources, in order of precedence: the geometry table or ``[geometry]``, the image's own header, SPICE.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ from giantlike.processing.calibration_frames import CalibrationFrames
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid, Shape
 
+_POLE_UP = Rotation.from_matrix([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+"""``camera_from_body`` with the pole up in the image: the most frequent view of poles in random directions."""
 _SUN_COLUMNS = "sun_x, sun_y, sun_z"
 
 
@@ -76,6 +78,9 @@ def open_image(campaign: Campaign, entry: ImageEntry, frames: CalibrationFrames 
     if image.camera_from_inertial is None and has_world_coordinates(image.metadata):
         image, more = _with_world_coordinates(image, campaign)
         notes += more
+    if image.camera_from_inertial is None and known is not None and known.seen:
+        image = image.with_attitude(Rotation.identity())
+        notes += ("no a priori attitude: camera axes are used as inertial axes",)
     return PreparedImage(image, notes)
 
 
@@ -124,7 +129,8 @@ def targets_in(campaign: Campaign, key: str) -> tuple[TargetSetup, ...]:
     if campaign.spice is not None or campaign.label_geometry:
         return campaign.targets
     known = campaign.geometry.get(key)
-    return tuple(target for target in campaign.targets if known is not None and target.name in known.targets)
+    named = () if known is None else (*known.targets, *known.seen)
+    return tuple(target for target in campaign.targets if target.name in named)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,8 +192,8 @@ def scene_of(campaign: Campaign, image: Image, target: TargetSetup, shape: Shape
     """Build the scene of one target in an image."""
     known = campaign.geometry.get(image.name)
     row = None if known is None else known.targets.get(target.name)
-    if row is None and campaign.label_geometry:
-        row = row_of_label(campaign, image, target)
+    if row is None:
+        row = stated_row(campaign, image, target)
     spice = None if campaign.spice is None else _SpiceGeometry.at(campaign.spice, target, image.et)
     if row is not None:
         apparent = _from_row(row, image, target, shape, spice)
@@ -221,8 +227,11 @@ def _from_row(
         inertial_from_body = target.inertial_from_body(position, et)
     elif isinstance(shape, Ellipsoid) and np.ptp(shape.radii_km) == 0:
         inertial_from_body = Rotation.identity()  # a sphere looks the same from everywhere
+    elif target.uncertainty.pole_unknown:
+        attitude = image.camera_from_inertial
+        inertial_from_body = _POLE_UP if attitude is None else attitude.inv() * _POLE_UP
     else:
-        return _missing(image, target, "body_qx, body_qy, body_qz, body_qw")
+        return _missing(image, target, "body_qx, body_qy, body_qz, body_qw (in [geometry]: north, sub-observer point)")
     if sun is None:
         if spice is None or et is None:
             return _missing(image, target, _SUN_COLUMNS)
@@ -268,22 +277,25 @@ def attitude_of_label(campaign: Campaign, image: Image) -> Rotation | None:
     return label.camera_from_body * inertial_from_body.inv()
 
 
-def row_of_label(campaign: Campaign, image: Image, target: TargetSetup) -> GeometryRow | None:
-    """Position of a target, its orientation and its Sun from the label of an image.
+def stated_row(campaign: Campaign, image: Image, target: TargetSetup) -> GeometryRow | None:
+    """Position of a target, its orientation and its Sun from ``[geometry]`` or else from the label of an image.
 
-    Returns None where the label is of another target or has no geometry, or the attitude is unknown.
+    Returns None where neither states the geometry of the target, or the attitude is unknown.
     """
-    label = geometry_of_label(image.metadata, campaign.camera.model)
-    attitude = image.camera_from_inertial
-    if label is None or attitude is None or not _is(target, label.target):
+    known, attitude = campaign.geometry.get(image.name), image.camera_from_inertial
+    stated = None if known is None else known.seen.get(target.name)
+    if stated is None and campaign.label_geometry:
+        label = geometry_of_label(image.metadata, campaign.camera.model)
+        stated = label if label is not None and _is(target, label.target) else None
+    if stated is None or attitude is None:
         return None
-    turn = label.camera_from_body
+    turn = stated.camera_from_body
     return GeometryRow(
         file=image.name,
         target=target.name,
-        target_position_inertial_km=rotate(attitude.inv(), label.position_camera_km),
+        target_position_inertial_km=rotate(attitude.inv(), stated.position_camera_km),
         body_from_inertial=None if turn is None else turn.inv() * attitude,
-        sun_direction_inertial=rotate(attitude.inv(), label.sun_direction_camera),
+        sun_direction_inertial=rotate(attitude.inv(), stated.sun_direction_camera),
     )
 
 

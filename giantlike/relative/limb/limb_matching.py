@@ -126,7 +126,8 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
         solution = solve_limb(measured, view.radius_px, min_length_px=self.options.scan.spacing_px)
         if altitude_km:
             solution = replace(solution, corrections=Corrections(limb_altitude_km=altitude_km))
-        if not (inputs.place_alone or measured.terrain or sigma_km):  # relief and haze are no part of the outline
+        unknown = inputs.geometry.target.uncertainty.pole_unknown  # no turn from it then
+        if not (inputs.place_alone or measured.terrain or sigma_km or unknown):  # relief and haze: not in the outline
             solution = replace(solution, turn=self._turn(lines, view, body, inputs))
         return fix_of_strained(inputs, measured, solution, self.options)
 
