@@ -15,8 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.campaign.store.edits import read_edits
+from giantlike.campaign.store.lock import at_work_text, is_locked
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, RunSummary
 from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CAMERA_FILE, RunFolder
+from giantlike.core.arrays import require
 from giantlike.core.display import Pictured
 from giantlike.core.errors import DataError
 from giantlike.core.outcomes import Reason
@@ -216,10 +218,13 @@ def load_result(path: Path) -> RunResult:
     ------
     DataError
         It is not a run folder, or the run in it is not finished.
+    InputError
+        A run is at work in it.
     """
     folder = RunFolder.open(path)
     run = folder.provenance().get("run")
     if not isinstance(run, dict):
+        require(not is_locked(path), at_work_text(path))
         raise DataError(path, "the run in this folder is not finished: go on with giantlike run")
     try:
         summary = RunSummary.model_validate(run)
