@@ -6,13 +6,14 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.cli.app import app
-from tests.campaign.flyby import Flyby, make_flyby, write_session
+from tests.campaign.flyby import COLUMNS, Flyby, Session, make_flyby, write_session
 from tests.campaign.mistakes import MISTAKES
 
 DONE, SOME_FAILED, BAD_INPUT = 0, 1, 2
@@ -141,6 +142,41 @@ def test_the_error_of_an_unused_attitude_is_named_with_its_axis(flyby: Flyby, tm
     assert (record.status, record.flags) == ("ok", ["wrong_apriori"])
     (note,) = record.notes
     assert re.search(r"wrong by 23\.4\d* deg about the inertial x axis: .* taken as ECLIPJ2000 it is correct", note)
+
+
+def test_a_refusal_is_a_success_where_nothing_is_expected(flyby: Flyby, tmp_path: Path) -> None:
+    def dark(one: Session) -> None:
+        one.pixels["rhea0.fits"] = np.random.default_rng(7).normal(100.0, 5.0, (COLUMNS, COLUMNS)).astype(np.uint16)
+        one.table["images"]["expect"] = {"rhea0*": "none"}
+
+    path = write_session(flyby, tmp_path / "session", dark, images=2)
+    ran = giantlike("run", path, "--workers", "1")
+    assert ran.exit_code == DONE, said(ran)
+    assert_says(ran, r"attitude │ 1 │ 0 │ 1 │")
+    path.write_text(path.read_text().replace("rhea0*", "rhea*"))
+    again = giantlike("run", path, "--workers", "1")
+    assert again.exit_code == SOME_FAILED, "a body was found where nothing was expected"
+    assert_says(again, "1 image failed: rhea1.fits")
+    path.write_text(path.read_text().replace("rhea*", "moon*"))
+    assert_says(giantlike("check", path), "images.expect: no image has the name 'moon[*]'")
+
+
+def test_an_error_of_one_image_fails_that_image_alone(flyby: Flyby, tmp_path: Path) -> None:
+    def late(one: Session) -> None:
+        one.headers["rhea0.fits"]["DATE-OBS"] = "2010-03-12T12:00:00"
+
+    path = write_session(flyby, tmp_path / "session", late, images=2)
+    assert giantlike("check", path).exit_code == BAD_INPUT
+    ran = giantlike("run", path, "--workers", "1")
+    assert ran.exit_code == SOME_FAILED
+    assert_says(ran, "1 image failed: rhea0.fits")
+
+
+def test_warnings_of_the_checks_are_in_the_report(flyby: Flyby, tmp_path: Path) -> None:
+    path = write_session(flyby, tmp_path / "session", MISTAKES["frame of another body"], images=1)
+    assert giantlike("run", path, "--workers", "1").exit_code == DONE
+    assert "IAU_SATURN is the frame of SATURN, not of RHEA" in (path.parent / "run" / "report.html").read_text()
+    assert_says(giantlike("explain", path.parent / "run"), "rhea0.fits: 400 x 400 px")  # the only image is not named
 
 
 def test_radial_residuals_are_called_radial(flyby: Flyby, tmp_path: Path) -> None:

@@ -92,8 +92,8 @@ class WorkerPool:
             self._settings.enter_context(one_thread_each())
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is not None and issubclass(kind, KeyboardInterrupt):
+    def __exit__(self, *raised: object) -> None:
+        if any(isinstance(one, KeyboardInterrupt) for one in raised):
             for child in set(multiprocessing.active_children()) - self._others:
                 child.terminate()  # what they work on is lost anyway
         for size in list(self._executors):

@@ -145,6 +145,7 @@ def run_campaign(
                         warnings=(*run.bench.campaign.warnings, *common),
                         time_s=time.perf_counter() - start,
                         calibration=calibration,
+                        empty_images=campaign.empty_images,
                         steps=run.counts,
                     )
                     if not _as_before(before, inputs, folder, run):
@@ -226,6 +227,7 @@ def _finish(folder: RunFolder, result: RunResult) -> None:
         max_overlays=result.max_overlays,
         warnings=list(result.warnings),
         time_s=round(result.time_s, 3),
+        empty_images=sorted(result.empty_images),
     )
     images = {record.file: record.sha256 for record in result.attitudes}
     more = {"images_sha256": images, "run": run.model_dump(), "edits": _edits_digest(folder)}
