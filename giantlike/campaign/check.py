@@ -144,6 +144,7 @@ class _Check:
         self.lines: dict[str, int] = {}
         self.found: list[Mistake] = []
         self.epochs_et: dict[str, float | None] = {}
+        self.damaged: set[str | None] = set()
 
     def add(
         self, key: str, problem: object, *, line: int | None = None, fatal: bool = True, image: str | None = None
@@ -163,6 +164,8 @@ class _Check:
             return function(*args)
         except (OpNavError, ValidationError) as error:
             self.add(key, error, image=image)
+            if image is not None and isinstance(error, DataError):
+                self.damaged.add(image)
             return None
 
 
@@ -288,7 +291,8 @@ def _what_is_meant(check: _Check, campaign: Campaign, *, all_images: bool) -> No
 def check_run(bench: Workbench) -> list[str]:
     """Find what a run will fail on, before its first image; warnings, as the campaign has them.
 
-    Images are opened until one has no error: the errors of others are theirs alone, and fail them.
+    Images are opened until one has no error: the errors of others are theirs alone, and fail them. So do damaged files,
+    even if all are.
 
     Raises
     ------
@@ -300,7 +304,7 @@ def check_run(bench: Workbench) -> list[str]:
     _evaluate(check, campaign, bench.shapes, until_good=True)
     fatal = [mistake for mistake in check.found if mistake.fatal]
     failing = {mistake.image for mistake in fatal}
-    if None in failing or (fatal and len(failing) == len(campaign.images)):
+    if None in failing or (len(failing) == len(campaign.images) and failing - check.damaged):
         first = next(mistake for mistake in fatal if mistake.image is None or None not in failing)
         more = f" (and {len(fatal) - 1} more: giantlike check lists them)" if len(fatal) > 1 else ""
         raise InputError(f"{first}; this error reaches every image, so none is worked on{more}")

@@ -164,7 +164,7 @@ class StarNavigation:
         assert isinstance(detections, Detections)
         return detections, self._without_interlace(image, detections, outcome)
 
-    def _explained(self, image: Image, detections: Detections, failure: Failure) -> Failure:
+    def _explain(self, image: Image, detections: Detections, failure: Failure) -> Failure:
         """Failure with its cause, where the stars match with another reading of the a priori attitude or camera."""
         apriori, options = image.camera_from_inertial, self.options
         if apriori is None or options.lost_in_space or failure.reason not in _UNMATCHED:
@@ -183,7 +183,7 @@ class StarNavigation:
     ) -> AttitudeFix | Failure:
         """Attitude of an outcome, flagged where odd and even rows are shifted against each other."""
         if isinstance(outcome, Failure):
-            return self._explained(image, detections, outcome)
+            return self._explain(image, detections, outcome)
         fix = outcome.fix
         stars = fix.detection_indices[detections.snr[fix.detection_indices] > _CLEAR_SNR]
         shifted = is_interlaced(
@@ -251,7 +251,7 @@ class StarNavigation:
         AttitudeFix or Failure
         """
         outcome = self._solve(image, detections, time.thread_time() + self.options.time_limit_s)
-        return self._explained(image, detections, outcome) if isinstance(outcome, Failure) else outcome.fix
+        return self._explain(image, detections, outcome) if isinstance(outcome, Failure) else outcome.fix
 
     def _solve(self, image: Image, detections: Detections, until_s: float) -> _SolvedAttitude | Failure:
         """Attitude from detections, with the solution it was made of; a computation that breaks down is a failure."""
