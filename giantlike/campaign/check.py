@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,25 +17,42 @@ from pydantic import TypeAdapter, ValidationError
 
 from giantlike._system.reading import toml_table
 from giantlike.calibration.star_images import start_model
+from giantlike.camera_models import ifov_rad
 from giantlike.campaign.file.config import Campaign, images_of, stars_of
 from giantlike.campaign.file.frame_files import frames_of
 from giantlike.campaign.file.hints import nearest
-from giantlike.campaign.file.inputs import camera_of, geometry_of, spice_of, targets_of
+from giantlike.campaign.file.inputs import SpiceSetup, TargetSetup, camera_of, geometry_of, spice_of, targets_of
 from giantlike.campaign.file.mission_defaults import with_mission
 from giantlike.campaign.file.schema import CampaignFile, TargetSection
 from giantlike.campaign.file.toml_file import checked_table, problems_of
 from giantlike.campaign.file.toml_lines import line_of, lines_of_keys
+from giantlike.campaign.run.bodies import outside_px
 from giantlike.campaign.run.image_loading import open_image, scene_of, targets_in
+from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.odd_epochs import odd_epochs
 from giantlike.catalogs import load_catalog
 from giantlike.core.errors import DataError, InputError, OpNavError
+from giantlike.core.frames import INERTIAL_FROM_ECLIPTIC, rotate
 from giantlike.core.outcomes import Failure
-from giantlike.core.time import et_from_time
+from giantlike.core.time import et_from_time, time_from_et, utc_text
+from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.image import Image
 from giantlike.io.geometry_table import GeometryTable
-from giantlike.io.spice import ellipsoid_from_pck, load_kernels
+from giantlike.io.spice import (
+    body_id,
+    body_name,
+    ellipsoid_from_pck,
+    frame_center,
+    frame_names,
+    has_leap_seconds,
+    load_kernels,
+    spk_center,
+    spk_coverage,
+    spk_state,
+)
 from giantlike.presets import preset_names
 from giantlike.relative import ESTIMATORS
+from giantlike.scene import Scene
 from giantlike.shapes import Shape
 from giantlike.stars.matching import predicted_in_frame
 from giantlike.stars.navigation import sky_of
@@ -53,6 +71,15 @@ _ALONE: dict[str, Any] = {
     "rings": None,
 }
 """Placeholder keys of a target while one of them is checked."""
+_OTHER_BODY = 1.1
+"""Ratio of two radii beyond which they are not of one body: a mesh and the ellipsoid of an irregular one agree to a few
+percent."""
+_NARROW_DEG, _MANY_COLUMNS = 0.1, 256
+"""Field of view below which, with so many columns, a pixel is finer than 1.4 arcsec: no navigation camera has that."""
+_FASTEST_KM_S = 1000.0
+"""Speed relative to the Solar System barycenter, five times that of the fastest spacecraft at its perihelion."""
+_BEST_ARCSEC = 2.0
+"""Smallest sigma of attitudes in headers: star trackers on board reach a few arcsec."""
 _OTHER_UNIT = 100.0
 """Ratio of two radii between a wrong unit, a factor of 1000, and different shapes of a body, logarithmically nearer to
 these."""
@@ -66,6 +93,7 @@ class Mistake:
     key: of the campaign file; may be empty.
     text: the finding, the expectation, the remedy.
     fatal: False where a run would continue.
+    image: the image whose error it is; None for one that reaches every image.
     """
 
     file: Path
@@ -73,6 +101,7 @@ class Mistake:
     key: str
     text: str
     fatal: bool = True
+    image: str | None = None
 
     def __str__(self) -> str:
         place = str(self.file) if self.line is None else f"{self.file}:{self.line}"
@@ -114,8 +143,12 @@ class _Check:
         self.path = path
         self.lines: dict[str, int] = {}
         self.found: list[Mistake] = []
+        self.epochs_et: dict[str, float | None] = {}
+        self.damaged: set[str | None] = set()
 
-    def add(self, key: str, problem: object, *, line: int | None = None, fatal: bool = True) -> None:
+    def add(
+        self, key: str, problem: object, *, line: int | None = None, fatal: bool = True, image: str | None = None
+    ) -> None:
         """Add an error; a key at the beginning of the text is more specific than ``key``."""
         text = " ".join(str(problem).split()).removeprefix(f"{self.path}: ")
         named = _KEY.match(text)
@@ -123,14 +156,16 @@ class _Check:
             key = named.group(1)
         place = line or line_of(key, self.lines)
         if not any(mistake.text == text for mistake in self.found):
-            self.found.append(Mistake(file=self.path, line=place, key=key, text=text, fatal=fatal))
+            self.found.append(Mistake(file=self.path, line=place, key=key, text=text, fatal=fatal, image=image))
 
-    def attempt(self, key: str, function: Callable[..., Any], *args: Any) -> Any:
+    def attempt(self, key: str, function: Callable[..., Any], *args: Any, image: str | None = None) -> Any:
         """Result of a function; None, with an error added, if it rejects its arguments."""
         try:
             return function(*args)
         except (OpNavError, ValidationError) as error:
-            self.add(key, error)
+            self.add(key, error, image=image)
+            if image is not None and isinstance(error, DataError):
+                self.damaged.add(image)
             return None
 
 
@@ -245,73 +280,255 @@ def _what_is_meant(check: _Check, campaign: Campaign, *, all_images: bool) -> No
         shape = check.attempt(f"targets[{number}].shape", target.load_shape)
         if shape is not None:
             shapes[target.name] = shape
-            _units(check, campaign, number, shape)
-            _size_in_kernels(check, campaign, number, shape)
     if campaign.frames is not None:
         load = partial(campaign.frames.load, rows=campaign.camera.rows, columns=campaign.camera.columns)
         check.attempt("calibration_frames", load)
-    opened = campaign.images if all_images else campaign.images[:1]
+    _evaluate(check, campaign, shapes, until_good=not all_images)
     epochs = {key: known.epoch and et_from_time(known.epoch) for key, known in campaign.geometry.items()}
-    prepared = {entry.key: check.attempt("images.files", open_image, campaign, entry) for entry in opened}
-    images = [one.image for one in prepared.values() if one is not None]
-    for image in images:
-        if epochs.get(image.name) is None:
-            epochs[image.name] = image.et
-        _geometry_of_image(check, campaign, image, shapes)
-    for key, years in odd_epochs(epochs).items():
+    for key, years in odd_epochs(epochs | check.epochs_et).items():
         text = f"{key}: its epoch is {years:+g} years from those of the other images: is the clock of its header right?"
         check.add("images.files", text, fatal=False)
-    if all_images and images:
-        _attitudes(check, campaign, images)
 
 
-def _geometry_of_image(check: _Check, campaign: Campaign, image: Image, shapes: Mapping[str, Shape]) -> None:
-    """Targets whose position, orientation or Sun in an image is not known, as the run finds out for each of them."""
+def check_run(bench: Workbench) -> list[str]:
+    """Find what a run will fail on, before its first image; warnings, as the campaign has them.
+
+    Images are opened until one has no error: the errors of others are theirs alone, and fail them. So do damaged files,
+    even if all are.
+
+    Raises
+    ------
+    InputError
+        An error reaches every image.
+    """
+    campaign, check = bench.campaign, _Check(bench.campaign.path)
+    check.lines = lines_of_keys(campaign.path.read_text(encoding="utf-8")) if campaign.path.is_file() else {}
+    _evaluate(check, campaign, bench.shapes, until_good=True)
+    fatal = [mistake for mistake in check.found if mistake.fatal]
+    failing = {mistake.image for mistake in fatal}
+    if None in failing or (len(failing) == len(campaign.images) and failing - check.damaged):
+        first = next(mistake for mistake in fatal if mistake.image is None or None not in failing)
+        more = f" (and {len(fatal) - 1} more: giantlike check lists them)" if len(fatal) > 1 else ""
+        raise InputError(f"{first}; this error reaches every image, so none is worked on{more}")
+    return [mistake.text for mistake in check.found if not mistake.fatal]
+
+
+def _evaluate(check: _Check, campaign: Campaign, shapes: Mapping[str, Shape], *, until_good: bool) -> None:
+    """Camera, bodies and kernels, and each image as a run evaluates it; ``until_good``: until one has no error."""
     for number, target in enumerate(campaign.targets):
-        if target not in targets_in(campaign, image.name) or target.name not in shapes:
-            continue
-        key = f"targets[{number}].name"
-        try:
-            scene = scene_of(campaign, image, target, shapes[target.name])
-            found = scene if isinstance(scene, Failure) else scene.apparent(image, scene.target())
-        except OpNavError as error:
-            check.add(key, f"{image.name}: {target.name}: {error}")
-            continue
-        if isinstance(found, Failure):
-            check.add(key, found.detail)
-
-
-def _attitudes(check: _Check, campaign: Campaign, images: Sequence[Image]) -> None:
-    """A run without any attitude, and fields with fewer catalog stars than an attitude needs."""
-    lost = campaign.stars is not None and campaign.stars.options.lost_in_space
-    if not lost and all(image.camera_from_inertial is None for image in images):
+        if target.name in shapes:
+            _size_in_kernels(check, campaign, number, shapes[target.name])
+    camera = campaign.camera
+    if camera.fov_deg < _NARROW_DEG and camera.columns >= _MANY_COLUMNS:
+        text = f"a field of view of {camera.fov_deg:.3g} deg on {camera.columns} px: is it in rad?"
+        check.add("camera", text, fatal=False)
+    unknown = frozenset[str]() if campaign.spice is None else _find_unknown_names(check, campaign, campaign.spice)
+    seen, unpointed = dict[str, _Seen](), list[str]()
+    for entry in campaign.images:
+        before = len(check.found)
+        prepared = check.attempt("images.files", open_image, campaign, entry, image=entry.key)
+        if prepared is not None:
+            image: Image = prepared.image
+            check.epochs_et.setdefault(image.name, image.et)
+            if image.camera_from_inertial is None:
+                unpointed.append(entry.key)
+            for number, target in enumerate(campaign.targets):
+                if target in targets_in(campaign, image.name) and target.name in shapes.keys() - unknown:
+                    _evaluate_target(check, campaign, image, number, shapes[target.name], seen)
+            _count_stars(check, campaign, image)
+            _check_sigma(check, campaign, image)
+        failed = any(mistake.fatal for mistake in check.found[before:])
+        if until_good and not failed and (_finds_attitudes(campaign) or entry.key not in unpointed):
+            break
+    for number, target in enumerate(campaign.targets):
+        if target.name in shapes:
+            _units(check, campaign, number, shapes[target.name], seen.get(target.name))
+        if target.name in seen:
+            _wrong_frame(check, campaign, number, seen[target.name])
+    if unpointed and len(unpointed) == len(campaign.images) and not _finds_attitudes(campaign):
         text = (
             "no image has an a priori attitude (header, label, geometry table or C-kernel): give one, or set "
             "stars.lost_in_space = true"
         )
         check.add("stars", text)
-    if campaign.stars is None:
-        return
-    options, catalog = campaign.stars.options, load_catalog(campaign.stars.catalog)
-    for image in images:
-        pointing, shortest_s = image.camera_from_inertial, campaign.stars.long_exposure_s
-        if pointing is None or (shortest_s is not None and (image.exposure_s or 0.0) < shortest_s):
+
+
+@dataclass(slots=True)
+class _Seen:
+    """Predictions of a target in the images opened so far.
+
+    ranges_km: by image; outside_px: distance from the image by image; other_px: the same with states in ECLIPJ2000.
+    """
+
+    ranges_km: dict[str, float] = field(default_factory=dict)
+    outside_px: list[float] = field(default_factory=list)
+    other_px: list[float] = field(default_factory=list)
+
+
+def _finds_attitudes(campaign: Campaign) -> bool:
+    """True if stars give attitudes to images that have none."""
+    stars = campaign.stars
+    return campaign.calibration is not None or (stars is not None and stars.options.lost_in_space)
+
+
+def _find_unknown_names(check: _Check, campaign: Campaign, spice: SpiceSetup) -> frozenset[str]:
+    """Names and codes that the loaded kernels do not know; the targets whose geometry is unknown for that."""
+    if not has_leap_seconds():
+        text = "no leapseconds kernel among spice.kernels: the leap seconds are those of astropy"
+        check.add("spice.kernels", text, fatal=False)
+    unknown: set[str] = set()
+    if campaign.geometry or campaign.label_geometry:
+        return frozenset()  # kernels complete the table or the labels, where they can
+    covered = spk_coverage()
+    names = [name for name, _ in covered.values()]
+    have = f"the kernels have ephemerides of {', '.join(names)}" if names else "no SPK is among spice.kernels"
+
+    def is_known(key: str, name: str) -> bool:
+        code = body_id(name)
+        if code in covered or code == 0:
+            return True
+        why = f"SPICE does not know this name{nearest(name, names)}" if code is None else f"no ephemeris of {code}"
+        check.add(key, f"{key}: {name!r}: {why}; {have}")
+        return False
+
+    if not is_known("spice.spacecraft", spice.spacecraft):
+        unknown |= {target.name for target in campaign.targets}
+    for number, target in enumerate(campaign.targets):
+        key = f"targets[{number}].{'name' if target.spice_body == target.name else 'spice_body'}"
+        if not is_known(key, target.spice_body):
+            unknown.add(target.name)
+        if target.frame == target.spice_body:
             continue
-        field = sky_of(image, catalog, options).field(campaign.camera, pointing)
-        places = predicted_in_frame(field.directions_inertial, campaign.camera, pointing, margin_px=0.0)
-        count = int(np.isfinite(places).all(axis=1).sum())
-        if count < options.min_matches:
-            text = (
-                f"{image.name}: {count} stars of the catalog lie in the predicted field, and an attitude needs "
-                f"{options.min_matches}: raise stars.max_magnitude, or take a deeper catalog"
+        key, center = f"targets[{number}].frame", frame_center(target.frame)
+        if center is None and body_id(target.frame) is None:
+            hint = nearest(target.frame, frame_names())
+            check.add(
+                key, f"{key}: SPICE does not know the frame {target.frame!r}{hint}: load the kernel that defines it"
             )
-            check.add("stars.max_magnitude", text, fatal=False)
+            unknown.add(target.name)
+        elif center is not None and center != body_id(target.spice_body):
+            text = f"{key}: {target.frame} is the frame of {body_name(center)}, not of {target.spice_body}"
+            check.add(key, text, fatal=False)
+    return frozenset(unknown)
 
 
-def _units(check: _Check, campaign: Campaign, number: int, shape: Shape) -> None:
-    """A camera inside a body indicates a wrong unit."""
+def _evaluate_target(
+    check: _Check, campaign: Campaign, image: Image, number: int, shape: Shape, seen: dict[str, _Seen]
+) -> None:
+    """Position, orientation and Sun of a target in an image, as the run finds them, and whether they are plausible."""
+    target, key = campaign.targets[number], f"targets[{number}].name"
+    try:
+        scene = scene_of(campaign, image, target, shape)
+        found = scene if isinstance(scene, Failure) else scene.apparent(image, scene.target())
+    except OpNavError as error:
+        coverage = (
+            "" if campaign.spice is None else _coverage_text(campaign.spice.spacecraft, target.spice_body, image.et)
+        )
+        check.add(key, f"{image.name}: {target.name}: {error}{coverage}", image=image.name)
+        return
+    if isinstance(found, Failure):
+        check.add(key, found.detail, image=image.name)
+        return
+    here = seen.setdefault(target.name, _Seen())
+    range_km = here.ranges_km[image.name] = float(np.linalg.norm(found.position_inertial_km))
+    speed = 0.0 if image.observer is None else float(np.linalg.norm(image.observer.velocity_km_s))
+    if speed > _FASTEST_KM_S:
+        text = f"{image.name}: the spacecraft moves at {speed:.3g} km/s, {range_km:.3g} km from {target.name}"
+        check.add("spice.kernels", f"{text}: is its SPK or the observer of the header in m?", image=image.name)
+    if isinstance(scene, Scene):
+        _note_prediction(campaign, image, target, scene, here)
+    wide_km = range_km * math.radians(campaign.camera.fov_deg)
+    if target.uncertainty.ephemeris_km > wide_km and image.name == next(iter(here.ranges_km)):
+        text = (
+            f"{image.name}: {target.uncertainty.ephemeris_km:g} km at a range of {range_km:.4g} km is wider than the "
+            "field of view: is it in m?"
+        )
+        check.add(f"targets[{number}].uncertainty.ephemeris_km", text, fatal=False)
+
+
+def _note_prediction(campaign: Campaign, image: Image, target: TargetSetup, scene: Scene, here: _Seen) -> None:
+    """Add the distance of a target from the image, also with the states of its spacecraft taken as ECLIPJ2000."""
+    geometry = scene.geometry(image)
+    if isinstance(geometry, Failure) or image.camera_from_inertial is None:
+        return
+    camera, spice, et = campaign.camera, campaign.spice, image.et
+    pixel_rad = float(ifov_rad(camera.model, camera.center_px))
+    here.outside_px.append(outside_px(camera, geometry, pixel_rad))
+    code = None if spice is None else body_id(spice.spacecraft)
+    center = None if code is None or et is None else spk_center(code, et)
+    if spice is None or et is None or center is None:
+        return
+    from_center = spk_state(spice.spacecraft, et, observer=center)[0]
+    away = rotate(image.camera_from_inertial, from_center - rotate(INERTIAL_FROM_ECLIPTIC, from_center))
+    moved = replace(geometry, position_camera_km=geometry.position_camera_km + away)
+    here.other_px.append(outside_px(camera, moved, pixel_rad))
+
+
+def _wrong_frame(check: _Check, campaign: Campaign, number: int, seen: _Seen) -> None:
+    """A target that is predicted outside of all images, and inside with the other inertial frame of SPICE."""
+    apart = seen.outside_px
+    if apart and min(apart) > 0.0 and len(seen.other_px) == len(apart) and max(seen.other_px) < 0.0:
+        spacecraft = campaign.table["spice"]["spacecraft"]
+        text = (
+            f"{campaign.targets[number].name} is predicted outside of each of {len(apart)} images, by {min(apart):.0f} "
+            f"px or more, and inside with the SPK of {spacecraft} taken as ECLIPJ2000: is its frame labeled wrong?"
+        )
+        check.add("spice.kernels", text, fatal=False)
+
+
+def _coverage_text(spacecraft: str, body: str, et: float | None) -> str:
+    """Epochs that the loaded kernels cover, for those of spacecraft and body that they do not cover at a time."""
+    covered = spk_coverage()
+    texts = [
+        f"; the kernels cover {covered[code][0]} from {utc_text(time_from_et(start), 0)} to "
+        f"{utc_text(time_from_et(end), 0)}"
+        for code in map(body_id, (spacecraft, body))
+        if code in covered and et is not None
+        for start, end in [covered[code][1]]
+        if not start <= et <= end
+    ]
+    return "".join(dict.fromkeys(texts))
+
+
+def _check_sigma(check: _Check, campaign: Campaign, image: Image) -> None:
+    """Declared errors of a priori attitudes that no header attitude reaches, or that are wider than the image."""
+    sigma, known = campaign.apriori_sigma_rad, campaign.geometry.get(image.name)
+    if sigma is None or image.camera_from_inertial is None:
+        return
+    reconstructed = (known is not None and known.camera_from_inertial is not None) or (
+        campaign.spice is not None and campaign.spice.camera_from_frame is not None
+    )
+    arcsec = sigma * ARCSEC_PER_RAD
+    if arcsec < _BEST_ARCSEC and not reconstructed:
+        text = f"{arcsec:.2g} arcsec is less than the error of attitudes in headers: is it in rad?"
+    elif sigma > math.radians(campaign.camera.fov_deg):
+        text = f"{arcsec / 3600.0:.3g} deg is wider than the field of view: is it in another unit?"
+    else:
+        return
+    check.add("images.attitude_sigma_deg", f"images.attitude_sigma_deg: {text}", fatal=False)
+
+
+def _count_stars(check: _Check, campaign: Campaign, image: Image) -> None:
+    """Fields with fewer catalog stars than an attitude needs."""
+    pointing = image.camera_from_inertial
+    if campaign.stars is None or pointing is None or not campaign.is_star_image(image.exposure_s):
+        return
+    options = campaign.stars.options
+    field = sky_of(image, load_catalog(campaign.stars.catalog), options).field(campaign.camera, pointing)
+    places = predicted_in_frame(field.directions_inertial, campaign.camera, pointing, margin_px=0.0)
+    count = int(np.isfinite(places).all(axis=1).sum())
+    if count < options.min_matches:
+        text = (
+            f"{image.name}: {count} stars of the catalog lie in the predicted field, and an attitude needs "
+            f"{options.min_matches}: raise stars.max_magnitude, or take a deeper catalog"
+        )
+        check.add("stars.max_magnitude", text, fatal=False)
+
+
+def _units(check: _Check, campaign: Campaign, number: int, shape: Shape, seen: _Seen | None) -> None:
+    """A camera inside a body, or a body of no size, indicates a wrong unit."""
     name = campaign.targets[number].name
-    ranges = {
+    ranges = ({} if seen is None else seen.ranges_km) | {
         key: float(np.linalg.norm(row.target_position_inertial_km))
         for key, known in campaign.geometry.items()
         if (row := known.targets.get(name)) is not None and row.target_position_inertial_km is not None
@@ -335,9 +552,11 @@ def _size_in_kernels(check: _Check, campaign: Campaign, number: int, shape: Shap
     except DataError:
         return  # a body without radii in the kernels
     ratio = shape.mean_radius_km / known_km
+    text = f"{target.name} has {ratio:.3g} times the mean radius in the loaded PCK ({known_km:.4g} km)"
     if not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
-        text = f"{target.name} has {ratio:.3g} times the mean radius in the loaded PCK ({known_km:.4g} km)"
         check.add(f"targets[{number}].shape", f"{text}: is the shape in another unit?")
+    elif not 1.0 / _OTHER_BODY < ratio < _OTHER_BODY:
+        check.add(f"targets[{number}].shape", f"{text}: is it the shape of another body?", fatal=False)
 
 
 def _nearest_inside(ranges: dict[str, float], radius_km: float) -> Sequence[str]:

@@ -63,6 +63,7 @@ def merge_runs(runs: Sequence[Path], output: Path) -> RunResult:
     hashes = {record.file: record.sha256 for result in results for record in reversed(result.attitudes)}
     warnings = list(dict.fromkeys(text for result in results for text in result.warnings))
     summary = first["run"] | {"warnings": warnings, "time_s": sum(result.time_s for result in results)}
+    summary["empty_images"] = sorted({key for result in results for key in result.empty_images})
     merged.write_provenance(merged.provenance() | {"images_sha256": hashes, "run": summary})
     result = load_result(output)
     write_tables(output, result.attitudes, result.observations)

@@ -127,7 +127,8 @@ def _group(name: str, summary: str, table: Mapping[str, Entry], *, completion: b
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
-        epilog="Exit codes: 0 done, 1 some images or files failed or goals are missed, 2 bad input, 130 interrupted.",
+        epilog="Exit codes: 0 done, 1 some images or files failed or goals are missed, 2 bad input, 130 interrupted "
+        "(129, 143: by the signals HUP, TERM).",
     )
 
 

@@ -16,7 +16,9 @@ from giantlike.cli.outcome import ExitCode, print_json, show_result
 
 def check(
     path: Annotated[Path, typer.Argument(metavar="CAMPAIGN.toml", help="Campaign file.")],
-    all_images: Annotated[bool, typer.Option("--images", help="Open every image, not only the first.")] = False,
+    all_images: Annotated[
+        bool, typer.Option("--images", help="Open every image, not only up to the first without error.")
+    ] = False,
     json: Json = False,
 ) -> ExitCode:
     """Show all errors of a campaign file and of the files that it names, without running it."""

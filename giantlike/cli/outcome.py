@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
+import signal
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import IntEnum
 from typing import Any, ParamSpec, TypeAlias
 
@@ -35,6 +38,10 @@ class ExitCode(IntEnum):
     Nothing was computed."""
     INTERRUPTED = 130
     """You pressed Ctrl-C. Finished results are kept; the same command resumes."""
+    HUNG_UP = 129
+    """The terminal was closed (signal HUP); as for Ctrl-C."""
+    TERMINATED = 143
+    """Another program ended it (signal TERM); as for Ctrl-C."""
 
 
 def command(function: Callable[Arguments, ExitCode]) -> Callable[Arguments, None]:
@@ -46,16 +53,46 @@ def command(function: Callable[Arguments, ExitCode]) -> Callable[Arguments, None
     @functools.wraps(function)
     def wrapper(*args: Arguments.args, **kwargs: Arguments.kwargs) -> None:
         try:
-            code = function(*args, **kwargs)
+            with _signals_raised():
+                code = function(*args, **kwargs)
         except OpNavError as error:
             say(f"giantlike: {' '.join(str(error).split())}")
             code = ExitCode.BAD_INPUT
+        except _EndedError as error:
+            say(f"giantlike: ended by the signal {error.signal.name}; what is finished is kept")
+            code = ExitCode(128 + error.signal)
         except KeyboardInterrupt:
             say("giantlike: interrupted; what is finished is kept")
             code = ExitCode.INTERRUPTED
         raise typer.Exit(code)
 
     return wrapper
+
+
+class _EndedError(KeyboardInterrupt):
+    """A signal that ends this process."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.signal = signal.Signals(number)
+
+
+@contextlib.contextmanager
+def _signals_raised() -> Iterator[None]:
+    """Raise :class:`_EndedError` in the main thread at TERM and HUP, unless they are ignored."""
+
+    def end(number: int, _: object) -> None:
+        raise _EndedError(number)
+
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+        before = {one: signal.signal(one, end) for one in numbers if signal.getsignal(one) == signal.SIG_DFL}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def say(text: str) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import typer
 
 from giantlike.campaign import Campaign, RunResult, run_campaign
+from giantlike.campaign.check import check_run
 from giantlike.campaign.run.cluster import DaskPool
 from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.log import LOGGER
@@ -33,11 +34,24 @@ def run_and_print(
         path = path.absolute()  # workers have other working folders
 
     def run_once(campaign: Campaign) -> RunResult:
-        for warning in campaign.warnings:
-            _announce(warning)
+        announced = dict.fromkeys(campaign.warnings)
+
+        def check(bench: Workbench) -> list[str]:
+            warnings = check_run(bench)
+            announced.update(dict.fromkeys(warnings))
+            for warning in announced:
+                _announce(warning)
+            return warnings
+
         pool = None if dask is None else partial(_cluster, address=dask)
         with _events(verbose), progress_bar(lines=True) as progress:
-            return run_campaign(campaign, workers=workers, progress=progress, announce=_announce, pool=pool)
+            result = run_campaign(
+                campaign, workers=workers, progress=progress, announce=_announce, pool=pool, check=check
+            )
+        for warning in result.warnings:
+            if warning not in announced:
+                _announce(warning)
+        return result
 
     if watch_every_s is not None:
         watch_campaign(path, run_once, every_s=watch_every_s, announce=_announce)

@@ -45,6 +45,11 @@ class Reason(StrEnum):
     Check the a priori attitude, the focal length and the observer; search for stars over the whole sky
     (`lost_in_space`).
     """
+    WRONG_APRIORI = "wrong_apriori"
+    """The stars match with another reading of the a priori attitude: other axes, order or direction, or another roll.
+
+    The detail names it. Correct the a priori attitudes; `lost_in_space` finds the attitude without them.
+    """
     NO_PATTERN_MATCH = "no_pattern_match"
     """No pattern of detections is one of the catalog.
 
@@ -302,6 +307,11 @@ class Quality(enum.Flag):
     """The epoch is years away from those of the other images of the run: the clock of the header is probably wrong.
 
     Give the epoch in the geometry table, or reject the image. Places of bodies, and aberration, are those of that time.
+    """
+    WRONG_APRIORI = enum.auto()
+    """The a priori attitude is wrong by more than `attitude_error_deg`; the stars were found without it.
+
+    Of attitudes from stars, which do not suffer from it. The provenance names the rotation: correct the headers.
     """
     SUSPECT = (
         LOW_SCORE

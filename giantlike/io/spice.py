@@ -257,6 +257,76 @@ def ellipsoid_from_pck(body: str | int, kernels: Sequence[str | Path] = (), base
     return Ellipsoid(radii_km=radii_km, name=str(body))
 
 
+def body_id(name: str) -> int | None:
+    """NAIF code of a body by its name or code; None for a name that the loaded kernels do not define."""
+    import spiceypy
+
+    try:
+        return int(spiceypy.bods2c(name))
+    except spiceypy.NotFoundError:
+        return None
+
+
+def spk_coverage() -> dict[int, tuple[str, tuple[float, float]]]:
+    """Name and first and last epoch (TDB seconds past J2000) of every body of the loaded SPK kernels, by its code."""
+    import spiceypy
+
+    covered: dict[int, tuple[str, tuple[float, float]]] = {}
+    for number in range(spiceypy.ktotal("SPK")):
+        path = spiceypy.kdata(number, "SPK")[0]
+        for code in map(int, spiceypy.spkobj(path)):
+            ends = [*covered[code][1]] if code in covered else []
+            window = spiceypy.spkcov(path, code)
+            for place in range(spiceypy.wncard(window)):
+                ends += spiceypy.wnfetd(window, place)
+            covered[code] = (body_name(code), (min(ends), max(ends)))
+    return covered
+
+
+def spk_center(code: int, et: float) -> int | None:
+    """Body relative to which the loaded kernels have a state; None where they have none."""
+    import spiceypy
+
+    try:
+        _, descriptor, _ = spiceypy.spksfs(code, et, 41)  # SIDLEN, 40 characters and the end
+    except spiceypy.NotFoundError:
+        return None
+    return int(spiceypy.dafus(descriptor, 2, 6)[1][1])
+
+
+def body_name(code: int) -> str:
+    """Name of a body; its code where it has none."""
+    import spiceypy
+
+    try:
+        return str(spiceypy.bodc2n(code))
+    except spiceypy.NotFoundError:
+        return str(code)
+
+
+def frame_names() -> list[str]:
+    """Names of the frames that SPICE and the loaded kernels define."""
+    import spiceypy
+
+    codes = [*spiceypy.bltfrm(-1), *spiceypy.kplfrm(-1)]
+    return sorted({str(spiceypy.frmnam(int(code))) for code in codes})
+
+
+def frame_center(name: str) -> int | None:
+    """Code of the body to which a frame belongs; None for a name that is not the name of a frame."""
+    import spiceypy
+
+    code = spiceypy.namfrm(name)
+    return None if code == 0 else int(spiceypy.frinfo(code)[0])
+
+
+def has_leap_seconds() -> bool:
+    """Return True if a leapseconds kernel is loaded."""
+    import spiceypy
+
+    return bool(spiceypy.expool("DELTET/DELTA_AT"))
+
+
 def _ask(question: Callable[[], Answer], et: float | None, subject: str, advice: str) -> Answer:
     """Answer of SPICE to a question, its errors as a :class:`CoverageError` of one line."""
     import spiceypy

@@ -46,6 +46,8 @@ from giantlike.stars.tetra import tetra_hypotheses
 _OTHER_SCALE = 0.2
 """Relative error of the stated focal length up to which a failure names the correct one: the limit of
 ``scale_error``."""
+_SCALES = (0.5, 0.7, 1.4, 2.0)
+"""Focal lengths tried around each of which others are as far off, relative to the stated one."""
 _SCALE_STEP = 0.015  # relative spacing of the focal lengths tried; only distortion and wide fields depend on it
 _TRIAD_PX, _QUAD = 2.0, 0.006  # tolerance of the distance of two stars: px, and fraction of the image width
 _TRIED, _TRIED_IN_ALL = 6, 30  # hypotheses verified, of each search and of an image: bounds the time of failures
@@ -340,16 +342,35 @@ def _diagnosis(problem: _IdentificationProblem) -> Failure | None:
     return None if problem.options.estimate_scale else _other_camera(problem)
 
 
-def _other_camera(problem: _IdentificationProblem) -> Failure | None:
+def find_other_scale(
+    points_px: Float,
+    covariance_px2: Float,
+    camera: Camera,
+    sky: Sky,
+    camera_from_inertial: Rotation,
+    *,
+    options: StarOptions,
+) -> Failure | None:
+    """Failure that names the focal length, 0.4 to 2.4 times that of the camera, that the stars of an image fit.
+
+    Around the a priori attitude; ``points_px`` (m, 2), detections, brightest first; ``covariance_px2`` (m, 2, 2).
+    """
+    until_s = time.thread_time() + options.time_limit_s
+    problem = _IdentificationProblem(points_px, covariance_px2, camera, sky, options, until_s, camera_from_inertial)
+    return next((found for scale in _SCALES if (found := _other_camera(problem, scale)) is not None), None)
+
+
+def _other_camera(problem: _IdentificationProblem, scale: float = 1.0) -> Failure | None:
     """Failure of an image whose stars fit another focal length or distortion; None if they do not."""
     camera = problem.camera
     free = dataclasses.replace(problem.options, estimate_scale=True, scale_error=_OTHER_SCALE)
-    outcome = dataclasses.replace(problem, options=free).solve(brief=True)
+    other = dataclasses.replace(camera, model=scaled_model(camera.model, scale))
+    outcome = dataclasses.replace(problem, camera=other, options=free).solve(brief=True)
     if isinstance(outcome, Failure):
         return None
     fov = math.degrees(2.0 * math.atan(camera.columns / 2.0 / outcome.solution.model.focal_length_px))
     return Failure(
         Reason.FOV_MISMATCH,
-        f"{len(outcome.matches)} stars fit a field of view of {fov:.5g} degrees, the camera model has "
-        f"{camera.fov_deg:.5g}: correct it, or let focal length and distortion be estimated",
+        f"{len(outcome.matches)} stars fit a field of view of {fov:.5g} degrees, {fov / camera.fov_deg:.3g} of the "
+        f"{camera.fov_deg:.5g} of the camera model: correct it, or let focal length and distortion be estimated",
     )

@@ -6,7 +6,7 @@ import json
 import logging
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -34,9 +34,10 @@ from giantlike.stars.attitude import AttitudeSolution
 from giantlike.stars.consider import attitude_parts, response_to_camera
 from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky, half_diagonal_rad
 from giantlike.stars.interlace import is_interlaced
-from giantlike.stars.lost_in_space import identify_in_cone, identify_lost_in_space
+from giantlike.stars.lost_in_space import find_other_scale, identify_in_cone, identify_lost_in_space
 from giantlike.stars.matching import attitudes_within, predicted_in_frame
 from giantlike.stars.options import StarOptions, bright_enough
+from giantlike.stars.other_readings import find_reading, text_of_error
 from giantlike.stars.refine import RefinedAttitude, depth_for, refine_attitude
 
 _LOG = logging.getLogger("giantlike.stars")
@@ -58,6 +59,12 @@ _CLEAR_SNR = 10.0
 """Minimum signal-to-noise ratio of stars in which odd and even rows are compared: centroids to a tenth of a width."""
 _ROUND = 0.25
 """Growth of the minor axis of stars relative to the major axis, above which a blur is isotropic."""
+_UNMATCHED = (Reason.TOO_FEW_MATCHES, Reason.NO_PATTERN_MATCH, Reason.AMBIGUOUS, Reason.FOV_MISMATCH)
+"""Reasons of stars that match nowhere near the a priori attitude."""
+STAR_NOTES = ("apriori_error", "residuals")
+"""Keys of the provenance of a fix that are sentences about an error of its inputs."""
+_RADIAL_SHARE, _RADIAL_STARS = 0.5, 12
+"""Share of the squares of the residuals that two radial terms explain, of at least so many stars: by chance 2 of 24."""
 _MOST_ALONE = 1 / 3
 """Limit of the fractions of sources and of catalog stars, each of the brighter half, that have no partner."""
 _LARGE_FLOOR_PX = 1.0  # error floor, px, above which they are; real calibrated cameras leave 0.1 to 0.2 px
@@ -157,12 +164,26 @@ class StarNavigation:
         assert isinstance(detections, Detections)
         return detections, self._without_interlace(image, detections, outcome)
 
+    def _explain(self, image: Image, detections: Detections, failure: Failure) -> Failure:
+        """Failure with its cause, where the stars match with another reading of the a priori attitude or camera."""
+        apriori, options = image.camera_from_inertial, self.options
+        if apriori is None or options.lost_in_space or failure.reason not in _UNMATCHED:
+            return failure
+        clean = np.flatnonzero(np.isfinite(detections.covariance_px2).all(axis=(1, 2)) & detections.clean)
+        usable = clean[bright_enough(detections.snr[clean], options.min_snr)]
+        points, covariance = detections.points_px[usable], detections.covariance_px2[usable]
+        sky = sky_of(image, self.catalog, options)
+        found = find_reading(points, self.camera, sky, apriori, options)
+        if found is None:
+            found = find_other_scale(points, covariance, self.camera, sky, apriori, options=options)
+        return failure if found is None else Failure(found.reason, f"{found.detail}: {failure.detail}")
+
     def _without_interlace(
         self, image: Image, detections: Detections, outcome: _SolvedAttitude | Failure
     ) -> AttitudeFix | Failure:
         """Attitude of an outcome, flagged where odd and even rows are shifted against each other."""
         if isinstance(outcome, Failure):
-            return outcome
+            return self._explain(image, detections, outcome)
         fix = outcome.fix
         stars = fix.detection_indices[detections.snr[fix.detection_indices] > _CLEAR_SNR]
         shifted = is_interlaced(
@@ -230,7 +251,7 @@ class StarNavigation:
         AttitudeFix or Failure
         """
         outcome = self._solve(image, detections, time.thread_time() + self.options.time_limit_s)
-        return outcome.fix if isinstance(outcome, _SolvedAttitude) else outcome
+        return self._explain(image, detections, outcome) if isinstance(outcome, Failure) else outcome.fix
 
     def _solve(self, image: Image, detections: Detections, until_s: float) -> _SolvedAttitude | Failure:
         """Attitude from detections, with the solution it was made of; a computation that breaks down is a failure."""
@@ -336,6 +357,8 @@ class StarNavigation:
         parts = attitude_parts(solution, field, by_camera, self.camera, image, self.options)
         indices = usable[outcome.matches.detection_indices[used]]
         focal = solution.model.focal_length_px
+        apriori_error = self._apriori_error(image, solution.camera_from_inertial)
+        radial = _radial_text(solution, detections.points_px[indices])
         return AttitudeFix(
             camera_from_inertial=solution.camera_from_inertial,
             covariance_rad2=sum_parts(parts, tuple(Cause)),
@@ -355,11 +378,22 @@ class StarNavigation:
             camera_name=self.camera.frame_name,
             flags=_flags(image, solution, detections.flags[indices])
             | self._blur(detections, indices)
-            | self._other_sky(detections, usable, outcome),
-            provenance=self._provenance(image, outcome, method),
+            | self._other_sky(detections, usable, outcome)
+            | (Quality.LARGE_RESIDUALS if radial else Quality.NONE)
+            | (Quality.WRONG_APRIORI if apriori_error else Quality.NONE),
+            provenance=self._provenance(image, outcome, method)
+            | apriori_error
+            | ({"residuals": radial} if radial else {}),
             parts=parts,
             by_camera=by_camera,
         )
+
+    def _apriori_error(self, image: Image, solved: Rotation) -> dict[str, str]:
+        """Provenance of an attitude that is farther from the a priori one than the options allow; empty otherwise."""
+        apriori, most = image.camera_from_inertial, math.radians(self.options.attitude_error_deg)
+        if apriori is None or (solved * apriori.inv()).magnitude() <= most:
+            return {}
+        return {"apriori_error": text_of_error(apriori, solved, most)}
 
     def _blur(self, detections: Detections, indices: NDArray[np.intp]) -> Quality:
         """Flag of stars that are wider or narrower than the camera's optics make them."""
@@ -390,7 +424,7 @@ class StarNavigation:
         alone = [1.0 - float(np.isin(*pair).mean()) for pair in ((seen, found), (expected, stars)) if pair[0].size]
         return Quality.AMBIGUOUS if len(alone) == 2 and min(alone) > _MOST_ALONE else Quality.NONE
 
-    def _provenance(self, image: Image, outcome: RefinedAttitude, method: str) -> Mapping[str, str]:
+    def _provenance(self, image: Image, outcome: RefinedAttitude, method: str) -> dict[str, str]:
         solution = outcome.solution
         return {
             "giantlike": VERSION,
@@ -410,6 +444,29 @@ class StarNavigation:
             "unmodeled_errors": "likely" if solution.unmodeled_likely else "not likely",
             "reduced_chi2": f"{solution.reduced_chi2:.4g}",
         }
+
+
+def _radial_text(solution: AttitudeSolution, observed_px: Float) -> str:
+    """Sentence on residuals (n, 2) that point to or from the boresight, as of a wrong distortion; empty for others."""
+    used = solution.used
+    residuals, weights = observed_px - solution.predicted_px[used], 1.0 / solution.sigma_px[used]
+    away = solution.predicted_px[used] - solution.model.project([0.0, 0.0, 1.0])
+    radius = np.linalg.norm(away, axis=1)
+    if len(away) < _RADIAL_STARS or not np.isfinite(radius).all():
+        return ""
+    scaled = (radius / radius.max())[:, None]
+    columns = [(weights[:, None] * away / radius.max() * scaled**power).ravel() for power in (0, 2)]
+    measured = (weights[:, None] * residuals).ravel()
+    values = np.linalg.lstsq(np.stack(columns, axis=1), measured, rcond=None)[0]
+    left = measured - np.stack(columns, axis=1) @ values
+    explained = 1.0 - float(left @ left) / max(float(measured @ measured), np.finfo(float).tiny)
+    largest_px = float(np.max(np.abs(values[0] * scaled + values[1] * scaled**3)))
+    if largest_px < _LARGE_SHARED_PX or explained < _RADIAL_SHARE:
+        return ""
+    return (
+        f"the residuals of the stars are radial, up to {largest_px:.2g} px: the radial distortion or the focal length "
+        "of the camera is wrong (check the sign of k1, or calibrate)"
+    )
 
 
 def _is_final(outcome: _SolvedAttitude | Failure) -> bool:

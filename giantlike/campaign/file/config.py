@@ -6,6 +6,7 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,8 @@ class Campaign:
         Standard deviation of a priori attitudes about each camera axis.
     frames : FrameFiles or None
         Calibration frames that are applied to every image.
+    empty_images : frozenset of str
+        Keys of the images that are expected to hold nothing.
     """
 
     path: Path
@@ -132,6 +135,7 @@ class Campaign:
     warnings: tuple[str, ...] = field(default=())
     apriori_sigma_rad: float | None = None
     frames: FrameFiles | None = None
+    empty_images: frozenset[str] = frozenset()
 
     @classmethod
     def load(cls, path: str | Path) -> Campaign:
@@ -254,7 +258,17 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         warnings=(*guessed, *unmatched, *_oddities(geometry_file, geometry | views, targets, spice)),
         apriori_sigma_rad=None if sigma_deg is None else sigma_deg * RAD_PER_DEG,
         frames=frames_of(path, content.calibration_frames, bottom_up=bottom_up),
+        empty_images=_empty_images(images, content.images.expect),
     )
+
+
+def _empty_images(images: Sequence[ImageEntry], expect: str | Mapping[str, str] | None) -> frozenset[str]:
+    """Keys of the images that are expected to hold nothing."""
+    patterns = () if expect is None else ("*",) if isinstance(expect, str) else tuple(expect)
+    found = {pattern: [image.key for image in images if fnmatch(image.key, pattern)] for pattern in patterns}
+    for pattern, keys in found.items():
+        require(bool(keys), f"images.expect: no image has the name {pattern!r}")
+    return frozenset(key for keys in found.values() for key in keys)
 
 
 def images_of(path: Path, patterns: Sequence[str]) -> tuple[ImageEntry, ...]:

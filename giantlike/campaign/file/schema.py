@@ -132,6 +132,9 @@ class ImagesSection(TomlSection):
     label_geometry: bool = False
     """Take the position, orientation and Sun of the target from labels of Galileo SSI, and attitude, position and Sun
     from labels of NEAR MSI, where the geometry table has no row."""
+    expect: Literal["none"] | dict[str, Literal["none"]] | None = None
+    """`"none"` for images that are expected to hold nothing, or a table of names or patterns of them, such as
+    `{ "dark_*.fits" = "none" }`: a refusal is then a success, and a fix that is `ok` a failure, in the exit code."""
     attitude_sigma_deg: float | None = Field(default=None, gt=0, le=30)
     """One sigma of a priori attitudes about each camera axis, deg, for the covariances of fixes made with them; without
     it they hold no uncertainty of the attitude."""

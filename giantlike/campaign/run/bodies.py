@@ -149,15 +149,15 @@ def _out_of_field(
     sigma_rad = 0.0 if attitude is None else float(np.sqrt(np.max(np.diag(attitude)[:2])))
     sigma_rad += geometry.target.uncertainty.ephemeris_km / geometry.range_km
     search_px = max(_SEARCHES * getattr(estimator.options, "search_px", 0.0), _SURE * sigma_rad / pixel_rad)
-    outside_px = _outside_px(camera, geometry, pixel_rad)
-    if not outside_px > search_px:
+    apart_px = outside_px(camera, geometry, pixel_rad)
+    if not apart_px > search_px:
         return None
-    detail = f"the body is predicted {outside_px:.0f} px outside of the image, beyond the search of {search_px:.0f} px"
+    detail = f"the body is predicted {apart_px:.0f} px outside of the image, beyond the search of {search_px:.0f} px"
     detail = f"{record.file}: {record.target}: {record.estimator}: {detail}"
     return Problem(reason=Reason.OUT_OF_FRAME, detail=detail, kind=Outcome.NOT_IN_FIELD)
 
 
-def _outside_px(camera: Camera, geometry: TargetGeometry, pixel_rad: float) -> float:
+def outside_px(camera: Camera, geometry: TargetGeometry, pixel_rad: float) -> float:
     """Distance of the sphere around a body from the image, px; negative where it reaches into it.
 
     Where the camera model images no center, an angle from the corner of the image that is farthest from its middle.

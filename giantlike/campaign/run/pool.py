@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait as wait_for_end
+from multiprocessing.process import BaseProcess
 from typing import Any, Protocol, Self, TypeVar
 
 import cv2
@@ -78,9 +79,11 @@ class WorkerPool:
         self._bench = bench
         self._workers = workers
         self._executors: dict[int, ProcessPoolExecutor] = {}
+        self._others: set[BaseProcess] = set()
         self._settings = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
+        self._others = set(multiprocessing.active_children())
         if self._workers == 1:
             self._settings.enter_context(one_thread())
             self._settings.callback(cv2.setNumThreads, cv2.getNumThreads())
@@ -89,7 +92,10 @@ class WorkerPool:
             self._settings.enter_context(one_thread_each())
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *raised: object) -> None:
+        if any(isinstance(one, KeyboardInterrupt) for one in raised):
+            for child in set(multiprocessing.active_children()) - self._others:
+                child.terminate()  # what they work on is lost anyway
         for size in list(self._executors):
             self._executors.pop(size).shutdown(wait=True, cancel_futures=True)
         self._settings.close()

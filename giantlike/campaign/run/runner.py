@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeAlias
 
 from giantlike._system.atomic import make_folder
 from giantlike._system.processes import available_cpus, process_count
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.report.run_page import write_report
+from giantlike.campaign.run.common_errors import find_common_errors
 from giantlike.campaign.run.identities import Identities
 from giantlike.campaign.run.making import Announce, Progress, RunExecutor
 from giantlike.campaign.run.pool import Pool, WorkerPool
@@ -35,6 +36,8 @@ from giantlike.core.errors import DataError, InputError
 
 PoolMaker: TypeAlias = Callable[[Workbench, int], Pool]
 """Called with the workbench and the number of images; makes the executor of the work."""
+Check: TypeAlias = Callable[[Workbench], Iterable[str]]
+"""Called with the workbench; returns warnings, or raises for an error that reaches every image."""
 
 
 def run_campaign(
@@ -46,6 +49,7 @@ def run_campaign(
     progress: Progress | None = None,
     announce: Announce | None = None,
     pool: PoolMaker | None = None,
+    check: Check | None = None,
 ) -> RunResult:
     """Run a campaign and write its run folder.
 
@@ -70,6 +74,8 @@ def run_campaign(
         Called with lines on the changes, the pending work and the kept results, before the work starts.
     pool : callable, optional
         Makes the executor of the work, from the workbench and the number of images; default: processes on this machine.
+    check : callable, optional
+        Called with the workbench before the first image; returns warnings for the report, or raises.
 
     Returns
     -------
@@ -90,6 +96,11 @@ def run_campaign(
         return WorkerPool(bench, process_count(workers, jobs), cores=workers or available_cpus())
 
     try:
+        known = set(campaign.warnings)
+        for warning in check(bench) if check else ():
+            if warning not in known:
+                bench = bench.with_warning(warning)
+        campaign = bench.campaign
         make_folder(campaign.output)
         with hold_lock(campaign.output) as dead, RunLogHandler(campaign.output):
             folder = RunFolder(campaign.output)
@@ -119,17 +130,22 @@ def run_campaign(
                 with (pool or processes)(bench, len(campaign.images)) as workforce:
                     run, calibration = run.calibrate(workforce)
                     run.make_all(workforce, bodies=bodies)
+                    attitudes = tuple(run.edits.attitudes(folder.attitudes()))
+                    found = tuple(run.edits.bodies(folder.bodies()))
+                    observations = [record for image in found for record in image.observations]
+                    common = find_common_errors(run.bench.campaign, attitudes, observations)
                     result = RunResult(
                         folder=folder.path,
                         name=campaign.name,
-                        attitudes=tuple(run.edits.attitudes(folder.attitudes())),
-                        bodies=tuple(run.edits.bodies(folder.bodies())),
+                        attitudes=attitudes,
+                        bodies=found,
                         hdu=campaign.hdu,
                         bottom_up=campaign.bottom_up,
                         max_overlays=campaign.max_overlays,
-                        warnings=run.bench.campaign.warnings,
+                        warnings=(*run.bench.campaign.warnings, *common),
                         time_s=time.perf_counter() - start,
                         calibration=calibration,
+                        empty_images=campaign.empty_images,
                         steps=run.counts,
                     )
                     if not _as_before(before, inputs, folder, run):
@@ -211,6 +227,7 @@ def _finish(folder: RunFolder, result: RunResult) -> None:
         max_overlays=result.max_overlays,
         warnings=list(result.warnings),
         time_s=round(result.time_s, 3),
+        empty_images=sorted(result.empty_images),
     )
     images = {record.file: record.sha256 for record in result.attitudes}
     more = {"images_sha256": images, "run": run.model_dump(), "edits": _edits_digest(folder)}

@@ -68,6 +68,11 @@ def holder_of(folder: Path) -> str | None:
         return None
 
 
+def at_work_text(folder: Path) -> str:
+    """Sentence on a run that holds the lock of a folder."""
+    return f"{folder}: a run is at work here ({holder_of(folder) or 'another process'}): wait for it or stop it"
+
+
 def _taken(folder: Path) -> sqlite3.Connection:
     connection = None
     try:
@@ -77,10 +82,7 @@ def _taken(folder: Path) -> sqlite3.Connection:
         if connection is not None:
             connection.close()
         if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_BUSY:
-            who = holder_of(folder) or "another process"
-            raise InputError(
-                f"{folder}: a run is at work here ({who}): wait for it or stop it, or choose another output"
-            ) from error
+            raise InputError(f"{at_work_text(folder)}, or choose another output") from error
         raise DataError(folder / _LOCK, f"cannot be written: {error}") from error
     return connection
 

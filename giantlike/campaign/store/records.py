@@ -81,6 +81,7 @@ class RunSummary(PlainRecord):
     bottom_up: True if the rows were reversed on reading.
     max_overlays: number of images shown in the report.
     time_s: of the last part of the run.
+    empty_images: images that are expected to hold nothing.
     """
 
     name: str
@@ -89,6 +90,7 @@ class RunSummary(PlainRecord):
     max_overlays: int
     warnings: list[str]
     time_s: float
+    empty_images: list[str] = Field(default_factory=list)
 
 
 class Attitude(PlainRecord):

@@ -15,8 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.campaign.store.edits import read_edits
+from giantlike.campaign.store.lock import at_work_text, is_locked
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, RunSummary
 from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CAMERA_FILE, RunFolder
+from giantlike.core.arrays import require
 from giantlike.core.display import Pictured
 from giantlike.core.errors import DataError
 from giantlike.core.outcomes import Reason
@@ -94,6 +96,8 @@ class RunResult(Pictured, Value):
         Duration of the last part of the run.
     calibration : dict, optional
         Content of ``calibration.json``, if the campaign calibrates.
+    empty_images : frozenset of str
+        Images that are expected to hold nothing.
     steps : mapping of str to StepCount
         Results computed and kept by this run, by step; empty for a run that was read back.
     """
@@ -108,6 +112,7 @@ class RunResult(Pictured, Value):
     warnings: tuple[str, ...]
     time_s: float
     calibration: dict[str, Any] | None = None
+    empty_images: frozenset[str] = frozenset()
     steps: Mapping[str, StepCount] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -155,18 +160,17 @@ class RunResult(Pictured, Value):
         """Images without an attitude, with a body for which no estimator made a fix, or with an internal error.
 
         Results rejected by a user, estimators that do not suit a body, and targets that are not in the field are no
-        failures.
+        failures. Of images that are expected to hold nothing, those with a fix that is not suspect are failures, and
+        those without are none.
         """
         failed = {record.file for record in self.observations if record.outcome is Outcome.FAILED}
         fixed = {record.file for record in self.observations if record.status != "failed"}
         broken = {record.file for record in self.observations if _has_internal_error(record)}
-        return tuple(
-            record.file
-            for record in self.attitudes
-            if record.outcome is Outcome.FAILED
-            or (record.file in failed and record.file not in fixed)
-            or record.file in broken
-        )
+        found = {record.file for record in self.observations if record.outcome is Outcome.OK}
+        unreadable = {record.file for record in self.attitudes if not record.readable}
+        missed = {record.file for record in self.attitudes if record.outcome is Outcome.FAILED} | (failed - fixed)
+        wrong = (missed - self.empty_images) | (found & self.empty_images) | broken | unreadable
+        return tuple(record.file for record in self.attitudes if record.file in wrong)
 
     def summary(self) -> dict[str, Any]:
         """Counts of the run, as JSON has them.
@@ -216,10 +220,13 @@ def load_result(path: Path) -> RunResult:
     ------
     DataError
         It is not a run folder, or the run in it is not finished.
+    InputError
+        A run is at work in it.
     """
     folder = RunFolder.open(path)
     run = folder.provenance().get("run")
     if not isinstance(run, dict):
+        require(not is_locked(path), at_work_text(path))
         raise DataError(path, "the run in this folder is not finished: go on with giantlike run")
     try:
         summary = RunSummary.model_validate(run)
@@ -236,6 +243,7 @@ def load_result(path: Path) -> RunResult:
         max_overlays=summary.max_overlays,
         warnings=tuple(summary.warnings),
         time_s=summary.time_s,
+        empty_images=frozenset(summary.empty_images),
         calibration=_calibration(path / CALIBRATION_FILE),
     )
 

@@ -1,0 +1,50 @@
+"""Runs that end by a signal, and other commands on a run at work: one line each."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.run.runner import run_campaign
+from giantlike.campaign.store.lock import hold_lock
+from giantlike.campaign.store.run_folder import RunFolder
+from giantlike.cli.app import app
+from giantlike.cli.outcome import ExitCode
+from tests.campaign_files import write_campaign
+
+START_S = 60.0
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, ExitCode.TERMINATED), (signal.SIGHUP, ExitCode.HUNG_UP)])
+def test_a_signal_ends_a_command_with_one_line(number: signal.Signals, code: ExitCode, tmp_path: Path) -> None:
+    write_campaign(tmp_path, visits=1)
+    command = [sys.executable, "-m", "giantlike", "run", str(tmp_path / "campaign.toml"), "--workers", "2", "--watch"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    until = time.monotonic() + START_S
+    while not (tmp_path / "run" / ".lock.json").exists() and time.monotonic() < until:
+        time.sleep(0.05)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=START_S)
+    assert process.returncode == code
+    assert errors.splitlines()[-1] == f"giantlike: ended by the signal {number.name}; what is finished is kept"
+    assert "Traceback" not in errors
+
+
+def test_other_commands_say_that_a_run_is_at_work(tmp_path: Path) -> None:
+    path, _ = write_campaign(tmp_path, visits=1)
+    campaign = Campaign.load(path)
+    folder = run_campaign(campaign, workers=1).folder
+    run = RunFolder.open(folder)
+    run.write_provenance({name: value for name, value in run.provenance().items() if name != "run"})
+    with hold_lock(folder):
+        for command in (("run", path), ("report", folder), ("explain", folder), ("compare", folder, folder)):
+            result = CliRunner().invoke(app, [*map(str, command)])
+            assert result.exit_code == ExitCode.BAD_INPUT, command
+            assert "a run is at work here (process" in result.stderr, (command, result.stderr)
