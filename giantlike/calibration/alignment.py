@@ -26,26 +26,15 @@ _MEDIAN_CHI2 = 2.365973884375338  # of chi-square with three degrees of freedom
 class AlignmentResult(Value):
     """A rotation between two sensors: ``rotation_at(t) = from_rotvec(rate * (t - reference)) * rotation``.
 
-    Parameters
-    ----------
-    rotation : Rotation
-        ``second_from_first`` at the reference temperature.
-    rate_rad_per_c : (3,) float64, rad/Celsius
-        About the axes of the second sensor; zero for a static alignment.
-    reference_c : float, Celsius
-        Mean temperature of the observations.
-    covariance_rad2 : (3, 3) float64, rad^2
-        Of the small rotation, axes of the second sensor, at the reference temperature.
-    rate_covariance : (3, 3) float64, (rad/Celsius)^2
-        Zero for a static alignment.
-    residuals_rad : (n, 3) float64, rad
-        Observed minus fitted, axes of the second sensor.
-    used : (n,) bool
-        False for outliers.
-    reduced_chi2 : float
-        Of the measurements used. If it is more than noise explains, the covariances are scaled with it.
-    first, second : str
-        Names of the two frames; empty when unknown.
+    rotation: ``second_from_first`` at the reference temperature.
+    rate_rad_per_c: (3,), rad/Celsius; about the axes of the second sensor; zero for a static alignment.
+    reference_c: Celsius; mean temperature of the observations.
+    covariance_rad2: (3, 3), rad^2; of the small rotation, axes of the second sensor, at the reference temperature.
+    rate_covariance: (3, 3), (rad/Celsius)^2; zero for a static alignment.
+    residuals_rad: (n, 3), rad; observed minus fitted, axes of the second sensor.
+    used: (n,); False for outliers.
+    reduced_chi2: of the measurements used. If it is more than noise explains, the covariances are scaled with it.
+    first, second: names of the two frames; empty when unknown.
     """
 
     rotation: Rotation

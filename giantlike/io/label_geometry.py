@@ -46,22 +46,9 @@ class LabelGeometry(Value):
 def geometry_of_label(header: Mapping[str, HeaderValue], model: CameraModel) -> LabelGeometry | None:
     """Read the geometry that a label states.
 
-    Parameters
-    ----------
-    header : mapping of str to header value
-        ``metadata`` of an image.
-    model : CameraModel
-        Of the camera, for the rotation that shows the target at the pixel that the label states.
-
-    Returns
-    -------
-    LabelGeometry or None
-        None where the label is of another mission or holds no geometry.
-
-    Raises
-    ------
-    InputError
-        An item of the label is not a number.
+    ``header``: ``metadata`` of an image; ``model``: of the camera, for the rotation that shows the target at the pixel
+    that the label states; returns None where the label is of another mission or holds no geometry. Raises InputError:
+    an item of the label is not a number.
 
     Notes
     -----

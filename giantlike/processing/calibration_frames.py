@@ -192,8 +192,6 @@ class CalibrationFrames(Value):
     ) -> CalibratedPixels:
         """Correct the pixels of an image.
 
-        Notes
-        -----
         The detector gets one number for the noise of bias and dark, uniform over the frame, and one relative to the
         signal for the noise of the flat. The shot noise of the dark current is that of its median; pixels far above it
         are hot and bad. Where a detector's noise is estimated from images, the corrected ones are used, which include

@@ -26,16 +26,10 @@ _CONE_MARGIN_RAD = 1e-3  # rad, added to the cone of stars: aberration (v/c, 1e-
 class DetectorStars(Value):
     """Stars on a detector, in the order of the catalog: brightest first.
 
-    Parameters
-    ----------
-    ids : (n,) int64
-        Catalog identifiers.
-    points_px : (n, 2) float64, px
-        True positions in the distorted image.
-    magnitudes : (n,) float64
-        Catalog magnitudes.
-    directions_inertial : (n, 3) float64, unitless, inertial
-        Apparent unit vectors to them.
+    ids: (n,) int64; catalog identifiers.
+    points_px: (n, 2), px; true positions in the distorted image.
+    magnitudes: (n,); catalog magnitudes.
+    directions_inertial: (n, 3), unitless, inertial; apparent unit vectors to them.
     """
 
     ids: NDArray[np.int64]

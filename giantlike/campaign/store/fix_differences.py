@@ -61,8 +61,6 @@ def difference_of(one: ObservationRecord, other: ObservationRecord) -> FixDiffer
 
     Returns None if one of the two has no fix.
 
-    Notes
-    -----
     Camera and attitude do not change a position in the image, and are left out; the camera's part of a range is
     included. Errors of the scale, the pole and the spin of a body have one value for both fixes: they change the
     difference by the difference of their partials, ``(P1 - P2) S (P1 - P2)^T``, where the records hold partials, else

@@ -92,8 +92,6 @@ def shell_refraction() -> tuple[Float, Float]:
 
     Returns ``zenith_rad``, ``refraction_rad`` (n,).
 
-    Notes
-    -----
     Bending along a path with ``n r sin(angle)`` constant, integrated over height in an exponential atmosphere; it has
     no formula in common with ERFA's constants, by which the estimators correct.
     """

@@ -102,8 +102,6 @@ def calibrate_camera(
 ) -> CameraCalibration | Failure:
     """Take star images with a camera of Table 1 and calibrate it from them.
 
-    Notes
-    -----
     It starts from a nominal focal length, no distortion and the middle of the frame, as the paper does.
     """
     setup, declared = mission.cameras[key], mission.declared_camera(key)

@@ -314,8 +314,6 @@ def limb_design(normals_px: Float, projection_jacobian: Float) -> Float:
 
     ``normals_px`` (n, 2), outward normals of the limb; ``projection_jacobian`` (n, 2, 3) px/km; returns (n, 3) px/km.
 
-    Notes
-    -----
     A limb point that slides along the surface as the view changes slides along the limb too, so to first order only
     its own motion counts across the limb.
     """

@@ -26,8 +26,6 @@ def partial_area_edges(
 
     ``pixels_dn`` (rows, columns); ``seeds_px`` (n, 2), pixels (x, y) near the edge, as of ``scan_edges``.
 
-    Notes
-    -----
     The method of Trujillo-Pino, rederived with blur. The window is rotated so that the edge runs closer to its rows,
     light below: ``v = a + b u + c u^2``. Each column is so high that its ends see light and dark alone, even through
     the point spread function. Its sum, minus dark and divided by the contrast, is then the height of light in it. Blur

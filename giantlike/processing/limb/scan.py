@@ -137,8 +137,6 @@ def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Flo
     ``pixels_dn`` (rows, columns); ``points_px``, ``normals_px`` (n, 2); ``offsets_px`` (m,), as of
     :func:`line_offsets`.
 
-    Notes
-    -----
     Values are weighted means of 4 x 4 pixels with cubic B-spline weights: smooth in position, never beyond the pixels'
     range, and the same for an image and a template, so that the added blur cancels.
     """
@@ -189,8 +187,6 @@ def match_profiles(
     ``scans``: must reach the sum of both to both sides; ``expected`` (n, m); ``shared`` (n, m, c);
     ``about_px`` (n,), NaN, and the default, is the best shift of the line.
 
-    Notes
-    -----
     The best multiple of the step has the highest normalized correlation; a least-squares fit of ``gain (1 + slope u)
     expected(u - shift) + offset`` then gives the rest, in three linear steps. The scatter of slopes about zero is
     estimated from all lines together. Shift and noise are from the weighted fit; the noise includes the correlation
