@@ -45,13 +45,11 @@ _CENTERS = ("unresolved", "cross_correlation")
 def range_error_section(study: RangeErrorStudy) -> Section:
     """The study of wrong ranges."""
     figure = ReplayFigure(
-        reference="ref. 22",
-        title="Template matching at a wrong range",
-        caption=(
-            "A body of 200 px from the independent renderer, with relief of 1 % and a law of reflection that the "
-            "template does not have, looked for with the predicted range in error."
-        ),
-        figure=figures.range_error_figure(study),
+        "ref. 22",
+        "Template matching at a wrong range",
+        "A body of 200 px from the independent renderer, with relief of 1 % and a law of reflection that the "
+        "template does not have, looked for with the predicted range in error.",
+        figures.range_error_figure(study),
     )
     return Section(
         title="Template matching",
@@ -73,13 +71,11 @@ def calibration_section(mission: MissionSetup, calibrations: Sequence[CameraCali
         reference = f"Fig. {CALIBRATION_FIGURES[each.key]}"
         made.append(
             ReplayFigure(
-                reference=reference,
-                title=f"Calibration residuals of {each.label}",
-                caption=(
-                    f"{each.result.n_used} stars of {len(each.result.images)} simulated images, "
-                    f"{each.result.n_rejected} rejected. The paper: near 0.1 px, largely random."
-                ),
-                figure=figures.calibration_figure(each),
+                reference,
+                f"Calibration residuals of {each.label}",
+                f"{each.result.n_used} stars of {len(each.result.images)} simulated images, "
+                f"{each.result.n_rejected} rejected. The paper: near 0.1 px, largely random.",
+                figures.calibration_figure(each),
             )
         )
         compared.append(comparisons.calibration_comparison(each, reference))
@@ -112,7 +108,7 @@ def phase_section(mission: MissionSetup, phase: PhaseSetup, results: Sequence[Ca
     panels = [panel for result in results for panel in _panels(phase, result)]
     panels.sort(key=lambda panel: panel.number)
     made = tuple(
-        ReplayFigure(reference=f"Fig. {panel.number}", title=panel.title, caption=panel.caption, figure=panel.figure)
+        ReplayFigure(f"Fig. {panel.number}", panel.title, panel.caption, panel.figure)
         for panel in panels
         if panel.figure is not None
     )
