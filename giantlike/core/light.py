@@ -64,8 +64,7 @@ def boost_jacobian(position_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
     position = as_finite(position_km, (3,), "position_km")
     beta, gamma = _beta_gamma(velocity_km_s)
     along = position / np.linalg.norm(position) + beta * gamma / (1.0 + gamma)
-    result: Float = np.eye(3) + gamma * np.outer(beta, along)
-    return result
+    return np.eye(3) + gamma * np.outer(beta, along)
 
 
 def _beta_gamma(velocity_km_s: ArrayLike) -> tuple[Float, float]:

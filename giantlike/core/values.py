@@ -164,8 +164,7 @@ def _least_eigenvalues(matrices: Float) -> Float:
     if matrices.shape[-1] != 2:
         return np.asarray(np.linalg.eigvalsh(matrices)[..., :1])
     a, b, d = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 1]
-    least: Float = (a + d) / 2.0 - np.hypot((a - d) / 2.0, b)
-    return least
+    return (a + d) / 2.0 - np.hypot((a - d) / 2.0, b)
 
 
 def check_directions(directions: Float, name: str) -> None:

@@ -242,8 +242,7 @@ def sun_at(rng: np.random.Generator, sight: Float, phase_rad: float) -> Float:
     ``sight`` in camera axes, unit vector to the body; returns (3,).
     """
     side = np.cross(sight, [*rng.normal(size=2), 0.0])
-    result: Float = -math.cos(phase_rad) * sight + math.sin(phase_rad) * side / np.linalg.norm(side)
-    return result
+    return -math.cos(phase_rad) * sight + math.sin(phase_rad) * side / np.linalg.norm(side)
 
 
 def _level(level_dn: float) -> Light:

@@ -120,8 +120,7 @@ def _is_near_median(block: Float, sigma: float) -> Mask:
     median = np.take_along_axis(np.sort(block, axis=0), middle, axis=0)  # NaN comes last
     away = np.abs(block - median)
     spread = 1.4826 * np.take_along_axis(np.sort(away, axis=0), middle, axis=0)
-    kept: Mask = finite & (away <= _CLIP_SIGMA * np.fmax(sigma, spread))
-    return kept
+    return finite & (away <= _CLIP_SIGMA * np.fmax(sigma, spread))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

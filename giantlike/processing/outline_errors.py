@@ -104,8 +104,7 @@ class OutlineErrors(Value):
     @property
     def _relief_table(self) -> Float:
         """Covariance by relief, by the angle."""
-        result: Float = self._shared_variances[self.lengths.size :] @ _relief_tables()
-        return result
+        return self._shared_variances[self.lengths.size :] @ _relief_tables()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -232,5 +231,4 @@ def _looked_up(tables: Float, chords: Float) -> Float:
     place = np.arcsin(np.minimum(0.5 * chords, 1.0)) * (2.0 / np.pi * (_ANGLES - 1))
     index = np.minimum(place.astype(np.int64), _ANGLES - 2)
     share = place - index
-    result: Float = (1.0 - share) * tables[:, index] + share * tables[:, index + 1]
-    return result
+    return (1.0 - share) * tables[:, index] + share * tables[:, index + 1]

@@ -407,8 +407,7 @@ class _Planner(Value):
         across_rad = self.options.position_error_px / self.camera.model.focal_length_px
         range_km = float(np.linalg.norm(apparent_km))
         along = self.rng.uniform(-self.options.range_error, self.options.range_error)
-        error: Float = range_km * across_rad * across + along * apparent_km
-        return error
+        return range_km * across_rad * across + along * apparent_km
 
     def _short_exposure_s(self, shot: Shot, encounter: _Encounter) -> float:
         """Exposure time that brings the brightest pixel of the body to the wanted fraction of full scale, s."""

@@ -57,8 +57,7 @@ class Photometry:
 
         ``magnitudes`` (n,); returns (n,) electron/s.
         """
-        rate: Float = self.zero_point_e_s * 10.0 ** (-0.4 * magnitudes)
-        return rate
+        return self.zero_point_e_s * 10.0 ** (-0.4 * magnitudes)
 
     def surface_rate_e_s(self, camera: Camera, target: str | None = None) -> float:
         """Signal of a pixel that sees a surface lit and seen along its normal.

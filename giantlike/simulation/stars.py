@@ -105,5 +105,4 @@ def point_sources(points_px: ArrayLike, flux: ArrayLike, *, sigma_px: float, col
 def _pixel_shares(offset_px: Float, sigma_px: float) -> Float:
     """Fraction of a unit Gaussian at 0 between ``offset - 1/2`` and ``offset + 1/2``."""
     width = max(sigma_px, _SHARPEST_PX)
-    share: Float = ndtr((offset_px + 0.5) / width) - ndtr((offset_px - 0.5) / width)
-    return share
+    return ndtr((offset_px + 0.5) / width) - ndtr((offset_px - 0.5) / width)

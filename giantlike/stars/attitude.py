@@ -356,5 +356,4 @@ def _by_pixels(state: _AttitudeState, stars: _Stars, scale: Scale) -> Float:
     normal = np.sum(weighted @ jacobian, axis=0)
     units = 1.0 / np.sqrt(np.diag(normal))
     covariance = np.linalg.inv(normal * np.outer(units, units)) * np.outer(units, units)
-    by_pixels: Float = np.moveaxis(covariance[:3] @ weighted, 0, 1)
-    return by_pixels
+    return np.moveaxis(covariance[:3] @ weighted, 0, 1)

@@ -33,8 +33,7 @@ class FixDifference(Value):
     @property
     def sigma(self) -> Float:
         """Standard deviations (k,) of the offset, each coordinate by itself."""
-        result: Float = np.sqrt(np.diag(self.covariance))
-        return result
+        return np.sqrt(np.diag(self.covariance))
 
     @property
     def squared_distance(self) -> float:

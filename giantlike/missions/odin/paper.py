@@ -22,8 +22,7 @@ NARROW_BITS, WIDE_BITS = 16, 12
 @cache
 def paper() -> dict[str, Any]:
     """Numbers of the paper by section."""
-    table: dict[str, Any] = tomllib.loads(files(__package__).joinpath("odin.toml").read_text(encoding="utf-8"))
-    return table
+    return tomllib.loads(files(__package__).joinpath("odin.toml").read_text(encoding="utf-8"))
 
 
 def narrow_focal_px() -> float:

@@ -170,8 +170,7 @@ class Planner(Value):
         range_km, away = float(np.linalg.norm(vector_km)), unit(vector_km)
         across = rng.normal(size=3) * self.phase.position_error_px / self.camera.model.focal_length_px
         across -= away * float(across @ away)
-        error: Float = range_km * (across + self.phase.range_error * rng.normal() * away)
-        return error
+        return range_km * (across + self.phase.range_error * rng.normal() * away)
 
 
 def detector_model(mission: MissionSetup, setup: CameraSetup, *, seed: int) -> DetectorModel:

@@ -64,8 +64,7 @@ def _find_edges(windows: Float, half: int, spread_px2: float, variance_dn2: Call
 
     def back(vectors: Float) -> Float:
         vectors = vectors * np.stack([flip_u, flip_v], axis=-1)
-        result: Float = np.where(sideways[:, None], vectors[:, ::-1], vectors)
-        return result
+        return np.where(sideways[:, None], vectors[:, ::-1], vectors)
 
     # the point moves with a, and with b where it is not at u = 0
     gain = gain_a + offset[:, 0, None, None] * gain_b

@@ -161,14 +161,12 @@ def values_on_lines(images: Float, points_px: Float, normals_px: Float, offsets_
 
 def _places(points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
     """Places (n, m, 2) on lines."""
-    places: Float = points_px[:, None, :] + offsets_px[None, :, None] * normals_px[:, None, :]
-    return places
+    return points_px[:, None, :] + offsets_px[None, :, None] * normals_px[:, None, :]
 
 
 def step_profile(offsets_px: Float, width_px: float) -> Float:
     """Profile of a bright half-line up to zero, blurred by a Gaussian. ``offsets_px`` (m,); returns (m,)."""
-    result: Float = ndtr(-offsets_px / width_px)
-    return result
+    return ndtr(-offsets_px / width_px)
 
 
 def match_profiles(
@@ -279,8 +277,7 @@ def _at(mask: Mask, places_px: Float) -> Mask:
 def _noise_correlation(offsets_px: Float) -> Float:
     """Covariance (w, w) of values at positions along a line, divided by the noise variance of a pixel."""
     apart = offsets_px[:, None] - offsets_px
-    result: Float = _SPLINE_NOISE**2 * np.exp(-0.5 * apart**2 / _SPLINE_NOISE_VARIANCE_PX2)
-    return result
+    return _SPLINE_NOISE**2 * np.exp(-0.5 * apart**2 / _SPLINE_NOISE_VARIANCE_PX2)
 
 
 def _stiffness(free: Float, slope_variance: Float) -> Float:
@@ -296,8 +293,7 @@ def _stiffness(free: Float, slope_variance: Float) -> Float:
     noise = np.median(slope_variance[determined] / free[determined, 0] ** 2)
     excess = (MAD_TO_SIGMA * float(np.median(slope))) ** 2 - float(noise)
     spread = max(_SLOPE_ROOM**2 * excess, _LEAST_SLOPE**2)
-    result: Float = 1.0 / (spread * np.maximum(free[:, 0] ** 2, 1e-300))
-    return result
+    return 1.0 / (spread * np.maximum(free[:, 0] ** 2, 1e-300))
 
 
 def _quotient(shifted: Float, gain: Float) -> Float:
