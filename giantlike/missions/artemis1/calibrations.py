@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from giantlike.calibration import CalibrationResult, ImageObservations, calibrat
 from giantlike.calibration.alignment import align
 from giantlike.camera_models import BrownModel
 from giantlike.core.arrays import Float, unit
-from giantlike.core.outcomes import Failure
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
 from giantlike.missions.artemis1.passes import Setting
@@ -66,11 +65,6 @@ class _Field(Value):
     attitudes: Rotation
 
 
-def _ground_model(setting: Setting, rules: Mapping[str, Any]) -> BrownModel:
-    model = setting.model
-    return BrownModel(fx_px=model.fx_px, fy_px=model.fy_px, cx_px=model.cx_px, cy_px=model.cy_px, **rules["ground"])
-
-
 def _shift_model(model: BrownModel, by: Mapping[str, float], factor: Mapping[str, float] | None = None) -> BrownModel:
     changes = {name: getattr(model, name) + by[name] * (1.0 if factor is None else factor[name]) for name in by}
     return replace(model, **changes)
@@ -104,8 +98,7 @@ def _fit(
     setting: Setting, field: tuple[ImageObservations, ...], model: BrownModel, rules: Mapping[str, Any]
 ) -> CalibrationResult:
     camera = setting.data["camera"]
-    result = calibrate(field, model, estimate=rules["estimate"], columns=camera["columns"], rows=camera["rows"])
-    return result.unwrap() if isinstance(result, Failure) else result
+    return calibrate(field, model, estimate=rules["estimate"], columns=camera["columns"], rows=camera["rows"]).unwrap()
 
 
 def _interlock_arcsec(
@@ -116,11 +109,10 @@ def _interlock_arcsec(
     noise = Rotation.from_rotvec(sigma * rng.normal(size=(len(field.observations), 3)))
     tracker_from_inertial = noise * turn * field.attitudes  # on the ground both have the same axes
     camera_from_inertial = Rotation.concatenate([image.camera_from_reference for image in result.images])
-    found = align(
+    aligned = align(
         tracker_from_inertial * camera_from_inertial.inv(),
         np.array([np.diag(sigma**2) + image.covariance_rad2 for image in result.images]),
-    )
-    aligned = found.unwrap() if isinstance(found, Failure) else found
+    ).unwrap()
     return float(aligned.rotation.magnitude()) * ARCSEC_PER_RAD
 
 
@@ -142,7 +134,7 @@ def run_calibrations(setting: Setting, settings: ReplaySettings) -> Calibrations
     """Simulate and fit all calibrations."""
     rules = setting.data["calibration"]
     rng = np.random.default_rng([settings.seed, 4])
-    ground = _ground_model(setting, rules)
+    ground = BrownModel(**asdict(setting.model), **rules["ground"])
     flight = _shift_model(ground, rules["shift"])
     axes = unit(rng.normal(size=(3, 3)))
     values, sigmas, maps, interlocks, indices = [], [], [], [], []

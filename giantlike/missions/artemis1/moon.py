@@ -153,7 +153,7 @@ def _all_passes(setting: Setting, flown: dict[int, FlownPass]) -> list[Compariso
 def _predict_biases(setting: Setting, flown: dict[int, FlownPass], ground: Ground) -> Comparison:
     """Biases of the radius by the limbs of passes, and the rest with a height map."""
     rng = np.random.default_rng(0)
-    exact = EdgeErrors(toward_sun_px=0.0, across_px=0.0, outward_px=0.0, scatter_px=0.0)
+    exact = EdgeErrors(toward_sun_px=0.0, outward_px=0.0, scatter_px=0.0)
     biases, left = [], []
     for each in flown.values():
         mapped = replace(each.track, heights_km=mapped_limb_km(ground, each.one))

@@ -12,13 +12,13 @@ from giantlike.missions.odin.compared_cameras import of_optics
 from giantlike.missions.odin.ground import sky_at
 from giantlike.missions.odin.modes import fly
 from giantlike.missions.odin.narrow import (
+    NIGHT_ET,
     InterlockStudy,
     LensStudy,
     MoonPair,
     calibrate_lens,
     interlock_study,
     lines_of,
-    moon_epochs,
     moon_pair,
     scatter_by_air,
 )
@@ -118,10 +118,12 @@ def _interlock(study: InterlockStudy, by_air: Float) -> Section:
 
 def _positions(pairs: tuple[MoonPair, ...], failed: int) -> Section:
     along = "Z along the line of sight; gray: three sigmas of the covariance. Refraction taken out."
+    errors, sigmas = figures.camera_residuals_km(pairs)
+    within = 100.0 * float(np.mean(np.abs(errors) < 3.0 * sigmas))
     return Section(
         title="Attitude and position from a pair",
         text="Stars in one camera, the Moon in the other; the interlock is the one calibrated above. With refraction "
-        f"taken out, {100 * share_within(pairs):.0f} % of the residuals lie within three sigmas of the covariance.",
+        f"taken out, {within:.0f} % of the residuals lie within three sigmas of the covariance.",
         figures=(
             ReplayFigure(
                 "Fig. 17", "The Moon, expected and measured", "Circles: outlines.", figures.moon_figure(pairs)
@@ -136,12 +138,6 @@ def _positions(pairs: tuple[MoonPair, ...], failed: int) -> Section:
     )
 
 
-def share_within(pairs: tuple[MoonPair, ...]) -> float:
-    """Fraction of the residuals of the position within three sigmas."""
-    errors, sigmas = figures.camera_residuals_km(pairs)
-    return float(np.mean(np.abs(errors) < 3.0 * sigmas))
-
-
 def moon_study(
     locked: InterlockStudy, settings: ReplaySettings, rng: np.random.Generator
 ) -> tuple[tuple[MoonPair, ...], int]:
@@ -149,8 +145,8 @@ def moon_study(
     count = 2 if settings.small else int(paper()["moon"]["pairs"])
     interlocks = (lines_of(locked, corrected=False), lines_of(locked, corrected=True))
     pairs, failed = [], 0
-    for k, et in enumerate(moon_epochs(count)):
-        pair = moon_pair(sky_at(float(et)), interlocks, rng)
+    for k, seconds in enumerate(np.linspace(0.0, 2.6 * 3600.0, count)):  # the Moon rises from 13 to 38 degrees
+        pair = moon_pair(sky_at(float(NIGHT_ET + seconds)), interlocks, rng)
         if isinstance(pair, Failure):
             failed += 1
         else:

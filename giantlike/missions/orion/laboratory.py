@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from giantlike.core.outcomes import Failure
 from giantlike.missions.orion.constants import focal_px, table
 from giantlike.missions.orion.gimbal import (
     FOCUSED_PX,
@@ -14,7 +13,6 @@ from giantlike.missions.orion.gimbal import (
     Grid,
     centroid_errors_px,
     gimbal_angles,
-    measure_grid,
     pinhole_error_px,
 )
 from giantlike.missions.orion.judging import ROUNDING
@@ -24,12 +22,6 @@ FIT_PX = 0.1
 """Best accuracy of real-time centroids of bodies: a lens calibrated better than this adds nothing."""
 POINTS = {False: 20, True: 8}
 """Points along a side, for the focus; fewer in a small run."""
-
-
-def measured_grid(settings: ReplaySettings) -> Grid:
-    """The grid of the paper; a failure of the detection or the fit would be a defect."""
-    grid = measure_grid(settings.seed)
-    return grid.unwrap() if isinstance(grid, Failure) else grid
 
 
 def grid_comparisons(grid: Grid) -> list[Comparison]:
