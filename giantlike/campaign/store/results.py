@@ -230,12 +230,7 @@ def load_result(path: Path) -> RunResult:
         folder=path,
         attitudes=tuple(edits.attitudes(folder.attitudes())),
         bodies=tuple(edits.bodies(folder.bodies())),
-        name=summary.name,
-        hdu=summary.hdu,
-        bottom_up=summary.bottom_up,
-        max_overlays=summary.max_overlays,
-        warnings=tuple(summary.warnings),
-        time_s=summary.time_s,
+        **dict(summary) | {"warnings": tuple(summary.warnings)},
         calibration=_calibration(path / CALIBRATION_FILE),
     )
 
