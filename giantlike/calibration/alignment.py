@@ -14,7 +14,7 @@ from giantlike.core.arrays import Float, Mask, as_finite, require
 from giantlike.core.frames import FrameRotation
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.statistics import squared_residuals
-from giantlike.core.values import Value
+from giantlike.core.values import Estimate
 
 _STEPS = 20  # of Gauss-Newton and rejection
 _SMALL_RAD = 1e-14  # last step, rad (or rad/Celsius): the rounding of float64
@@ -23,7 +23,7 @@ _MEDIAN_CHI2 = 2.365973884375338  # of chi-square with three degrees of freedom
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AlignmentResult(Value):
+class AlignmentResult(Estimate):
     """A rotation between two sensors: ``rotation_at(t) = from_rotvec(rate * (t - reference)) * rotation``.
 
     rotation: ``second_from_first`` at the reference temperature.
@@ -56,10 +56,6 @@ class AlignmentResult(Value):
     def frame_rotation_at(self, temperature_c: float) -> FrameRotation:
         """Return ``second_from_first`` at a temperature with the names of the two frames, which products check."""
         return FrameRotation(rotation=self.rotation_at(temperature_c), target=self.second, source=self.first)
-
-    def unwrap(self) -> AlignmentResult:
-        """Return the alignment itself; a :class:`~giantlike.core.outcomes.Failure` raises instead."""
-        return self
 
 
 @one_thread()

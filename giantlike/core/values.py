@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import fields
-from typing import TypeAlias, TypeVar
+from typing import Self, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,21 @@ class Value:
                 if check is not None:
                     check(value, name)
                 object.__setattr__(self, name, read_only(value))
+
+
+class Estimate(Value):
+    """Base of the values that a fit returns in place of a :class:`~giantlike.core.outcomes.Failure`."""
+
+    __slots__ = ()
+
+    def unwrap(self) -> Self:
+        """Return the value itself; a :class:`~giantlike.core.outcomes.Failure` raises instead.
+
+        Returns
+        -------
+        the value
+        """
+        return self
 
 
 _Check: TypeAlias = Callable[[Float, str], None]
