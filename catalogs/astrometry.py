@@ -105,8 +105,6 @@ def sun_position_km(et: float) -> Float:
 
     Returns (3,), inertial axes (ICRF).
 
-    Notes
-    -----
     From the analytic ephemeris of ERFA, ``epv00``, that astropy has built in: no kernel is needed. Good to tens of
     kilometers from 1900 to 2100, where light deflection needs about a thousand.
     """

@@ -96,8 +96,6 @@ def sky_index(stars: StarTable) -> tuple[Index, SkyIndex]:
 def margins_rad(stars: StarTable) -> Float:
     """Largest angles of stars from their catalog positions, aberration left out.
 
-    Notes
-    -----
     The largest over all times within ``YEARS_FROM_EPOCH`` and observers within ``OBSERVER_AU``; a star that comes
     nearer all the time moves faster at the end.
     """

@@ -131,8 +131,6 @@ def fit_g_minus_hp(color_bv: Float, difference: Float) -> Float:
     ``color_bv`` (n,), Johnson B-V, NaN where unknown; ``difference`` (n,) mag, Gaia G minus Hp; returns (4,), the
     highest power first.
 
-    Notes
-    -----
     The relation comes from the stars themselves, so it needs no outside source: 0.03 mag scatter below
     B-V = 1.4, 0.1 above.
     """

@@ -154,8 +154,7 @@ class Atmosphere:
             return (above < 0.0).astype(np.float64)
         with np.errstate(over="ignore"):
             depth = self.slant_depth(radius_km) * np.exp(-above / self.scale_height_km)
-        result: Float = np.where(above < 0.0, 1.0, -np.expm1(-depth))
-        return result
+        return np.where(above < 0.0, 1.0, -np.expm1(-depth))
 
     def limb_altitude_km(self, radius_km: float) -> float:
         r"""Altitude at which a sharp edge has as much light above it as the limb has.

@@ -368,8 +368,7 @@ def _unit3(value: ArrayLike) -> Float:
     vector = as_finite(value, (3,), "direction")
     length = float(np.linalg.norm(vector))
     require(length > 0, "a direction must not be the zero vector")
-    result: Float = vector / length
-    return result
+    return vector / length
 
 
 def light_path(source: Ephemeris, et: float, observer_km: Float) -> tuple[Float, float]:

@@ -124,8 +124,7 @@ class Rings:
                 cv2.fillConvexPoly(area, np.rint(corners).astype(np.int32), 1)
         size = 2 * math.ceil(widened_px) + 1
         grown = cv2.dilate(area, np.ones((size, size), np.uint8))
-        result: Mask = grown > 0
-        return result
+        return grown > 0
 
     def seen_or_shading(
         self,

@@ -217,8 +217,6 @@ def disk_directions(sun: Float, radius_rad: float, samples: int, first: Float, t
     ``sun`` (4,), unit vector to the center of the disk, and a zero; ``first``, ``turn`` (n,) in [0, 1); returns list of
     (n, 4), unit vectors and zeros, one array for each ring.
 
-    Notes
-    -----
     Averaged over uniform ``first`` and ``turn``, the mean over the points is the mean over the disk.
     """
     smallest = int(np.argmin(np.abs(sun[:3])))

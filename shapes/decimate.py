@@ -37,8 +37,6 @@ class Deviation:
 def decimate_mesh(mesh: TriangleMesh, facets: int) -> TriangleMesh:
     """Merge edges of a mesh, least harm first, until ``facets`` facets are left.
 
-    Notes
-    -----
     The work is done by the package fast-simplification (MIT license), which wraps the C++ code
     Fast-Quadric-Mesh-Simplification. A convex body loses volume, for the new vertices lie on the old surface.
     """
@@ -89,8 +87,6 @@ def surface_distances(mesh: TriangleMesh, points_body_km: Float) -> Float:
 
     ``points_body_km`` (n, 3); returns (n,) km.
 
-    Notes
-    -----
     The nearest of the 24 facets with the nearest centroids: exact for facets of similar size, never too small.
     """
     centroids = mesh.vertices_km[mesh.faces].mean(axis=1)

@@ -133,8 +133,6 @@ def load_landmarks(path: Path) -> LandmarkCatalog:
 def save_landmarks(catalog: LandmarkCatalog, path: Path, *, overwrite: bool = False) -> None:
     """Write a catalog of landmarks.
 
-    Notes
-    -----
     A compressed numpy archive without pickle: ``format``, ``version``, ``body_name`` and ``shape_sha256``; for n
     landmarks ``names``, ``centers_body_km`` (n, 3), ``body_from_map`` (n, 4; quaternions, scalar last), ``spacing_km``
     (n,), ``texture`` (n,), ``shapes`` (n, 2; rows and columns of the maps), all maps one after the other in

@@ -45,8 +45,6 @@ class Measures(Value):
 def measure_mesh(mesh: TriangleMesh) -> Measures:
     """Measure a mesh.
 
-    Notes
-    -----
     A uniform ellipsoid of radii a, b, c has the central second moments a^2 / 5, b^2 / 5, c^2 / 5 per volume, so that
     its moment of inertia about a is V (b^2 + c^2) / 5; the best-fit ellipsoid has the moments of the mesh.
     """

@@ -135,8 +135,7 @@ def _start_process(function: str, *arguments: str, **options: Any) -> subprocess
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, "-c", f"from giantlike._system.child import {function}; {function}()", *arguments]
     quiet: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    process: subprocess.Popen[bytes] = subprocess.Popen(command, env=environment, **(quiet | options))
-    return process
+    return subprocess.Popen(command, env=environment, **(quiet | options))
 
 
 def _answer_of_new_process(request: Mapping[str, Any]) -> bytes:

@@ -91,8 +91,6 @@ def chandrasekhar_sphere(single_scattering_albedo: float, phase_rad: ArrayLike) 
 
     ``phase_rad`` (...); returns (...).
 
-    Notes
-    -----
     A deep medium of isotropic scatterers reflects ``w / 4 mu0 / (mu + mu0) H(mu) H(mu0)`` after Chandrasekhar; with
     Hapke's closed form of H, good to 4 %, that is his law without lobe and opposition surge.
     """

@@ -101,5 +101,4 @@ def _set_zenith_distance(towards: Float, up: Float, length: Float, distance: Flo
     across = towards - (towards @ up)[..., None] * up
     size = np.linalg.norm(across, axis=-1, keepdims=True)
     flat = across / np.where(size > 0.0, size, 1.0)
-    result: Float = length * (np.cos(distance)[..., None] * up + np.sin(distance)[..., None] * flat)
-    return result
+    return length * (np.cos(distance)[..., None] * up + np.sin(distance)[..., None] * flat)

@@ -14,7 +14,7 @@ from giantlike.core.arrays import Float, Mask, as_finite, require
 from giantlike.core.frames import FrameRotation
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.statistics import squared_residuals
-from giantlike.core.values import Value
+from giantlike.core.values import Estimate
 
 _STEPS = 20  # of Gauss-Newton and rejection
 _SMALL_RAD = 1e-14  # last step, rad (or rad/Celsius): the rounding of float64
@@ -23,29 +23,18 @@ _MEDIAN_CHI2 = 2.365973884375338  # of chi-square with three degrees of freedom
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AlignmentResult(Value):
+class AlignmentResult(Estimate):
     """A rotation between two sensors: ``rotation_at(t) = from_rotvec(rate * (t - reference)) * rotation``.
 
-    Parameters
-    ----------
-    rotation : Rotation
-        ``second_from_first`` at the reference temperature.
-    rate_rad_per_c : (3,) float64, rad/Celsius
-        About the axes of the second sensor; zero for a static alignment.
-    reference_c : float, Celsius
-        Mean temperature of the observations.
-    covariance_rad2 : (3, 3) float64, rad^2
-        Of the small rotation, axes of the second sensor, at the reference temperature.
-    rate_covariance : (3, 3) float64, (rad/Celsius)^2
-        Zero for a static alignment.
-    residuals_rad : (n, 3) float64, rad
-        Observed minus fitted, axes of the second sensor.
-    used : (n,) bool
-        False for outliers.
-    reduced_chi2 : float
-        Of the measurements used. If it is more than noise explains, the covariances are scaled with it.
-    first, second : str
-        Names of the two frames; empty when unknown.
+    rotation: ``second_from_first`` at the reference temperature.
+    rate_rad_per_c: (3,), rad/Celsius; about the axes of the second sensor; zero for a static alignment.
+    reference_c: Celsius; mean temperature of the observations.
+    covariance_rad2: (3, 3), rad^2; of the small rotation, axes of the second sensor, at the reference temperature.
+    rate_covariance: (3, 3), (rad/Celsius)^2; zero for a static alignment.
+    residuals_rad: (n, 3), rad; observed minus fitted, axes of the second sensor.
+    used: (n,); False for outliers.
+    reduced_chi2: of the measurements used. If it is more than noise explains, the covariances are scaled with it.
+    first, second: names of the two frames; empty when unknown.
     """
 
     rotation: Rotation
@@ -67,10 +56,6 @@ class AlignmentResult(Value):
     def frame_rotation_at(self, temperature_c: float) -> FrameRotation:
         """Return ``second_from_first`` at a temperature with the names of the two frames, which products check."""
         return FrameRotation(rotation=self.rotation_at(temperature_c), target=self.second, source=self.first)
-
-    def unwrap(self) -> AlignmentResult:
-        """Return the alignment itself; a :class:`~giantlike.core.outcomes.Failure` raises instead."""
-        return self
 
 
 @one_thread()

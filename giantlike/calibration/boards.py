@@ -42,8 +42,6 @@ def find_board(pixels: NDArray[np.float64], *, across: int, down: int) -> Float 
     Returns (n, 2) px, in the order of :func:`board_corners`, up to a rotation or reflection under which the board looks
     the same.
 
-    Notes
-    -----
     Pixel coordinates in OpenCV are integer at the centers of pixels, as here. With a fisheye the detector alone has an
     error of about 0.1 px, the refinement of 0.05 px.
     """

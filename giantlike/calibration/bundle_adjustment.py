@@ -293,8 +293,6 @@ def minimize(
 
     ``used`` (n,).
 
-    Notes
-    -----
     The update of the paper lacks the weight on its right-hand side, without which a weighted fit converges to another
     point. Damping grows tenfold after a step that increases the cost and shrinks tenfold after one that decreases it
     (step 4 of the paper). The fit has converged when the predicted decrease of chi-square is below 1e-8.

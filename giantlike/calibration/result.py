@@ -15,7 +15,7 @@ from giantlike.camera import Camera, ModelUncertainty
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.display import Pictured
-from giantlike.core.values import Value
+from giantlike.core.values import Estimate, Value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,7 +65,7 @@ class RejectedObservation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CalibrationResult(Pictured, Value):
+class CalibrationResult(Pictured, Estimate):
     """A calibrated camera model with its covariance, residuals and diagnostics.
 
     Parameters
@@ -214,12 +214,3 @@ class CalibrationResult(Pictured, Value):
             n_images=sum(image.n_used > 0 for image in self.images),
         )
         return replace(camera, model=self.model, uncertainty=uncertainty)
-
-    def unwrap(self) -> CalibrationResult:
-        """Return the calibration itself; a :class:`~giantlike.core.outcomes.Failure` raises instead.
-
-        Returns
-        -------
-        CalibrationResult
-        """
-        return self

@@ -22,7 +22,7 @@ from giantlike.camera_models import BrownModel, CameraModel, model_from_mapping,
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import AttitudeFix, Failure, Reason
-from giantlike.core.values import Value
+from giantlike.core.values import Estimate
 from giantlike.image import Image
 from giantlike.stars.field import Sky, StarField
 from giantlike.stars.matching import attitudes_of_sky
@@ -37,7 +37,7 @@ _MARGIN = 0.2  # of the image size: a rough camera may see a star of its solutio
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StarImage(Value):
+class StarImage(Estimate):
     """Sources, sky and first identification of a star image for calibration.
 
     points_px, covariance_px2, snr: (m, 2), (m, 2, 2), (m,); sources without flags of ``NOT_A_STAR``, brightest first.
@@ -59,10 +59,6 @@ class StarImage(Value):
     sigma_px: Float
     temperature_c: float = 0.0
 
-    def unwrap(self) -> StarImage:
-        """Return the star image itself; a :class:`~giantlike.core.outcomes.Failure` raises instead."""
-        return self
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AllStars:
@@ -80,7 +76,7 @@ class AllStars:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StarCalibration(Value):
+class StarCalibration(Estimate):
     """A calibration from star images.
 
     rounds: of identification and calibration.
@@ -100,10 +96,6 @@ class StarCalibration(Value):
         """Old name of :attr:`result`."""
         warnings.warn("StarCalibration.fix is now StarCalibration.result; it goes in 0.4", DeprecationWarning, 2)
         return self.result
-
-    def unwrap(self) -> StarCalibration:
-        """Return the calibration itself; a :class:`~giantlike.core.outcomes.Failure` raises instead."""
-        return self
 
 
 @one_thread()

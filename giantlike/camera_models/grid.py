@@ -118,16 +118,14 @@ class GridCorrectedModel(Value):
         return self.base.unproject(blockwise(self._undo_correction, as_floats(points_px, (2,), "points_px"), (2,)))
 
     def project_jacobian(self, points_camera: ArrayLike) -> Float:
-        result: Float = self._slope(self.base.project(points_camera)) @ self.base.project_jacobian(points_camera)
-        return result
+        return self._slope(self.base.project(points_camera)) @ self.base.project_jacobian(points_camera)
 
     def unproject_jacobian(self, points_px: ArrayLike) -> Float:
         return inverse_on_the_sphere(self.project_jacobian(self.unproject(points_px)))
 
     def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
         pixels = self.base.at_temperature(temperature_c).project(points_camera)
-        result: Float = self._slope(pixels) @ self.base.parameter_jacobian(points_camera, temperature_c)
-        return result
+        return self._slope(pixels) @ self.base.parameter_jacobian(points_camera, temperature_c)
 
     def at_temperature(self, temperature_c: float) -> Self:
         """Return the model at a temperature: the base model scaled, the correction unchanged.

@@ -67,8 +67,7 @@ class PartModel:
         return self.base.focal_length_px / self.size_px
 
     def project(self, points_camera: ArrayLike) -> Float:
-        pixels: Float = (self.base.project(points_camera) - [self.x0_px, self.y0_px]) / self.size_px
-        return pixels
+        return (self.base.project(points_camera) - [self.x0_px, self.y0_px]) / self.size_px
 
     def unproject(self, points_px: ArrayLike) -> Float:
         return self.base.unproject(self._base_px(points_px))
@@ -97,8 +96,7 @@ class PartModel:
 
     def _base_px(self, points_px: ArrayLike) -> Float:
         """Pixels (..., 2) of the model."""
-        pixels: Float = self.size_px * as_floats(points_px, (2,), "points_px") + [self.x0_px, self.y0_px]
-        return pixels
+        return self.size_px * as_floats(points_px, (2,), "points_px") + [self.x0_px, self.y0_px]
 
 
 def divisible(model: CameraModel) -> DivisibleModel:

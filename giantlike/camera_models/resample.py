@@ -32,8 +32,6 @@ def resample(
 
     For measurements use the original image with its model: resampling blurs, and correlates noise.
 
-    Notes
-    -----
     OpenCV's ``remap`` takes positions in float32, which are good to about 1e-4 px over 2,000 px.
     """
     import cv2

@@ -22,17 +22,10 @@ _LOG_TAIL_BYTES = 20_000
 class StepStatus:
     """Results of a step that the run folder holds.
 
-    Parameters
-    ----------
-    done : int
-    expected : int or None
-        None where it follows from the images themselves.
-    statuses : mapping of str to int
-        Number of results by :class:`~giantlike.core.reasons.Outcome`.
-    reasons : mapping of str to int
-        Of everything without a result.
-    example : mapping of str to str
-        Detail of the first one, by reason.
+    expected: None where it follows from the images themselves.
+    statuses: number of results by :class:`~giantlike.core.reasons.Outcome`.
+    reasons: of everything without a result.
+    example: detail of the first one, by reason.
     """
 
     done: int

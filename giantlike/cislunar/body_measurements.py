@@ -27,8 +27,7 @@ def tangent_angles(position_camera_km: ArrayLike) -> Float:
     """
     position = as_floats(position_camera_km, (3,), "position_camera_km")
     require(bool((position[..., 2] > 0.0).all()), "position_camera_km needs z > 0: turn the camera to the body")
-    tangents: Float = position[..., :2] / position[..., 2:]
-    return tangents
+    return position[..., :2] / position[..., 2:]
 
 
 def angular_diameter(range_km: ArrayLike, radius_km: float) -> Float:
@@ -168,13 +167,11 @@ class TangentCamera(Value):
         .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, eqs. 13
            and 14, where both focal lengths are negative.
         """
-        pixels: Float = self.principal_px + self.focal_px * as_floats(tangents, (2,), "tangents")
-        return pixels
+        return self.principal_px + self.focal_px * as_floats(tangents, (2,), "tangents")
 
     def tangents(self, pixels: ArrayLike) -> Float:
         """Tangents of angles of pixels. ``pixels`` (..., 2) px; returns (..., 2)."""
-        tangents: Float = (as_floats(pixels, (2,), "pixels") - self.principal_px) / self.focal_px
-        return tangents
+        return (as_floats(pixels, (2,), "pixels") - self.principal_px) / self.focal_px
 
     def tangent_sigmas(self, sigmas_px: ArrayLike) -> Float:
         """Standard deviations of tangents from standard deviations of pixels.
@@ -186,8 +183,7 @@ class TangentCamera(Value):
         .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1,
            eqs. 15-20.
         """
-        sigmas: Float = as_floats(sigmas_px, (2,), "sigmas_px") / np.abs(self.focal_px)
-        return sigmas
+        return as_floats(sigmas_px, (2,), "sigmas_px") / np.abs(self.focal_px)
 
 
 def _outside(range_km: ArrayLike, radius_km: float) -> Float:

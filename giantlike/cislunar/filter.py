@@ -392,12 +392,10 @@ def _of(states: slice) -> slice:
 def _turns(rotation_vectors: Float) -> Float:
     """Matrices (..., 3, 3) of rotation vectors (..., 3)."""
     flat = np.array(rotation_vectors).reshape(-1, 3)
-    matrices: Float = Rotation.from_rotvec(flat).as_matrix().reshape(*rotation_vectors.shape, 3)
-    return matrices
+    return Rotation.from_rotvec(flat).as_matrix().reshape(*rotation_vectors.shape, 3)
 
 
 def _compose_rotations(after: Float, before: Float) -> Float:
     """Rotation vectors (..., 3) of one rotation after another."""
     first, second = (Rotation.from_rotvec(np.array(each).reshape(-1, 3)) for each in (before, after))
-    vectors: Float = (second * first).as_rotvec().reshape(before.shape)
-    return vectors
+    return (second * first).as_rotvec().reshape(before.shape)

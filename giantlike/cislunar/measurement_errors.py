@@ -76,8 +76,7 @@ class BodyErrorModel(Value):
         (..., 3) float64, px
             Of the center along the Sun, across it, and of the radius.
         """
-        biases: Float = self.bias_px + self.bias_px_km / _ranges(range_km)
-        return biases
+        return self.bias_px + self.bias_px_km / _ranges(range_km)
 
     def covariance_px2(self, range_km: float, sun_direction_image: ArrayLike) -> Float:
         """Covariance of the center and the radius in the axes of the image.
@@ -111,8 +110,7 @@ class BodyErrorModel(Value):
         (3,) float64, px
             Of x, y and the radius.
         """
-        bias: Float = _axes(sun_direction_image) @ self.biases_px(range_km)
-        return bias
+        return _axes(sun_direction_image) @ self.biases_px(range_km)
 
     def measurement_sigmas(self, range_km: ArrayLike, radius_km: float, focal_px: float) -> Float:
         """Standard deviations of the measurements of a filter, in a camera whose x axis is along the Sun.

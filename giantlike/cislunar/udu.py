@@ -29,8 +29,7 @@ class UduFactors(Value):
 
     def composed(self) -> Float:
         """Return the covariance ``U D U^T``. Returns (..., n, n)."""
-        covariance: Float = (self.upper * self.diagonal[..., None, :]) @ np.swapaxes(self.upper, -1, -2)
-        return covariance
+        return (self.upper * self.diagonal[..., None, :]) @ np.swapaxes(self.upper, -1, -2)
 
     def sigmas(self) -> Float:
         """Return the standard deviations. Returns (..., n)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -13,7 +14,7 @@ import typer
 from giantlike.camera import Camera, MissionFrame
 from giantlike.camera_models.convert import convert as convert_model
 from giantlike.cli.arguments import Json, Overwrite
-from giantlike.cli.outcome import ExitCode, print_json, say
+from giantlike.cli.outcome import ExitCode, say, show_result
 from giantlike.core.arrays import finite_or_none, require
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Failure
@@ -46,11 +47,7 @@ def info(
 ) -> ExitCode:
     """Show the model of a camera file, its field of view and the scale of its pixels."""
     camera, notes = _read(file, name, instrument, first_pixel, boresight, size)
-    if json:
-        print_json(_summary(camera) | {"notes": notes})
-    else:
-        _show(_summary(camera), notes)
-    return ExitCode.DONE
+    return _show(_summary(camera), notes, json=json)
 
 
 def convert(
@@ -84,17 +81,14 @@ def convert(
         write_opencv_camera(output, camera.model, columns=camera.columns, rows=camera.rows)
     else:
         raise InputError(f"{output}: the name of the new file must end in .toml, .yml, .yaml or .xml")
-    if json:
-        print_json(_summary(camera) | {"notes": notes, "file": str(output), "conversion": lost})
-        return ExitCode.DONE
-    _show(_summary(camera), notes)
+    lines = [f"wrote {output}"]
     if lost:
-        typer.echo(
+        lines.insert(
+            0,
             f"differs from the original by {lost['rms_px']:.3g} px rms, at most {lost['max_px']:.3g} px, over "
-            f"{100 * lost['coverage']:.4g} % of the frame"
+            f"{100 * lost['coverage']:.4g} % of the frame",
         )
-    typer.echo(f"wrote {output}")
-    return ExitCode.DONE
+    return _show(_summary(camera) | {"file": str(output), "conversion": lost}, notes, lines, json=json)
 
 
 def _read(
@@ -142,13 +136,14 @@ def _summary(camera: Camera) -> dict[str, Any]:
     }
 
 
-def _show(summary: dict[str, Any], notes: list[str]) -> None:
+def _show(summary: dict[str, Any], notes: list[str], more: Sequence[str] = (), *, json: bool) -> ExitCode:
     model = summary["model"]
     lines = [f"{summary['name']}: {summary['columns']} x {summary['rows']} px, {model['type']}"]
     lines += [f"  {key} = {value!r}" for key, value in model.items() if isinstance(value, int | float)]
     for key, unit in (("ifov_urad", "microradian a pixel"), ("half_diagonal_deg", "degrees from center to corner")):
         if summary[key] is not None:
             lines.append(f"  {summary[key]:.6g} {unit}")
-    typer.echo("\n".join(lines))
-    for note in notes:
-        say(note)
+    if not json:
+        for note in notes:
+            say(note)
+    return show_result(summary | {"notes": notes}, [*lines, *more], json=json)

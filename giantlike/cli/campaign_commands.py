@@ -13,7 +13,7 @@ from giantlike.campaign.interlock import interlock_of, write_interlock
 from giantlike.campaign.render.plan import RenderPlan
 from giantlike.campaign.render.run import RenderedImage, render_images
 from giantlike.cli.arguments import Json, Overwrite, Run, Workers
-from giantlike.cli.outcome import ExitCode, print_json, say, show_result
+from giantlike.cli.outcome import ExitCode, say, show_result
 from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import require
 from giantlike.observables.exchange import Angles
@@ -78,17 +78,12 @@ def export(
     there = any(target.iterdir()) if target.is_dir() else target.exists()
     require(overwrite or not there, f"{target} exists: give --output another name, or --overwrite")
     exported = export_run(folder, target, kind, options)
-    if json:
-        print_json({"format": kind} | asdict(exported))
-        return ExitCode.DONE
-    for file in exported.files[:10]:
-        typer.echo(f"wrote {file}")
+    lines = [f"wrote {file}" for file in exported.files[:10]]
     if len(exported.files) > 10:
-        typer.echo(f"and {len(exported.files) - 10} more")
+        lines.append(f"and {len(exported.files) - 10} more")
     skipped = "".join(f"; left out: {count} {reason}" for reason, count in exported.left_out.items())
     made = f"{exported.n_observations} observations" if exported.n_observations else f"{exported.n_attitudes} attitudes"
-    typer.echo(f"{made}{skipped}")
-    return ExitCode.DONE
+    return show_result({"format": kind} | asdict(exported), [*lines, f"{made}{skipped}"], json=json)
 
 
 def interlock(
@@ -106,19 +101,18 @@ def interlock(
     result = interlock_of(first, second, tolerance_s=tolerance)
     files = write_interlock(result, output)
     summary = result.summary()
-    if json:
-        print_json(summary | {"files": files})
-        return ExitCode.DONE
     sigma, scatter = summary["sigma_arcsec"], summary["scatter_arcsec"]
-    typer.echo(f"{summary['n_used']} of {summary['n_pairs']} pairs used; {summary['n_unpaired']} attitudes unpaired")
-    typer.echo(f"angle of the rotation {summary['rotation_angle_deg']:.6f} deg, between boresights "
-               f"{summary['boresight_angle_deg']:.6f} deg")  # fmt: skip
-    typer.echo("second_from_first (x, y, z, w): " + ", ".join(f"{q:.9f}" for q in summary["second_from_first_xyzw"]))
+    lines = [
+        f"{summary['n_used']} of {summary['n_pairs']} pairs used; {summary['n_unpaired']} attitudes unpaired",
+        f"angle of the rotation {summary['rotation_angle_deg']:.6f} deg, between boresights "
+        f"{summary['boresight_angle_deg']:.6f} deg",
+        "second_from_first (x, y, z, w): " + ", ".join(f"{q:.9f}" for q in summary["second_from_first_xyzw"]),
+    ]
     for axis in sigma:
         spread = "unknown" if scatter[axis] is None else f"{scatter[axis]:.3g} arcsec"
-        typer.echo(f"about {axis}: sigma of the mean {sigma[axis]:.3g} arcsec, scatter of the pairs {spread}")
-    typer.echo(f"reduced chi-square {summary['reduced_chi2']:.3g}; wrote {', '.join(str(file) for file in files)}")
-    return ExitCode.DONE
+        lines.append(f"about {axis}: sigma of the mean {sigma[axis]:.3g} arcsec, scatter of the pairs {spread}")
+    lines.append(f"reduced chi-square {summary['reduced_chi2']:.3g}; wrote {', '.join(str(file) for file in files)}")
+    return show_result(summary | {"files": files}, lines, json=json)
 
 
 def render(

@@ -17,7 +17,7 @@ from giantlike.catalogs.readers import FORMATS, build_catalog, column_map
 from giantlike.catalogs.stored import SUFFIX, Source, catalog_header, is_catalog_file, save_catalog
 from giantlike.catalogs.table import StarTable
 from giantlike.cli.arguments import Json, Overwrite
-from giantlike.cli.outcome import ExitCode, print_json, rows_of, show_result
+from giantlike.cli.outcome import ExitCode, rows_of, show_result
 from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import Float, finite_or_none, require
 from giantlike.core.errors import InputError
@@ -133,20 +133,17 @@ def query(
     inside = np.flatnonzero(distance_deg <= radius)
     shown = inside[: limit if json else limit or _SHOWN]
     rows = _rows(stars.select(shown), directions[shown], distance_deg[shown], epoch)
-    if json:
-        print_json(rows)
-        return ExitCode.DONE
-    typer.echo(f"{len(inside)} stars in {catalog.name}, magnitudes in {catalog.band}")
+    lines = [f"{len(inside)} stars in {catalog.name}, magnitudes in {catalog.band}"]
     if rows:
-        typer.echo(f"{'id':>20} {'ra_deg':>14} {'dec_deg':>14} {'mag':>7} {'distance_deg':>12}  double  name")
-    for row in rows:
-        typer.echo(
-            f"{row['id']:>20} {row['ra_deg']:>14.8f} {row['dec_deg']:>14.8f} {row['magnitude']:>7.3f} "
-            f"{row['distance_deg']:>12.6f}  {'yes' if row['is_double'] else '':6}  {row['name']}".rstrip()
-        )
+        lines.append(f"{'id':>20} {'ra_deg':>14} {'dec_deg':>14} {'mag':>7} {'distance_deg':>12}  double  name")
+    lines += [
+        f"{row['id']:>20} {row['ra_deg']:>14.8f} {row['dec_deg']:>14.8f} {row['magnitude']:>7.3f} "
+        f"{row['distance_deg']:>12.6f}  {'yes' if row['is_double'] else '':6}  {row['name']}".rstrip()
+        for row in rows
+    ]
     if limit is None and len(inside) > _SHOWN:
-        typer.echo(f"... and {len(inside) - _SHOWN} fainter ones: give --limit or --json")
-    return ExitCode.DONE
+        lines.append(f"... and {len(inside) - _SHOWN} fainter ones: give --limit or --json")
+    return show_result(rows, lines, json=json)
 
 
 def info(
@@ -180,15 +177,9 @@ def info(
         shown |= {"sources": catalog_header(path, check=check)["sources"], "checked": check}
     elif check:
         raise InputError(f"{name}: only built catalogs have a hash to check")
-    if json:
-        print_json(shown)
-        return ExitCode.DONE
-    for key, value in shown.items():
-        if key != "sources":
-            typer.echo(f"{key.replace('_', ' '):<22}{_text(value)}")
-    for source in shown["sources"]:
-        typer.echo(f"{'source':<22}{source['name']} sha256:{source['sha256']}")
-    return ExitCode.DONE
+    lines = [f"{key.replace('_', ' '):<22}{_text(value)}" for key, value in shown.items() if key != "sources"]
+    lines += [f"{'source':<22}{source['name']} sha256:{source['sha256']}" for source in shown["sources"]]
+    return show_result(shown, lines, json=json)
 
 
 def _target(path: Path, overwrite: bool) -> Path:

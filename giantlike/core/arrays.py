@@ -96,5 +96,4 @@ def require(condition: bool, message: str) -> None:
 
 def symmetric(matrix: Float) -> Float:
     """Symmetric part of matrices (..., n, n): without the rounding of a product of several."""
-    result: Float = (matrix + np.swapaxes(matrix, -1, -2)) / 2.0
-    return result
+    return (matrix + np.swapaxes(matrix, -1, -2)) / 2.0

@@ -146,8 +146,7 @@ def rotate(rotation: Rotation, vectors: ArrayLike) -> Float:
     """
     array = as_floats(vectors, (3,), "vectors")
     matrix = rotation.as_matrix()
-    result: Float = array @ matrix.T if matrix.ndim == 2 else (matrix @ array[..., None])[..., 0]
-    return result
+    return array @ matrix.T if matrix.ndim == 2 else (matrix @ array[..., None])[..., 0]
 
 
 def turn_between(first: Float, second: Float) -> Rotation:

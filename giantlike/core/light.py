@@ -15,8 +15,6 @@ def aberrate(directions: ArrayLike, velocity_km_s: ArrayLike) -> Float:
 
     ``directions`` (..., 3), inertial axes; ``velocity_km_s`` in inertial axes; returns (..., 3).
 
-    Notes
-    -----
     With ``b = v / c``, ``n`` the unit direction and ``g = 1 / sqrt(1 - b^2)``, the boosted direction is
     ``(n / g + b + (n.b) b g / (1 + g)) / (1 + n.b)``.
 
@@ -40,8 +38,6 @@ def boosted(positions_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
     inertial axes: the direction is as by :func:`aberrate`, and a body of radius R covers the angle
     ``asin(R / length)``.
 
-    Notes
-    -----
     Emission of the light and its reception are ``(c t, x) = (-r, r n)`` apart, with ``r`` the distance and ``n`` the
     unit direction. The Lorentz boost to the observer gives a vector of the length ``r g (1 + n.b)``, with ``b = v / c``
     and ``g = 1 / sqrt(1 - b^2)``. That is the distance in the frame of the observer, and it determines the apparent
@@ -68,8 +64,7 @@ def boost_jacobian(position_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
     position = as_finite(position_km, (3,), "position_km")
     beta, gamma = _beta_gamma(velocity_km_s)
     along = position / np.linalg.norm(position) + beta * gamma / (1.0 + gamma)
-    result: Float = np.eye(3) + gamma * np.outer(beta, along)
-    return result
+    return np.eye(3) + gamma * np.outer(beta, along)
 
 
 def _beta_gamma(velocity_km_s: ArrayLike) -> tuple[Float, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NoReturn, Self
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from giantlike.core.findings import Corrections, Findings
 from giantlike.core.reasons import Outcome as Outcome
 from giantlike.core.reasons import Quality as Quality
 from giantlike.core.reasons import Reason as Reason
-from giantlike.core.values import Value
+from giantlike.core.values import Estimate, Value
 
 _FLAGS_OF_THE_SKY = Quality.OBSERVER_UNKNOWN | Quality.EPOCH_UNKNOWN
 
@@ -97,7 +97,7 @@ class AttitudeErrors(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AttitudeFix(Pictured, Value):
+class AttitudeFix(Pictured, Estimate):
     """Camera attitude from stars.
 
     Parameters
@@ -194,18 +194,9 @@ class AttitudeFix(Pictured, Value):
         """Radial residual ``sqrt(mean(dx^2 + dy^2))``, px."""
         return float(np.sqrt(np.mean(np.sum(self.residuals_px**2, axis=1))))
 
-    def unwrap(self) -> AttitudeFix:
-        """Return the fix itself (a :class:`Failure` raises instead).
-
-        Returns
-        -------
-        the fix
-        """
-        return self
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CenterFix(Pictured, Value):
+class CenterFix(Pictured, Estimate):
     """Position of the center of a body (the origin of its shape model) in an image.
 
     Parameters
@@ -310,15 +301,6 @@ class CenterFix(Pictured, Value):
         ephemeris for the position in inertial axes.
         """
         return sum_parts(self.parts, tuple(Cause)) if self.parts else np.array(self.covariance_px2)
-
-    def unwrap(self) -> Self:
-        """Return the fix itself (a :class:`Failure` raises instead).
-
-        Returns
-        -------
-        the fix
-        """
-        return self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -188,8 +188,6 @@ def sky_noise(pixels: NDArray[Any], mask: Mask | None = None) -> float:
 def estimate_noise(pixels: NDArray[Any], mask: Mask | None = None, *, step_dn: float) -> EstimatedNoise:
     """Estimate read noise and gain from an image alone.
 
-    Notes
-    -----
     Read noise is the residual of the darkest blocks about planes, minus quantization (``step^2 / 12``) and no smaller
     than it. The signal adds a variance proportional to it, measured on the tenth of the bright blocks with the smallest
     variance for their signal: an upper bound where nothing in the image is smooth. At the brightest block it is at

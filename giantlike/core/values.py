@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import fields
-from typing import TypeAlias, TypeVar
+from typing import Self, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,21 @@ class Value:
                 if check is not None:
                     check(value, name)
                 object.__setattr__(self, name, read_only(value))
+
+
+class Estimate(Value):
+    """Base of the values that a fit returns in place of a :class:`~giantlike.core.outcomes.Failure`."""
+
+    __slots__ = ()
+
+    def unwrap(self) -> Self:
+        """Return the value itself; a :class:`~giantlike.core.outcomes.Failure` raises instead.
+
+        Returns
+        -------
+        the value
+        """
+        return self
 
 
 _Check: TypeAlias = Callable[[Float, str], None]
@@ -164,8 +179,7 @@ def _least_eigenvalues(matrices: Float) -> Float:
     if matrices.shape[-1] != 2:
         return np.asarray(np.linalg.eigvalsh(matrices)[..., :1])
     a, b, d = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 1]
-    least: Float = (a + d) / 2.0 - np.hypot((a - d) / 2.0, b)
-    return least
+    return (a + d) / 2.0 - np.hypot((a - d) / 2.0, b)
 
 
 def check_directions(directions: Float, name: str) -> None:

@@ -142,20 +142,16 @@ def smear(plan: Plan, rng: np.random.Generator) -> Plan:
     return _lit(plan, lights.transfer_smear(share), hard=share > 0.02)
 
 
-def _optics(plan: Plan, psf: Psf, *, hard: bool) -> Plan:
-    return plan.but(world={"psf": psf}, hard=hard)
-
-
 def motion(plan: Plan, rng: np.random.Generator) -> Plan:
     """The camera rotated during the exposure."""
     angle, length = rng.uniform(0.0, math.pi), log_uniform(rng, 1.0, 30.0)
     path = (length * math.cos(angle), length * math.sin(angle))
-    return _optics(plan, Psf(PSF_PX, motion_px=path), hard=length > 1.5)
+    return plan.but(world={"psf": Psf(PSF_PX, motion_px=path)}, hard=length > 1.5)
 
 
 def defocus(plan: Plan, rng: np.random.Generator) -> Plan:
     """Point spread function 1.5 to 8 times as wide as assumed."""
-    return _optics(plan, Psf(PSF_PX * log_uniform(rng, 1.5, 8.0)), hard=True)
+    return plan.but(world={"psf": Psf(PSF_PX * log_uniform(rng, 1.5, 8.0))}, hard=True)
 
 
 def missing_lines(plan: Plan, rng: np.random.Generator) -> Plan:

@@ -20,7 +20,7 @@ from giantlike.gauntlet.plan import Base, Plan
 Disturb = Callable[[Plan, np.random.Generator], Plan]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Kind:
     """A kind of image.
 
@@ -63,96 +63,74 @@ _CRISP = Base(rocks=0.0, diameter_px=(40.0, 140.0))
 _STATED = Base(declared=1.0)
 
 _BODY_KINDS = (
-    Kind(name="nominal", summary="nothing is wrong", disturb=_as_it_is, weight=12, undisturbed=True),
+    Kind("nominal", "nothing is wrong", _as_it_is, weight=12, undisturbed=True),
+    Kind("point", "nothing is wrong; the body is 1 to 3 px wide", _as_it_is, base=Base(points=1.0), undisturbed=True),
     Kind(
-        name="point",
-        summary="nothing is wrong; the body is 1 to 3 px wide",
-        disturb=_as_it_is,
-        base=Base(points=1.0),
-        undisturbed=True,
-    ),
-    Kind(
-        name="large_rock",
-        summary="nothing is wrong; a rock large enough for landmarks",
-        disturb=_as_it_is,
+        "large_rock",
+        "nothing is wrong; a rock large enough for landmarks",
+        _as_it_is,
         base=Base(rocks=1.0, diameter_px=(200.0, 240.0), phase_deg=(20.0, 80.0)),
         weight=1,
         undisturbed=True,
     ),
     Kind(
-        name="large_rock_turned",
-        summary="rotation of a large rock told 3 to 30 degrees off",
-        disturb=mistakes.slight_rotation,
+        "large_rock_turned",
+        "rotation of a large rock told 3 to 30 degrees off",
+        mistakes.slight_rotation,
         base=Base(rocks=1.0, diameter_px=(200.0, 240.0), phase_deg=(20.0, 80.0)),
         weight=1,
     ),
     Kind(
-        name="crescent",
-        summary="phase angles of 125 to 179 degrees",
-        disturb=scenery.thin_crescent,
+        "crescent",
+        "phase angles of 125 to 179 degrees",
+        scenery.thin_crescent,
         base=Base(diameter_px=(40.0, 160.0), rocks=0.2),
         undisturbed=True,
     ),
     Kind(
-        name="fills_frame",
-        summary="the body is 1 to 2.5 times as wide as the frame, its limb in view or not",
-        disturb=scenery.filling,
+        "fills_frame",
+        "the body is 1 to 2.5 times as wide as the frame, its limb in view or not",
+        scenery.filling,
         base=Base(diameter_px=(260.0, 640.0), rocks=0.0, phase_deg=(5.0, 90.0), largest_frame_px=256),
         undisturbed=True,
     ),
+    Kind("partly_outside", "the frame cuts the body", scenery.partly_outside, base=_WIDE, undisturbed=True),
+    Kind("outside", "the body is outside the frame, predicted so or not", scenery.outside),
+    Kind("wrong_target", "another body where the target should be", scenery.wrong_target),
+    Kind("two_bodies", "a second body that nobody told of", scenery.two_bodies),
     Kind(
-        name="partly_outside",
-        summary="the frame cuts the body",
-        disturb=scenery.partly_outside,
-        base=_WIDE,
-        undisturbed=True,
-    ),
-    Kind(name="outside", summary="the body is outside the frame, predicted so or not", disturb=scenery.outside),
-    Kind(name="wrong_target", summary="another body where the target should be", disturb=scenery.wrong_target),
-    Kind(name="two_bodies", summary="a second body that nobody told of", disturb=scenery.two_bodies),
-    Kind(
-        name="twin",
-        summary="the same body a second time, beside the target",
-        disturb=scenery.twin,
+        "twin",
+        "the same body a second time, beside the target",
+        scenery.twin,
         base=Base(points=0.15, declared=1.0, diameter_px=(20.0, 120.0)),
     ),
+    Kind("moon_in_front", "a moon that nobody told of, in front of the target", scenery.moon, base=_WIDE),
+    Kind("rings", "rings that nobody told of", scenery.add_rings, base=Base(rocks=0.0, diameter_px=(40.0, 180.0))),
     Kind(
-        name="moon_in_front",
-        summary="a moon that nobody told of, in front of the target",
-        disturb=scenery.moon,
-        base=_WIDE,
-    ),
-    Kind(
-        name="rings",
-        summary="rings that nobody told of",
-        disturb=scenery.add_rings,
-        base=Base(rocks=0.0, diameter_px=(40.0, 180.0)),
-    ),
-    Kind(
-        name="eclipse",
-        summary="the shadow of another body on part of the disk",
-        disturb=scenery.eclipse,
+        "eclipse",
+        "the shadow of another body on part of the disk",
+        scenery.eclipse,
         base=Base(rocks=0.1, diameter_px=(60.0, 220.0), phase_deg=(5.0, 90.0)),
     ),
-    Kind(name="comet", summary="a coma around the nucleus", disturb=scenery.comet, base=_WITH_POINTS),
-    Kind(name="markings", summary="albedo that the shape does not hold", disturb=scenery.add_markings, base=_CRISP),
-    Kind(name="dense_stars", summary="a dense field of stars", disturb=scenery.dense_stars, base=_WITH_POINTS),
-    Kind(name="noise", summary="nothing but noise", disturb=scenery.noise, base=_WITH_POINTS),
-    Kind(name="wrong_time", summary="geometry of another time", disturb=mistakes.wrong_time, base=_STATED),
-    Kind(name="attitude", summary="attitude 0.1 to 3 degrees off", disturb=mistakes.wrong_attitude, base=_STATED),
-    Kind(name="roll", summary="attitude rolled by 3 to 8 degrees", disturb=mistakes.wrong_roll, base=_STATED),
-    Kind(name="scale_5", summary="size told 5 % off", disturb=partial(mistakes.wrong_scale, share=0.05), base=_STATED),
-    Kind(name="scale_20", summary="size told 20 % off", disturb=partial(mistakes.wrong_scale, share=0.2), base=_STATED),
-    Kind(name="focal", summary="focal length told 2 % off", disturb=mistakes.focal, base=_STATED),
-    Kind(name="pole", summary="pole told 10 to 180 degrees off", disturb=mistakes.pole, base=Base(rocks=0.5)),
-    Kind(name="rotation", summary="rotation told 20 to 180 degrees off", disturb=mistakes.rotation, base=_ROCK),
-    Kind(name="stale_shape", summary="a shape model with coarse errors", disturb=mistakes.stale_shape, base=_ROCK),
-    Kind(name="foreign_shape", summary="the shape of another body", disturb=mistakes.foreign_shape, base=_ROCK),
-    Kind(name="sphere_for_rock", summary="a sphere told for a rock", disturb=mistakes.sphere_for_rock, base=_ROCK),
-    Kind(name="wrong_axes", summary="half axes told 5 to 20 % off", disturb=mistakes.wrong_axes, base=_CRISP),
-    Kind(name="wrong_sun", summary="Sun told 20 to 180 degrees off", disturb=mistakes.wrong_sun),
-    Kind(name="wrong_psf", summary="optics told 0.4 to 2 times as wide", disturb=mistakes.wrong_psf),
-    Kind(name="wrong_law", summary="another reflectance law", disturb=mistakes.wrong_law),
+    Kind("comet", "a coma around the nucleus", scenery.comet, base=_WITH_POINTS),
+    Kind("markings", "albedo that the shape does not hold", scenery.add_markings, base=_CRISP),
+    Kind("dense_stars", "a dense field of stars", scenery.dense_stars, base=_WITH_POINTS),
+    Kind("noise", "nothing but noise", scenery.noise, base=_WITH_POINTS),
+    Kind("wrong_time", "geometry of another time", mistakes.wrong_time, base=_STATED),
+    Kind("attitude", "attitude 0.1 to 3 degrees off", mistakes.wrong_attitude, base=_STATED),
+    Kind("roll", "attitude rolled by 3 to 8 degrees", mistakes.wrong_roll, base=_STATED),
+    Kind("scale_5", "size told 5 % off", partial(mistakes.wrong_scale, share=0.05), base=_STATED),
+    Kind("scale_20", "size told 20 % off", partial(mistakes.wrong_scale, share=0.2), base=_STATED),
+    Kind("focal", "focal length told 2 % off", mistakes.focal, base=_STATED),
+    Kind("pole", "pole told 10 to 180 degrees off", mistakes.pole, base=Base(rocks=0.5)),
+    Kind("rotation", "rotation told 20 to 180 degrees off", mistakes.rotation, base=_ROCK),
+    Kind("stale_shape", "a shape model with coarse errors", mistakes.stale_shape, base=_ROCK),
+    Kind("foreign_shape", "the shape of another body", mistakes.foreign_shape, base=_ROCK),
+    Kind("sphere_for_rock", "a sphere told for a rock", mistakes.sphere_for_rock, base=_ROCK),
+    Kind("wrong_axes", "half axes told 5 to 20 % off", mistakes.wrong_axes, base=_CRISP),
+    Kind("wrong_sun", "Sun told 20 to 180 degrees off", mistakes.wrong_sun),
+    Kind("wrong_psf", "optics told 0.4 to 2 times as wide", mistakes.wrong_psf),
+    Kind("wrong_law", "another reflectance law", mistakes.wrong_law),
 )
 
 _BODY_OR_STARS: tuple[tuple[str, str, Disturb, Base], ...] = (
@@ -188,19 +166,11 @@ _BODY_OR_STARS: tuple[tuple[str, str, Disturb, Base], ...] = (
 
 def _of_stars(name: str, summary: str, disturb: Disturb) -> Kind:
     """Kind of images of stars alone, once in each deck."""
-    return Kind(name=f"stars_{name}", summary=summary, disturb=disturb, body=False, stars=True, weight=1)
+    return Kind(f"stars_{name}", summary, disturb, body=False, stars=True, weight=1)
 
 
 _STAR_KINDS = (
-    Kind(
-        name="stars_nominal",
-        summary="nothing is wrong",
-        disturb=_as_it_is,
-        body=False,
-        stars=True,
-        weight=3,
-        undisturbed=True,
-    ),
+    Kind("stars_nominal", "nothing is wrong", _as_it_is, body=False, stars=True, weight=3, undisturbed=True),
     _of_stars("dense", "stars far beyond the catalog", scenery.add_faint_stars),
     _of_stars("gaps", "stars missing in the catalog", mistakes.gaps),
     _of_stars("foreign", "catalog of another sky", mistakes.other_sky),
@@ -210,9 +180,9 @@ _STAR_KINDS = (
     _of_stars("focal", "focal length 2 % off", mistakes.focal),
     _of_stars("noise", "nothing but noise", scenery.noise),
     Kind(
-        name="stars_and_body",
-        summary="a body among stars: attitude by the stars, body by the estimators",
-        disturb=scenery.with_sky,
+        "stars_and_body",
+        "a body among stars: attitude by the stars, body by the estimators",
+        scenery.with_sky,
         base=Base(rocks=0.0, diameter_px=(40.0, 140.0)),
         stars=True,
         undisturbed=True,
@@ -221,9 +191,7 @@ _STAR_KINDS = (
 
 
 def _all_kinds() -> dict[str, Kind]:
-    spoiled = [
-        Kind(name=name, summary=summary, disturb=disturb, base=base) for name, summary, disturb, base in _BODY_OR_STARS
-    ]
+    spoiled = [Kind(name, summary, disturb, base=base) for name, summary, disturb, base in _BODY_OR_STARS]
     stars = [_of_stars(name, summary, disturb) for name, summary, disturb, _ in _BODY_OR_STARS]
     return {kind.name: kind for kind in (*_BODY_KINDS, *spoiled, *_STAR_KINDS, *stars)}
 

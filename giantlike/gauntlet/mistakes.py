@@ -26,8 +26,7 @@ def _about_sight(plan: Plan, angle_rad: float) -> Rotation:
 
 def _direction(rng: np.random.Generator) -> Float:
     vector = rng.normal(size=3)
-    result: Float = vector / np.linalg.norm(vector)
-    return result
+    return vector / np.linalg.norm(vector)
 
 
 def wrong_time(plan: Plan, rng: np.random.Generator) -> Plan:

@@ -209,7 +209,12 @@ def body_plan(rng: np.random.Generator, base: Base) -> Plan:
         rocky, diameter = False, log_uniform(rng, *POINT_PX)
     size = int(np.clip(_MARGIN * diameter + 76.0, _LEAST_FRAME_PX, base.largest_frame_px))
     view = PinholeView(FOCAL_PX, tuple(0.5 * (size - 1) + rng.uniform(-3.0, 3.0, 2)), size, size)
-    body, shape = _figure(rng, rocky=rocky)
+    figure: tuple[Body, Shape] = (
+        rock(int(rng.integers(ROCKS)))
+        if rocky
+        else ellipsoid(10.0 * np.array([1.0, rng.uniform(0.85, 1.0), rng.uniform(0.8, 1.0)]))
+    )
+    body, shape = figure
     # Any position with the whole body in the frame, with a few pixels of sky around it.
     free = max(0.5 * size - 0.65 * diameter - 12.0, 2.0)
     sight = view.directions(0.5 * (size - 1) + rng.uniform(-free, free, 2))
@@ -227,31 +232,7 @@ def body_plan(rng: np.random.Generator, base: Base) -> Plan:
         peak_dn=log_uniform(rng, 400.0, 8000.0),
         lights=(_level(rng.uniform(0.0, 60.0)),),
     )
-    return _told(rng, world, shape, declared=rng.uniform() < base.declared)
-
-
-def _figure(rng: np.random.Generator, *, rocky: bool) -> tuple[Body, Shape]:
-    if rocky:
-        return rock(int(rng.integers(ROCKS)))
-    return ellipsoid(10.0 * np.array([1.0, rng.uniform(0.85, 1.0), rng.uniform(0.8, 1.0)]))
-
-
-def sun_at(rng: np.random.Generator, sight: Float, phase_rad: float) -> Float:
-    """Unit vector to the Sun at a phase angle, on any side.
-
-    ``sight`` in camera axes, unit vector to the body; returns (3,).
-    """
-    side = np.cross(sight, [*rng.normal(size=2), 0.0])
-    result: Float = -math.cos(phase_rad) * sight + math.sin(phase_rad) * side / np.linalg.norm(side)
-    return result
-
-
-def _level(level_dn: float) -> Light:
-    return lambda signal, world, rng: signal + level_dn
-
-
-def _told(rng: np.random.Generator, world: World, shape: Shape, *, declared: bool) -> Plan:
-    """A priori data of a world without errors."""
+    declared = rng.uniform() < base.declared
     sigma_km = log_uniform(rng, *EPHEMERIS_SIGMA) * world.range_km
     told = Told(
         shape=shape,
@@ -264,6 +245,19 @@ def _told(rng: np.random.Generator, world: World, shape: Shape, *, declared: boo
         **_camera_and_attitude(rng),
     )
     return Plan(world=world, told=told)
+
+
+def sun_at(rng: np.random.Generator, sight: Float, phase_rad: float) -> Float:
+    """Unit vector to the Sun at a phase angle, on any side.
+
+    ``sight`` in camera axes, unit vector to the body; returns (3,).
+    """
+    side = np.cross(sight, [*rng.normal(size=2), 0.0])
+    return -math.cos(phase_rad) * sight + math.sin(phase_rad) * side / np.linalg.norm(side)
+
+
+def _level(level_dn: float) -> Light:
+    return lambda signal, world, rng: signal + level_dn
 
 
 def _camera_and_attitude(rng: np.random.Generator) -> dict[str, Any]:

@@ -128,8 +128,7 @@ def _beside(world: World, rng: np.random.Generator, away_px: tuple[float, float]
     angle = rng.uniform(0.0, 2.0 * math.pi)
     offset = rng.uniform(*away_px) * np.array([math.cos(angle), math.sin(angle)])
     sight = world.view.directions(world.center_px + offset)
-    result: Float = world.range_km * sight / np.linalg.norm(sight)
-    return result
+    return world.range_km * sight / np.linalg.norm(sight)
 
 
 def twin(plan: Plan, rng: np.random.Generator) -> Plan:

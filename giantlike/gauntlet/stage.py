@@ -55,7 +55,10 @@ class Stage(Value):
         Without noise.
     pixels_dn : (rows, columns) float64, DN
         As they arrive.
-    image : Image camera : Camera As assumed. scene : Scene, optional
+    image : Image
+    camera : Camera
+        As assumed.
+    scene : Scene, optional
         As assumed; None for images of stars.
     catalog : MemoryCatalog, optional
         As assumed; None for images of bodies.
@@ -155,17 +158,15 @@ def signal_of(world: World, rng: np.random.Generator) -> Float:
             world.body, view, pose, law=world.law, peak_dn=world.peak_dn, psf=world.psf, sampling=world.sampling
         )
     if world.sky is not None:
-        signal = (
-            signal
-            + star_image(
-                world.sky,
-                view,
-                world.attitude,
-                observer_velocity_km_s=world.velocity_km_s,
-                psf=world.psf,
-                zero_point_dn=ZERO_POINT_DN,
-            )[0]
+        stars, _ = star_image(
+            world.sky,
+            view,
+            world.attitude,
+            observer_velocity_km_s=world.velocity_km_s,
+            psf=world.psf,
+            zero_point_dn=ZERO_POINT_DN,
         )
+        signal = signal + stars
     for light in world.lights:
         signal = light(signal, world, rng)
     return np.asarray(signal, dtype=float)

@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, finite_or_none
 from giantlike.core.causes import IN_IMAGE, IN_POSITION, Cause, sum_parts
 from giantlike.core.outcomes import AttitudeFix, CenterFix, Failure, PositionFix
 from giantlike.gauntlet.rule import STARS, Facts, Verdict, facts_of, fits, solvable
@@ -271,6 +271,9 @@ def _row(stage: Stage, facts: Facts, name: str) -> TrialRow:
         nominal = answer if stage.kind.undisturbed else answer_of(stage.undisturbed, name)
         if is_vague(answer, nominal):
             verdict = Verdict.VAGUE
+    numbers = {each: getattr(answer, each) for each in ("sigmas", "error_px", "sigma_px", "range_error", "range_sigma")}
+    if nominal is not None:
+        numbers |= {"nominal_sigma_px": nominal.sigma_px, "nominal_range_sigma": nominal.range_sigma}
     return TrialRow(
         image=stage.index,
         kind=stage.kind.name,
@@ -279,18 +282,7 @@ def _row(stage: Stage, facts: Facts, name: str) -> TrialRow:
         status=answer.status,
         reason=answer.reason or None,
         solvable=int(demanded),
-        sigmas=_number(answer.sigmas),
-        error_px=_number(answer.error_px),
-        sigma_px=_number(answer.sigma_px),
-        nominal_sigma_px=None if nominal is None else _number(nominal.sigma_px),
-        range_error=_number(answer.range_error),
-        range_sigma=_number(answer.range_sigma),
-        nominal_range_sigma=None if nominal is None else _number(nominal.range_sigma),
         cpu_s=answer.cpu_s,
         detail=answer.detail or None,
+        **{each: finite_or_none(float(value)) for each, value in numbers.items()},
     )
-
-
-def _number(value: float) -> float | None:
-    """A number of a table: None where there is none."""
-    return float(value) if math.isfinite(value) else None

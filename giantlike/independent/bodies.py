@@ -120,8 +120,6 @@ class ReliefBody:
     relief: heights over the base, as a share of the radius, by the direction u.
     albedo: relative albedo less one, by the direction u.
 
-    Notes
-    -----
     Marching is safe: a height above the ground divided by the steepest slope of the distance function is a step that
     cannot cross the ground; what is left is found by bisection.
     """

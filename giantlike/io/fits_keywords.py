@@ -44,13 +44,7 @@ class Card:
 def fits_exposure_s(cards: Mapping[str, Card]) -> float | None:
     """Exposure time: the first of ``XPOSURE``, ``EXPTIME``, ``EXPOSURE`` that is a number.
 
-    Parameters
-    ----------
-    cards : mapping of str to Card
-
-    Returns
-    -------
-    float or None, s
+    Returns None where no card gives it.
 
     Notes
     -----
@@ -63,16 +57,7 @@ def fits_exposure_s(cards: Mapping[str, Card]) -> float | None:
 def fits_epoch(cards: Mapping[str, Card], exposure_s: float | None) -> Time | None:
     """Mid-exposure epoch of a header.
 
-    Parameters
-    ----------
-    cards : mapping of str to Card
-    exposure_s : float or None, s
-        Exposure time, for headers with a start only.
-
-    Returns
-    -------
-    Time or None
-        None where the header does not determine it.
+    ``exposure_s`` s: exposure time, for headers with a start only; returns None where the header does not determine it.
 
     Notes
     -----
@@ -115,19 +100,7 @@ def fits_epoch(cards: Mapping[str, Card], exposure_s: float | None) -> Time | No
 def fits_attitude(cards: Mapping[str, Card]) -> Rotation | None:
     """A priori attitude ``camera_from_inertial`` of :data:`QUATERNION_KEYS`.
 
-    Parameters
-    ----------
-    cards : mapping of str to Card
-
-    Returns
-    -------
-    Rotation or None
-        None when there are none of them.
-
-    Raises
-    ------
-    ValueError
-        Some are missing, or they make no unit quaternion.
+    Returns None when there are none of them. Raises ValueError: some are missing, or they make no unit quaternion.
     """
     values = _group(cards, QUATERNION_KEYS)
     return None if values is None else rotation_from_xyzw(values, "the quaternion GL_QX, GL_QY, GL_QZ, GL_QW")
@@ -136,21 +109,8 @@ def fits_attitude(cards: Mapping[str, Card]) -> Rotation | None:
 def fits_observer(cards: Mapping[str, Card], epoch: Time | None) -> ObserverState | None:
     """State of the spacecraft with respect to the solar system barycenter.
 
-    Parameters
-    ----------
-    cards : mapping of str to Card
-    epoch : Time or None
-        Mid-exposure.
-
-    Returns
-    -------
-    ObserverState or None
-        None when the header has none.
-
-    Raises
-    ------
-    ValueError
-        Some of :data:`OBSERVER_KEYS` are missing.
+    ``epoch``: mid-exposure; returns None when the header has none. Raises ValueError: some of :data:`OBSERVER_KEYS` are
+    missing.
 
     Notes
     -----

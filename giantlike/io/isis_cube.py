@@ -81,11 +81,9 @@ def read_cube(paths: Sequence[Path]) -> dict[str, NDArray[Any]]:
 def _special(stored: NDArray[Any]) -> Mask:
     """True where a stored value means null or saturation."""
     if stored.dtype.kind == "f":
-        special: Mask = ~(stored > _LEAST_FLOAT)
-        return special
+        return ~(stored > _LEAST_FLOAT)
     least, most = _VALID[stored.dtype.name]
-    outside: Mask = (stored < least) | (stored > most)
-    return outside
+    return (stored < least) | (stored > most)
 
 
 def _pds3_names(items: Mapping[str, Any]) -> dict[str, Any]:

@@ -25,22 +25,9 @@ MSI_FROM_NEAR = Rotation.from_matrix([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0
 def geometry_of_label(header: Mapping[str, HeaderValue], model: CameraModel) -> StatedGeometry | None:
     """Read the geometry that a label states.
 
-    Parameters
-    ----------
-    header : mapping of str to header value
-        ``metadata`` of an image.
-    model : CameraModel
-        Of the camera, for the rotation that shows the target at the pixel that the label states.
-
-    Returns
-    -------
-    StatedGeometry or None
-        None where the label is of another mission or holds no geometry.
-
-    Raises
-    ------
-    InputError
-        An item of the label is not a number.
+    ``header``: ``metadata`` of an image; ``model``: of the camera, for the rotation that shows the target at the pixel
+    that the label states; returns None where the label is of another mission or holds no geometry. Raises InputError:
+    an item of the label is not a number.
 
     Notes
     -----

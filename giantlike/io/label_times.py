@@ -50,18 +50,9 @@ def add_seconds(epoch: Time, seconds: float) -> Time:
 def label_exposure_s(label: Mapping[str, HeaderValue], units: Mapping[str, str]) -> float | None:
     """Exposure time of a label.
 
-    Parameters
-    ----------
-    label : mapping
-        Label items by name.
-    units : mapping of str to str
-        Units that the label states, by item name; without one ``EXPOSURE_DURATION`` is in milliseconds,
-        as the PDS3 data dictionary has it (the VICAR labels of Cassini ISS follow it).
-
-    Returns
-    -------
-    float or None, s
-        None where the label does not state it.
+    ``label``: label items by name; ``units``: units that the label states, by item name; without one
+    ``EXPOSURE_DURATION`` is in milliseconds, as the PDS3 data dictionary has it (the VICAR labels of Cassini ISS follow
+    it); returns s, None where the label does not state it.
 
     Notes
     -----
@@ -82,17 +73,8 @@ def label_exposure_s(label: Mapping[str, HeaderValue], units: Mapping[str, str])
 def label_epoch(label: Mapping[str, HeaderValue], exposure_s: float | None) -> Time | None:
     """Mid-exposure epoch of a label.
 
-    Parameters
-    ----------
-    label : mapping
-        Label items by name.
-    exposure_s : float or None, s
-        Exposure time, for labels with a start only.
-
-    Returns
-    -------
-    Time or None
-        None where the label does not determine it.
+    ``label``: label items by name; ``exposure_s`` s: exposure time, for labels with a start only; returns None where
+    the label does not determine it.
 
     Notes
     -----

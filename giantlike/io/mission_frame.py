@@ -56,8 +56,6 @@ def from_mission_frame(
     ``parameters``: by the names of the class, but with signs as in the mission's model
     (``cx_px``, ``cy_px`` in our pixels).
 
-    Notes
-    -----
     Where the image is mirrored, rows are counted from the last one instead: see :class:`ImportedCamera`.
 
     References

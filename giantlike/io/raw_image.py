@@ -77,8 +77,6 @@ def vax_floats(stored: NDArray[np.uint8]) -> Float:
 
     ``stored`` (..., 4) or (..., 8), their bytes; returns (...).
 
-    Notes
-    -----
     Both are sign, 8 exponent bits of excess 128 and a fraction with a hidden leading bit in [0.5, 1), stored
     as little-endian 16-bit words with the most significant word first. The reserved operand (sign set,
     exponent zero) is NaN.

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
@@ -104,13 +104,30 @@ class Stated:
 
     def agrees(self, holds: bool, reason: str) -> Comparison:
         """Compare the two: they agree where the rule in ``reason`` is met."""
+        paper, ours = (value if isinstance(value, str) else float(value) for value in (self.paper, self.ours))
         return Comparison(
-            what=self.what, paper=self.paper, ours=self.ours, kind=self.kind,
+            what=self.what, paper=paper, ours=ours, kind=self.kind,
             agrees=bool(holds), reason=reason, reference=self.reference,
         )  # fmt: skip
 
+    def within(self, tolerance: float, reason: str) -> Comparison:
+        """Compare the two: they agree within a tolerance with a stated reason."""
+        return self.agrees(
+            abs(float(self.ours) - float(self.paper)) <= tolerance, f"agrees within {tolerance:.3g}: {reason}"
+        )
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+    def near(self, within: float, because: str) -> Comparison:
+        """Compare the two: they agree within a relative tolerance."""
+        paper, ours = float(self.paper), float(self.ours)
+        return self.agrees(abs(ours - paper) <= within * abs(paper), f"Agrees within {100.0 * within:g} %. {because}")
+
+    def at_most(self, because: str) -> Comparison:
+        """Compare the two: ours must not be larger, such as an error within its model."""
+        agrees = abs(float(self.ours)) <= abs(float(self.paper))
+        return self.agrees(agrees, f"Agrees where ours is not larger. {because}")
+
+
+@dataclass(frozen=True, slots=True)
 class ReplayFigure:
     """A figure of the paper, reproduced.
 
@@ -257,18 +274,7 @@ def summary_of(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
             }
             for kind in ComparisonKind
         },
-        "comparisons": [
-            {
-                "what": each.what,
-                "paper": each.paper,
-                "ours": each.ours,
-                "kind": str(each.kind),
-                "agrees": each.agrees,
-                "reason": each.reason,
-                "reference": each.reference,
-            }
-            for each in comparisons
-        ],
+        "comparisons": [asdict(each) for each in comparisons],
         "assumptions": list(replay.assumptions),
     }
 

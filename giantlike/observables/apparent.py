@@ -83,5 +83,4 @@ def apparent_by_position(astrometric_km: Float, circumstances: Circumstances) ->
         velocity = circumstances.observer_velocity_km_s
     direction = astrometric_km / np.linalg.norm(astrometric_km)
     longer = np.eye(3) + np.outer(velocity, direction) / SPEED_OF_LIGHT_KM_S
-    result: Float = boost_jacobian(astrometric_km, circumstances.observer_velocity_km_s) @ np.linalg.inv(longer)
-    return result
+    return boost_jacobian(astrometric_km, circumstances.observer_velocity_km_s) @ np.linalg.inv(longer)

@@ -54,8 +54,6 @@ class Pointing(Value):
 def pointing_from_bodies(camera: Camera, rows: Sequence[ObservableRow]) -> Pointing | Failure:
     """Attitude of an image from the bodies and landmarks in it.
 
-    Notes
-    -----
     With ``C`` the covariance of all measured places, in which errors of ephemeris, size, pole, spin and camera are
     common to the rows of a body, and ``e`` the small rotation about the camera axes that is looked for, the weighted
     squares of ``o - project(Exp(e) A d)`` and of ``e`` over its a priori covariance are least; ``d`` are the apparent

@@ -453,15 +453,13 @@ def _by_focal_length(model: CameraModel, points_camera: Float) -> Float:
     names, values = list(model.parameter_names), model.parameters
     jacobian = model.parameter_jacobian(points_camera)
     which = [names.index(name) for name in ("fx_px", "fy_px")]
-    along: Float = jacobian[..., which] @ values[which]
-    return along
+    return jacobian[..., which] @ values[which]
 
 
 def _sky_by_px(inertial_from_camera: Rotation, directions: Float, by_px: Float) -> Float:
     """Derivative (..., 2, 2) of the way to the east and north, rad, by pixels."""
     sky = np.stack(east_north(*radec_from_direction(directions)), axis=-2)
-    product: Float = sky @ inertial_from_camera.as_matrix() @ by_px
-    return product
+    return sky @ inertial_from_camera.as_matrix() @ by_px
 
 
 def _sky_cells(east_north_rad2: Float) -> dict[str, Any]:

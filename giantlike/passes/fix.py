@@ -136,14 +136,12 @@ class PassFix(Value):
     @property
     def sigmas(self) -> Float:
         """Standard deviations (k,) of the values."""
-        result: Float = np.sqrt(np.diagonal(self.covariance))
-        return result
+        return np.sqrt(np.diagonal(self.covariance))
 
     @property
     def correlation(self) -> Float:
         """Correlations (k, k) of the values."""
-        result: Float = self.covariance / np.outer(self.sigmas, self.sigmas)
-        return result
+        return self.covariance / np.outer(self.sigmas, self.sigmas)
 
     def value(self, name: str) -> float:
         """Value of a parameter.

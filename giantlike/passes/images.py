@@ -204,8 +204,6 @@ class MeasuredPosition(Value):
         ``errors`` (8 + c,), rotation (rad), displacement (km), altitude (km), outward shift (px), shared errors
         (sigmas); returns ``residuals`` (3,), sigmas and ``design`` (3, 8 + c), sigmas per unit of each error.
 
-        Notes
-        -----
         The size in the image goes by the radius with the altitude of the limb over the range. A limb that is higher
         than assumed makes the body come out nearer, by the ratio of the radii, and so does one found farther outside.
         """

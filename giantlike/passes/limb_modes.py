@@ -44,5 +44,4 @@ def wave_amplitudes(sigma: float, length_rad: float, waves: int) -> Float:
     correlation = np.exp(-2.0 * np.abs(np.sin(angles / 2.0)) / length_rad)
     power = np.maximum(np.fft.rfft(correlation).real / _GRID, 0.0)[: waves + 1]
     power[1:] *= 2.0
-    result: Float = sigma * np.sqrt(power)
-    return result
+    return sigma * np.sqrt(power)

@@ -34,8 +34,7 @@ class ImageSums(Value):
     @property
     def inner(self) -> Float:
         """Information (q, q) of measurement and a priori on the errors that are new."""
-        result: Float = np.eye(self.random.shape[1]) + self.random.T @ self.information @ self.random
-        return result
+        return np.eye(self.random.shape[1]) + self.random.T @ self.information @ self.random
 
     @property
     def new_errors(self) -> Float:
@@ -169,8 +168,7 @@ def scaled_inverse(matrix: Float) -> Float:
     """Inverse of a symmetric positive definite matrix whose rows have different units."""
     scale = 1.0 / np.sqrt(np.diagonal(matrix))
     inverse = np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
-    result: Float = (inverse + inverse.T) / 2.0
-    return result
+    return (inverse + inverse.T) / 2.0
 
 
 def noise_variance(sums: list[ImageSums]) -> float:

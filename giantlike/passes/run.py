@@ -113,8 +113,6 @@ def pass_from_rows(rows: Sequence[ObservableRow], camera: Camera, choice: RunPas
 
     Returns None where no row is of use.
 
-    Notes
-    -----
     A trajectory error moves all images along a straight line: valid for passes of hours. A late exposure moves the body
     by its motion relative to the spacecraft, the camera held still in inertial axes.
     """

@@ -120,8 +120,7 @@ def _is_near_median(block: Float, sigma: float) -> Mask:
     median = np.take_along_axis(np.sort(block, axis=0), middle, axis=0)  # NaN comes last
     away = np.abs(block - median)
     spread = 1.4826 * np.take_along_axis(np.sort(away, axis=0), middle, axis=0)
-    kept: Mask = finite & (away <= _CLIP_SIGMA * np.fmax(sigma, spread))
-    return kept
+    return finite & (away <= _CLIP_SIGMA * np.fmax(sigma, spread))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -192,8 +191,6 @@ class CalibrationFrames(Value):
     ) -> CalibratedPixels:
         """Correct the pixels of an image.
 
-        Notes
-        -----
         The detector gets one number for the noise of bias and dark, uniform over the frame, and one relative to the
         signal for the noise of the flat. The shot noise of the dark current is that of its median; pixels far above it
         are hot and bad. Where a detector's noise is estimated from images, the corrected ones are used, which include

@@ -103,8 +103,6 @@ def find_peak(surface: Float, *, n_pixels: int = 0) -> CorrelationPeak | None:
     ``surface`` (rows, columns); ``n_pixels``: number of common pixels of template and image at the peak
     (without it the covariance is infinite); returns None where the surface is nowhere defined.
 
-    Notes
-    -----
     The paraboloid ``c0 + c1 x + c2 y + c3 x^2 + c4 x y + c5 y^2`` is the least-squares fit to the 3 x 3 pixels around
     the peak; a fit without a maximum within a pixel leaves the peak on its pixel.
 

@@ -60,8 +60,6 @@ def robust_solution(residuals: Float, design: Float, sigma: Float, *, outlier_ma
 
     ``residuals`` (n,); ``design`` (n, k), n > k; ``sigma`` (n,); returns ``solution`` (k,) and ``keep`` (n,).
 
-    Notes
-    -----
     Starts from reweighting towards least absolute residuals, which is biased by outliers on one side that are half of
     the data, but not a quarter; continues with Tukey's biweight, whose weights fall to zero smoothly, so that residuals
     near the limit do not make the solution jump.
@@ -178,8 +176,6 @@ def correlated_solution(
     ``residuals`` (n,); ``design`` (n, k), n > k + 1; ``sigma`` (n,); ``points`` (n, d); ``min_length``: shortest
     correlation length considered, unit of ``points``.
 
-    Notes
-    -----
     The residuals' covariance is modeled as ``s^2 (diag(sigma^2) + q m exp(-distance / length))``, m the mean of
     ``sigma^2`` and the distance along the points: a first-order Markov process, which a Kalman filter whitens in one
     pass. For a grid of ratios q and lengths, s^2 is found by restricted maximum likelihood, which accounts for the long

@@ -76,8 +76,6 @@ class OutlineErrors(Value):
 
         ``sigma`` (n,); ``points`` (n, 2).
 
-        Notes
-        -----
         Weights by smooth relief would rely on the exact correlation of neighbors, and fit the position to the curvature
         of residuals: on bodies with relief of 1 % such positions scatter by 0.6 px, without them by 0.3 px.
         """
@@ -106,8 +104,7 @@ class OutlineErrors(Value):
     @property
     def _relief_table(self) -> Float:
         """Covariance by relief, by the angle."""
-        result: Float = self._shared_variances[self.lengths.size :] @ _relief_tables()
-        return result
+        return self._shared_variances[self.lengths.size :] @ _relief_tables()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -132,8 +129,6 @@ def outline_errors(
     ``residuals`` (n,); ``design`` (n, k); ``sigma`` (n,); ``points`` (n, 2); ``radius``: mean radius of the whole
     outline, unit of the points; ``least_length``: shortest correlation length that is considered, unit of the points.
 
-    Notes
-    -----
     Covariances are ``s^2 (diag(sigma^2) + q m K)``, m the mean of ``sigma^2``. K is either ``exp(-distance / length)``,
     the errors of pixels and albedo, or the covariance of a random field on the sphere, ``sum V_n P_n(cos angle)`` over
     degrees n from 2 on: ``V_n = (2 n + 1) (n (n + 1))^(-3/2)`` for rough relief, which is Kaula's rule that power is
@@ -236,5 +231,4 @@ def _looked_up(tables: Float, chords: Float) -> Float:
     place = np.arcsin(np.minimum(0.5 * chords, 1.0)) * (2.0 / np.pi * (_ANGLES - 1))
     index = np.minimum(place.astype(np.int64), _ANGLES - 2)
     share = place - index
-    result: Float = (1.0 - share) * tables[:, index] + share * tables[:, index + 1]
-    return result
+    return (1.0 - share) * tables[:, index] + share * tables[:, index + 1]

@@ -156,24 +156,14 @@ class ApproachOptions:
 class ApproachFrame(Value):
     """An image to be taken: its truth and its a priori knowledge.
 
-    Parameters
-    ----------
-    shot : Shot
-        True exposure.
-    scene : Scene
-        True scene.
-    target : str
-        Name of the body in view.
-    star_image : bool
-        True for a long exposure, in which the body is saturated.
-    seed : (int, int)
-        Seed of the noise of this image.
-    apriori_camera_from_inertial : Rotation or None
-        Attitude with its error; None where the attitude is lost.
-    apriori_observer : ObserverState
-        Observer with its error.
-    apriori_geometry : ApparentGeometry
-        Geometry of the target with the error of the predicted position; orientation and Sun are exact.
+    shot: true exposure.
+    scene: true scene.
+    target: name of the body in view.
+    star_image: True for a long exposure, in which the body is saturated.
+    seed: (int, int); seed of the noise of this image.
+    apriori_camera_from_inertial: attitude with its error; None where the attitude is lost.
+    apriori_observer: observer with its error.
+    apriori_geometry: geometry of the target with the error of the predicted position; orientation and Sun are exact.
     """
 
     shot: Shot
@@ -190,20 +180,12 @@ class ApproachFrame(Value):
 class Approach(Value):
     """A simulated campaign whose images are not yet made.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera.
-    photometry : Photometry
-        Brightness of bodies and stars.
-    detector : DetectorModel
-        Effects of the detector.
-    targets : tuple of Target
-        Bodies with their true ephemerides.
-    frames : tuple of Frame
-        Images in order of time.
-    options : ApproachOptions
-        Options that the approach was planned with.
+    camera: the camera.
+    photometry: brightness of bodies and stars.
+    detector: effects of the detector.
+    targets: bodies with their true ephemerides.
+    frames: images in order of time.
+    options: options that the approach was planned with.
     """
 
     camera: Camera
@@ -425,8 +407,7 @@ class _Planner(Value):
         across_rad = self.options.position_error_px / self.camera.model.focal_length_px
         range_km = float(np.linalg.norm(apparent_km))
         along = self.rng.uniform(-self.options.range_error, self.options.range_error)
-        error: Float = range_km * across_rad * across + along * apparent_km
-        return error
+        return range_km * across_rad * across + along * apparent_km
 
     def _short_exposure_s(self, shot: Shot, encounter: _Encounter) -> float:
         """Exposure time that brings the brightest pixel of the body to the wanted fraction of full scale, s."""

@@ -52,12 +52,8 @@ class Stream(IntEnum):
 class HotPixels(Value):
     """Pixels with a high dark current.
 
-    Parameters
-    ----------
-    points_px : (n, 2) int64, px
-        Column and row of each; those outside a frame are left out.
-    rate_e_s : (n,) float64, electron/s
-        Dark current of each.
+    points_px: (n, 2) int64, px; column and row of each; those outside a frame are left out.
+    rate_e_s: (n,), electron/s; dark current of each.
     """
 
     points_px: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
@@ -98,28 +94,16 @@ class DetectorModel(Value):
 
     By default only shot noise is on.
 
-    Parameters
-    ----------
-    stray : StrayLight
-        Stray light.
-    flat : FlatField
-        Response of the pixels.
-    transfer : FrameTransfer
-        Smear of the frame transfer.
-    dark : DarkCurrent
-        Dark current.
-    hot_pixels : HotPixels
-        Pixels with a high dark current.
-    dead_px : (n, 2) int64, px
-        Column and row of pixels that hold no charge; those outside a frame are left out.
-    shot_noise : bool
-        True to draw shot noise.
-    cosmic_rays : CosmicRays
-        Tracks of charged particles.
-    well : FullWell
-        Full-well capacity and blooming.
-    bits : int
-        Bits of the converter, at most 16: numbers end at ``2^bits - 1``.
+    stray: stray light.
+    flat: response of the pixels.
+    transfer: smear of the frame transfer.
+    dark: dark current.
+    hot_pixels: pixels with a high dark current.
+    dead_px: (n, 2) int64, px; column and row of pixels that hold no charge; those outside a frame are left out.
+    shot_noise: True to draw shot noise.
+    cosmic_rays: tracks of charged particles.
+    well: full-well capacity and blooming.
+    bits: bits of the converter, at most 16: numbers end at ``2^bits - 1``.
     """
 
     stray: StrayLight = field(default_factory=StrayLight)

@@ -47,8 +47,7 @@ class StrayLight:
             np.exp(-0.5 * ((axis - center) / self.glow_sigma_px) ** 2)
             for axis, center in zip((x, y), self.glow_center_px, strict=True)
         ]
-        rate: Float = np.maximum(plane, 0.0) + self.glow_e_s * near[1] * near[0]
-        return rate
+        return np.maximum(plane, 0.0) + self.glow_e_s * near[1] * near[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -83,8 +82,7 @@ class FlatField(Value):
             return factor
         size = self.response.shape
         require(size == (rows, columns), f"the flat field response has {size} pixels, the camera {(rows, columns)}")
-        result: Float = factor * self.response
-        return result
+        return factor * self.response
 
 
 def pixel_response(columns: int, rows: int, *, rms: float, random: np.random.Generator) -> Float:

@@ -22,24 +22,14 @@ from giantlike.simulation.stars import DetectorStars
 class SimulatedImage(Value):
     """A simulated image and its truth.
 
-    Parameters
-    ----------
-    image : Image
-        Pixels uint16, with the true attitude and observer.
-    shot : Shot
-        The exposure.
-    bodies : mapping of str to TargetGeometry
-        True apparent geometry at mid-exposure of every target that is seen in the frame, by name.
-    templates : mapping of str to Template
-        Those bodies as rendered at mid-exposure, noise-free, PSF in.
-    stars : StarField
-        Stars whose light falls on the frame and that no body hides, with true positions at mid-exposure.
-    star_electrons : (n,) float64, electron
-        Light of each star.
-    readout : Readout
-        Mean charge without noise and charge of cosmic rays, pixel by pixel.
-    seed : int or tuple of int
-        Seed of everything random.
+    image: pixels uint16, with the true attitude and observer.
+    shot: the exposure.
+    bodies: true apparent geometry at mid-exposure of every target that is seen in the frame, by name.
+    templates: those bodies as rendered at mid-exposure, noise-free, PSF in.
+    stars: stars whose light falls on the frame and that no body hides, with true positions at mid-exposure.
+    star_electrons: (n,), electron; light of each star.
+    readout: mean charge without noise and charge of cosmic rays, pixel by pixel.
+    seed: seed of everything random.
     """
 
     image: Image

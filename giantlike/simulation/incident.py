@@ -49,17 +49,11 @@ class Sources:
 class SimulationOptions:
     """Sampling of simulated images.
 
-    Parameters
-    ----------
-    rays_per_pixel_side : int
-        Rays along each side of a pixel. Each goes through a random position in its cell, so that no estimator's
-        template shares the sampling.
-    max_magnitude : float, optional
-        Faintest star; by default all stars of the catalog.
-    sun_radius_rad : float, rad
-        Angular radius of the Sun at the bodies, for penumbrae; 0 is a point.
-    min_rays_across : int
-        Least number of rays across the narrow side of a body.
+    rays_per_pixel_side: rays along each side of a pixel. Each goes through a random position in its cell, so that no
+        estimator's template shares the sampling.
+    max_magnitude: faintest star; by default all stars of the catalog.
+    sun_radius_rad: rad; angular radius of the Sun at the bodies, for penumbrae; 0 is a point.
+    min_rays_across: least number of rays across the narrow side of a body.
     """
 
     rays_per_pixel_side: int = 5
@@ -82,7 +76,7 @@ class IncidentLight(Value):
     """Light on the pixels and its sources.
 
     electrons: (rows, columns); mean number of photoelectrons of the exposure.
-    bodies: True apparent geometry at mid-exposure of every target seen in the frame, by name.
+    bodies: true apparent geometry at mid-exposure of every target seen in the frame, by name.
     templates: those bodies as rendered at mid-exposure.
     stars: stars whose light falls on the frame, with true positions at mid-exposure.
     star_electrons: (n,); light of each star, without the part that bodies hide.
@@ -115,8 +109,6 @@ def incident_light(
 ) -> IncidentLight:
     """Gather the light of bodies and stars on the pixels of a camera.
 
-    Notes
-    -----
     Where the image moves, bodies and stars are drawn together at several moments of the exposure, so that a star that
     a body hides for half of the exposure gives half of its light.
     """

@@ -33,17 +33,12 @@ _SHARPEST_PX = 0.4  # px, least width of an image: integration over a pixel adds
 class Photometry:
     """Photometric calibration of a camera that stars and surfaces share.
 
-    Parameters
-    ----------
-    zero_point_e_s : float, electron/s
-        Signal of a star of magnitude 0, in the band of the catalog. The default suits the demonstration: a star of
-        magnitude 8.5 gives 400 electrons in 5 s.
-    albedo : float
-        Radiance factor of surfaces seen and lit along their normal; 0.045 by default, a dark asteroid such as Bennu.
-    sun_distance_au : float, au
-        Distance of the bodies from the Sun.
-    albedos : mapping of str to float
-        Radiance factor of targets that differ from ``albedo``, by name.
+    zero_point_e_s: electron/s; signal of a star of magnitude 0, in the band of the catalog. The default suits the
+        demonstration: a star of magnitude 8.5 gives 400 electrons in 5 s.
+    albedo: radiance factor of surfaces seen and lit along their normal; 0.045 by default, a dark asteroid such as
+        Bennu.
+    sun_distance_au: au; distance of the bodies from the Sun.
+    albedos: radiance factor of targets that differ from ``albedo``, by name.
     """
 
     zero_point_e_s: float = 2.0e5
@@ -62,8 +57,7 @@ class Photometry:
 
         ``magnitudes`` (n,); returns (n,) electron/s.
         """
-        rate: Float = self.zero_point_e_s * 10.0 ** (-0.4 * magnitudes)
-        return rate
+        return self.zero_point_e_s * 10.0 ** (-0.4 * magnitudes)
 
     def surface_rate_e_s(self, camera: Camera, target: str | None = None) -> float:
         """Signal of a pixel that sees a surface lit and seen along its normal.

@@ -26,16 +26,10 @@ _CONE_MARGIN_RAD = 1e-3  # rad, added to the cone of stars: aberration (v/c, 1e-
 class DetectorStars(Value):
     """Stars on a detector, in the order of the catalog: brightest first.
 
-    Parameters
-    ----------
-    ids : (n,) int64
-        Catalog identifiers.
-    points_px : (n, 2) float64, px
-        True positions in the distorted image.
-    magnitudes : (n,) float64
-        Catalog magnitudes.
-    directions_inertial : (n, 3) float64, unitless, inertial
-        Apparent unit vectors to them.
+    ids: (n,) int64; catalog identifiers.
+    points_px: (n, 2), px; true positions in the distorted image.
+    magnitudes: (n,); catalog magnitudes.
+    directions_inertial: (n, 3), unitless, inertial; apparent unit vectors to them.
     """
 
     ids: NDArray[np.int64]
@@ -111,5 +105,4 @@ def point_sources(points_px: ArrayLike, flux: ArrayLike, *, sigma_px: float, col
 def _pixel_shares(offset_px: Float, sigma_px: float) -> Float:
     """Fraction of a unit Gaussian at 0 between ``offset - 1/2`` and ``offset + 1/2``."""
     width = max(sigma_px, _SHARPEST_PX)
-    share: Float = ndtr((offset_px + 0.5) / width) - ndtr((offset_px - 0.5) / width)
-    return share
+    return ndtr((offset_px + 0.5) / width) - ndtr((offset_px - 0.5) / width)

@@ -40,14 +40,9 @@ _VOTING_STARS, _VOTING_POINTS = 150, 100  # brightest stars and detections that 
 class Identification(Value):
     """Attitude and matches found with an a priori attitude.
 
-    Parameters
-    ----------
-    camera_from_inertial : Rotation
-        Attitude accurate enough for matching; the stars are not yet weighted.
-    matches : Matches
-        Indices into the stars and detections that were given.
-    false_match_probability : float
-        Upper bound of the probability that the matches are random.
+    camera_from_inertial: attitude accurate enough for matching; the stars are not yet weighted.
+    matches: indices into the stars and detections that were given.
+    false_match_probability: upper bound of the probability that the matches are random.
     """
 
     camera_from_inertial: Rotation

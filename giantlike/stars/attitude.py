@@ -38,38 +38,23 @@ distribution, one-sided."""
 class AttitudeSolution(Value):
     """Weighted attitude of one image.
 
-    Parameters
-    ----------
-    camera_from_inertial : Rotation
-    covariance_rad2 : (3, 3) float64, rad^2
-        Of the small rotation about the camera axes, as in :class:`~giantlike.core.outcomes.AttitudeFix`; an estimated
-        scale is marginalized.
-    model : CameraModel
-        Camera model, with the estimated scale if there is one.
-    used : (n,) bool
-        False for outliers.
-    predicted_px : (n, 2) float64, px
-        Stars projected by the solution.
-    sigma_px : (n,) float64, px
-        Standard deviation per axis by which each star was weighted.
-    error_floor_px : float, px
-        Standard deviation per axis, added in quadrature for every star to explain the residuals; 0 if they need
-        none.
-    error_factor : float
-        Factor on the standard deviations of the stars themselves, at least 1.
-    reduced_chi2 : float
-        Chi-square over degrees of freedom without the floor.
-    hidden_floor_px : float, px
-        The floor that is likely where the noise explains the residuals: in the covariance, not in the weights. It
-        matters where one star is far better than the others, so that the fit follows its unmodeled error.
-    shared_error_px : float, px
-        Standard deviation per axis of the errors that neighboring stars share, times the root of their probability; 0
-        where no error is likely. The covariance is the mean over all kinds, sizes and lengths of errors, each with its
-        probability.
-    unmodeled_likely : bool
-        Whether errors beyond those of the stars and the floor are likely.
-    by_pixels : (3, k, 2) float64, rad/px
-        Derivative of the small rotation by the image positions of the k stars used.
+    covariance_rad2: (3, 3), rad^2; of the small rotation about the camera axes, as in
+        :class:`~giantlike.core.outcomes.AttitudeFix`; an estimated scale is marginalized.
+    model: camera model, with the estimated scale if there is one.
+    used: (n,); False for outliers.
+    predicted_px: (n, 2), px; stars projected by the solution.
+    sigma_px: (n,), px; standard deviation per axis by which each star was weighted.
+    error_floor_px: px; standard deviation per axis, added in quadrature for every star to explain the residuals; 0 if
+        they need none.
+    error_factor: factor on the standard deviations of the stars themselves, at least 1.
+    reduced_chi2: chi-square over degrees of freedom without the floor.
+    hidden_floor_px: px; the floor that is likely where the noise explains the residuals: in the covariance, not in the
+        weights. It matters where one star is far better than the others, so that the fit follows its unmodeled error.
+    shared_error_px: px; standard deviation per axis of the errors that neighboring stars share, times the root of their
+        probability; 0 where no error is likely. The covariance is the mean over all kinds, sizes and lengths of errors,
+        each with its probability.
+    unmodeled_likely: whether errors beyond those of the stars and the floor are likely.
+    by_pixels: (3, k, 2), rad/px; derivative of the small rotation by the image positions of the k stars used.
     """
 
     camera_from_inertial: Rotation
@@ -371,5 +356,4 @@ def _by_pixels(state: _AttitudeState, stars: _Stars, scale: Scale) -> Float:
     normal = np.sum(weighted @ jacobian, axis=0)
     units = 1.0 / np.sqrt(np.diag(normal))
     covariance = np.linalg.inv(normal * np.outer(units, units)) * np.outer(units, units)
-    by_pixels: Float = np.moveaxis(covariance[:3] @ weighted, 0, 1)
-    return by_pixels
+    return np.moveaxis(covariance[:3] @ weighted, 0, 1)

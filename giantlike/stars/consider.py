@@ -29,8 +29,7 @@ def response_to_camera(solution: AttitudeSolution, field: StarField) -> Float:
     order of the names of the parameters.
     """
     vectors = rotate(solution.camera_from_inertial, field.directions_inertial)
-    by_camera: Float = -np.tensordot(solution.by_pixels, solution.model.parameter_jacobian(vectors), axes=2)
-    return by_camera
+    return -np.tensordot(solution.by_pixels, solution.model.parameter_jacobian(vectors), axes=2)
 
 
 def attitude_parts(

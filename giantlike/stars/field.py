@@ -23,14 +23,9 @@ _MARGIN = 1.05  # radius of the catalog cone / radius of the field of view: the 
 class StarField(Value):
     """Stars in and around the field of view, brightest first.
 
-    Parameters
-    ----------
-    stars : StarTable
-        n stars.
-    directions_inertial : (n, 3) float64, unitless, inertial
-        Apparent unit vectors.
-    sigma_rad : (n,) float64, rad
-        Catalog error of the directions, per axis.
+    stars: n stars.
+    directions_inertial: (n, 3), unitless, inertial; apparent unit vectors.
+    sigma_rad: (n,), rad; catalog error of the directions, per axis.
     """
 
     stars: StarTable
@@ -52,19 +47,12 @@ class StarField(Value):
 class Sky(Value):
     """A star catalog as seen by an observer at one time.
 
-    Parameters
-    ----------
-    catalog : StarCatalog
-    et : float, s, optional
-        TDB seconds past J2000; default: stars at ``EPOCH_WHEN_UNKNOWN``.
-    observer_position_km : (3,) float64, km, inertial, optional
-        From the solar system barycenter; without it parallax is not applied.
-    observer_velocity_km_s : (3,) float64, km/s, inertial, optional
-        Relative to the solar system barycenter; without it aberration is not applied and becomes part of the attitude.
-    max_magnitude : float, optional
-        Faintest star, in the band of the catalog.
-    light_deflection : bool
-        Apply the deflection by the Sun; only where the position of the observer is known.
+    et: s; TDB seconds past J2000; default: stars at ``EPOCH_WHEN_UNKNOWN``.
+    observer_position_km: (3,), km, inertial; from the solar system barycenter; without it parallax is not applied.
+    observer_velocity_km_s: (3,), km/s, inertial; relative to the solar system barycenter; without it aberration is not
+        applied and becomes part of the attitude.
+    max_magnitude: faintest star, in the band of the catalog.
+    light_deflection: apply the deflection by the Sun; only where the position of the observer is known.
     """
 
     catalog: StarCatalog

@@ -42,18 +42,11 @@ SMALLEST_GATE_PX = 0.5
 class RefinedAttitude(Value):
     """An attitude, its stars, and the probability that their matches are random.
 
-    Parameters
-    ----------
-    field : StarField
-        Stars that detections could be matched with.
-    solution : AttitudeSolution
-        Arrays in the order of ``matches``.
-    matches : Matches
-        Indices into the star field and the detections; ``solution.used`` is False for outliers.
-    n_detections : int
-        Number of detections that could be matched.
-    false_match_probability : float
-        Upper bound of the probability that the matches are random.
+    field: stars that detections could be matched with.
+    solution: arrays in the order of ``matches``.
+    matches: indices into the star field and the detections; ``solution.used`` is False for outliers.
+    n_detections: number of detections that could be matched.
+    false_match_probability: upper bound of the probability that the matches are random.
     """
 
     field: StarField

@@ -118,8 +118,6 @@ class AttitudeResiduals(Value):
 def unmodeled_errors(left: AttitudeResiduals, *, own_included: bool = False) -> UnmodeledErrors:
     """Weigh errors of all sizes and lengths by the residuals of a fit, into :class:`UnmodeledErrors`.
 
-    Notes
-    -----
     Errors of the size a add ``a^2 K`` to the covariance of the positions. ``K`` is this covariance over its median
     variance for underestimated noise, the unit matrix for errors of each star, ``exp(-d / l)`` or
     ``exp(-d^2 / 2 l^2)`` for errors shared by stars at the distance d, and the outer product of the positions about

@@ -119,8 +119,6 @@ def transfer_attitude(
 ) -> TransferredAttitude | Failure:
     """Attitude at a time from star solutions at other times.
 
-    Notes
-    -----
     ``replace`` and ``propagate`` use the solution nearest in time (the earlier one of two equally near). With
     ``D`` the relative rotation that the method assumes, ``C = D C_s`` and ``P = D P_s D^T``.
 

@@ -314,8 +314,7 @@ class _SmoothLimb(Value):
         radius = heights.radii_km(ground)
         angle = np.arctan2(radius * sine, self.distance_km - radius * cosine)
         off = np.tan(angle - self.half_angle_rad[part, None])
-        result: Float = off * (self.arm_km * self.lean)[part, None]
-        return result
+        return off * (self.arm_km * self.lean)[part, None]
 
 
 def _expected_top(seen_km: Float, sigma_km: float) -> tuple[Float, Float]:

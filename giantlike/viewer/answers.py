@@ -5,7 +5,7 @@ from __future__ import annotations
 import getpass
 import math
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import cv2
@@ -61,9 +61,7 @@ class Answers:
         """The run: its images with verdicts, and all fixes."""
         with self._lock:
             result = self._session.result
-            statuses: dict[str, list[ObservationRecord]] = {}
-            for one in result.observations:
-                statuses.setdefault(one.file, []).append(one)
+            statuses = group_by(result.observations, lambda one: one.file)
             images = [
                 {
                     "index": number,
@@ -117,7 +115,8 @@ class Answers:
             rows = []
             places = {file: number for number, file in enumerate(self._session.files)}
             for image in self._session.result.bodies:
-                for fixes in group_by(_select_located(image.observations), lambda one: one.target).values():
+                located = (one for one in image.observations if one.center_px and one.covariance_px2)
+                for fixes in group_by(located, lambda one: one.target).values():
                     best = min(fixes, key=lambda one: float(np.trace(np.array(one.covariance_px2))))
                     rows += [_difference(one, best, places[image.file]) for one in fixes if one is not best]
             return rows
@@ -264,10 +263,6 @@ def _layer(each: MarkLayer) -> dict[str, Any]:
     }
 
 
-def _select_located(observations: Iterable[ObservationRecord]) -> list[ObservationRecord]:
-    return [one for one in observations if one.center_px is not None and one.covariance_px2 is not None]
-
-
 def _difference(one: ObservationRecord, best: ObservationRecord, index: int) -> dict[str, Any]:
     """A row of the table of estimators side by side."""
     apart = difference_of(one, best)
@@ -303,20 +298,8 @@ def _fix_row(one: ObservationRecord, index: int) -> dict[str, Any]:
         "words": one.outcome.words,
         "reason": None if one.problem is None else str(one.problem.reason),
         "flags": list(one.flags),
-        **dict.fromkeys(
-            (
-                "x",
-                "y",
-                "sigma_x",
-                "sigma_y",
-                "dx",
-                "dy",
-                "range_km",
-                "sigma_range_km",
-                "d_range_percent",
-                "sigma_d_range_percent",
-            )
-        ),
+        **dict.fromkeys(["x", "y", "sigma_x", "sigma_y", "dx", "dy", "range_km", "sigma_range_km", "d_range_percent"]),
+        "sigma_d_range_percent": None,
     }
     if one.center_px is None or one.covariance_px2 is None:
         return row

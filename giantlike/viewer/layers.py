@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -240,15 +241,7 @@ def _centers(seen: SeenImage) -> list[MarkLayer]:
     return made
 
 
-def _limb(seen: SeenImage) -> list[MarkLayer]:
-    return _limb_points(seen, "limb", "limb_px", "limb points used")
-
-
-def _limb_rejected(seen: SeenImage) -> list[MarkLayer]:
-    return _limb_points(seen, "limb-rejected", "limb_rejected_px", "limb points rejected")
-
-
-def _limb_points(seen: SeenImage, name: str, kept_as: str, meaning: str) -> list[MarkLayer]:
+def _limb_points(seen: SeenImage, *, name: str, kept_as: str, meaning: str) -> list[MarkLayer]:
     return [
         MarkLayer(
             name=name,
@@ -330,8 +323,10 @@ _MAKERS: Mapping[str, Callable[[SeenImage], list[MarkLayer]]] = MappingProxyType
         "predicted": _predicted_outlines,
         "fitted": _fitted_outlines,
         "centers": _centers,
-        "limb": _limb,
-        "limb-rejected": _limb_rejected,
+        "limb": partial(_limb_points, name="limb", kept_as="limb_px", meaning="limb points used"),
+        "limb-rejected": partial(
+            _limb_points, name="limb-rejected", kept_as="limb_rejected_px", meaning="limb points rejected"
+        ),
         "terminator": _terminator,
         "landmarks": _landmarks,
         "landmarks-rejected": _landmarks_rejected,

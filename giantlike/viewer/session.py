@@ -67,17 +67,8 @@ class SeenImage:
 def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]) -> str:
     """Return the verdict on an image: the worst of its attitude and of the best fix of each target.
 
-    Parameters
-    ----------
-    record : AttitudeRecord
-    observations : iterable of ObservationRecord
-        Of the image.
-
-    Returns
-    -------
-    str
-        ``ok``, ``suspect``, ``failed`` or, of a rejected image, ``rejected``. What was rejected, does not suit a body
-        or is not in the field, does not count.
+    ``observations``: of the image; returns ``ok``, ``suspect``, ``failed`` or, of a rejected image, ``rejected``. What
+    was rejected, does not suit a body or is not in the field, does not count.
     """
     if record.outcome is Outcome.REJECTED:
         return str(Outcome.REJECTED)

@@ -24,8 +24,6 @@ def read_maplet(path: Path) -> LocalMap:
 
     The result has NaN where the file has no height.
 
-    Notes
-    -----
     Bytes count from 1. Of the first 72: 7-10 the scale, km per pixel; 11-12 the half size q, of 2q + 1 by 2q + 1
     pixels, its low byte first; 16-27 the position of the middle, km, body-fixed; 28-39, 40-51, 52-63 the unit vectors
     Ux, Uy, Uz; 64-67 the step of the heights; floats are single precision, high byte first. Then three bytes for each

@@ -19,8 +19,6 @@ from giantlike.shapes.surface import Surface, split_polygons
 def read_plate_table(path: Path) -> Surface:
     """Read a plate table.
 
-    Notes
-    -----
     Plates number the vertices from 0 where 0 occurs, and from 1 where the number of vertices does. Where neither
     does, the numbering with the shorter edges is taken.
     """

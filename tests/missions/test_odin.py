@@ -54,9 +54,7 @@ def test_agreement_is_decided_by_the_numbers() -> None:
     def study(sigma_arcsec: float) -> InterlockStudy:
         turns = [np.radians([0.0, value / 3600.0, 0.0]) for value in rng.normal(0.0, sigma_arcsec, 30)]
         rotation = type(true_interlock()).from_rotvec(turns) * true_interlock()
-        return InterlockStudy(
-            seen=rotation, corrected=rotation, orientation=np.zeros(30), covariance_rad2=np.zeros((30, 3, 3)), failed=0
-        )
+        return InterlockStudy(seen=rotation, corrected=rotation, orientation=np.zeros(30), failed=0)
 
     for sigma, agrees in ((7.0, True), (0.5, False)):
         verdict = [each.agrees for each in of_interlock(study(sigma), np.full(10, 50.0)) if "taken out" in each.what]

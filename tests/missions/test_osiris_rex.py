@@ -113,7 +113,6 @@ def test_a_correlation_that_no_range_error_moves_is_not_called_biased() -> None:
         phases_deg=np.array([60.0]),
         correlation_px=still,
         fitted_px=still,
-        fitted_range=np.zeros((1, 3)),
     )
 
     assert [comparison.agrees for comparison in range_error_comparisons(study)] == [False, False]

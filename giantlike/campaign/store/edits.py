@@ -43,20 +43,11 @@ class Edited(StrEnum):
 class Edit(BaseModel):
     """One edit.
 
-    Parameters
-    ----------
-    action : str
-        ``reject`` or ``restore``.
-    what : Edited
-    file : str
-        Name of the image in the tables.
-    star : int, optional
-        Number of the star in the catalog.
-    target, estimator : str, optional
-        Of the fix.
-    who, when_utc, why : str
-    at_px : (2,) list of float, px, optional
-        Where the star was observed when it was rejected, so that it can still be shown.
+    action: ``reject`` or ``restore``.
+    file: name of the image in the tables.
+    star: number of the star in the catalog.
+    target, estimator: of the fix.
+    at_px: (2,) list of float, px; where the star was observed when it was rejected, so that it can still be shown.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -160,16 +151,9 @@ class EditList:
 def new_edit(run: RunFolder, wanted: Mapping[str, Any]) -> Edit:
     """Return a new edit of something that the run holds; a star gets its place in the image.
 
-    Parameters
-    ----------
-    run : RunFolder
-    wanted : mapping of str to object
-        Fields of :class:`Edit` but the time; an image may be named by the beginning of its name.
-
-    Raises
-    ------
-    InputError
-        It is incomplete, its words are not one short line, or it matches nothing; the nearest candidates are named.
+    ``wanted``: fields of :class:`Edit` but the time; an image may be named by the beginning of its name. Raises
+    InputError: it is incomplete, its words are not one short line, or it matches nothing; the nearest candidates are
+    named.
     """
     when = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     try:

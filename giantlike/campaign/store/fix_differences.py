@@ -33,8 +33,7 @@ class FixDifference(Value):
     @property
     def sigma(self) -> Float:
         """Standard deviations (k,) of the offset, each coordinate by itself."""
-        result: Float = np.sqrt(np.diag(self.covariance))
-        return result
+        return np.sqrt(np.diag(self.covariance))
 
     @property
     def squared_distance(self) -> float:
@@ -61,8 +60,6 @@ def difference_of(one: ObservationRecord, other: ObservationRecord) -> FixDiffer
 
     Returns None if one of the two has no fix.
 
-    Notes
-    -----
     Camera and attitude do not change a position in the image, and are left out; the camera's part of a range is
     included. Errors of the scale, the pole and the spin of a body have one value for both fixes: they change the
     difference by the difference of their partials, ``(P1 - P2) S (P1 - P2)^T``, where the records hold partials, else

@@ -15,10 +15,7 @@ _SHOWN = 4
 def find_image(name: str, files: Collection[str], run: Path) -> str:
     """Return the name of an image in the tables, from that name, a path that ends in it, or its beginning.
 
-    Raises
-    ------
-    InputError
-        There is none, or there are several; the message names the nearest.
+    Raises InputError: there is none, or there are several; the message names the nearest.
     """
     if name in files:
         return name

@@ -41,15 +41,9 @@ from giantlike.core.outcomes import AttitudeErrors, Failure, Outcome, Quality, R
 class Problem(PlainRecord):
     """The reason why there is no result.
 
-    Parameters
-    ----------
-    reason : Reason
-    detail : str
-        As in :class:`~giantlike.core.outcomes.Failure`.
-    traceback : str, optional
-        Of a programming error.
-    kind : Outcome
-        ``failed``, or the reason why it does not count as a failure.
+    detail: as in :class:`~giantlike.core.outcomes.Failure`.
+    traceback: of a programming error.
+    kind: ``failed``, or the reason why it does not count as a failure.
     """
 
     reason: Reason

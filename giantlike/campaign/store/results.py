@@ -237,13 +237,7 @@ def load_result(path: Path) -> RunResult:
         folder=path,
         attitudes=tuple(edits.attitudes(folder.attitudes())),
         bodies=tuple(edits.bodies(folder.bodies())),
-        name=summary.name,
-        hdu=summary.hdu,
-        bottom_up=summary.bottom_up,
-        max_overlays=summary.max_overlays,
-        warnings=tuple(summary.warnings),
-        time_s=summary.time_s,
-        empty_images=frozenset(summary.empty_images),
+        **dict(summary) | {"warnings": tuple(summary.warnings), "empty_images": frozenset(summary.empty_images)},
         calibration=_calibration(path / CALIBRATION_FILE),
     )
 

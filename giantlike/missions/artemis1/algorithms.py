@@ -12,9 +12,18 @@ from giantlike.core.outcomes import Failure
 from giantlike.missions.artemis1.images import moon_shot
 from giantlike.missions.artemis1.measure import iterative, non_iterative
 from giantlike.missions.artemis1.passes import Setting, sun_direction
-from giantlike.missions.artemis1.report import RED, Dots, make_number, panel_figure
+from giantlike.missions.artemis1.report import RED, Dots, panel_figure
 from giantlike.missions.artemis1.simulate import FlownPass, residuals_of
-from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, Comparison, ReplayFigure, ReplaySettings, Section
+from giantlike.missions.replay import (
+    DERIVED,
+    INDEPENDENT,
+    INPUT,
+    Comparison,
+    ReplayFigure,
+    ReplaySettings,
+    Section,
+    Stated,
+)
 
 PAPER = {  # Table 2: mean and standard deviation of each, correlation, p-value of the text
     "x": ((-0.697, 0.060), (-0.661, 0.061), 0.4851, 3.37e-5),
@@ -67,12 +76,10 @@ def algorithms_section(setting: Setting, flown: FlownPass, settings: ReplaySetti
         difference = [Dots(x=index, y=second[:, k] - first[:, k])]
         figures.append(
             ReplayFigure(
-                reference=reference,
-                title=f"Moon {name} residuals of both algorithms, pass 3",
-                caption="Above against the trajectory, below one against the other, on full images.",
-                figure=panel_figure(
-                    [(f"{name}, px", series, None), ("iterative less not, px", difference, None)], "image"
-                ),
+                reference,
+                f"Moon {name} residuals of both algorithms, pass 3",
+                "Above against the trajectory, below one against the other, on full images.",
+                panel_figure([(f"{name}, px", series, None), ("iterative less not, px", difference, None)], "image"),
             )
         )
     figures = [figures[2], figures[0], figures[1]]
@@ -93,10 +100,11 @@ def _papers_own() -> list[Comparison]:
     for name, (first, second, _, p_value) in PAPER.items():
         ours = float(stats.ttest_ind_from_stats(*first, IMAGES, *second, IMAGES).pvalue)
         result.append(
-            make_number(
+            Stated(
                 "IV.B.3",
                 f"p-value of the t-test, {name}, from the means and deviations of Table 2",
-                (f"{p_value:.3g}", f"{ours:.3g}"),
+                f"{p_value:.3g}",
+                f"{ours:.3g}",
                 DERIVED,
             ).agrees(
                 abs(math.log10(ours / p_value)) < (0.1 if name != "radius" else 0.7),
@@ -123,8 +131,8 @@ def _means(name: str, first: Float, second: Float, sigma_px: float) -> list[Comp
     one, two, _, _ = PAPER[name]
     mean = float(first.mean())
     return [
-        make_number(
-            "Table 2", f"mean residual, {name}, px, not iterative", (f"{one[0]:.3f}", f"{mean:.3f}"), INDEPENDENT
+        Stated(
+            "Table 2", f"mean residual, {name}, px, not iterative", f"{one[0]:.3f}", f"{mean:.3f}", INDEPENDENT
         ).agrees(
             abs(mean - one[0]) <= 3.0 * math.sqrt(2.0) * sigma_px,
             f"agrees where both can be draws of one normal distribution of {sigma_px:.2g} px, of "
@@ -132,10 +140,11 @@ def _means(name: str, first: Float, second: Float, sigma_px: float) -> list[Comp
             + ", at three sigma"
             + (_RADIUS if name == "radius" else ": the real limb is not in the simulation"),
         ),
-        make_number(
+        Stated(
             "Table 2",
             f"mean of iterative less not iterative, {name}, px",
-            (two[0] - one[0], float((second - first).mean())),
+            two[0] - one[0],
+            float((second - first).mean()),
             INDEPENDENT,
         ).within(
             0.1,
@@ -151,16 +160,18 @@ def _scatters(name: str, first: Float, second: Float) -> list[Comparison]:
     test = stats.ttest_ind(first, second)
     ours = float(np.corrcoef(first, second)[0, 1])
     return [
-        make_number(
+        Stated(
             "Table 2",
             f"standard deviation of iterative less that of not iterative, {name}, px",
-            (two[1] - one[1], float(second.std() - first.std())),
+            two[1] - one[1],
+            float(second.std() - first.std()),
             INDEPENDENT,
         ).within(0.02, "thrice the largest difference in the table"),
-        make_number(
+        Stated(
             "Table 2",
             f"standard deviation, {name}, px, not iterative",
-            (one[1], float(first.std())),
+            one[1],
+            float(first.std()),
             INPUT if name == "y" else INDEPENDENT,
         ).within(
             0.5 * one[1],
@@ -168,19 +179,18 @@ def _scatters(name: str, first: Float, second: Float) -> list[Comparison]:
             if name == "y"
             else "half of it; noise of attitudes (1.2 arcsec) is assumed, noise of edges follows from the images",
         ),
-        make_number(
+        Stated(
             "Table 2",
             f"correlation of both algorithms, {name}",
-            (correlation, ours),
+            correlation,
+            ours,
             DERIVED if name == "y" else INDEPENDENT,
         ).within(0.3, "correlations go by the shares of noise that both see; gain, read noise and blur are assumed"),
-        make_number(
+        Stated(
             "Table 2",
             f"two-sample t-test, {name}: the means differ",
-            (
-                f"{'yes' if p_value < LEVEL else 'no'} (p = {p_value:.3g})",
-                f"{'yes' if test.pvalue < LEVEL else 'no'} (p = {float(test.pvalue):.3g})",
-            ),
+            f"{'yes' if p_value < LEVEL else 'no'} (p = {p_value:.3g})",
+            f"{'yes' if test.pvalue < LEVEL else 'no'} (p = {float(test.pvalue):.3g})",
             INDEPENDENT,
         ).agrees(
             (p_value < LEVEL) == (test.pvalue < LEVEL),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,20 @@ from giantlike.calibration import CalibrationResult, ImageObservations, calibrat
 from giantlike.calibration.alignment import align
 from giantlike.camera_models import BrownModel
 from giantlike.core.arrays import Float, unit
-from giantlike.core.outcomes import Failure
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
 from giantlike.missions.artemis1.passes import Setting
-from giantlike.missions.artemis1.report import BLUE, GRAY, RED, make_number
-from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, Comparison, ReplayFigure, ReplaySettings, Section
+from giantlike.missions.artemis1.report import BLUE, GRAY, RED
+from giantlike.missions.replay import (
+    DERIVED,
+    INDEPENDENT,
+    INPUT,
+    Comparison,
+    ReplayFigure,
+    ReplaySettings,
+    Section,
+    Stated,
+)
 
 _STRIKE_PX = 12.0
 """Distance of a cluster of bright pixels from the star it is mistaken for, within the search of an identification."""
@@ -57,11 +65,6 @@ class _Field(Value):
     attitudes: Rotation
 
 
-def _ground_model(setting: Setting, rules: Mapping[str, Any]) -> BrownModel:
-    model = setting.model
-    return BrownModel(fx_px=model.fx_px, fy_px=model.fy_px, cx_px=model.cx_px, cy_px=model.cy_px, **rules["ground"])
-
-
 def _shift_model(model: BrownModel, by: Mapping[str, float], factor: Mapping[str, float] | None = None) -> BrownModel:
     changes = {name: getattr(model, name) + by[name] * (1.0 if factor is None else factor[name]) for name in by}
     return replace(model, **changes)
@@ -95,8 +98,7 @@ def _fit(
     setting: Setting, field: tuple[ImageObservations, ...], model: BrownModel, rules: Mapping[str, Any]
 ) -> CalibrationResult:
     camera = setting.data["camera"]
-    result = calibrate(field, model, estimate=rules["estimate"], columns=camera["columns"], rows=camera["rows"])
-    return result.unwrap() if isinstance(result, Failure) else result
+    return calibrate(field, model, estimate=rules["estimate"], columns=camera["columns"], rows=camera["rows"]).unwrap()
 
 
 def _interlock_arcsec(
@@ -107,11 +109,10 @@ def _interlock_arcsec(
     noise = Rotation.from_rotvec(sigma * rng.normal(size=(len(field.observations), 3)))
     tracker_from_inertial = noise * turn * field.attitudes  # on the ground both have the same axes
     camera_from_inertial = Rotation.concatenate([image.camera_from_reference for image in result.images])
-    found = align(
+    aligned = align(
         tracker_from_inertial * camera_from_inertial.inv(),
         np.array([np.diag(sigma**2) + image.covariance_rad2 for image in result.images]),
-    )
-    aligned = found.unwrap() if isinstance(found, Failure) else found
+    ).unwrap()
     return float(aligned.rotation.magnitude()) * ARCSEC_PER_RAD
 
 
@@ -133,7 +134,7 @@ def run_calibrations(setting: Setting, settings: ReplaySettings) -> Calibrations
     """Simulate and fit all calibrations."""
     rules = setting.data["calibration"]
     rng = np.random.default_rng([settings.seed, 4])
-    ground = _ground_model(setting, rules)
+    ground = BrownModel(**asdict(setting.model), **rules["ground"])
     flight = _shift_model(ground, rules["shift"])
     axes = unit(rng.normal(size=(3, 3)))
     values, sigmas, maps, interlocks, indices = [], [], [], [], []
@@ -201,16 +202,16 @@ def calibration_section(setting: Setting, settings: ReplaySettings) -> Section:
         "iterations, on simulated centroids; the principal point is held, as flown.",
         figures=(
             ReplayFigure(
-                reference="Fig. 4",
-                title="Parameters of the camera by calibration",
-                caption="With their standard deviations; dashed: on the ground.",
-                figure=parameters,
+                "Fig. 4",
+                "Parameters of the camera by calibration",
+                "With their standard deviations; dashed: on the ground.",
+                parameters,
             ),
             ReplayFigure(
-                reference="Fig. 5",
-                title="Interlock of both star trackers against the ground",
-                caption="Shaded: the optical bench in sunlight. The second is blind at 42 to 50 and 53 to 55.",
-                figure=interlock,
+                "Fig. 5",
+                "Interlock of both star trackers against the ground",
+                "Shaded: the optical bench in sunlight. The second is blind at 42 to 50 and 53 to 55.",
+                interlock,
             ),
         ),
         comparisons=(*_of_parameters(found, rules), *_of_strike(found), *_of_interlock(found, rules)),
@@ -227,38 +228,39 @@ def _of_parameters(found: Calibrations, rules: Mapping[str, Any]) -> list[Compar
     relative = {name: float(spread[k] / abs(means[k])) for k, name in enumerate(names)}
     shifted = int((np.abs(means - found.ground) > 5.0 * spread / np.sqrt(len(final))).sum())
     return [
-        make_number(
-            "IV.A", "data points of each parameter", (90.0, float(rules["count"] * rules["iterations"])), DERIVED
+        Stated(
+            "IV.A", "data points of each parameter", 90.0, float(rules["count"] * rules["iterations"]), DERIVED
         ).within(0.0, "30 calibrations of 3 iterations"),
-        make_number(
+        Stated(
             "Fig. 4",
             "parameters that shifted between ground and flight, of 8",
-            ("an initial shift in several model parameters", str(shifted)),
+            "an initial shift in several model parameters",
+            str(shifted),
             INPUT,
         ).agrees(shifted >= 2, "agrees from two, by five standard deviations of the mean; the shifts were put in"),
-        make_number(
+        Stated(
             "IV.A",
             "change of parameters from the second to the third iteration, in sigmas, largest",
-            ("three iterations to ensure convergence", f"{float(change.max()):.2g}"),
+            "three iterations to ensure convergence",
+            f"{float(change.max()):.2g}",
             INDEPENDENT,
         ).agrees(change.max() < 0.1, "agrees below a tenth of a sigma"),
-        make_number(
+        Stated(
             "Fig. 4",
             "scatter of k2 and k3 between calibrations over their means, and of k1",
-            (
-                "k2 and k3 fluctuate significantly",
-                f"{relative['k2']:.1f}, {relative['k3']:.1f}; k1 {relative['k1']:.2f}",
-            ),
+            "k2 and k3 fluctuate significantly",
+            f"{relative['k2']:.1f}, {relative['k3']:.1f}; k1 {relative['k1']:.2f}",
             INDEPENDENT,
         ).agrees(
             min(relative["k2"], relative["k3"]) > 0.5 and relative["k1"] < min(relative["k2"], relative["k3"]),
             "agrees where both scatter by more than half of their means, and k1 less: it follows from the "
             "field and the noise",
         ),
-        make_number(
+        Stated(
             "IV.A",
             "largest uncertainty of the map over the field, px, all calibrations",
-            ("their impact on the model is relatively small", round(float(found.map_px.max()), 3)),
+            "their impact on the model is relatively small",
+            round(float(found.map_px.max()), 3),
             INDEPENDENT,
         ).agrees(found.map_px.max() < 0.25, "agrees below the 0.27 px of the better pointing"),
     ]
@@ -267,19 +269,18 @@ def _of_parameters(found: Calibrations, rules: Mapping[str, Any]) -> list[Compar
 def _of_strike(found: Calibrations) -> list[Comparison]:
     """The calibration that failed: Fig. 3."""
     return [
-        make_number(
+        Stated(
             "Fig. 3",
             "residual of a radiation strike taken for a star, in sigmas of a centroid",
-            ("large residual, which violated the acceptance criteria", round(found.struck_sigmas, 1)),
+            "large residual, which violated the acceptance criteria",
+            round(found.struck_sigmas, 1),
             INPUT,
         ).agrees(found.struck_sigmas > 5.0, "agrees beyond five; its place was put in"),
-        make_number(
+        Stated(
             "IV.A",
             "calibration with the strike, once outliers are rejected",
-            (
-                "software updated to reject such outliers rather than fail",
-                "accepted" if found.struck_accepted else "refused",
-            ),
+            "software updated to reject such outliers rather than fail",
+            "accepted" if found.struck_accepted else "refused",
             INDEPENDENT,
         ).agrees(found.struck_accepted, "agrees where it is accepted"),
     ]
@@ -291,22 +292,24 @@ def _of_interlock(found: Calibrations, rules: Mapping[str, Any]) -> list[Compari
     first, second = found.interlock_arcsec
     step = abs(float(first[warm].mean() - first[~warm].mean())) if warm.any() else 0.0
     return [
-        make_number(
-            "Fig. 5", "shift of star tracker 1 from the ground, arcsec", (100.0, float(first[~warm].mean())), INPUT
+        Stated(
+            "Fig. 5", "shift of star tracker 1 from the ground, arcsec", 100.0, float(first[~warm].mean()), INPUT
         ).within(10.0, "put in, found again within a tenth"),
-        make_number(
-            "Fig. 5", "shift of star tracker 2 from the ground, arcsec", (100.0, float(np.nanmean(second))), INPUT
+        Stated(
+            "Fig. 5", "shift of star tracker 2 from the ground, arcsec", 100.0, float(np.nanmean(second)), INPUT
         ).within(20.0, "put in, found again within the thermal step"),
-        make_number(
+        Stated(
             "Fig. 5",
             "change of the interlock with the bench in sunlight, arcsec",
-            ("less than 20", round(step, 2)),
+            "less than 20",
+            round(step, 2),
             INPUT,
         ).agrees(step < 20.0, "agrees below 20; a turn of 15 arcsec about an axis of its own was put in"),
-        make_number(
+        Stated(
             "Fig. 5",
             "scatter of the interlock in flight out of sunlight, arcsec",
-            ("relatively stable across in-flight measurements", round(float(first[~warm].std()), 2)),
+            "relatively stable across in-flight measurements",
+            round(float(first[~warm].std()), 2),
             INDEPENDENT,
         ).agrees(
             first[~warm].std() < 20.0,

@@ -17,9 +17,9 @@ from giantlike.missions.artemis1.filter import filter_bias_km
 from giantlike.missions.artemis1.images import detected_altitude_km, earth_shot, limb_px
 from giantlike.missions.artemis1.measure import non_iterative
 from giantlike.missions.artemis1.passes import KM_PER_KFT, SUN_AZIMUTH_DEG, Setting, preflight_sigmas_px, sun_direction
-from giantlike.missions.artemis1.report import GRAY, RED, Dots, make_number, panel_figure
+from giantlike.missions.artemis1.report import GRAY, RED, Dots, panel_figure
 from giantlike.missions.artemis1.simulate import VELOCITY_SIGMA_KM_S, FlownPass, positions_of, residuals_of
-from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, Comparison, ReplayFigure, Section
+from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, Comparison, ReplayFigure, Section, Stated
 from giantlike.passes import (
     LimbPoints,
     NavigationPass,
@@ -163,16 +163,16 @@ def _figures(flown: FlownPass, references: tuple[str, str]) -> list[ReplayFigure
     number = flown.one.number
     return [
         ReplayFigure(
-            reference=references[0],
-            title=f"Earth pass {number}, radius residuals with a limb of 35 km",
-            caption="By exposure; dashed: three sigma before flight.",
-            figure=panel_figure([("radius residual, px", dots(2), float(bound[2]))], "hours"),
+            references[0],
+            f"Earth pass {number}, radius residuals with a limb of 35 km",
+            "By exposure; dashed: three sigma before flight.",
+            panel_figure([("radius residual, px", dots(2), float(bound[2]))], "hours"),
         ),
         ReplayFigure(
-            reference=references[1],
-            title=f"Earth pass {number}, center residuals in the illumination frame",
-            caption="Spikes: images that were not taken at their tags.",
-            figure=panel_figure(
+            references[1],
+            f"Earth pass {number}, center residuals in the illumination frame",
+            "Spikes: images that were not taken at their tags.",
+            panel_figure(
                 [("along the Sun, px", dots(0), float(bound[0])), ("across the Sun, px", dots(1), float(bound[1]))],
                 "hours",
             ),
@@ -192,22 +192,25 @@ def _pass_compared(setting: Setting, flown: FlownPass, references: tuple[str, st
     jumps = apart > max(float(bound[1]), _SPIKE_SIGMAS * robust_sigma(apart, 0.0))
     outside = float((radius < -bound[2]).mean())
     result = [
-        make_number(
+        Stated(
             references[0],
             f"pass {number}: radius residuals below three sigma of the model before flight, share",
-            ("larger than expected negative radius residuals", round(outside, 3)),
+            "larger than expected negative radius residuals",
+            round(outside, 3),
             INDEPENDENT,
         ).agrees(outside > 0.5, "agrees above one half: light of the atmosphere does not reach up to 35 km"),
-        make_number(
+        Stated(
             references[1],
             f"pass {number}: center residuals inside three sigma of model and 0.27 px of pointing, share",
-            ("mostly stayed in bounds", round(float(center), 3)),
+            "mostly stayed in bounds",
+            round(float(center), 3),
             INDEPENDENT,
         ).agrees(center >= 0.9, "agrees from 90 %; our edges are pulled toward the Sun by exposures that fill pixels"),
-        make_number(
+        Stated(
             references[1],
             f"pass {number}: spikes across the Sun beyond three sigma of the model, number",
-            ("several spikes, many by timetag jitter", str(int(jumps.sum()))),
+            "several spikes, many by timetag jitter",
+            str(int(jumps.sum())),
             INPUT,
         ).agrees(
             3 <= int(jumps.sum()) <= 0.1 * jumps.size,
@@ -217,9 +220,9 @@ def _pass_compared(setting: Setting, flown: FlownPass, references: tuple[str, st
     if number == 1:
         result.insert(
             0,
-            make_number(
-                references[0], "pass 1: radius at 50 less radius at 1 microsecond, px", (0.5, step), INPUT
-            ).within(0.15, "nearly half a pixel; the time that fills a pixel was TUNED to it"),
+            Stated(references[0], "pass 1: radius at 50 less radius at 1 microsecond, px", 0.5, step, INPUT).within(
+                0.15, "nearly half a pixel; the time that fills a pixel was TUNED to it"
+            ),
         )
     return result
 
@@ -250,10 +253,10 @@ def _limb_figure(setting: Setting, flown: FlownPass) -> ReplayFigure:
     part.set_ylim(row + 8.0, row - 8.0)
     whole.legend(fontsize=7, loc="upper right")
     return ReplayFigure(
-        reference="Fig. 20",
-        title="Limb of the Earth: true, detected, and at 35 km",
-        caption="A simulated image of pass 1 at 1 microsecond, and its limb toward the Sun.",
-        figure=figure,
+        "Fig. 20",
+        "Limb of the Earth: true, detected, and at 35 km",
+        "A simulated image of pass 1 at 1 microsecond, and its limb toward the Sun.",
+        figure,
     )
 
 
@@ -268,10 +271,10 @@ def _figure_21(flown: dict[int, FlownPass], again: dict[int, Float]) -> ReplayFi
         ]
         panels.append((f"pass {number}, radius, px", series, bound))
     return ReplayFigure(
-        reference="Fig. 21",
-        title="Radius residuals with a limb of 25 km and of 35 km",
-        caption="The same limb points processed twice.",
-        figure=panel_figure(panels, "hours"),
+        "Fig. 21",
+        "Radius residuals with a limb of 25 km and of 35 km",
+        "The same limb points processed twice.",
+        panel_figure(panels, "hours"),
     )
 
 
@@ -289,14 +292,14 @@ def _altitudes_compared(
     first = flown[1].edges[1.0].outward_px
     km_per_px = flown[1].one.range_km / setting.model.fx_px
     result = [
-        make_number("IV.C.3", "1.18 px at 1.49e5 km, km", (24.25, 1.18 * 1.49e5 / setting.model.fx_px), DERIVED).within(
+        Stated("IV.C.3", "1.18 px at 1.49e5 km, km", 24.25, 1.18 * 1.49e5 / setting.model.fx_px, DERIVED).within(
             0.25, "rounding of 1.18 px and 1.49e5 km"
         ),
-        make_number("Fig. 20", "detected less true limb at 1 microsecond, px", (1.18, first), INDEPENDENT).within(
+        Stated("Fig. 20", "detected less true limb at 1 microsecond, px", 1.18, first, INDEPENDENT).within(
             half / km_per_px, why
         ),
-        make_number(
-            "Fig. 20", "altitude of the limb in a properly exposed image, km", (24.25, first * km_per_px), INDEPENDENT
+        Stated(
+            "Fig. 20", "altitude of the limb in a properly exposed image, km", 24.25, first * km_per_px, INDEPENDENT
         ).within(half, why),
     ]
     for number, found in altitudes.items():
@@ -306,20 +309,22 @@ def _altitudes_compared(
         truth_km = float(truth) * flown[number].one.range_km / setting.model.fx_px
         off = abs(found.mean_km - truth_km) / found.sigma_km
         result += [
-            make_number(
+            Stated(
                 "IV.C.3",
                 f"pass {number}: average altitude of the limb by the whole-pass estimator, km",
-                (25.0, found.mean_km),
+                25.0,
+                found.mean_km,
                 INDEPENDENT,
             ).within(
                 math.hypot(half, 3.0 * found.sigma_km),
                 f"{why}, and three sigma of {found.sigma_km:.2f} km; that of the simulated images is {truth_km:.2f} "
                 f"km, {off:.1f} sigma off",
             ),
-            make_number(
+            Stated(
                 "IV.C.3",
                 f"pass {number}: 35 km refused by a test of the altitude, p-value",
-                ("115kft (35km) is an over-estimation", f"{found.fix.test('limb_altitude').p_value:.2g}"),
+                "115kft (35km) is an over-estimation",
+                f"{found.fix.test('limb_altitude').p_value:.2g}",
                 INDEPENDENT,
             ).agrees(
                 found.fix.test("limb_altitude").significant(0.001) and found.mean_km < 35.0,
@@ -335,10 +340,11 @@ def _biases_compared(setting: Setting, flown: dict[int, FlownPass]) -> list[Comp
     for number, paper_km in ((1, 12.15), (2, 12.3)):
         times, biases = filter_bias_km(setting, flown[number])
         result.append(
-            make_number(
+            Stated(
                 "IV.C.3",
                 f"bias of the radius at the end of pass {number} in a filter that assumes 35 km, km",
-                (paper_km, float(biases[-1])),
+                paper_km,
+                float(biases[-1]),
                 INDEPENDENT,
             ).within(
                 spread_km,
@@ -356,10 +362,11 @@ def _again_compared(flown: dict[int, FlownPass], again: dict[int, Float]) -> lis
         before = float(np.abs(flown[number].residuals_px[:, 2]).mean())
         after = float(np.abs(residuals[:, 2]).mean())
         result.append(
-            make_number(
+            Stated(
                 "Fig. 21",
                 f"pass {number}: mean of absolute radius residuals with 25 km over that with 35 km",
-                ("significantly improved the radius errors", round(after / before, 3)),
+                "significantly improved the radius errors",
+                round(after / before, 3),
                 INDEPENDENT,
             ).agrees(
                 after < 0.75 * before,

@@ -178,11 +178,9 @@ def read_out(signal_dn: Float, detector: Detector, rng: np.random.Generator) -> 
     """Pixels with shot and read noise, clipped and rounded."""
     electrons = rng.poisson(np.maximum(signal_dn, 0.0) * detector.gain_e_per_dn)
     noisy = (electrons + rng.normal(0.0, detector.read_noise_e, signal_dn.shape)) / detector.gain_e_per_dn
-    pixels: Float = np.rint(np.clip(noisy, -64.0, detector.saturation_dn))
-    return pixels
+    return np.rint(np.clip(noisy, -64.0, detector.saturation_dn))
 
 
 def find_saturated(shot: ImageWindow, detector: Detector) -> Mask:
     """Clipped pixels of an image."""
-    result: Mask = shot.pixels_dn >= detector.saturation_dn
-    return result
+    return shot.pixels_dn >= detector.saturation_dn

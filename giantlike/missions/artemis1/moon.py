@@ -10,10 +10,10 @@ from giantlike.core.arrays import Mask
 from giantlike.missions.artemis1.images import moon_shot
 from giantlike.missions.artemis1.measure import apparent_radius_px, non_iterative
 from giantlike.missions.artemis1.passes import Setting, preflight_sigmas_px, sun_direction
-from giantlike.missions.artemis1.report import RED, Dots, make_number, panel_figure
+from giantlike.missions.artemis1.report import RED, Dots, panel_figure
 from giantlike.missions.artemis1.simulate import EdgeErrors, FlownPass, limb_points, positions_of, residuals_of
 from giantlike.missions.artemis1.terrain import Ground, mapped_limb_km
-from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, ReplayFigure, Section
+from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, ReplayFigure, Section, Stated
 
 _SMALL_SHARE = 0.5
 """A scatter below half of another is smaller than it by more than the draws of seventeen limbs can make it."""
@@ -39,17 +39,16 @@ def moon_section(setting: Setting, flown: dict[int, FlownPass], ground: Ground) 
     figures = [
         _examples(setting, flown),
         ReplayFigure(
-            reference="Fig. 7",
-            title="Radius residuals of all passes of the Moon",
-            caption="Estimate less best estimated trajectory; dashed: three sigma of the models before flight.",
-            figure=radius,
+            "Fig. 7",
+            "Radius residuals of all passes of the Moon",
+            "Estimate less best estimated trajectory; dashed: three sigma of the models before flight.",
+            radius,
         ),
         ReplayFigure(
-            reference="Fig. 8",
-            title="Center residuals of all passes of the Moon, illumination frame",
-            caption="The pointing of the trajectory is in them, 36 arcsec (1.3 px); the models hold the "
-            "algorithm alone.",
-            figure=center,
+            "Fig. 8",
+            "Center residuals of all passes of the Moon, illumination frame",
+            "The pointing of the trajectory is in them, 36 arcsec (1.3 px); the models hold the algorithm alone.",
+            center,
         ),
     ]
     comparisons = [*_all_passes(setting, flown), _predict_biases(setting, flown, ground)]
@@ -87,10 +86,10 @@ def _examples(setting: Setting, flown: dict[int, FlownPass]) -> ReplayFigure:
         axis.set_title(f"pass {number}", fontsize=9)
         axis.set_axis_off()
     return ReplayFigure(
-        reference="Fig. 6",
-        title="Detected limb and solution on images of the Moon",
-        caption="Simulated images; blue: limb points, red: solution.",
-        figure=figure,
+        "Fig. 6",
+        "Detected limb and solution on images of the Moon",
+        "Simulated images; blue: limb points, red: solution.",
+        figure,
     )
 
 
@@ -107,39 +106,43 @@ def _all_passes(setting: Setting, flown: dict[int, FlownPass]) -> list[Compariso
     within = np.sqrt(np.mean([each.residuals_px.var(axis=0) for each in flown.values()], axis=0))
     ratio = within / means.std(axis=0)
     return [
-        make_number(
+        Stated(
             "Fig. 7",
             "radius residuals of all Moon passes inside three sigma of the model before flight, share",
-            ("in good agreement with the pre-flight expected models", round(float(shares[2]), 4)),
+            "in good agreement with the pre-flight expected models",
+            round(float(shares[2]), 4),
             INDEPENDENT,
         ).agrees(
             shares[2] >= 0.95,
             "agrees where at least 95 % are inside. The relief of the simulated limbs is 2 km, as in the model, but "
             "what a fit through a lit arc makes of it was not fitted to anything",
         ),
-        make_number(
+        Stated(
             "Fig. 7",
             "scatter of radius residuals within passes over that of their means",
-            ("a constant bias throughout a pass, unique to each pass", round(float(ratio[2]), 3)),
+            "a constant bias throughout a pass, unique to each pass",
+            round(float(ratio[2]), 3),
             INDEPENDENT,
         ).agrees(
             ratio[2] < _SMALL_SHARE,
             "agrees below one half: the limb hardly changes in a pass and is another in the next",
         ),
-        make_number(
+        Stated(
             "Fig. 8",
             "center residuals of all Moon passes inside three sigma of model and pointing together, share",
-            ("the centroid bias cannot be told from inaccuracies in the BET", round(float(with_pointing), 4)),
+            "the centroid bias cannot be told from inaccuracies in the BET",
+            round(float(with_pointing), 4),
             INDEPENDENT,
         ).agrees(
             with_pointing >= 0.95,
             f"agrees where at least 95 % are inside; of the model alone {shares[0]:.0%} along the Sun and "
             f"{shares[1]:.0%} across, because the pointing of 36 arcsec is larger than the model",
         ),
-        make_number(
+        Stated(
             "Fig. 8",
             "scatter of center residuals within passes over that of their means",
-            ("a consistent, unique bias throughout each pass", round(float(ratio[:2].max()), 3)),
+            "a consistent, unique bias throughout each pass",
+            round(float(ratio[:2].max()), 3),
             INDEPENDENT,
         ).agrees(
             ratio[:2].max() < _SMALL_SHARE, "agrees below one half: pointing is taken as constant in a pass, limbs are"
@@ -150,7 +153,7 @@ def _all_passes(setting: Setting, flown: dict[int, FlownPass]) -> list[Compariso
 def _predict_biases(setting: Setting, flown: dict[int, FlownPass], ground: Ground) -> Comparison:
     """Biases of the radius by the limbs of passes, and the rest with a height map."""
     rng = np.random.default_rng(0)
-    exact = EdgeErrors(toward_sun_px=0.0, across_px=0.0, outward_px=0.0, scatter_px=0.0)
+    exact = EdgeErrors(toward_sun_px=0.0, outward_px=0.0, scatter_px=0.0)
     biases, left = [], []
     for each in flown.values():
         mapped = replace(each.track, heights_km=mapped_limb_km(ground, each.one))
@@ -161,13 +164,11 @@ def _predict_biases(setting: Setting, flown: dict[int, FlownPass], ground: Groun
         biases.append(bias_px)
         left.append(bias_px - expected_px)
     before, after = float(np.std(biases)), float(np.std(left))
-    return make_number(
+    return Stated(
         "Fig. 7",
         "scatter of the bias of passes by their limbs, px, and what a height map of 1 deg leaves of it",
-        (
-            "without knowledge of the terrain the bias cannot be easily predicted",
-            f"{before:.3f}, {after:.3f} with the map",
-        ),
+        "without knowledge of the terrain the bias cannot be easily predicted",
+        f"{before:.3f}, {after:.3f} with the map",
         INDEPENDENT,
     ).agrees(
         after < _SMALL_SHARE * before,
@@ -183,18 +184,18 @@ def _certification(each: FlownPass, references: tuple[str, str]) -> list[ReplayF
     title = f"pass {each.one.number}, {'certification' if each.one.number == 3 else 'back-up certification'}"
     return [
         ReplayFigure(
-            reference=references[0],
-            title=f"Radius residuals of {title}",
-            caption="Dots: estimate less trajectory; dashed: three sigma before flight.",
-            figure=panel_figure(
+            references[0],
+            f"Radius residuals of {title}",
+            "Dots: estimate less trajectory; dashed: three sigma before flight.",
+            panel_figure(
                 [("radius residual, px", [Dots(x=hours, y=each.residuals_px[:, 2])], float(bound[2]))], "hours"
             ),
         ),
         ReplayFigure(
-            reference=references[1],
-            title=f"Center residuals of {title}",
-            caption="In the illumination frame; the error of the pointing of the trajectory is in them.",
-            figure=panel_figure(
+            references[1],
+            f"Center residuals of {title}",
+            "In the illumination frame; the error of the pointing of the trajectory is in them.",
+            panel_figure(
                 [
                     (f"center {name}, px", [Dots(x=hours, y=each.residuals_px[:, k])], float(bound[k]))
                     for k, name in enumerate(names)
@@ -214,22 +215,25 @@ def _compare_passes(setting: Setting, each: FlownPass, references: tuple[str, st
     worst_px = float(np.hypot(*each.residuals_px[:, :2].T).max())
     number = each.one.number
     return [
-        make_number(
+        Stated(
             references[0],
             f"pass {number}: radius residuals inside three sigma before flight, share",
-            ("within the expected error bounds", round(float(inside[:, 2].mean()), 4)),
+            "within the expected error bounds",
+            round(float(inside[:, 2].mean()), 4),
             INDEPENDENT,
         ).agrees(inside[:, 2].mean() >= 0.95, "agrees where at least 95 % are inside"),
-        make_number(
+        Stated(
             references[0],
             f"pass {number}: 24 kft of range as radius, px, over three sigma of the model",
-            ("insignificant", round(by_range_px / float(bound[2]), 4)),
+            "insignificant",
+            round(by_range_px / float(bound[2]), 4),
             DERIVED,
         ).agrees(by_range_px < 0.1 * bound[2], "agrees below a tenth"),
-        make_number(
+        Stated(
             references[1],
             f"pass {number}: largest center residual, px",
-            ("fall within the expected models with 1.27 px of pointing", round(worst_px, 3)),
+            "fall within the expected models with 1.27 px of pointing",
+            round(worst_px, 3),
             INDEPENDENT,
         ).agrees(
             worst_px <= float(np.hypot(bound[0], 3.0 * pointing_px)),
@@ -245,19 +249,18 @@ def pointing_numbers(setting: Setting) -> list[Comparison]:
     radius_px = apparent_radius_px(setting.model, 6371.0, np.array([0.0, 0.0, setting.find_pass(1).range_km]))
     ifov = 206264.806 / setting.model.fx_px
     return [
-        make_number("IV.B.3", "IFOV, arcsec", (28.2, ifov), DERIVED).within(
-            0.05, "rounding; 4.8 micrometers over 35.1 mm"
-        ),
-        make_number("IV.B.2", "36.4 arcsec of pointing, px", (1.27, 36.4 / ifov), DERIVED).within(
+        Stated("IV.B.3", "IFOV, arcsec", 28.2, ifov, DERIVED).within(0.05, "rounding; 4.8 micrometers over 35.1 mm"),
+        Stated("IV.B.2", "36.4 arcsec of pointing, px", 1.27, 36.4 / ifov, DERIVED).within(
             0.005,
             "rounding; 36.4 over the "
             "28.2 arcsec of the paper itself are 1.29, so that its 1.27 belongs to a focal length of 7200 px",
         ),
-        make_number("IV.C.1", "7.6 arcsec of pointing, px", (0.27, earth_px), DERIVED).within(0.005, "rounding"),
-        make_number(
+        Stated("IV.C.1", "7.6 arcsec of pointing, px", 0.27, earth_px, DERIVED).within(0.005, "rounding"),
+        Stated(
             "IV.C.1",
             "18 kft of range on pass 1 as radius, px",
-            (0.01, radius_px * earth_km / setting.find_pass(1).range_km),
+            0.01,
+            radius_px * earth_km / setting.find_pass(1).range_km,
             DERIVED,
         ).within(0.005, "rounding"),
     ]

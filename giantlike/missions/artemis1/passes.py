@@ -138,8 +138,7 @@ def times_of(setting: Setting, one: Pass) -> Float:
     """Timetags (n,), s, about the middle of a pass."""
     images = setting.data["images"]
     length = float(images["certification_s"] if one.certification else images["gathering_s"])
-    times: Float = np.arange(0.0, length + 1.0, float(images["spacing_s"])) - 0.5 * length
-    return times
+    return np.arange(0.0, length + 1.0, float(images["spacing_s"])) - 0.5 * length
 
 
 def sun_direction(phase_deg: float) -> Float:

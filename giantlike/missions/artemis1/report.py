@@ -1,4 +1,4 @@
-"""Comparisons with rules, and the plots of residuals that the paper has."""
+"""Plots of residuals that the paper has."""
 
 from __future__ import annotations
 
@@ -10,26 +10,8 @@ from matplotlib.figure import Figure
 
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
-from giantlike.missions.replay import Comparison, ComparisonKind, Stated
 
 BLUE, RED, GRAY = "#1f5fa8", "#b5342c", "#555555"
-
-
-@dataclass(frozen=True, slots=True)
-class Number(Stated):
-    """A number of the paper, and ours."""
-
-    def within(self, tolerance: float, reason: str) -> Comparison:
-        """Compare the two: they agree within a tolerance with a stated reason."""
-        assert not isinstance(self.paper, str)
-        assert not isinstance(self.ours, str)
-        return self.agrees(abs(self.ours - self.paper) <= tolerance, f"agrees within {tolerance:.3g}: {reason}")
-
-
-def make_number(reference: str, what: str, values: tuple[str | float, str | float], kind: ComparisonKind) -> Number:
-    """Return a number or statement of the paper, and ours."""
-    paper, ours = values
-    return Number(reference, what, paper, ours if isinstance(ours, str) else float(ours), kind)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

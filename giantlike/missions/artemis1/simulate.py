@@ -32,12 +32,11 @@ VELOCITY_SIGMA_KM_S = 2e-4
 class EdgeErrors:
     """Errors of edges in images, relative to the limb of an ellipsoid.
 
-    toward_sun_px, across_px, outward_px: shift of the fitted center along the Sun and across it, and of the radius.
+    toward_sun_px, outward_px: shift of the fitted center along the Sun, and of the radius.
     scatter_px: root mean square of the points about the fit.
     """
 
     toward_sun_px: float
-    across_px: float
     outward_px: float
     scatter_px: float
 
@@ -140,7 +139,6 @@ def edge_errors(setting: Setting, one: Pass, exposure_us: float, rng: np.random.
     mean = np.mean(found, axis=0)
     return EdgeErrors(
         toward_sun_px=float(mean[0]),
-        across_px=float(mean[1]),
         outward_px=float(mean[2]),
         scatter_px=float(np.mean(scatter)),
     )
@@ -229,11 +227,5 @@ def fly(setting: Setting, one: Pass, ground: Ground, settings: ReplaySettings) -
 
 def select_rows_of(track: Track, which: NDArray[np.intp]) -> Track:
     """Some of the images of a track."""
-    return replace(
-        track,
-        times_s=track.times_s[which],
-        true_km=track.true_km[which],
-        known_km=track.known_km[which],
-        rates_km_s=track.rates_km_s[which],
-        exposures_us=track.exposures_us[which],
-    )
+    names = ("times_s", "true_km", "known_km", "rates_km_s", "exposures_us")
+    return replace(track, **{name: getattr(track, name)[which] for name in names})

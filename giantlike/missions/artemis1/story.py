@@ -7,10 +7,9 @@ from giantlike.missions.artemis1.calibrations import calibration_section
 from giantlike.missions.artemis1.earth import earth_section
 from giantlike.missions.artemis1.moon import moon_section, pointing_numbers
 from giantlike.missions.artemis1.passes import Setting, load, times_of
-from giantlike.missions.artemis1.report import make_number
 from giantlike.missions.artemis1.simulate import fly
 from giantlike.missions.artemis1.terrain import made_up_moon
-from giantlike.missions.replay import DERIVED, Replay, ReplaySettings, Section
+from giantlike.missions.replay import DERIVED, Replay, ReplaySettings, Section, Stated
 
 
 def tell(settings: ReplaySettings) -> Replay:
@@ -48,19 +47,18 @@ def _passes_section(setting: Setting) -> Section:
         text=f"{len(setting.passes)} passes (16, 17 and 21 are left out as in the paper), {sum(counts)} "
         f"images of bodies.",
         comparisons=(
-            make_number("Table 1", "passes used", (23.0, float(len(setting.passes))), DERIVED).within(
-                0.0, "26 less three"
-            ),
-            make_number(
-                "Abstract", "images of bodies and of star fields", ("over a thousand", str(sum(counts) + 600)), DERIVED
+            Stated("Table 1", "passes used", 23.0, float(len(setting.passes)), DERIVED).within(0.0, "26 less three"),
+            Stated(
+                "Abstract", "images of bodies and of star fields", "over a thousand", str(sum(counts) + 600), DERIVED
             ).agrees(
                 sum(counts) + 600 > 1000,
                 "agrees above 1000: every 30 s over 2 h or 10 min, and 30 calibrations of 20 images",
             ),
-            make_number(
+            Stated(
                 "IV.B.3",
                 "images of pass 3 at one in 30 s over 2 h, beside those of Table 2",
-                (102.0, float(certified)),
+                102.0,
+                float(certified),
                 DERIVED,
             ).within(5.0, "five images; the 102 of the paper are 51 minutes, and it does not tell why"),
             *pointing_numbers(setting),

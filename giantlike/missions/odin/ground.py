@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 
 import numpy as np
@@ -18,7 +18,7 @@ from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, SECONDS_PER_DAY, SPEED_O
 from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, StarField, bumps, render_body, star_image
-from giantlike.missions.odin.paper import PSF_SIGMA_PX, narrow_camera, narrow_view
+from giantlike.missions.odin.paper import PSF_SIGMA_PX, narrow_camera, narrow_view, read_out
 
 MOON_RADIUS_KM = 1737.4  # IAU
 LATITUDE_DEG, LONGITUDE_DEG, EARTH_RADIUS_KM = 33.78, -84.40, 6371.6  # Atlanta; the paper names no site
@@ -92,8 +92,6 @@ def shell_refraction() -> tuple[Float, Float]:
 
     Returns ``zenith_rad``, ``refraction_rad`` (n,).
 
-    Notes
-    -----
     Bending along a path with ``n r sin(angle)`` constant, integrated over height in an exponential atmosphere; it has
     no formula in common with ERFA's constants, by which the estimators correct.
     """
@@ -151,18 +149,18 @@ def catalog() -> MemoryCatalog:
     return load_catalog("default")
 
 
+def _moved_by_air(camera_from_inertial: Rotation, rng: np.random.Generator, *, air: bool) -> Rotation:
+    """Attitude by which an image is seen."""
+    if not air:
+        return camera_from_inertial
+    return Rotation.from_rotvec(rng.normal(0.0, IMAGE_MOTION_RAD, 3) * [1.0, 1.0, 0.0]) * camera_from_inertial
+
+
 def star_frame(
-    sky: GroundStates,
-    camera_from_inertial: Rotation,
-    rng: np.random.Generator,
-    *,
-    air: bool = True,
-    name: str = "stars",
+    sky: GroundStates, attitude: Rotation, rng: np.random.Generator, *, air: bool = True, name: str = "stars"
 ) -> Image:
     """Image of the stars by a narrow camera."""
-    moved = camera_from_inertial
-    if air:
-        moved = Rotation.from_rotvec(rng.normal(0.0, IMAGE_MOTION_RAD, 3) * [1.0, 1.0, 0.0]) * moved
+    moved = _moved_by_air(attitude, rng, air=air)
     axis = rotate(moved.inv(), [0.0, 0.0, 1.0])
     stars = catalog().cone(axis, np.radians(13.5), max_magnitude=FAINTEST)
     directions = apparent_directions(stars, sky.et, observer_position_km=sky.observer.position_km)
@@ -183,27 +181,17 @@ def _moon() -> EllipsoidBody:
     return EllipsoidBody(MOON_RADIUS_KM, albedo=bumps(5, rms=0.15, count=80, widths_deg=(6.0, 25.0)))
 
 
-def moon_frame(
-    sky: GroundStates, camera_from_inertial: Rotation, rng: np.random.Generator, *, air: bool = True, name: str = "moon"
-) -> Image:
+def moon_frame(sky: GroundStates, attitude: Rotation, rng: np.random.Generator, *, air: bool = True) -> Image:
     """Image of the Moon by a narrow camera: a smooth sphere with maria, lunar-Lambert, by the independent renderer."""
-    moved = camera_from_inertial
-    if air:
-        moved = Rotation.from_rotvec(rng.normal(0.0, IMAGE_MOTION_RAD, 3) * [1.0, 1.0, 0.0]) * moved
+    moved = _moved_by_air(attitude, rng, air=air)
     view = ground_view(sky, moved, air=air)
     position = rotate(moved, sky.moon_km)
     center = np.round(view.project(position)).astype(int)
     radius_px = view.focal_px * MOON_RADIUS_KM / float(np.linalg.norm(position))
     half = int(1.2 * radius_px + 20.0)
     corner = np.clip(center - half, 0, [view.columns - 2 * half, view.rows - 2 * half])
-    window = type(view)(
-        **{
-            **vars(view),
-            "center_px": (view.center_px[0] - float(corner[0]), view.center_px[1] - float(corner[1])),
-            "columns": 2 * half,
-            "rows": 2 * half,
-        }
-    )
+    middle = (view.center_px[0] - float(corner[0]), view.center_px[1] - float(corner[1]))
+    window = replace(view, center_px=middle, columns=2 * half, rows=2 * half)
     electrons = narrow_camera().detector
     full = electrons.saturation_dn * electrons.gain_e_per_dn
     light = render_body(
@@ -216,18 +204,13 @@ def moon_frame(
     )
     frame = np.zeros((view.rows, view.columns))
     frame[corner[1] : corner[1] + 2 * half, corner[0] : corner[0] + 2 * half] = light
-    return _read_out(frame, sky, rng, name, EXPOSURE_MOON_S)
+    return _read_out(frame, sky, rng, "moon", EXPOSURE_MOON_S)
 
 
 def _read_out(electrons: Float, sky: GroundStates, rng: np.random.Generator, name: str, exposure_s: float) -> Image:
     """Read out: noise, converter, saturation."""
-    detector = narrow_camera().detector
-    light = electrons.astype(np.float32)
-    noise = rng.standard_normal(light.shape, dtype=np.float32)
-    read = light + np.sqrt(light + np.float32(detector.read_noise_e**2)) * noise
-    pixels = np.minimum(np.round(read / detector.gain_e_per_dn), detector.saturation_dn)
     return Image(
-        pixels=pixels.astype(np.float32),
+        pixels=read_out(electrons.astype(np.float32), narrow_camera().detector, rng),
         epoch=time_from_et(sky.et),
         exposure_s=exposure_s,
         observer=sky.observer,

@@ -18,7 +18,6 @@ from giantlike.calibration import calibrate_stars, identify_first
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, unit
 from giantlike.core.frames import rotate
-from giantlike.core.observer import ObserverState
 from giantlike.core.outcomes import Failure, PositionFix, Reason
 from giantlike.image import Image
 from giantlike.missions.odin.ground import GroundStates, catalog, moon_frame, sky_at, star_frame
@@ -66,13 +65,8 @@ class Vehicle:
 
     def wide_image(self, index: int, request: ExposureRequest) -> Image:
         """Image of a wide camera."""
-        turned = CislunarScene(
-            bodies_km={
-                name: rotate(self.instrument_from_inertial, place) for name, place in self.scene.bodies_km.items()
-            },
-            albedo=self.scene.albedo,
-        )
-        return wide_image(turned, index, self.rng, request.exposure_s)
+        bodies = {name: rotate(self.instrument_from_inertial, place) for name, place in self.scene.bodies_km.items()}
+        return wide_image(replace(self.scene, bodies_km=bodies), index, self.rng, request.exposure_s)
 
 
 def vehicle_in_space(rng: np.random.Generator) -> Vehicle:
@@ -80,12 +74,8 @@ def vehicle_in_space(rng: np.random.Generator) -> Vehicle:
     ground = sky_at(NIGHT_ET)
     moon = -SPACECRAFT_FROM_MOON_KM
     earth = moon - ground.moon_km  # near enough: the Moon as seen from the site
-    observer = ObserverState(
-        position_km=ground.observer.position_km - earth, velocity_km_s=ground.observer.velocity_km_s
-    )
-    sky = GroundStates(
-        et=NIGHT_ET, observer=observer, zenith=ground.zenith, moon_km=moon, sun_from_moon=ground.sun_from_moon
-    )
+    observer = replace(ground.observer, position_km=ground.observer.position_km - earth)
+    sky = replace(ground, observer=observer, moon_km=moon)
     places = {"MOON": moon, "EARTH": earth, "SUN": moon + 1.496e8 * ground.sun_from_moon}
     scene = CislunarScene(bodies_km=places, albedo={"EARTH": 1.1, "MOON": 0.97})
     toward = unit(moon)
@@ -114,14 +104,14 @@ def calibration_task(
         pairs.append(pair)
     vehicle.instrument_from_inertial = start
     cameras = []
-    for index, rough in enumerate(state.cameras):
-        camera = calibrate_camera([pair[index] for pair in pairs], rough)
+    for images_of_camera, rough in zip(zip(*pairs, strict=True), state.cameras, strict=True):
+        camera = calibrate_camera(list(images_of_camera), rough)
         if isinstance(camera, Failure):
             return camera
         cameras.append(camera)
     turns = []
     for pair in pairs:
-        first, second = (solve_attitude(image, camera, None) for image, camera in zip(pair, cameras, strict=True))
+        first, second = (solve_attitude(image, camera) for image, camera in zip(pair, cameras, strict=True))
         if not isinstance(first, Failure) and not isinstance(second, Failure):
             turns.append(second.camera_from_inertial * first.camera_from_inertial.inv())
     if len(turns) < 2:
@@ -178,7 +168,7 @@ def processing_task(
     if isinstance(pair, Failure):
         return pair
     body, stars = state.target_camera, 1 - state.target_camera
-    attitude = solve_attitude(pair[stars], state.cameras[stars], None)
+    attitude = solve_attitude(pair[stars], state.cameras[stars])
     if isinstance(attitude, Failure):
         return attitude
     assert state.interlock is not None  # the machine requires one before processing

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -40,10 +41,9 @@ MOON_APRIORI_KM = 2000.0  # of the predicted position, per axis: 18 arcmin
 
 @dataclass(frozen=True, eq=False)
 class LensStudy:
-    """Calibration from star images: result, truth, and the images solved."""
+    """Calibration from star images: result, and the images solved."""
 
     result: CalibrationResult
-    truth: Camera
     identified: int
     images: int
 
@@ -63,7 +63,7 @@ def calibrate_lens(count: int, rng: np.random.Generator) -> LensStudy | Failure:
     calibration = calibrate_stars(found, rough, estimate=ESTIMATED, model_type="brown")
     if isinstance(calibration, Failure):
         return calibration
-    return LensStudy(result=calibration.result, truth=narrow_camera(), identified=len(found), images=count)
+    return LensStudy(result=calibration.result, identified=len(found), images=count)
 
 
 def pointing_above(sky: GroundStates, rng: np.random.Generator, least_rad: float) -> Rotation:
@@ -108,24 +108,22 @@ def without_refraction(fix: AttitudeFix, camera: Camera, sky: GroundStates) -> R
     return turn
 
 
-def solve_attitude(image: Image, camera: Camera, near: Rotation | None) -> AttitudeFix | Failure:
-    """Attitude of a star image: lost in space, or from the attitude of the image before it."""
-    navigation = StarNavigation(camera, catalog(), StarOptions(lost_in_space=True))
-    return navigation.solve(image if near is None else image.with_attitude(near))
+def solve_attitude(image: Image, camera: Camera) -> AttitudeFix | Failure:
+    """Attitude of a star image, lost in space."""
+    return StarNavigation(camera, catalog(), StarOptions(lost_in_space=True)).solve(image)
 
 
 @dataclass(frozen=True, eq=False)
 class InterlockStudy(Value):
     """Rotations between the cameras from pairs of star images.
 
-    Rotations of n pairs as the stars show them and with refraction taken out, the orientation (n,) of each, covariances
-    (n, 3, 3) of the noise, and the pairs that failed.
+    Rotations of n pairs as the stars show them and with refraction taken out, the orientation (n,) of each, and the
+    pairs that failed.
     """
 
     seen: Rotation
     corrected: Rotation
     orientation: Float
-    covariance_rad2: Float
     failed: int
 
     def angles_arcsec(self, *, corrected: bool) -> Float:
@@ -139,7 +137,7 @@ def interlock_study(
 ) -> InterlockStudy:
     """Photograph stars with both cameras, the rig turned a couple of times."""
     camera = narrow_camera()
-    seen, corrected, covariances, failed = [], [], [], 0
+    seen, corrected, failed = [], [], 0
     which: list[int] = []
     turn = Rotation.identity()
     for k in range(pairs):
@@ -147,24 +145,20 @@ def interlock_study(
         group = k * orientations // pairs
         if not which or which[-1] != group:
             turn = rig_above(sky, rng)
-        fixes = []
-        for attitude in (turn, true_interlock() * turn):
-            fixes.append(solve_attitude(star_frame(sky, attitude, rng), camera, None))
-        first, second = fixes
+        first, second = (
+            solve_attitude(star_frame(sky, attitude, rng), camera) for attitude in (turn, true_interlock() * turn)
+        )
         progress(k + 1)
         if isinstance(first, Failure) or isinstance(second, Failure):
             failed += 1
             continue
         seen.append(second.camera_from_inertial * first.camera_from_inertial.inv())
         corrected.append(without_refraction(second, camera, sky) * without_refraction(first, camera, sky).inv())
-        between = seen[-1].as_matrix()
-        covariances.append(second.covariance_rad2 + between @ first.covariance_rad2 @ between.T)
         which.append(group)
     return InterlockStudy(
         seen=Rotation.concatenate(seen),
         corrected=Rotation.concatenate(corrected),
         orientation=np.array(which, dtype=np.float64),
-        covariance_rad2=np.array(covariances),
         failed=failed,
     )
 
@@ -239,14 +233,12 @@ def moon_pair(
     sky: GroundStates, interlocks: tuple[Interlock, Interlock], rng: np.random.Generator
 ) -> MoonPair | Failure:
     """Photograph stars with the first camera and the Moon with the second, and find attitude and position."""
-    import time
-
     camera = narrow_camera()
     second = _moon_attitude(sky, rng)
     first = true_interlock().inv() * second
     stars, moon = star_frame(sky, first, rng), moon_frame(sky, second, rng)
     start = time.process_time()
-    attitude = solve_attitude(stars, camera, None)
+    attitude = solve_attitude(stars, camera)
     if isinstance(attitude, Failure):
         return attitude
     turn, spread = carried_attitude(attitude, interlocks[0])
@@ -276,10 +268,8 @@ def moon_pair(
 
 def _move_fix(fix: PositionFix, position: Float, turn: Float) -> PositionFix:
     """A fix at another position, its covariance turned along."""
-    import dataclasses
-
     covariance = turn @ fix.covariance_camera_km2 @ turn.T
-    return dataclasses.replace(
+    return replace(
         fix, position_camera_km=position, covariance_camera_km2=(covariance + covariance.T) / 2.0, parts={}, partials={}
     )
 
@@ -296,17 +286,11 @@ def _moon_attitude(sky: GroundStates, rng: np.random.Generator) -> Rotation:
     raise ArithmeticError("no roll of the rig lets the star camera see clear sky")  # pragma: no cover
 
 
-def moon_epochs(pairs: int) -> Float:
-    """Epochs of pairs over the evening, the Moon rising from 13 to 38 degrees."""
-    return np.asarray(NIGHT_ET + np.linspace(0.0, 2.6 * 3600.0, pairs))
-
-
 def lines_of(study: InterlockStudy, *, corrected: bool) -> Interlock:
     """Interlock of a study: the mean rotation, with the scatter of a pair as its error."""
     rotations = study.corrected if corrected else study.seen
     mean = rotations.mean()
     errors = (rotations * mean.inv()).as_rotvec()
-    count = len(errors)
-    scatter = errors.T @ errors / (count - 1.0) * (1.0 + 1.0 / count)
+    scatter = errors.T @ errors / (len(errors) - 1.0) * (1.0 + 1.0 / len(errors))
     floor = np.eye(3) * (0.1 * RAD_PER_ARCSEC) ** 2  # two pairs alone leave the scatter without rank
     return Interlock(second_from_first=mean, covariance_rad2=scatter + floor)

@@ -8,6 +8,9 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel, CameraModel, ScaramuzzaModel
 from giantlike.core.detector import Detector, GaussianPsf
@@ -22,8 +25,7 @@ NARROW_BITS, WIDE_BITS = 16, 12
 @cache
 def paper() -> dict[str, Any]:
     """Numbers of the paper by section."""
-    table: dict[str, Any] = tomllib.loads(files(__package__).joinpath("odin.toml").read_text(encoding="utf-8"))
-    return table
+    return tomllib.loads(files(__package__).joinpath("odin.toml").read_text(encoding="utf-8"))
 
 
 def narrow_focal_px() -> float:
@@ -90,6 +92,13 @@ def _camera(name: str, size: dict[str, Any], model: CameraModel, bits: int) -> C
         psf=GaussianPsf(sigma_px=PSF_SIGMA_PX),
         detector=detector(bits),
     )
+
+
+def read_out(electrons: NDArray[np.float32], detector: Detector, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Pixels as read: noise, converter, saturation."""
+    noise = rng.standard_normal(electrons.shape, dtype=np.float32)
+    read = electrons + np.sqrt(electrons + np.float32(detector.read_noise_e**2)) * noise
+    return np.asarray(np.minimum(np.round(read / detector.gain_e_per_dn), detector.saturation_dn), dtype=np.float32)
 
 
 def detector(bits: int) -> Detector:

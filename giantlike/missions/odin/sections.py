@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from giantlike.core.arrays import Float
 from giantlike.core.errors import EstimationError
@@ -13,13 +12,13 @@ from giantlike.missions.odin.compared_cameras import of_optics
 from giantlike.missions.odin.ground import sky_at
 from giantlike.missions.odin.modes import fly
 from giantlike.missions.odin.narrow import (
+    NIGHT_ET,
     InterlockStudy,
     LensStudy,
     MoonPair,
     calibrate_lens,
     interlock_study,
     lines_of,
-    moon_epochs,
     moon_pair,
     scatter_by_air,
 )
@@ -73,8 +72,10 @@ def _cameras(every: tuple[SensorChoice, ...], covered: float) -> Section:
         title="Cameras",
         text="Fields, projection and sizes by the tables, and the trade of sensor and lens.",
         figures=(
-            _figure("Fig. 5", "Diameter of Earth and Moon", figures.sizes_figure(), "Middle to edge of the frame."),
-            _figure("Fig. 9", "Sensors and lenses", trade, "Circled: the one chosen."),
+            ReplayFigure(
+                "Fig. 5", "Diameter of Earth and Moon", "Middle to edge of the frame.", figures.sizes_figure()
+            ),
+            ReplayFigure("Fig. 9", "Sensors and lenses", "Circled: the one chosen.", trade),
         ),
         comparisons=of_optics(every, covered),
     )
@@ -86,8 +87,10 @@ def _targets(study: WideStudy) -> Section:
         title="Target determination",
         text="Wide images of Earth, Moon and Sun are searched; a body is told by its brightness for size and phase.",
         figures=(
-            _figure("Fig. 6", "Intensity over phase", figures.phase_figure(), "Per solar irradiance and R squared."),
-            _figure("", "Bodies found", found, "Dotted: half of the narrow field."),
+            ReplayFigure(
+                "Fig. 6", "Intensity over phase", "Per solar irradiance and R squared.", figures.phase_figure()
+            ),
+            ReplayFigure("", "Bodies found", "Dotted: half of the narrow field.", found),
         ),
         comparisons=compared.of_photometry(study),
     )
@@ -98,7 +101,7 @@ def _calibration(study: LensStudy) -> Section:
     return Section(
         title="Calibration of a narrow camera",
         text="Star images from the ground with nothing told but size and field of view.",
-        figures=(_figure("Table 3", "Residuals of the calibration", figures.lens_figure(study), caption),),
+        figures=(ReplayFigure("Table 3", "Residuals of the calibration", caption, figures.lens_figure(study)),),
         comparisons=compared.of_lens(study),
     )
 
@@ -108,31 +111,31 @@ def _interlock(study: InterlockStudy, by_air: Float) -> Section:
     return Section(
         title="Angle between the narrow cameras",
         text="Pairs of star images; attitudes as the stars show them, and with refraction taken out of each star.",
-        figures=(_figure("Fig. 16", "Angle over pairs", drawn, "A rigid rig under the air."),),
+        figures=(ReplayFigure("Fig. 16", "Angle over pairs", "A rigid rig under the air.", drawn),),
         comparisons=compared.of_interlock(study, by_air),
     )
 
 
 def _positions(pairs: tuple[MoonPair, ...], failed: int) -> Section:
     along = "Z along the line of sight; gray: three sigmas of the covariance. Refraction taken out."
+    errors, sigmas = figures.camera_residuals_km(pairs)
+    within = 100.0 * float(np.mean(np.abs(errors) < 3.0 * sigmas))
     return Section(
         title="Attitude and position from a pair",
         text="Stars in one camera, the Moon in the other; the interlock is the one calibrated above. With refraction "
-        f"taken out, {100 * share_within(pairs):.0f} % of the residuals lie within three sigmas of the covariance.",
+        f"taken out, {within:.0f} % of the residuals lie within three sigmas of the covariance.",
         figures=(
-            _figure("Fig. 17", "The Moon, expected and measured", figures.moon_figure(pairs), "Circles: outlines."),
-            _figure("Fig. 18", "Expected to measured Moon", figures.offset_figure(pairs), "Gray: the paper's range."),
-            _figure("Fig. 19", "Position residuals", figures.camera_residuals_figure(pairs), along),
-            _figure("Fig. 20", "Range and bearing", figures.bearing_figure(pairs), "Dotted: one pixel."),
+            ReplayFigure(
+                "Fig. 17", "The Moon, expected and measured", "Circles: outlines.", figures.moon_figure(pairs)
+            ),
+            ReplayFigure(
+                "Fig. 18", "Expected to measured Moon", "Gray: the paper's range.", figures.offset_figure(pairs)
+            ),
+            ReplayFigure("Fig. 19", "Position residuals", along, figures.camera_residuals_figure(pairs)),
+            ReplayFigure("Fig. 20", "Range and bearing", "Dotted: one pixel.", figures.bearing_figure(pairs)),
         ),
         comparisons=compared.of_moon(pairs, failed),
     )
-
-
-def share_within(pairs: tuple[MoonPair, ...]) -> float:
-    """Fraction of the residuals of the position within three sigmas."""
-    errors, sigmas = figures.camera_residuals_km(pairs)
-    return float(np.mean(np.abs(errors) < 3.0 * sigmas))
 
 
 def moon_study(
@@ -142,8 +145,8 @@ def moon_study(
     count = 2 if settings.small else int(paper()["moon"]["pairs"])
     interlocks = (lines_of(locked, corrected=False), lines_of(locked, corrected=True))
     pairs, failed = [], 0
-    for k, et in enumerate(moon_epochs(count)):
-        pair = moon_pair(sky_at(float(et)), interlocks, rng)
+    for k, seconds in enumerate(np.linspace(0.0, 2.6 * 3600.0, count)):  # the Moon rises from 13 to 38 degrees
+        pair = moon_pair(sky_at(float(NIGHT_ET + seconds)), interlocks, rng)
         if isinstance(pair, Failure):
             failed += 1
         else:
@@ -152,7 +155,3 @@ def moon_study(
     if not pairs:
         raise EstimationError(f"none of {count} pairs of stars and Moon gave a pose")
     return tuple(pairs), failed
-
-
-def _figure(reference: str, title: str, figure: Figure, caption: str) -> ReplayFigure:
-    return ReplayFigure(reference=reference, title=title, figure=figure, caption=caption)

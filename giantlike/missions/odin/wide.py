@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -22,7 +22,7 @@ from giantlike.core.units import AU_KM
 from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.independent import LAWS
-from giantlike.missions.odin.paper import FULL_WELL_E, PSF_SIGMA_PX, paper, wide_camera
+from giantlike.missions.odin.paper import FULL_WELL_E, PSF_SIGMA_PX, paper, read_out, wide_camera
 from giantlike.ray_tracing import Lambert, disk_photocenter
 
 RADII_KM = {"EARTH": 6371.0, "MOON": 1737.4, "SUN": 695_700.0}
@@ -122,10 +122,8 @@ def wide_image(scene: CislunarScene, index: int, rng: np.random.Generator, expos
     for name, place in scene.bodies_km.items():
         add_body(electrons, camera, rotate(OUTWARD[index], place), name, rotate(OUTWARD[index], sun), scene, exposure_s)
     light = np.minimum(electrons * gain, 4.0 * FULL_WELL_E).astype(np.float32)
-    noise = rng.standard_normal(light.shape, dtype=np.float32)
-    read = light + np.sqrt(light + np.float32(camera.detector.read_noise_e**2)) * noise
-    pixels = np.minimum(np.round(read / camera.detector.gain_e_per_dn), camera.detector.saturation_dn)
-    return Image(pixels=pixels.astype(np.float32), name=camera.name, epoch=time_from_et(0.0), exposure_s=exposure_s)
+    pixels = read_out(light, camera.detector, rng)
+    return Image(pixels=pixels, name=camera.name, epoch=time_from_et(0.0), exposure_s=exposure_s)
 
 
 def add_body(
@@ -152,11 +150,10 @@ def add_body(
     columns, rows = np.meshgrid(x, y)
     shape = (bottom - top + 1, rays, right - left + 1, rays)
     seen = unit(camera.model.unproject(np.stack([columns, rows], axis=-1)))
-    light = disk_light(seen, unit(place), half_angle, None if name == "SUN" else sun, LAW_OF_TRUTH.get(name, ""))
+    lit_from, law = None if name == "SUN" else sun, LAW_OF_TRUTH.get(name, "")
+    light = disk_light(seen, unit(place), half_angle, lit_from, law)
     light = np.nan_to_num(light).reshape(shape).mean(axis=(1, 3))
-    whole = whole_disk(
-        half_angle, unit(place), None if name == "SUN" else sun, LAW_OF_TRUTH.get(name, ""), camera, center
-    )
+    whole = whole_disk(half_angle, unit(place), lit_from, law, camera, center)
     if light.sum() <= 0.0 or whole <= 0.0:
         return
     total = electrons_of_spectrum(share_of_sun(name, place, sun, scene)) * exposure_s
@@ -215,18 +212,16 @@ def models(*, measured: bool) -> tuple[BodyLight, BodyLight]:
 
     ``measured``: the Moon by its observed phase curve (else as the Chandrasekhar sphere of the paper).
     """
-    curves: dict[bool, Callable[[Float], Float]] = {
-        True: lambda phase: GEOMETRIC_ALBEDO["MOON"] * moon_phase_law(phase),
-        False: lambda phase: chandrasekhar_sphere(MOON_SCATTERING, phase),
+    curves: dict[str, Callable[[Float], Float]] = {
+        "EARTH": lambda phase: GEOMETRIC_ALBEDO["EARTH"] * lambert_phase_law(phase),
+        "MOON": (lambda phase: GEOMETRIC_ALBEDO["MOON"] * moon_phase_law(phase))
+        if measured
+        else partial(chandrasekhar_sphere, MOON_SCATTERING),
     }
-    return (
-        BodyLight(
-            name="EARTH",
-            brightness=lambda phase: GEOMETRIC_ALBEDO["EARTH"] * lambert_phase_law(phase),
-            relative_sigma=MODEL_SIGMA["EARTH"],
-        ),
-        BodyLight(name="MOON", brightness=curves[measured], relative_sigma=MODEL_SIGMA["MOON"]),
+    earth, moon = (
+        BodyLight(name=name, brightness=curve, relative_sigma=MODEL_SIGMA[name]) for name, curve in curves.items()
     )
+    return earth, moon
 
 
 @dataclass(frozen=True, eq=False)
@@ -365,18 +360,9 @@ def wide_study(scenes: int, rng: np.random.Generator, progress: Callable[[int], 
             phase = float(np.arccos(np.clip(-toward @ sun, -1.0, 1.0)))
             rows.append((name, answer.name, other.name, answer.why, error, diameter, phase))
         progress(k + 1)
-    true, given, by_sphere, why, errors, diameters, phases = zip(*rows, strict=True)
-    return WideStudy(
-        true=true,
-        given=given,
-        by_sphere=by_sphere,
-        why=why,
-        error_rad=np.array(errors),
-        diameter_px=np.array(diameters),
-        phase_rad=np.array(phases),
-        missed_px=np.array(missed),
-        scenes=scenes,
-    )
+    true, given, by_sphere, why, *numbers = zip(*rows, strict=True)
+    errors, diameters, phases, missed_px = (np.array(each, dtype=np.float64) for each in (*numbers, missed))
+    return WideStudy(true, given, by_sphere, why, errors, diameters, phases, missed_px, scenes)
 
 
 def near_to(found: tuple[FoundBody, ...], direction: Float, diameter_px: float) -> FoundBody | None:

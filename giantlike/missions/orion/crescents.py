@@ -13,7 +13,6 @@ from giantlike.missions.orion.images import (
     measure_errors,
     photograph,
 )
-from giantlike.missions.orion.judging import Number
 from giantlike.missions.replay import INDEPENDENT, Comparison, ReplaySettings, Stated
 
 PHASES_DEG = (140.0, 150.0, 160.0, 166.0, 172.0)
@@ -60,7 +59,7 @@ def crescent_comparisons(found: list[EstimatorErrors]) -> list[Comparison]:
         good = [each for each in mine if not each.suspect]
         worst = float(np.max([np.abs(each.errors_px).max() for each in good], initial=0.0))
         rows.append(
-            Number(
+            Stated(
                 "Fig. 10c",
                 f"{name}: worst error of crescents of 140 to 172 degrees that it vouches for, px",
                 3.0 * sigmas[0],

@@ -10,7 +10,7 @@ from giantlike.cislunar.filter import STATES
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 from giantlike.missions.orion.constants import earth_errors, table
-from giantlike.missions.orion.judging import ANALYSIS, Number
+from giantlike.missions.orion.judging import ANALYSIS
 from giantlike.missions.orion.return_leg import Delivery, Flown, History, analyze_plan, flown
 from giantlike.missions.orion.return_plan import ReturnPlan, make_plan, with_earth, without_close_pass
 from giantlike.missions.replay import INDEPENDENT, INPUT, Comparison, ReplaySettings, Stated
@@ -70,11 +70,11 @@ def architecture_comparisons(study: Study) -> list[Comparison]:
     passes, model = table("paper")["passes"], study.plan.model
     starts = np.array(study.plan.passes_h)
     return [
-        Number("I.A", "length of a pass, h", passes["length_h"], passes["length_h"], INPUT).near(0.0, "Put in."),
-        Number("I.A", "time between passes, h", passes["every_h"], float(np.max(-np.diff(starts))), INPUT).near(
+        Stated("I.A", "length of a pass, h", passes["length_h"], passes["length_h"], INPUT).near(0.0, "Put in."),
+        Stated("I.A", "time between passes, h", passes["every_h"], float(np.max(-np.diff(starts))), INPUT).near(
             0.0, "Put in."
         ),
-        Number("I.B", "states of the filter", 21, STATES, INPUT).near(
+        Stated("I.B", "states of the filter", 21, STATES, INPUT).near(
             0.0, f"As listed there; {int(model.considered.sum())} of them, the attitude, are considered."
         ),
         Stated(
@@ -101,7 +101,7 @@ def delivery_comparisons(study: Study) -> list[Comparison]:
 
     close, far = (severity(each) for each in (study.close_history, study.history))
     return [
-        Number(
+        Stated(
             "Fig. 4", "entry angle: bias and three sigma, deg, against the corridor", half, reach(study.delivery), kind
         ).at_most(
             "Linear covariance of the plan. The paper says that the delivery satisfies the corridor and draws "
@@ -151,7 +151,7 @@ def analysis_comparisons(study: Study) -> list[Comparison]:
     worst = {name: float(ratio.flat[np.argmax(np.abs(ratio - 1.0))]) for name, ratio in ratios.items()}
     runs = len(study.runs.angles_deg)
     return [
-        Number(
+        Stated(
             "Fig. 4",
             "entry angle: sigma, deg, linear covariance over flown runs",
             study.runs.delivery.angle_sigma_deg,
@@ -159,7 +159,7 @@ def analysis_comparisons(study: Study) -> list[Comparison]:
             kind,
         ).near(ANALYSIS, f"Here the first number is of {runs} flown runs of the same filter by an independent truth."),
         *(
-            Number(
+            Stated(
                 "II.C",
                 f"{name}: sigmas of flown runs over linear covariance, the one farthest from 1",
                 1.0,

@@ -50,10 +50,10 @@ def trajectory_figure(study: Study) -> ReplayFigure:
         axes.set(xlabel="x, 1000 km from the Earth", ylabel="y, 1000 km", aspect="equal")
         axes.legend(loc="best")
     return ReplayFigure(
-        reference="Fig. 1",
-        title="The way back from the Moon",
-        caption="Simulated, as the paper shows no state: 4.6 days from a place 25,000 km from the Moon to entry.",
-        figure=figure,
+        "Fig. 1",
+        "The way back from the Moon",
+        "Simulated, as the paper shows no state: 4.6 days from a place 25,000 km from the Moon to entry.",
+        figure,
     )
 
 
@@ -82,10 +82,10 @@ def states_figure(study: Study) -> ReplayFigure:
         table_shown.set_fontsize(8.5)
         table_shown.scale(1.0, 1.35)
     return ReplayFigure(
-        reference="Fig. 2",
-        title="States of the cislunar filter",
-        caption="The paper's figure shows sensors and filters as boxes. Images update by Carlson's rank-one update.",
-        figure=figure,
+        "Fig. 2",
+        "States of the cislunar filter",
+        "The paper's figure shows sensors and filters as boxes. Images update by Carlson's rank-one update.",
+        figure,
     )
 
 
@@ -109,11 +109,10 @@ def diameter_figure() -> ReplayFigure:
         axes.set(aspect="equal", xlim=(-0.1, 4.4), ylim=(-1.1, 1.1))
         axes.axis("off")
     return ReplayFigure(
-        reference="Fig. 3",
-        title="Angular diameter",
-        caption="The disk at unit distance, eqs. 4 to 10: wider than 2 R over the range, by half a percent at ten "
-        "radii.",
-        figure=figure,
+        "Fig. 3",
+        "Angular diameter",
+        "The disk at unit distance, eqs. 4 to 10: wider than 2 R over the range, by half a percent at ten radii.",
+        figure,
     )
 
 
@@ -139,10 +138,10 @@ def errors_figure(found: Mapping[str, Sequence[EstimatorErrors]]) -> ReplayFigur
         panels[0].set_ylabel("px")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return ReplayFigure(
-        reference="Eqs. 28-38",
-        title="Error models, and limb fits on made-up images",
-        caption="Ours: root mean square errors of a fit of the Christian-Robinson family, estimator told a sphere.",
-        figure=figure,
+        "Eqs. 28-38",
+        "Error models, and limb fits on made-up images",
+        "Ours: root mean square errors of a fit of the Christian-Robinson family, estimator told a sphere.",
+        figure,
     )
 
 
@@ -172,10 +171,10 @@ def history_figure(study: Study) -> ReplayFigure:
             axes.set_ylim(bottom=float(scale * np.linalg.norm(ours.error_sigma[:, part], axis=1).min()) / 5.0)
         panels[0].legend(loc="best")
     return ReplayFigure(
-        reference="II.C",
-        title="Navigation errors along the leg",
-        caption="Root of summed squares of three components; passes are shaded.",
-        figure=figure,
+        "II.C",
+        "Navigation errors along the leg",
+        "Root of summed squares of three components; passes are shaded.",
+        figure,
     )
 
 
@@ -199,11 +198,11 @@ def corridor_figure(study: Study) -> ReplayFigure:
         )
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.12), ncols=2)
     return ReplayFigure(
-        reference="Fig. 4",
-        title="Entry interface: delivery against the corridor",
-        caption="Angle where the path crosses 121.92 km, and speed at the time of entry. The corridor of the paper is "
+        "Fig. 4",
+        "Entry interface: delivery against the corridor",
+        "Angle where the path crosses 121.92 km, and speed at the time of entry. The corridor of the paper is "
         "a drawing without numbers; half a degree is assumed.",
-        figure=figure,
+        figure,
     )
 
 
@@ -225,10 +224,10 @@ def distortion_figure(grid: Grid) -> ReplayFigure:
             figure.colorbar(shown, ax=axes, shrink=0.8)
         panels[0].set_ylabel("y, px")
     return ReplayFigure(
-        reference="Fig. 5",
-        title="Distortion by eq. 39 at the points of the gimbal grid",
-        caption="A made-up lens; dots are the collimated points that fall on the detector.",
-        figure=figure,
+        "Fig. 5",
+        "Distortion by eq. 39 at the points of the gimbal grid",
+        "A made-up lens; dots are the collimated points that fall on the detector.",
+        figure,
     )
 
 
@@ -246,10 +245,10 @@ def field_figure(taken: Photograph) -> ReplayFigure:
         axes.set(xlabel="x, px", ylabel="y, px", title=f"{taken.view.range_km:,.0f} km")
         axes.grid(visible=False)
     return ReplayFigure(
-        reference="Fig. 9",
-        title="Field of the camera with the Moon",
-        caption=f"19.5 by 15.6 degrees; the disk is {2.0 * taken.view.radius_px:.0f} px across.",
-        figure=figure,
+        "Fig. 9",
+        "Field of the camera with the Moon",
+        f"19.5 by 15.6 degrees; the disk is {2.0 * taken.view.radius_px:.0f} px across.",
+        figure,
     )
 
 
@@ -260,10 +259,10 @@ def picture(reference: str, taken: Photograph, title: str) -> ReplayFigure:
         axes.imshow(taken.image.pixels, cmap="gray", vmin=0.0)
         axes.axis("off")
     return ReplayFigure(
-        reference=reference,
-        title=title,
-        caption=f"Phase {taken.view.phase_deg:g} deg, {taken.view.range_km:,.0f} km, by the independent renderer.",
-        figure=figure,
+        reference,
+        title,
+        f"Phase {taken.view.phase_deg:g} deg, {taken.view.range_km:,.0f} km, by the independent renderer.",
+        figure,
     )
 
 
@@ -288,9 +287,9 @@ def crescent_figure(found: Sequence[EstimatorErrors]) -> ReplayFigure:
             axes.set(title=f"error {AXES[k]}, px", xlabel="phase, deg")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return ReplayFigure(
-        reference="Fig. 10c",
-        title="Thin crescents",
-        caption=f"Size of errors of a smooth Moon of {2.0 * focal_px() * 1737.4 / CRESCENT_KM:.0f} px; hollow: flagged "
+        "Fig. 10c",
+        "Thin crescents",
+        f"Size of errors of a smooth Moon of {2.0 * focal_px() * 1737.4 / CRESCENT_KM:.0f} px; hollow: flagged "
         "as suspect; dashed: one sigma of eqs. 28 to 30.",
-        figure=figure,
+        figure,
     )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from giantlike.calibration import CalibrationResult, ImageObservations, calibrate
+from giantlike.calibration import ImageObservations, calibrate
 from giantlike.calibration.observations import collimator_directions
 from giantlike.camera_models import BrownModel
 from giantlike.core.arrays import Float
@@ -53,35 +53,30 @@ def lens() -> PinholeView:
 class Grid(Value):
     """The composite of all images, measured.
 
-    azimuth_rad, elevation_rad: (n,); of the points that fell on the detector and were found.
+    azimuth_rad: (n,); of the points that fell on the detector and were found.
     points_px: (n, 2).
-    true_px: (n, 2).
     eq39_px: (n,); error of eq. 39: centroids against tangents of the gimbal's angles.
-    fitted: of a Brown model to the same centroids.
-    residuals_px: (n, 2); after it.
+    residuals_px: (n, 2); after the fit of a Brown model to the same centroids.
     """
 
     azimuth_rad: Float
-    elevation_rad: Float
     points_px: Float
-    true_px: Float
     eq39_px: Float
-    fitted: CalibrationResult
     residuals_px: Float
 
 
-def measure_grid(seed: int) -> Grid | Failure:
-    """Take all images, combine them, find the points, and calibrate."""
+def measure_grid(seed: int) -> Grid:
+    """Take all images, combine them, find the points, and calibrate; a failure of any would be a defect."""
     azimuth, elevation = gimbal_angles()
     targets, view, rng = collimator_directions(azimuth, elevation), lens(), np.random.default_rng(seed)
     field = StarField(targets, np.zeros(len(targets)))
-    light, places = star_image(field, view, Rotation.identity(), psf=Psf(STAKED_PX), zero_point_dn=STAR_DN)
+    light, _ = star_image(field, view, Rotation.identity(), psf=Psf(STAKED_PX), zero_point_dn=STAR_DN)
     seen = record(light, rng, Recorder(read_noise_e=READ_NOISE_DN, saturation_dn=4095.0))
     found = detect_sources(
         seen.pixels.astype(np.int16), detector=Detector(read_noise_e=READ_NOISE_DN), psf_sigma_px=STAKED_PX
     )
     if isinstance(found, Failure):
-        return found
+        found.unwrap()
     ideal = BrownModel(fx_px=focal_px(), fy_px=focal_px(), cx_px=(view.columns - 1) / 2.0, cy_px=(view.rows - 1) / 2.0)
     expected = ideal.project(targets)
     found = found.select(found.flux_dn > STAR_DN / 3.0)  # a whole point, not one that the edge cuts
@@ -89,22 +84,18 @@ def measure_grid(seed: int) -> Grid | Failure:
     seen_here = distance < MATCH_PX
     points = found.points_px[nearest[seen_here]]
     sigmas = np.sqrt(np.trace(found.covariance_px2[nearest[seen_here]], axis1=1, axis2=2) / 2.0)
-    fitted = calibrate(
+    found_fit = calibrate(
         [ImageObservations(name="grid", targets=targets[seen_here], points_px=points, sigma_px=sigmas)],
         ideal,
         estimate=("fx_px", "fy_px", "cx_px", "cy_px", "k1", "p1", "p2"),
         columns=view.columns,
         rows=view.rows,
     )
-    if isinstance(fitted, Failure):
-        return fitted
+    fitted = found_fit.unwrap()
     return Grid(
         azimuth_rad=azimuth[seen_here],
-        elevation_rad=elevation[seen_here],
         points_px=points,
-        true_px=places[seen_here],
         eq39_px=equation_39(points - [ideal.cx_px, ideal.cy_px], azimuth[seen_here], elevation[seen_here]),
-        fitted=fitted,
         residuals_px=fitted.observed_px - fitted.predicted_px,
     )
 

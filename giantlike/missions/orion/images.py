@@ -151,7 +151,8 @@ def measure_errors(taken: Photograph, estimator: str) -> EstimatorErrors:
     axes = np.array([along, [-along[1], along[0]]])
     center = axes @ (fix.center_px - taken.camera.model.project(taken.position_camera_km))
     found = focal_px() * disk_diameter(float(np.linalg.norm(fix.position_camera_km)), taken.view.radius_km) / 2.0
-    radius_sigma = taken.view.radius_px * math.sqrt(_range_variance(fix)) / fix.range_km
+    sight = unit(fix.position_camera_km)
+    radius_sigma = taken.view.radius_px * math.sqrt(sight @ fix.covariance_camera_km2 @ sight) / fix.range_km
     spread = np.sqrt(np.diag(axes @ fix.covariance_px2 @ axes.T))
     return EstimatorErrors(
         view=taken.view,
@@ -160,12 +161,6 @@ def measure_errors(taken: Photograph, estimator: str) -> EstimatorErrors:
         sigmas_px=np.array([*spread, radius_sigma]),
         suspect=fix.flags.suspect,
     )
-
-
-def _range_variance(fix: PositionFix) -> float:
-    """Variance of the range, km^2."""
-    sight = unit(fix.position_camera_km)
-    return float(sight @ fix.covariance_camera_km2 @ sight)
 
 
 def _camera(radius_px: float) -> Camera:

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from giantlike.core.outcomes import Failure
 from giantlike.missions.orion.constants import focal_px, table
 from giantlike.missions.orion.gimbal import (
     FOCUSED_PX,
@@ -14,22 +13,15 @@ from giantlike.missions.orion.gimbal import (
     Grid,
     centroid_errors_px,
     gimbal_angles,
-    measure_grid,
     pinhole_error_px,
 )
-from giantlike.missions.orion.judging import ROUNDING, Number
+from giantlike.missions.orion.judging import ROUNDING
 from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, ReplaySettings, Stated
 
 FIT_PX = 0.1
 """Best accuracy of real-time centroids of bodies: a lens calibrated better than this adds nothing."""
 POINTS = {False: 20, True: 8}
 """Points along a side, for the focus; fewer in a small run."""
-
-
-def measured_grid(settings: ReplaySettings) -> Grid:
-    """The grid of the paper; a failure of the detection or the fit would be a defect."""
-    grid = measure_grid(settings.seed)
-    return grid.unwrap() if isinstance(grid, Failure) else grid
 
 
 def grid_comparisons(grid: Grid) -> list[Comparison]:
@@ -43,19 +35,19 @@ def grid_comparisons(grid: Grid) -> list[Comparison]:
     arcsec = math.degrees(gimbal["pitch_mm"] / gimbal["focal_mm"]) * 3600.0
     residual = float(np.sqrt(np.mean(grid.residuals_px**2)))
     return [
-        Number("III.A", "images of the grid", gimbal["images"], len(azimuth), kind).near(
+        Stated("III.A", "images of the grid", gimbal["images"], len(azimuth), kind).near(
             0.0,
             "The least grid in steps of 2 degrees, through the boresight, that covers 19.5 by 15.6 degrees: 11 by 9.",
         ),
-        Number("III.A", "images whose point falls on the detector", gimbal["images"], len(grid.azimuth_rad), kind).near(
+        Stated("III.A", "images whose point falls on the detector", gimbal["images"], len(grid.azimuth_rad), kind).near(
             0.0,
             f"The outer ring of the grid lies {outside[0]:.2f} and {outside[1]:.2f} degrees beyond the field "
             "that the paper states: all 99 are seen only by a larger detector, or the field is that of another one.",
         ),
-        Number("eq. 39", "a pixel of III.A, arcsec", table("paper")["camera"]["arcsec_per_px"], arcsec, DERIVED).near(
+        Stated("eq. 39", "a pixel of III.A, arcsec", table("paper")["camera"]["arcsec_per_px"], arcsec, DERIVED).near(
             ROUNDING, "43.3 mm and 0.018 mm are of another camera than the 28.2 arcsec of eq. 21."
         ),
-        Number(
+        Stated(
             "eq. 39",
             "eq. 39 in a pinhole, largest error, px",
             1.0,
@@ -66,7 +58,7 @@ def grid_comparisons(grid: Grid) -> list[Comparison]:
             "gimbal's "
             "azimuth is not that of the angle in the image: away from the axes eq. 39 takes geometry for distortion."
         ),
-        Number(
+        Stated(
             "III.A, Fig. 5", "eq. 39 with a made-up lens after the fit, rms per axis, px", FIT_PX, residual, kind
         ).at_most(
             "Distortions are mapped and eliminated, the paper says; a Brown model fitted to the centroids of "
@@ -83,7 +75,7 @@ def focus_comparisons(settings: ReplaySettings) -> list[Comparison]:
         centroid_errors_px(blur, POINTS[settings.small], settings.seed) for blur in (FOCUSED_PX, STAKED_PX)
     )
     return [
-        Number("III.A", "image of the pinhole of the collimator, px", 1.0, spot_px, DERIVED).at_most(
+        Stated("III.A", "image of the pinhole of the collimator, px", 1.0, spot_px, DERIVED).at_most(
             "15 um over 500 mm: smaller than a pixel, so that it stands for a star as the paper says."
         ),
         Stated(

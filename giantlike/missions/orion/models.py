@@ -19,7 +19,7 @@ from giantlike.missions.orion.constants import (
     table,
 )
 from giantlike.missions.orion.images import EstimatorErrors, ImagedScene, measure_errors, photograph
-from giantlike.missions.orion.judging import MODEL, ROUNDING, Number
+from giantlike.missions.orion.judging import MODEL, ROUNDING
 from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, ReplaySettings, Stated
 
 AXES = ("along the Sun", "across the Sun", "radius")
@@ -74,20 +74,20 @@ def constants() -> list[Comparison]:
     derived, arcsec = DERIVED, math.degrees(1.0 / focal_px()) * 3600.0
     relief_mm = camera["relief_focal_px"] * camera["pitch_um"] * 1e-3
     return [
-        Number("eq. 21", "tangent of a pixel", camera["tangent_per_px"], 1.0 / focal_px(), derived).near(
+        Stated("eq. 21", "tangent of a pixel", camera["tangent_per_px"], 1.0 / focal_px(), derived).near(
             ROUNDING, "4.8 um over 35.1 mm."
         ),
-        Number("eq. 21", "a pixel, arcsec", camera["arcsec_per_px"], arcsec, derived).near(
+        Stated("eq. 21", "a pixel, arcsec", camera["arcsec_per_px"], arcsec, derived).near(
             ROUNDING, "The same in arcseconds."
         ),
-        Number(
+        Stated(
             "eqs. 28-30", "focal length in the terrain terms, px", camera["relief_focal_px"], focal_px(), derived
         ).near(
             1e-4,
             f"Given to five digits, so asked for to 1e-4: 7291.7 px are {relief_mm:.2f} mm, "
             "not the 35.1 mm of eq. 21. The terrain term is 0.3 % low by it.",
         ),
-        Number(
+        Stated(
             "eqs. 28-30", "variation of the terrain, km", terrain["relief_km"], terrain["relief_ft"] * FOOT_KM, derived
         ).near(ROUNDING, "6562 ft."),
     ]
@@ -104,7 +104,7 @@ def biases() -> list[Comparison]:
     terrain = paper["terrain"]
     return [
         *(
-            Number(
+            Stated(
                 f"eq. {number}",
                 f"{name} bias that shrinks with range, as a length at the body, km",
                 terrain["relief_km"],
@@ -116,7 +116,7 @@ def biases() -> list[Comparison]:
             )
             for name, (number, length) in lengths.items()
         ),
-        Number(
+        Stated(
             "eq. 38",
             "altitude of the Earth's limb, km",
             paper["earth"]["limb_altitude_km"],
@@ -152,7 +152,7 @@ def range_errors(settings: ReplaySettings) -> list[Comparison]:
         for equation, radius in ((25, radius_km), (26, 0.0)):
             paper = float(range_sigma(distance, radius, diameter_px, sigma_px))
             found.append(
-                Number(
+                Stated(
                     f"eq. {equation}",
                     f"sigma of the range of the {name} at {distance:g} km by 0.24 px of diameter, km",
                     paper,
@@ -174,7 +174,7 @@ def image_comparisons(found: dict[str, list[EstimatorErrors]]) -> list[Compariso
     for name, body, equations in (("smooth Moon", "moon", (29, 30, 28)), ("Earth", "earth", (34, 35, 36))):
         ours = spread_px(found[name])
         rows += [
-            Number(f"eq. {equation}", f"{name}: error {axis}, px", paper[body]["noise_px"][k], ours[k], kind).near(
+            Stated(f"eq. {equation}", f"{name}: error {axis}, px", paper[body]["noise_px"][k], ours[k], kind).near(
                 MODEL,
                 "Root mean square of a limb fit of the same family over made-up images of a smooth sphere. The "
                 "paper's images have terrain, clouds or haze, and the flight fit its own edges: noise alone is not "
@@ -184,7 +184,7 @@ def image_comparisons(found: dict[str, list[EstimatorErrors]]) -> list[Compariso
         ]
     ratio = spread_px(found["smooth Moon"])
     rows.append(
-        Number("eqs. 29, 30", "errors along over across the Sun", 0.15 / 0.06, ratio[0] / ratio[1], kind).near(
+        Stated("eqs. 29, 30", "errors along over across the Sun", 0.15 / 0.06, ratio[0] / ratio[1], kind).near(
             MODEL, "The lit limb is less than half of the outline, so the center is told better across the Sun."
         )
     )
@@ -192,7 +192,7 @@ def image_comparisons(found: dict[str, list[EstimatorErrors]]) -> list[Compariso
     for distance in sorted({each.view.range_km for each in found["Moon with relief"]}):
         ours, stated_px = spread_px(found["Moon with relief"], distance), model.sigmas_px(distance)
         rows += [
-            Number(
+            Stated(
                 "eqs. 28-30",
                 f"Moon with 2 km of relief at {distance:g} km: error {axis}, px",
                 stated_px[k],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from giantlike.missions.orion import crescents as thin
 from giantlike.missions.orion import delivery, figures, laboratory, models
+from giantlike.missions.orion.gimbal import measure_grid
 from giantlike.missions.replay import ReplaySettings, Section
 
 
@@ -11,7 +12,7 @@ def sections(settings: ReplaySettings) -> tuple[Section, ...]:
     """Make everything."""
     study = delivery.study_leg(settings)
     found = models.images_of_bodies(settings)
-    grid = laboratory.measured_grid(settings)
+    grid = measure_grid(settings.seed)
     pictures, crescents = thin.shown(settings), thin.crescents(settings)
     return (
         Section(

@@ -21,7 +21,7 @@ def replay(settings: ReplaySettings) -> Replay:
     """Replay Liounis et al.: calibrations, then the phases as campaigns on simulated images."""
     from giantlike.missions.osiris_rex.assumptions import assumptions_of
     from giantlike.missions.osiris_rex.body import true_body
-    from giantlike.missions.osiris_rex.calibrations import calibrate_cameras
+    from giantlike.missions.osiris_rex.calibrations import calibrate_camera
     from giantlike.missions.osiris_rex.phases import PhaseInputs
     from giantlike.missions.osiris_rex.range_error import study_range_errors
     from giantlike.missions.osiris_rex.sections import calibration_section, phase_section, range_error_section
@@ -32,8 +32,16 @@ def replay(settings: ReplaySettings) -> Replay:
     sections = [
         range_error_section(study_range_errors(small=settings.small, seed=settings.seed, progress=settings.progress))
     ]
-    images = _SMALL_IMAGES if settings.small else None
-    calibrations = calibrate_cameras(orex, cameras, images=images, seed=settings.seed, progress=settings.progress)
+    calibrations = [
+        calibrate_camera(
+            orex,
+            key,
+            images=_SMALL_IMAGES if settings.small else orex.cameras[key].calibration_images,
+            seed=settings.seed,
+            progress=settings.progress,
+        )
+        for key in cameras
+    ]
     sections.append(calibration_section(orex, calibrations))
     facets = orex.body.small_facets if settings.small else orex.body.facets
     truth = true_body(orex.body, inputs.shape, seed=settings.seed, facets=facets)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +31,8 @@ _FIRST_UTC = "2017-09-20T00:00:00"
 """Epoch of the first image, in cruise [assumed]."""
 _DAYS = 10.0
 """Time from one image to the next [assumed]."""
+_CELLS = 4
+"""Cells along a side of the field in which means of residuals are tested."""
 _SCALE_ERROR = 0.05
 """Largest error of the nominal focal length that the identification allows for; they are stated to two digits."""
 
@@ -54,10 +56,6 @@ class CameraCalibration(Value):
     camera: Camera
     images: int
 
-    def unwrap(self) -> CameraCalibration:
-        """Return the calibration itself; a :class:`~giantlike.core.outcomes.Failure` raises instead."""
-        return self
-
     @property
     def squared_distance(self) -> float:
         """Squared error of all parameters over their covariance; k on average where the covariance is correct."""
@@ -69,41 +67,22 @@ class CameraCalibration(Value):
         """Standard deviation of the residuals of the stars used, per axis, px."""
         return float(np.std(self.result.residuals_px[self.result.used]))
 
-    def structure(self, cells: int = 4) -> tuple[float, int]:
+    def structure(self) -> tuple[float, int]:
         """Squared means of residuals in cells of the field over their variances, summed, and their number."""
         used = self.result.used
         residuals = self.result.residuals_px[used] / self.result.sigma_px[used, None]
         scale = np.mean(residuals**2)
-        place = np.floor(self.result.observed_px[used] / [self.result.columns, self.result.rows] * cells)
-        number = np.clip(place, 0, cells - 1) @ [1, cells]
+        place = np.floor(self.result.observed_px[used] / [self.result.columns, self.result.rows] * _CELLS)
+        number = np.clip(place, 0, _CELLS - 1) @ [1, _CELLS]
         sums = [residuals[number == each].sum(axis=0) ** 2 / np.sum(number == each) for each in np.unique(number)]
         return float(np.sum(sums) / scale), 2 * len(sums)
 
 
-def calibrate_cameras(
-    mission: MissionSetup,
-    keys: Sequence[str],
-    *,
-    images: int | None = None,
-    seed: int,
-    progress: Callable[[str, int, int], None],
-) -> tuple[CameraCalibration, ...]:
-    """Calibrate cameras of Table 1."""
-    return tuple(
-        calibrate_camera(
-            mission, key, images=images or mission.cameras[key].calibration_images, seed=seed, progress=progress
-        ).unwrap()
-        for key in keys
-    )
-
-
 def calibrate_camera(
     mission: MissionSetup, key: str, *, images: int, seed: int, progress: Callable[[str, int, int], None]
-) -> CameraCalibration | Failure:
+) -> CameraCalibration:
     """Take star images with a camera of Table 1 and calibrate it from them.
 
-    Notes
-    -----
     It starts from a nominal focal length, no distortion and the middle of the frame, as the paper does.
     """
     setup, declared = mission.cameras[key], mission.declared_camera(key)
@@ -123,10 +102,7 @@ def calibrate_camera(
         if not isinstance(found, Failure):
             identified.append(found)
         progress(f"calibration of {setup.label}", number + 1, images)
-    done = calibrate_stars(identified, declared, estimate=setup.estimated, stars=options)
-    if isinstance(done, Failure):
-        return done
-    result = done.result
+    result = calibrate_stars(identified, declared, estimate=setup.estimated, stars=options).unwrap().result
     return CameraCalibration(
         key=key,
         label=setup.label,

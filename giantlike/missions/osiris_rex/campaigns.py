@@ -26,7 +26,7 @@ from giantlike.core.frames import rotate, rotation_from_xyzw
 from giantlike.core.values import Value
 from giantlike.io import write_fits, write_geometry
 from giantlike.io.csv_rows import write_csv_rows
-from giantlike.missions.osiris_rex.images import BEYOND_LIMIT, TARGET, Planner, sky_for
+from giantlike.missions.osiris_rex.images import BEYOND_LIMIT, TARGET, Planner, detector_model, sky_for
 from giantlike.missions.osiris_rex.setup import CampaignSetup
 from giantlike.missions.osiris_rex.trajectory import BennuVisit
 from giantlike.shapes import TriangleMesh
@@ -57,12 +57,12 @@ _OPTIONS = {"unresolved": {"correction": "kaasalainen_tanga"}, "moment": {"corre
 """Options of estimators that are the paper's and not the default: the correction of its eq. 3."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class StarResiduals(Value):
     """Residuals of all stars that attitudes rest on.
 
     points_px, residuals_px: (n, 2); observed, and observed minus predicted with the estimated attitude.
-    magnitudes, sigma_px, day: (n,); of the catalog; standard deviation per axis, px; days since the first image.
+    magnitudes, sigma_px: (n,); of the catalog; standard deviation per axis, px.
     solved, images: star images with an attitude, and all.
     """
 
@@ -70,7 +70,6 @@ class StarResiduals(Value):
     residuals_px: Float
     magnitudes: Float
     sigma_px: Float
-    day: Float
     solved: int
     images: int
 
@@ -140,7 +139,7 @@ class CampaignJob(Value):
             visits=self.visits,
             diameter_km=2.0 * radius_km,
             diameters_px=np.array([2.0 * radius_km * focal_px / visit.range_km for visit in self.visits]),
-            stars=_star_residuals(result.folder, days),
+            stars=_star_residuals(result.folder),
             observations=tuple(self._residuals(result)),
             days=days,
             columns=self.declared.columns,
@@ -169,7 +168,10 @@ class CampaignJob(Value):
         shutil.rmtree(self.folder, ignore_errors=True)
         make_folder(self.folder / "images")
         frames = tuple(self.planner.frames(self.visits))
-        catalog, detector = self._catalog(frames), self.planner.detector_model()
+        catalog, detector = (
+            self._catalog(frames),
+            detector_model(self.planner.mission, self.planner.setup, seed=self.planner.seed),
+        )
         truth = []
         with ThreadPoolExecutor(self.workers) as pool:
             for row in pool.map(lambda frame: self._take(frame, catalog, detector), frames):
@@ -261,7 +263,7 @@ def _moved_px(row: TruthRow, found: Rotation, camera: Camera) -> Float:
     return moved
 
 
-def _star_residuals(folder: Path, days: dict[str, float]) -> StarResiduals:
+def _star_residuals(folder: Path) -> StarResiduals:
     """Residuals of the stars of a run."""
     run = RunFolder.open(folder)
     records = [each for each in run.load_all(AttitudeRecord) if each.star_image]
@@ -271,17 +273,7 @@ def _star_residuals(folder: Path, days: dict[str, float]) -> StarResiduals:
         for record in solved:
             stars = run.points(record)["stars"]
             observed, predicted = (np.reshape(stars[name], (-1, 2)) for name in ("observed_px", "predicted_px"))
-            day = np.full(len(observed), days[record.file])
-            magnitudes, sigma = np.array(stars["magnitudes"]), np.array(stars["sigma_px"])
-            parts.append((observed, observed - predicted, magnitudes, sigma, day))
-    empty = (np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros(0))
-    points, residuals, magnitudes, sigma, day = (np.concatenate(each) for each in zip(*(parts or [empty]), strict=True))
-    return StarResiduals(
-        points_px=points,
-        residuals_px=residuals,
-        magnitudes=magnitudes,
-        sigma_px=sigma,
-        day=day,
-        solved=len(solved),
-        images=len(records),
-    )
+            parts.append((observed, observed - predicted, np.array(stars["magnitudes"]), np.array(stars["sigma_px"])))
+    empty = (np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    points, residuals, magnitudes, sigma = (np.concatenate(each) for each in zip(*(parts or [empty]), strict=True))
+    return StarResiduals(points, residuals, magnitudes, sigma, solved=len(solved), images=len(records))

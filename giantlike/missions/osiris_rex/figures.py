@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from giantlike.campaign.store.results import group_by
 from giantlike.missions.osiris_rex.calibrations import CameraCalibration
 from giantlike.missions.osiris_rex.campaigns import CampaignResult
 from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
@@ -46,32 +48,33 @@ def star_figure(result: CampaignResult) -> Figure:
 
 def center_figure(result: CampaignResult, errors: Sequence[ObservationError], title: str) -> Figure:
     """Residuals of centers, by estimator."""
-    series = []
-    for name in dict.fromkeys(error.estimator for error in errors):
-        mine = [error for error in errors if error.estimator == name]
-        series.append(
-            Series(
-                label=name,
-                at=np.array([result.days[error.file] for error in mine]),
-                values=np.array([error.error_px for error in mine]),
-                sigma=np.array([error.sigma_px for error in mine]),
-                suspect=np.array([error.status == "suspect" for error in mine]),
-            )
-        )
+    groups = group_by(errors, lambda error: error.estimator)
+    series = [
+        _series(result, name, mine, [error.error_px for error in mine], [error.sigma_px for error in mine])
+        for name, mine in groups.items()
+    ]
     sheet = series_charts(series, ("x, px", "y, px"), "days since the first image", title)
     return charts_figure(replace(sheet, width_in=_HALF_IN, height_in=_HEIGHT_IN))
 
 
 def range_figure(result: CampaignResult, errors: Sequence[ObservationError], title: str) -> Figure:
     """Residuals of ranges, in percent."""
-    series = Series(
-        label="limb_matching",
+    values, sigmas = (
+        100.0 * np.array(each)[:, None] for each in zip(*((e.range_error, e.range_sigma) for e in errors), strict=True)
+    )
+    series = _series(result, "limb_matching", errors, values, sigmas)
+    return charts_figure(series_charts([series], ("range, %",), "days since the first image", title))
+
+
+def _series(result: CampaignResult, label: str, errors: Sequence[ObservationError], values: Any, sigma: Any) -> Series:
+    """Residuals of an estimator over time."""
+    return Series(
+        label=label,
         at=np.array([result.days[error.file] for error in errors]),
-        values=100.0 * np.array([[error.range_error] for error in errors], dtype=np.float64),
-        sigma=100.0 * np.array([[error.range_sigma] for error in errors], dtype=np.float64),
+        values=np.array(values),
+        sigma=np.array(sigma),
         suspect=np.array([error.status == "suspect" for error in errors]),
     )
-    return charts_figure(series_charts([series], ("range, %",), "days since the first image", title))
 
 
 def range_error_figure(study: RangeErrorStudy) -> Figure:

@@ -75,10 +75,6 @@ class Planner(Value):
             zero_point_e_s=self.setup.zero_point_e_s, albedo=self.mission.body.radiance_factor, sun_distance_au=1.0
         )
 
-    def detector_model(self) -> DetectorModel:
-        """Detector with uneven response and hot pixels, the same in all images."""
-        return detector_model(self.mission, self.setup, seed=self.seed)
-
     def frames(self, visits: Sequence[BennuVisit]) -> Iterator[ApproachFrame]:
         """Yield a long and a short exposure of each visit."""
         for number, visit in enumerate(visits):
@@ -91,7 +87,14 @@ class Planner(Value):
         target = Target(name=TARGET, shape=self.truth, ephemeris=body, reflectance=law)
         scene = Scene(targets=(target,), light=FixedEphemeris())
         rate = pointing.rate_arcsec_s * RAD_PER_ARCSEC * unit(rng.normal(size=3))
-        short = self._short(f"{self.setup.key}_{number + 1:02d}_short.fits", visit, body, rate)
+        short = Shot(
+            name=f"{self.setup.key}_{number + 1:02d}_short.fits",
+            epoch=time_from_et(visit.et),
+            exposure_s=self.setup.longest_short_s,
+            camera_from_inertial=Rotation.identity(),
+            observer=_observer(visit, body, visit.et),
+            angular_rate_camera_rad_s=rate,
+        )
         short = dataclasses.replace(short, camera_from_inertial=self._attitude(short, scene, rng))
         short = dataclasses.replace(short, exposure_s=self._short_exposure_s(short, scene))
         back = Rotation.from_rotvec(pointing.pair_gap_s * rate)  # takes the short exposure's axes to the long one's
@@ -108,17 +111,6 @@ class Planner(Value):
         error_km = self._position_error_km(short, scene, rng)
         for shot, turn in ((long, back * short.camera_from_inertial), (short, short.camera_from_inertial)):
             yield self._frame(shot, scene, wrong * turn, error_km, (self.seed, int(rng.integers(2**31))))
-
-    def _short(self, name: str, visit: BennuVisit, body: VisitedBody, rate: Float) -> Shot:
-        """The short exposure of a visit, before its attitude and its length are chosen."""
-        return Shot(
-            name=name,
-            epoch=time_from_et(visit.et),
-            exposure_s=self.setup.longest_short_s,
-            camera_from_inertial=Rotation.identity(),
-            observer=_observer(visit, body, visit.et),
-            angular_rate_camera_rad_s=rate,
-        )
 
     def _frame(
         self, shot: Shot, scene: Scene, apriori: Rotation, error_km: Float, seed: tuple[int, int]
@@ -170,8 +162,7 @@ class Planner(Value):
         range_km, away = float(np.linalg.norm(vector_km)), unit(vector_km)
         across = rng.normal(size=3) * self.phase.position_error_px / self.camera.model.focal_length_px
         across -= away * float(across @ away)
-        error: Float = range_km * (across + self.phase.range_error * rng.normal() * away)
-        return error
+        return range_km * (across + self.phase.range_error * rng.normal() * away)
 
 
 def detector_model(mission: MissionSetup, setup: CameraSetup, *, seed: int) -> DetectorModel:

@@ -56,14 +56,12 @@ class RangeErrorStudy(Value):
     phases_deg: (p,).
     correlation_px, fitted_px: (p, n, 2); measured minus true center: by the peak of the correlation, and with the range
         fitted; NaN where none was found.
-    fitted_range: (p, n); measured / true range - 1, with the range fitted.
     """
 
     range_errors: Float
     phases_deg: Float
     correlation_px: Float
     fitted_px: Float
-    fitted_range: Float
 
 
 def study_range_errors(*, small: bool, seed: int, progress: Callable[[str, int, int], None]) -> RangeErrorStudy:
@@ -80,8 +78,7 @@ def study_range_errors(*, small: bool, seed: int, progress: Callable[[str, int, 
         range_errors=np.array(errors),
         phases_deg=np.array(phases),
         correlation_px=table[:, :, :2],
-        fitted_px=table[:, :, 2:4],
-        fitted_range=table[:, :, 4],
+        fitted_px=table[:, :, 2:],
     )
 
 
@@ -131,7 +128,7 @@ class _Case(Value):
         )
 
     def find_errors(self, range_error: float) -> Float:
-        """Errors (5,): center by the correlation, center and range with the range fitted."""
+        """Errors (4,) of the center: by the correlation, and with the range fitted."""
         true_px = self.camera.model.project(self.position_km)
         range_km = float(np.linalg.norm(self.position_km)) * (1.0 + range_error)
         predicted_km = range_km * self.camera.model.unproject(true_px + _CENTER_ERROR_PX)
@@ -163,16 +160,15 @@ class _Case(Value):
         return np.full(2, np.nan) if isinstance(peak, Failure) else template.center_px + peak.offset_px
 
     def _fit(self, predicted_km: Float, true_px: Float) -> Float:
-        """Errors (3,) of center and range of the estimator that fits the template's range."""
+        """Error (2,) of the center of the estimator that fits the template's range."""
         ephemeris = self.target.ephemeris
         assert isinstance(ephemeris, ApparentGeometry)
         scene = Scene(targets=(replace(self.target, ephemeris=replace(ephemeris, position_inertial_km=predicted_km)),))
         estimator = CrossCorrelation(CrossCorrelationOptions(search_range=2.0 * max(_RANGE_ERRORS)))
         fix = estimator.estimate(self.image, self.camera, scene)
         if not isinstance(fix, PositionFix):
-            return np.full(3, np.nan)
-        reached = float(np.linalg.norm(fix.position_camera_km) / np.linalg.norm(self.position_km)) - 1.0
-        return np.array([*(fix.center_px - true_px), reached])
+            return np.full(2, np.nan)
+        return fix.center_px - true_px
 
 
 def _corner(template: Template) -> tuple[int, int]:

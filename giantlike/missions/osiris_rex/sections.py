@@ -15,28 +15,17 @@ from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
 from giantlike.missions.osiris_rex.setup import MissionSetup, PhaseSetup
 from giantlike.missions.replay import Comparison, ReplayFigure, Section
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FigureNumbers:
-    """Numbers of the paper's figures of a phase and camera: stars, centers, centers by limb, ranges by limb."""
-
-    stars: int
-    centers: int
-    limb: int
-    ranges: int
-
-
 CALIBRATION_FIGURES = {"polycam": 2, "mapcam": 3, "mapcam_v": 4, "navcam1": 5, "navcam2": 6}
 """Number of the paper's figure by camera."""
 PHASE_FIGURES = {
-    ("approach", "polycam"): FigureNumbers(stars=7, centers=9, limb=11, ranges=13),
-    ("approach", "mapcam"): FigureNumbers(stars=8, centers=10, limb=12, ranges=14),
-    ("preliminary_survey", "mapcam"): FigureNumbers(stars=15, centers=17, limb=19, ranges=21),
-    ("preliminary_survey", "navcam1"): FigureNumbers(stars=16, centers=18, limb=20, ranges=22),
-    ("orbital_a", "navcam1"): FigureNumbers(stars=23, centers=24, limb=25, ranges=26),
-    ("detailed_survey", "navcam1"): FigureNumbers(stars=27, centers=28, limb=29, ranges=30),
+    ("approach", "polycam"): (7, 9, 11, 13),
+    ("approach", "mapcam"): (8, 10, 12, 14),
+    ("preliminary_survey", "mapcam"): (15, 17, 19, 21),
+    ("preliminary_survey", "navcam1"): (16, 18, 20, 22),
+    ("orbital_a", "navcam1"): (23, 24, 25, 26),
+    ("detailed_survey", "navcam1"): (27, 28, 29, 30),
 }
-"""Numbers of the paper's figures by phase and camera."""
+"""Numbers of the paper's figures by phase and camera: stars, centers, centers by limb, ranges by limb."""
 _SURVEY_SIZES = {"preliminary_survey": (100.0, 250.0), "detailed_survey": (200.0, 600.0)}
 """Apparent diameters in NavCam 1 that the paper states, px."""
 _CENTERS = ("unresolved", "cross_correlation")
@@ -45,13 +34,11 @@ _CENTERS = ("unresolved", "cross_correlation")
 def range_error_section(study: RangeErrorStudy) -> Section:
     """The study of wrong ranges."""
     figure = ReplayFigure(
-        reference="ref. 22",
-        title="Template matching at a wrong range",
-        caption=(
-            "A body of 200 px from the independent renderer, with relief of 1 % and a law of reflection that the "
-            "template does not have, looked for with the predicted range in error."
-        ),
-        figure=figures.range_error_figure(study),
+        "ref. 22",
+        "Template matching at a wrong range",
+        "A body of 200 px from the independent renderer, with relief of 1 % and a law of reflection that the "
+        "template does not have, looked for with the predicted range in error.",
+        figures.range_error_figure(study),
     )
     return Section(
         title="Template matching",
@@ -73,13 +60,11 @@ def calibration_section(mission: MissionSetup, calibrations: Sequence[CameraCali
         reference = f"Fig. {CALIBRATION_FIGURES[each.key]}"
         made.append(
             ReplayFigure(
-                reference=reference,
-                title=f"Calibration residuals of {each.label}",
-                caption=(
-                    f"{each.result.n_used} stars of {len(each.result.images)} simulated images, "
-                    f"{each.result.n_rejected} rejected. The paper: near 0.1 px, largely random."
-                ),
-                figure=figures.calibration_figure(each),
+                reference,
+                f"Calibration residuals of {each.label}",
+                f"{each.result.n_used} stars of {len(each.result.images)} simulated images, "
+                f"{each.result.n_rejected} rejected. The paper: near 0.1 px, largely random.",
+                figures.calibration_figure(each),
             )
         )
         compared.append(comparisons.calibration_comparison(each, reference))
@@ -96,7 +81,7 @@ def calibration_section(mission: MissionSetup, calibrations: Sequence[CameraCali
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Panel:
     """A figure of the paper with its comparison; no figure where nothing was found."""
 
@@ -112,7 +97,7 @@ def phase_section(mission: MissionSetup, phase: PhaseSetup, results: Sequence[Ca
     panels = [panel for result in results for panel in _panels(phase, result)]
     panels.sort(key=lambda panel: panel.number)
     made = tuple(
-        ReplayFigure(reference=f"Fig. {panel.number}", title=panel.title, caption=panel.caption, figure=panel.figure)
+        ReplayFigure(f"Fig. {panel.number}", panel.title, panel.caption, panel.figure)
         for panel in panels
         if panel.figure is not None
     )
@@ -121,45 +106,41 @@ def phase_section(mission: MissionSetup, phase: PhaseSetup, results: Sequence[Ca
 
 
 def _panels(phase: PhaseSetup, result: CampaignResult) -> tuple[_Panel, ...]:
-    numbers = PHASE_FIGURES[result.phase, result.camera]
+    star_number, center_number, limb_number, range_number = PHASE_FIGURES[result.phase, result.camera]
     centers, limbs = (comparisons.fixes(result, names) for names in (_CENTERS, ("limb_matching",)))
     where, less = f"{phase.title}, {result.label}", "typically less than 1"
     stars = "less than" if phase.key == "orbital_a" else "around"
     bars = "Bars are the standard deviations that the fixes state, hollow marks are flagged suspect."
     return (
         _Panel(
-            number=numbers.stars,
-            title=f"{where}: stars",
-            caption=(
-                f"{len(result.stars.residuals_px)} stars of {result.stars.solved} images. The paper: {stars} 0.1 px."
-            ),
-            figure=figures.star_figure(result) if len(result.stars.residuals_px) else None,
-            comparison=comparisons.star_comparison(result, phase, f"Fig. {numbers.stars}"),
+            star_number,
+            f"{where}: stars",
+            f"{len(result.stars.residuals_px)} stars of {result.stars.solved} images. The paper: {stars} 0.1 px.",
+            figures.star_figure(result) if len(result.stars.residuals_px) else None,
+            comparisons.star_comparison(result, phase, f"Fig. {star_number}"),
         ),
         _Panel(
-            number=numbers.centers,
-            title=f"{where}: centers",
-            caption=f"Observed less true. The paper: {less} px. {bars}",
-            figure=figures.center_figure(result, centers, f"{where}: centers") if centers else None,
-            comparison=comparisons.center_comparison(
-                result, phase, centers, ("center finding", less), f"Fig. {numbers.centers}"
-            ),
+            center_number,
+            f"{where}: centers",
+            f"Observed less true. The paper: {less} px. {bars}",
+            figures.center_figure(result, centers, f"{where}: centers") if centers else None,
+            comparisons.center_comparison(result, phase, centers, ("center finding", less), f"Fig. {center_number}"),
         ),
         _Panel(
-            number=numbers.limb,
-            title=f"{where}: centers from limbs",
-            caption=f"Observed less true. The paper: excellent. {bars}",
-            figure=figures.center_figure(result, limbs, f"{where}: centers from limbs") if limbs else None,
-            comparison=comparisons.center_comparison(
-                result, phase, limbs, ("limb centers", "excellent (taken as: less than 1)"), f"Fig. {numbers.limb}"
+            limb_number,
+            f"{where}: centers from limbs",
+            f"Observed less true. The paper: excellent. {bars}",
+            figures.center_figure(result, limbs, f"{where}: centers from limbs") if limbs else None,
+            comparisons.center_comparison(
+                result, phase, limbs, ("limb centers", "excellent (taken as: less than 1)"), f"Fig. {limb_number}"
             ),
         ),
         _Panel(
-            number=numbers.ranges,
-            title=f"{where}: ranges from limbs",
-            caption=f"Observed less true. The paper: less than {'1' if phase.key == 'approach' else '0.01'} %. {bars}",
-            figure=figures.range_figure(result, limbs, f"{where}: ranges from limbs") if limbs else None,
-            comparison=comparisons.range_comparison(result, phase, limbs, f"Fig. {numbers.ranges}"),
+            range_number,
+            f"{where}: ranges from limbs",
+            f"Observed less true. The paper: less than {'1' if phase.key == 'approach' else '0.01'} %. {bars}",
+            figures.range_figure(result, limbs, f"{where}: ranges from limbs") if limbs else None,
+            comparisons.range_comparison(result, phase, limbs, f"Fig. {range_number}"),
         ),
     )
 

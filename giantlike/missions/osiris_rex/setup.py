@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -158,17 +158,9 @@ class MissionSetup(Value):
     def declared_camera(self, key: str) -> Camera:
         """Return a camera as assumed before any calibration: nominal focal length, no distortion."""
         camera = self._camera(key, self.detector.told_psf_sigma_px)
-        focal_px = _nominal(self.cameras[key].model.fx_px)
+        focal_px = float(f"{self.cameras[key].model.fx_px:.2g}")  # as a manufacturer states it: 3500 for 3473.3
         middle = (camera.columns - 1) / 2, (camera.rows - 1) / 2
-        model = BrownModel(fx_px=focal_px, fy_px=focal_px, cx_px=middle[0], cy_px=middle[1])
-        return Camera(
-            name=camera.name,
-            columns=camera.columns,
-            rows=camera.rows,
-            model=model,
-            psf=camera.psf,
-            detector=camera.detector,
-        )
+        return replace(camera, model=BrownModel(fx_px=focal_px, fy_px=focal_px, cx_px=middle[0], cy_px=middle[1]))
 
     def _camera(self, key: str, psf_sigma_px: float) -> Camera:
         setup, detector = self.cameras[key], self.detector
@@ -185,11 +177,6 @@ class MissionSetup(Value):
                 saturation_dn=detector.saturation_dn,
             ),
         )
-
-
-def _nominal(focal_px: float) -> float:
-    """Focal length (px) as a manufacturer would state it: two digits, as 3500 for 3473.3."""
-    return float(f"{focal_px:.2g}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,8 +21,6 @@ def dead_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:
 
     Returns (rows, columns), True on whole lines, None where there are none.
 
-    Notes
-    -----
     Of each line the largest value is compared first. Two dead lines side by side are not found, nor are lines that
     no bright body crosses: these do no harm.
     """

@@ -305,8 +305,7 @@ def _usual_of(measured: Detections) -> float | None:
 def _expected_variance_px2(snr: Float, flux_dn: Float, psf_sigma_px: float, gain_e_per_dn: float) -> Float:
     """Variance per axis of centroids (n,): Fisher information of a Gaussian on noise, and of its own photons."""
     variance = recorded_width_px(psf_sigma_px) ** 2
-    result: Float = variance * (2.0 / snr**2 + 1.0 / (flux_dn * gain_e_per_dn))
-    return result
+    return variance * (2.0 / snr**2 + 1.0 / (flux_dn * gain_e_per_dn))
 
 
 def _measure(

@@ -33,8 +33,6 @@ def hot_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:
 
     Returns (rows, columns), True on whole lines, None where there are none.
 
-    Notes
-    -----
     Lines whose mean brightness is an outlier are tested pixel by pixel. More than two adjacent hot lines are not found,
     nor are lines that are hot over less than half of half a frame.
     """

@@ -134,8 +134,7 @@ class Patches(Value):
 def _moments(sums: Float) -> Float:
     """Moments (5, n) of sums (n, 3, 3) of light times powers 0, 1, 2 of its rows and of its columns."""
     moments = np.stack([sums[:, 0, 1], sums[:, 1, 0], sums[:, 0, 2], sums[:, 2, 0], sums[:, 1, 1]])
-    result: Float = moments / np.maximum(sums[:, 0, 0], 1e-300)
-    return result
+    return moments / np.maximum(sums[:, 0, 0], 1e-300)
 
 
 def neighbor_reach_px(half_px: int) -> float:

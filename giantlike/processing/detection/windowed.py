@@ -35,8 +35,6 @@ def windowed_centroid(
     ``values`` (rows, columns); ``variance`` (rows, columns), noise variance, in the squared unit of ``values``; returns
     None when the iteration leaves the array, finds no positive flux or does not converge.
 
-    Notes
-    -----
     The fixed point of ``x += 2 sum(w I (u - x)) / sum(w I)``, where ``w`` is the Gaussian centered at ``x`` and ``u``
     the pixel: the windowed position of E. Bertin's SExtractor. Its covariance follows from the implicit function
     theorem: with ``g_i = w_i (u_i - x)`` and ``A = sum I_i w_i (1 - (u_i - x)(u_i - x)^T / s^2)``, a change ``d I_i``

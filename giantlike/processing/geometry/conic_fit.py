@@ -70,8 +70,6 @@ def fit_ellipse(
 
     ``points`` (n, 2), any unit; ``sigma`` (n,).
 
-    Notes
-    -----
     With ``xi = (x^2, 2xy, y^2, 2x, 2y, 1)``, points on the conic have ``theta . xi = 0``. Plain least squares makes
     arcs too small, because noise enters the squares. Here ``M theta = lambda N theta`` is solved, with M the mean of
     ``w xi xi^T`` and N chosen such that the bias vanishes to second order in the noise: the mean over the points of ``w

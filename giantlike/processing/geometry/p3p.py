@@ -16,8 +16,6 @@ def poses_of_three_points(points_body_km: Float, rays_camera: Float) -> tuple[Fl
     ``points_body_km`` (m, 3, 3); ``rays_camera`` (m, 3, 3), unit vectors from the camera to them; returns
     ``camera_from_body`` (k, 3, 3) and ``position_camera_km`` (k, 3).
 
-    Notes
-    -----
     With the distances s, s (1 + h p) and s (1 + h t) to the points, the law of cosines in the three triangles with a
     corner at the camera reads, for :math:`2m_{ij} = |u_i - u_j|^2 / h^2` of the rays u and
     the sides :math:`d_{ij}` of the triangle,

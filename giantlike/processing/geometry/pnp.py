@@ -96,8 +96,6 @@ def solve_pnp(
 
     ``points_body_km`` (n, 3); ``observed_px`` (n, 2); ``covariance_px2`` (n, 2, 2).
 
-    Notes
-    -----
     Samples hold three points, or two where the attitude is known, for which the position is the linear solution of ``u
     x (r + R x) = 0``, u the ray to a point x. The cost of a pose is the sum of squared distances, each truncated at the
     outlier limit.

@@ -123,15 +123,13 @@ class LimbMeasurement(Value):
     @property
     def observed_px(self) -> Float:
         """Limb points (n, 2), px, as the smooth body has them: in the image but for the relief of a height map."""
-        result: Float = self.predicted_px + self.shift_px[:, None] * self.normals_px
-        return result
+        return self.predicted_px + self.shift_px[:, None] * self.normals_px
 
     @property
     def seen_px(self) -> Float:
         """Limb points (n, 2) in the image, px."""
         raised_px = 0.0 if self.terrain is None else self.terrain.shift_px[:, None]
-        result: Float = self.observed_px + raised_px * self.normals_px
-        return result
+        return self.observed_px + raised_px * self.normals_px
 
     @property
     def rejected_px(self) -> Float:
@@ -314,8 +312,6 @@ def limb_design(normals_px: Float, projection_jacobian: Float) -> Float:
 
     ``normals_px`` (n, 2), outward normals of the limb; ``projection_jacobian`` (n, 2, 3) px/km; returns (n, 3) px/km.
 
-    Notes
-    -----
     A limb point that slides along the surface as the view changes slides along the limb too, so to first order only
     its own motion counts across the limb.
     """

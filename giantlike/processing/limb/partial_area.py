@@ -26,8 +26,6 @@ def partial_area_edges(
 
     ``pixels_dn`` (rows, columns); ``seeds_px`` (n, 2), pixels (x, y) near the edge, as of ``scan_edges``.
 
-    Notes
-    -----
     The method of Trujillo-Pino, rederived with blur. The window is rotated so that the edge runs closer to its rows,
     light below: ``v = a + b u + c u^2``. Each column is so high that its ends see light and dark alone, even through
     the point spread function. Its sum, minus dark and divided by the contrast, is then the height of light in it. Blur
@@ -66,8 +64,7 @@ def _find_edges(windows: Float, half: int, spread_px2: float, variance_dn2: Call
 
     def back(vectors: Float) -> Float:
         vectors = vectors * np.stack([flip_u, flip_v], axis=-1)
-        result: Float = np.where(sideways[:, None], vectors[:, ::-1], vectors)
-        return result
+        return np.where(sideways[:, None], vectors[:, ::-1], vectors)
 
     # the point moves with a, and with b where it is not at u = 0
     gain = gain_a + offset[:, 0, None, None] * gain_b

@@ -137,8 +137,6 @@ def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Flo
     ``pixels_dn`` (rows, columns); ``points_px``, ``normals_px`` (n, 2); ``offsets_px`` (m,), as of
     :func:`line_offsets`.
 
-    Notes
-    -----
     Values are weighted means of 4 x 4 pixels with cubic B-spline weights: smooth in position, never beyond the pixels'
     range, and the same for an image and a template, so that the added blur cancels.
     """
@@ -163,14 +161,12 @@ def values_on_lines(images: Float, points_px: Float, normals_px: Float, offsets_
 
 def _places(points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
     """Places (n, m, 2) on lines."""
-    places: Float = points_px[:, None, :] + offsets_px[None, :, None] * normals_px[:, None, :]
-    return places
+    return points_px[:, None, :] + offsets_px[None, :, None] * normals_px[:, None, :]
 
 
 def step_profile(offsets_px: Float, width_px: float) -> Float:
     """Profile of a bright half-line up to zero, blurred by a Gaussian. ``offsets_px`` (m,); returns (m,)."""
-    result: Float = ndtr(-offsets_px / width_px)
-    return result
+    return ndtr(-offsets_px / width_px)
 
 
 def match_profiles(
@@ -189,8 +185,6 @@ def match_profiles(
     ``scans``: must reach the sum of both to both sides; ``expected`` (n, m); ``shared`` (n, m, c);
     ``about_px`` (n,), NaN, and the default, is the best shift of the line.
 
-    Notes
-    -----
     The best multiple of the step has the highest normalized correlation; a least-squares fit of ``gain (1 + slope u)
     expected(u - shift) + offset`` then gives the rest, in three linear steps. The scatter of slopes about zero is
     estimated from all lines together. Shift and noise are from the weighted fit; the noise includes the correlation
@@ -283,8 +277,7 @@ def _at(mask: Mask, places_px: Float) -> Mask:
 def _noise_correlation(offsets_px: Float) -> Float:
     """Covariance (w, w) of values at positions along a line, divided by the noise variance of a pixel."""
     apart = offsets_px[:, None] - offsets_px
-    result: Float = _SPLINE_NOISE**2 * np.exp(-0.5 * apart**2 / _SPLINE_NOISE_VARIANCE_PX2)
-    return result
+    return _SPLINE_NOISE**2 * np.exp(-0.5 * apart**2 / _SPLINE_NOISE_VARIANCE_PX2)
 
 
 def _stiffness(free: Float, slope_variance: Float) -> Float:
@@ -300,8 +293,7 @@ def _stiffness(free: Float, slope_variance: Float) -> Float:
     noise = np.median(slope_variance[determined] / free[determined, 0] ** 2)
     excess = (MAD_TO_SIGMA * float(np.median(slope))) ** 2 - float(noise)
     spread = max(_SLOPE_ROOM**2 * excess, _LEAST_SLOPE**2)
-    result: Float = 1.0 / (spread * np.maximum(free[:, 0] ** 2, 1e-300))
-    return result
+    return 1.0 / (spread * np.maximum(free[:, 0] ** 2, 1e-300))
 
 
 def _quotient(shifted: Float, gain: Float) -> Float:

@@ -88,8 +88,6 @@ def otsu_threshold(values: Float, *, bins: int = 1024) -> float:
 
     ``values`` (n,).
 
-    Notes
-    -----
     Otsu's method: the largest ``w0 w1 (m1 - m0)^2`` over all cuts between bins, w the fractions and m the means of the
     two classes. Liounis et al. [1]_ use it to find the pixels of a target.
 
@@ -169,8 +167,6 @@ def identify_blobs(
 ) -> NDArray[np.int64] | Failure:
     """Assign blobs to bodies by position, size and, where known, brightness.
 
-    Notes
-    -----
     Each pair costs the squares of its distance over ``search_px`` / 3, of the logarithm of its areas and, as Thrasher
     et al. tell Moon from Earth, of its fluxes, over their standard deviations; the cheapest assignment of all bodies at
     once wins. It is tried about the shift of every possible first pair, so that a common error of pointing costs once.

@@ -57,8 +57,6 @@ def estimate_shared(
 
     ``good`` (n,); ``prior``, ``expected``, ``open_above`` (c,).
 
-    Notes
-    -----
     The effect of the shared parameters is multiplied by the gain of a line, which depends on them: a line that was
     fitted with too low a gain overstates them as much. Both are iterated.
 

@@ -38,8 +38,6 @@ def zernike_edges(
     ``pixels_dn`` (rows, columns); ``seeds_px`` (n, 2), pixels (x, y) near the edge, as of ``scan_edges``; ``size`` in
     px; ``curvature_px`` in 1/px, of the edge: 1 over the radius of a bright disk, negative for a dark one.
 
-    Notes
-    -----
     With ``A11`` and ``A20`` the integrals of the image times ``x + iy`` and ``2 rho^2 - 1`` over the circle in the
     window (radius ``size / 2`` px: 2.5 and 3.5), a step of height k at distance l has ``|A11| = 2/3 k (1 - l^2)^(3/2)``
     and ``A20 = l |A11|``; the argument of ``A11`` points to the light. The kernels are these polynomials integrated
@@ -61,8 +59,6 @@ def zernike_kernels(size: int) -> tuple[NDArray[np.complex128], Float]:
 
     ``size`` in px; returns ``first`` (size, size) and ``second`` (size, size).
 
-    Notes
-    -----
     Unit of length is the radius of the circle, ``size / 2`` px. The first sums up to zero by symmetry, the second
     as the polynomials are orthogonal on the circle.
 
