@@ -85,11 +85,18 @@ def show(
 
 
 def explain(names: Names, run: RunOption = None, json: Json = False) -> ExitCode:
-    """Explain in words the prediction, results and rejections of an image, and which check decided."""
+    """Explain in words the prediction, results and rejections of an image, and which check decided.
+
+    With --json the records themselves, too: attitude, targets, fixes with the statistics of their checks, edits.
+    """
     session, file = _open_session(names, run, None)
     seen = session.seen(file)
-    text = explained(seen)
-    summary = {"file": file, "verdict": verdict_of(seen.record, seen.observations), "text": text}
+    text, records = explained(seen), {"targets": seen.targets, "fixes": seen.observations, "edits": seen.edits}
+    summary: dict[str, object] = {"file": file, "verdict": verdict_of(seen.record, seen.observations), "text": text}
+    summary["image"] = seen.record.model_dump(mode="json", exclude_none=True)
+    summary |= {
+        name: [one.model_dump(mode="json", exclude_none=True) for one in several] for name, several in records.items()
+    }
     return show_result(summary, text, json=json)
 
 

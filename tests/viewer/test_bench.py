@@ -248,6 +248,12 @@ def test_explain_has_json(run: Path) -> None:
     content = json.loads(result.stdout)
     assert content["file"] == SHORT
     assert content["verdict"] in {"ok", "suspect"}
+    seen = Session(run).seen(SHORT)
+    assert content["image"]["epoch_utc"] == seen.record.epoch_utc
+    assert [target["target"] for target in content["targets"]] == [one.target for one in seen.targets]
+    found = [one for one in content["fixes"] if one["status"] != "failed"]
+    assert found
+    assert all(len(one["center_px"]) == 2 and "checks" in one for one in found)
 
 
 def test_a_campaign_file_that_moved_is_asked_for(campaign: Path, run: Path, tmp_path: Path) -> None:
