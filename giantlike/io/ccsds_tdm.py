@@ -26,12 +26,14 @@ class TdmPoint:
     epoch_utc: when the light was received, ISO 8601.
     ra_deg, dec_deg: in ICRF.
     range_km: one way, of light.
+    errors: standard deviations and correlations, in words; a TDM has no place for them but comments.
     """
 
     epoch_utc: str
     ra_deg: float
     dec_deg: float
     range_km: float | None = None
+    errors: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,8 +62,7 @@ class TdmSegment:
 def write_tdm(path: str | Path, segments: Sequence[TdmSegment], *, originator: str = "UNKNOWN") -> None:
     """Write a TDM: right ascension and declination in ICRF at the time of reception in UTC, and the range in km.
 
-    The light goes from participant 2, the target, to participant 1. A TDM has no covariances; the
-    observables file of a run has them.
+    The light goes from participant 2, the target, to participant 1. Errors are comments at the start of the data.
     """
     require(len(segments) > 0, "a TDM needs a segment")
     lines = [
@@ -88,6 +89,7 @@ def _segment_lines(segment: TdmSegment) -> Iterator[str]:
     if ranged:
         yield "RANGE_UNITS = km"
     yield from ("ANGLE_TYPE = RADEC", "REFERENCE_FRAME = ICRF", "META_STOP", "", "DATA_START")
+    yield from (f"COMMENT {point.epoch_utc}: {point.errors}" for point in segment.points if point.errors)
     for point in segment.points:
         yield f"ANGLE_1 = {point.epoch_utc} {point.ra_deg:.12f}"
         yield f"ANGLE_2 = {point.epoch_utc} {point.dec_deg:.12f}"

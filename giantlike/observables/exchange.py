@@ -67,13 +67,13 @@ def tracking_segments(rows: Iterable[ObservableRow], *, angles: Angles, spacecra
             position = row.astrometric_position_icrf_km
             range_km = None if position is None else float(np.linalg.norm(position))
             points.setdefault(row.target, []).append(
-                TdmPoint(epoch_utc=row.epoch_utc, ra_deg=ra, dec_deg=dec, range_km=range_km)
+                TdmPoint(epoch_utc=row.epoch_utc, ra_deg=ra, dec_deg=dec, range_km=range_km, errors=_errors(row))
             )
     removed = {
         Angles.ASTROMETRIC: f"angles: {ABERRATION_REMOVED}, light time is not",
         Angles.APPARENT: "angles: neither stellar aberration nor light time is removed",
     }[angles]
-    comments = (removed, "range: light time by the speed of light", "covariances: see the observables file")
+    comments = (removed, "range: light time by the speed of light", "covariances by cause: see the observables file")
     segments = tuple(
         TdmSegment(
             spacecraft=spacecraft,
@@ -84,6 +84,15 @@ def tracking_segments(rows: Iterable[ObservableRow], *, angles: Angles, spacecra
         for target, found in points.items()
     )
     return Tracked(segments=segments, left_out=dict(left_out))
+
+
+def _errors(row: ObservableRow) -> str:
+    """Standard deviations of right ascension times cos(declination), declination and range, and their correlation."""
+    east, north, both = row.sigma_ra_cos_dec_arcsec, row.sigma_dec_arcsec, row.correlation_ra_dec
+    if east is None or north is None or both is None:
+        return ""
+    text = f"sigma RA*cos(Dec) {east:.6g} arcsec, Dec {north:.6g} arcsec, correlation {both:.4f}"
+    return text if row.sigma_range_km is None else f"{text}, range {row.sigma_range_km:.6g} km"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

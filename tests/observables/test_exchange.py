@@ -78,6 +78,8 @@ def test_a_reader_of_the_standard_finds_angles_and_range_in_the_tdm(tmp_path: Pa
     assert metadata.reference_frame == "ICRF" or metadata.reference_frame.value == "ICRF"
     assert metadata.timetag_ref.value == "RECEIVE"
     assert any("aberration is removed" in text for text in metadata.comment)
+    assert len(segment.data.comment) == 2
+    assert f"sigma RA*cos(Dec) {rows()[1].sigma_ra_cos_dec_arcsec:.6g} arcsec" in segment.data.comment[0]
     observations = segment.data.observation
     assert [each.epoch for each in observations[::3]] == ["2024-01-01T00:00:00.000000", "2024-01-01T01:00:00.000000"]
     ra, dec, distance = (getattr(observations[k], name) for k, name in enumerate(("angle_1", "angle_2", "range")))
