@@ -68,6 +68,15 @@ class ExportFormat(StrEnum):
     """Astrometry for the Minor Planet Center, XML or, by the name of the output, PSV: the preferred fixes."""
 
 
+class InertialFrame(StrEnum):
+    """Names of the inertial axes in CCSDS messages."""
+
+    ICRF = "ICRF"
+    """Axes of SPICE's J2000."""
+    GCRF = "GCRF"
+    """The same axes by the name that programs read without an ephemeris of the barycenter, such as Orekit."""
+
+
 class PointingSource(StrEnum):
     """Source of exported attitudes."""
 
@@ -108,6 +117,7 @@ class ExportOptions:
     object_name, object_id, originator: AEM: see :func:`~giantlike.io.ccsds_aem.write_aem`. TDM, PSF: the spacecraft,
         and who writes the message.
     angles: TDM: corrections removed from the angles.
+    inertial: AEM, TDM: name of the inertial axes.
     sip_order: WCS: order of the polynomials, 2 to 9.
     ades: ADES: TOML file with a table ``[ades]``, such as the campaign file.
     """
@@ -124,6 +134,7 @@ class ExportOptions:
     object_id: str = "UNKNOWN"
     originator: str = "UNKNOWN"
     angles: Angles = Angles.ASTROMETRIC
+    inertial: InertialFrame = InertialFrame.ICRF
     sip_order: int = 5
     ades: Path | None = None
 
@@ -278,6 +289,7 @@ def _aem(job: _Job) -> tuple[Path, ...]:
             object_id=job.options.object_id,
             originator=job.options.originator,
             frame=label,
+            inertial=job.options.inertial,
         ),
         max_gap_s=job.options.max_gap_s,
         comments=(f"camera {job.camera.name}: +x along columns, +y along rows, +z boresight",),
@@ -313,7 +325,7 @@ def _single_rows(result: RunResult, camera: Camera) -> Iterator[ObservableRow]:
 
 
 def _tdm(output: Path, rows: Iterable[ObservableRow], options: ExportOptions) -> Exported:
-    tracked = tracking_segments(rows, angles=options.angles, spacecraft=options.object_name)
+    tracked = tracking_segments(rows, angles=options.angles, spacecraft=options.object_name, frame=options.inertial)
     require(bool(tracked.segments), f"{output}: no observation to write ({_said(tracked.left_out)})")
     make_folder(output.parent)
     write_tdm(output, tracked.segments, originator=options.originator)

@@ -8,7 +8,14 @@ from typing import Annotated
 
 import typer
 
-from giantlike.campaign.export import EXPORT_NAMES, ExportFormat, ExportOptions, PointingSource, export_run
+from giantlike.campaign.export import (
+    EXPORT_NAMES,
+    ExportFormat,
+    ExportOptions,
+    InertialFrame,
+    PointingSource,
+    export_run,
+)
 from giantlike.campaign.interlock import interlock_of, write_interlock
 from giantlike.campaign.render.plan import RenderPlan
 from giantlike.campaign.render.run import RenderedImage, render_images
@@ -43,6 +50,7 @@ def export(
     object_id: Annotated[str, typer.Option(help="aem: its international designator.")] = "UNKNOWN",
     originator: Annotated[str, typer.Option(help="aem, tdm: creator of the message.")] = "UNKNOWN",
     angles: Annotated[Angles, typer.Option(help="tdm: what is removed of the angles.")] = Angles.ASTROMETRIC,
+    inertial: Annotated[InertialFrame, typer.Option(help="aem, tdm: name of the inertial axes.")] = InertialFrame.ICRF,
     sip_order: Annotated[int, typer.Option(help="wcs: order of the polynomials.", min=2, max=9)] = 5,
     ades: Annotated[
         Path | None,
@@ -71,6 +79,7 @@ def export(
         object_id=object_id,
         originator=originator,
         angles=angles,
+        inertial=inertial,
         sip_order=sip_order,
         ades=ades,
     )

@@ -29,13 +29,15 @@ class AemNames:
 
     object_name, object_id: spacecraft and its international designator.
     originator: organization that writes the message.
-    frame: ``REF_FRAME_B``, the camera; ``REF_FRAME_A`` is ICRF.
+    frame: ``REF_FRAME_B``, the camera.
+    inertial: ``REF_FRAME_A``: ``ICRF`` or, with the same axes, ``GCRF``.
     """
 
     object_name: str = "UNKNOWN"
     object_id: str = "UNKNOWN"
     originator: str = "UNKNOWN"
     frame: str = "INSTRUMENT_1"
+    inertial: str = "ICRF"
 
     def __post_init__(self) -> None:
         _require_lines([getattr(self, field.name) for field in fields(self)])
@@ -62,7 +64,7 @@ def write_aem(
             *(f"COMMENT {text}" for text in comments),
             f"OBJECT_NAME = {names.object_name}",
             f"OBJECT_ID = {names.object_id}",
-            "REF_FRAME_A = ICRF",
+            f"REF_FRAME_A = {names.inertial}",
             f"REF_FRAME_B = {names.frame}",
             "TIME_SYSTEM = UTC",
             f"START_TIME = {epochs[part][0]}",

@@ -43,12 +43,14 @@ class TdmSegment:
     spacecraft, target: names of the participants.
     points: in order of time; at least one.
     comments: lines for the metadata: effects removed from the angles.
+    frame: of the angles: ``ICRF`` or, with the same axes, ``GCRF``.
     """
 
     spacecraft: str
     target: str
     points: Sequence[TdmPoint]
     comments: Sequence[str] = ()
+    frame: str = "ICRF"
 
     def __post_init__(self) -> None:
         require(len(self.points) > 0, f"{self.target}: a TDM needs an observation")
@@ -88,7 +90,7 @@ def _segment_lines(segment: TdmSegment) -> Iterator[str]:
     yield from ("MODE = SEQUENTIAL", "PATH = 2,1", "TIMETAG_REF = RECEIVE")
     if ranged:
         yield "RANGE_UNITS = km"
-    yield from ("ANGLE_TYPE = RADEC", "REFERENCE_FRAME = ICRF", "META_STOP", "", "DATA_START")
+    yield from ("ANGLE_TYPE = RADEC", f"REFERENCE_FRAME = {segment.frame}", "META_STOP", "", "DATA_START")
     yield from (f"COMMENT {point.epoch_utc}: {point.errors}" for point in segment.points if point.errors)
     for point in segment.points:
         yield f"ANGLE_1 = {point.epoch_utc} {point.ra_deg:.12f}"

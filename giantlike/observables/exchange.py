@@ -51,7 +51,9 @@ class Tracked:
     left_out: dict[str, int]
 
 
-def tracking_segments(rows: Iterable[ObservableRow], *, angles: Angles, spacecraft: str) -> Tracked:
+def tracking_segments(
+    rows: Iterable[ObservableRow], *, angles: Angles, spacecraft: str, frame: str = "ICRF"
+) -> Tracked:
     """Segments of a tracking data message from the preferred fixes of bodies."""
     points: dict[str, list[TdmPoint]] = {}
     left_out = Counter[str]()
@@ -80,6 +82,7 @@ def tracking_segments(rows: Iterable[ObservableRow], *, angles: Angles, spacecra
             target=target,
             points=sorted(found, key=lambda point: point.epoch_utc),
             comments=comments,
+            frame=frame,
         )
         for target, found in points.items()
     )

@@ -1,4 +1,4 @@
-"""Attitudes in a CCSDS AEM as Orekit reads them (extra `orekit`, which `dev` has)."""
+"""CCSDS attitudes and tracking data as Orekit reads them (extra `orekit`, which `dev` has)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.time import time_from_et
 from giantlike.io.ccsds_aem import AemNames, write_aem
+from giantlike.io.ccsds_tdm import write_tdm
+from giantlike.observables.exchange import Angles, tracking_segments
 from tests.campaign.test_export import TIMES, _attitude, _series
+from tests.observables.test_exchange import rows
 from tests.tolerances import FLOAT64
 
 TAI_MINUS_UTC_S = 37  # since 2017; the epochs of the series are of 2019
@@ -45,10 +48,9 @@ def data_context(jpype: Any) -> Any:
 @pytest.mark.slow
 def test_orekit_reads_the_attitudes_of_an_aem_at_their_epochs(orekit: Any, tmp_path: Path) -> None:
     path = tmp_path / "att.aem"
-    write_aem(path, _series(), AemNames(object_name="PROBE", object_id="2024-001A", frame="INSTRUMENT_7"))
     # Orekit puts ICRF at the barycenter, for which it wants ephemerides of planets; GCRF has the same axes.
-    text = path.read_text()
-    path.write_text(text.replace("REF_FRAME_A = ICRF", "REF_FRAME_A = GCRF"))
+    names = AemNames(object_name="PROBE", object_id="2024-001A", frame="INSTRUMENT_7", inertial="GCRF")
+    write_aem(path, _series(), names)
     context = data_context(orekit)
     source = orekit.JClass("org.orekit.data.DataSource")(orekit.JClass("java.io.File")(str(path)))
     message = orekit.JClass("org.orekit.files.ccsds.ndm.ParserBuilder")(context).buildAemParser().parseMessage(source)
@@ -67,3 +69,19 @@ def test_orekit_reads_the_attitudes_of_an_aem_at_their_epochs(orekit: Any, tmp_p
     for et, (since_s, rotation) in zip(TIMES.tolist(), found, strict=True):
         assert abs((time_from_et(et).tai - start).sec - since_s) < 1e-6  # digits of the epochs
         assert (rotation * _attitude(et).inv()).magnitude() < FLOAT64
+
+
+@pytest.mark.slow
+def test_orekit_reads_the_angles_of_a_tdm(orekit: Any, tmp_path: Path) -> None:
+    path = tmp_path / "o.tdm"
+    tracked = tracking_segments(rows(), angles=Angles.ASTROMETRIC, spacecraft="PROBE", frame="GCRF")
+    write_tdm(path, tracked.segments)
+    source = orekit.JClass("org.orekit.data.DataSource")(orekit.JClass("java.io.File")(str(path)))
+    builder = orekit.JClass("org.orekit.files.ccsds.ndm.ParserBuilder")(data_context(orekit))
+    (segment,) = builder.buildTdmParser().parseMessage(source).getSegments()
+    assert str(segment.getMetadata().getReferenceFrame().getName()) == "GCRF"
+    values = [float(one.getMeasurement()) for one in segment.getData().getObservations()]
+    measured = rows()[1]
+    assert values[0] == pytest.approx(np.radians(measured.astrometric_ra_deg), abs=1e-12)
+    assert values[1] == pytest.approx(np.radians(measured.astrometric_dec_deg), abs=1e-12)
+    assert len(values) == 6

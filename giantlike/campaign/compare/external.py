@@ -254,8 +254,8 @@ def _read_tdm(path: Path) -> tuple[list[_Seen], bool]:
         meta = {key: value.strip() for key, value in _TDM_ITEM.findall(segment.partition("DATA_START")[0])}
         if meta.get("ANGLE_TYPE") != "RADEC":
             continue
-        if meta.get("REFERENCE_FRAME", "ICRF") not in ("ICRF", "EME2000"):
-            raise DataError(path, f"REFERENCE_FRAME {meta['REFERENCE_FRAME']}: angles are compared in ICRF or EME2000")
+        if meta.get("REFERENCE_FRAME", "ICRF") not in ("ICRF", "GCRF", "EME2000"):
+            raise DataError(path, f"REFERENCE_FRAME {meta['REFERENCE_FRAME']}: angles are in ICRF, GCRF or EME2000")
         angles: dict[str, dict[str, float]] = {}
         for name, epoch, value in _TDM_ANGLE.findall(segment):
             check(abs(float(value)) <= _FULL_TURN_DEG, f"{name} is an angle in degrees, found {value}")
