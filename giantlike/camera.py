@@ -79,9 +79,7 @@ class ModelUncertainty(Value):
         )
         count = len(self.estimated)
         covariance = as_finite(self.covariance, (count, count), "[calibration] covariance")
-        object.__setattr__(self, "estimated", tuple(self.estimated))
-        object.__setattr__(self, "covariance", covariance)
-        Value.__post_init__(self)
+        self._keep(estimated=tuple(self.estimated), covariance=covariance)
 
     @classmethod
     def from_mapping(cls, table: object) -> ModelUncertainty:

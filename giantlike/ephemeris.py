@@ -145,8 +145,7 @@ class FixedEphemeris(Value):
     origin: str = BARYCENTER
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position_km", as_finite(self.position_km, (3,), "position_km"))
-        Value.__post_init__(self)
+        self._keep(position_km=as_finite(self.position_km, (3,), "position_km"))
 
     def state(self, et: float) -> tuple[Float, Float]:
         return self.position_km.copy(), np.zeros(3)
@@ -360,8 +359,7 @@ class DistantLight(Value):
     direction_inertial: Float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "direction_inertial", _unit3(self.direction_inertial))
-        Value.__post_init__(self)
+        self._keep(direction_inertial=_unit3(self.direction_inertial))
 
 
 def _unit3(value: ArrayLike) -> Float:

@@ -118,10 +118,7 @@ class Image(Pictured, Value):
             require_number(self.exposure_s, f"{self.name}: exposure_s", least=0.0)
         if self.camera_from_inertial is not None and self.attitude_source is AttitudeSource.NONE:
             object.__setattr__(self, "attitude_source", AttitudeSource.A_PRIORI)
-        object.__setattr__(self, "pixels", pixels)
-        object.__setattr__(self, "mask", bad)
-        object.__setattr__(self, "metadata", dict(self.metadata))
-        Value.__post_init__(self)
+        self._keep(pixels=pixels, mask=bad, metadata=dict(self.metadata))
 
     def __repr__(self) -> str:
         epoch = "no epoch" if self.epoch is None else utc_text(self.epoch)

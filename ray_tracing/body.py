@@ -55,8 +55,7 @@ class Body(Value):
             bool(np.any(position != 0.0)),
             "position_camera_km must not be zero: the camera would be at the center of the body",
         )
-        object.__setattr__(self, "position_camera_km", position)
-        Value.__post_init__(self)
+        self._keep(position_camera_km=position)
 
     @property
     def camera_body_km(self) -> Float:

@@ -71,9 +71,8 @@ class FacetAlbedo(Value):
     sha256: str = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", _check_values(self.values, 1))
-        object.__setattr__(self, "sha256", _hash("facets", self.values))
-        Value.__post_init__(self)
+        values = _check_values(self.values, 1)
+        self._keep(values=values, sha256=_hash("facets", values))
 
     def at(self, points_body_km: Float, facets: Indices, barycentric: Float | None) -> Float:
         return np.asarray(self.values[facets])
@@ -101,9 +100,8 @@ class VertexAlbedo(Value):
     sha256: str = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", _check_values(self.values, 1))
-        object.__setattr__(self, "sha256", _hash("vertices", self.values))
-        Value.__post_init__(self)
+        values = _check_values(self.values, 1)
+        self._keep(values=values, sha256=_hash("vertices", values))
 
     def at(self, points_body_km: Float, facets: Indices, barycentric: Float | None) -> Float:
         """Relative albedo interpolated between the corners of the facets.
@@ -178,15 +176,13 @@ class AlbedoMap(Value):
         )
         require(0.0 <= self.outside < math.inf, f"outside must be finite and >= 0, got {self.outside}")
         center = as_finite(self.center_body_km, (3,), "center_body_km")
-        for name, value in (
-            ("values", values),
-            ("longitude_edges_rad", (west, east)),
-            ("latitude_edges_rad", (first, last)),
-            ("center_body_km", center),
-            ("sha256", _hash("map", values, np.array([west, east, first, last, self.outside]), center)),
-        ):
-            object.__setattr__(self, name, value)
-        Value.__post_init__(self)
+        self._keep(
+            values=values,
+            longitude_edges_rad=(west, east),
+            latitude_edges_rad=(first, last),
+            center_body_km=center,
+            sha256=_hash("map", values, np.array([west, east, first, last, self.outside]), center),
+        )
 
     def at(self, points_body_km: Float, facets: Indices, barycentric: Float | None) -> Float:
         x, y, z = np.moveaxis(as_floats(points_body_km, (3,), "points_body_km") - self.center_body_km, -1, 0)

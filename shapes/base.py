@@ -85,8 +85,7 @@ class Ellipsoid(Value):
             "an ellipsoid has no facets or vertices: give it an AlbedoMap",
         )
         content = hashlib.sha256(b"ellipsoid" + radii.tobytes()).hexdigest()
-        object.__setattr__(self, "sha256", hash_with_albedo(content, self.albedo))
-        Value.__post_init__(self)
+        self._keep(sha256=hash_with_albedo(content, self.albedo))
 
     @property
     def circumscribing_radius_km(self) -> float:
@@ -140,8 +139,7 @@ class PlacedEllipsoid(Value):
     body_from_axes: Rotation
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "center_body_km", as_finite(self.center_body_km, (3,), "center_body_km"))
-        Value.__post_init__(self)
+        self._keep(center_body_km=as_finite(self.center_body_km, (3,), "center_body_km"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, weakref_slot=True)

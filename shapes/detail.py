@@ -59,8 +59,7 @@ class LevelsOfDetail(Value):
                 f"{mesh!r} has a mean radius of {mesh.mean_radius_km:.4g} km and the finest mesh {radius:.4g} km: "
                 "are they the same body, in the same units?",
             )
-        object.__setattr__(self, "facet_sizes_km", sizes)
-        Value.__post_init__(self)
+        self._keep(facet_sizes_km=sizes)
 
     @property
     def finest(self) -> TriangleMesh:

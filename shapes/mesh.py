@@ -85,17 +85,15 @@ class TriangleMesh(Value):
         albedo = self.albedo
         if albedo is not None:
             albedo = fitted_to_mesh(albedo, vertices=len(vertices), faces=faces, kept=keep)
-        for name, value in {
-            "vertices_km": vertices,
-            "faces": faces,
-            "sha256": hash_with_albedo(surface, albedo),
-            "albedo": albedo,
-            "areas_km2": areas,
-            "normals": vectors / areas[:, None],
-            "_surface_sha256": surface,
-        }.items():
-            object.__setattr__(self, name, value)
-        Value.__post_init__(self)
+        self._keep(
+            vertices_km=vertices,
+            faces=faces,
+            sha256=hash_with_albedo(surface, albedo),
+            albedo=albedo,
+            areas_km2=areas,
+            normals=vectors / areas[:, None],
+            _surface_sha256=surface,
+        )
 
     def __reduce__(self) -> tuple[type[TriangleMesh], tuple[Float, Faces, str, str, Albedo | None]]:
         return type(self), (self.vertices_km, self.faces, self.name, self._surface_sha256, self.albedo)

@@ -77,18 +77,20 @@ class ImageObservations(Value):
         )
         pose = self.camera_from_reference is not None and self.position_reference is not None
         require(not self.finite or pose, f"{self.name}: finite targets need camera_from_reference, position_reference")
-        object.__setattr__(self, "targets", targets)
-        object.__setattr__(self, "points_px", as_finite(self.points_px, (count, 2), f"{self.name}: points_px"))
-        object.__setattr__(self, "sigma_px", np.array(sigma))
+        points_px = as_finite(self.points_px, (count, 2), f"{self.name}: points_px")
         labels = np.arange(count) if len(self.labels) == 0 else np.asarray(self.labels)
         magnitudes = np.full(count, np.nan) if len(self.magnitudes) == 0 else np.asarray(self.magnitudes, dtype=float)
         require(
             labels.shape == (count,) and magnitudes.shape == (count,),
             f"{self.name}: labels and magnitudes must have shape ({count},), got {labels.shape} and {magnitudes.shape}",
         )
-        object.__setattr__(self, "labels", labels.astype(np.int64))
-        object.__setattr__(self, "magnitudes", magnitudes)
-        Value.__post_init__(self)
+        self._keep(
+            targets=targets,
+            points_px=points_px,
+            sigma_px=np.array(sigma),
+            labels=labels.astype(np.int64),
+            magnitudes=magnitudes,
+        )
 
     def __len__(self) -> int:
         return len(self.targets)

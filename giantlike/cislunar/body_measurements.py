@@ -153,9 +153,7 @@ class TangentCamera(Value):
     def __post_init__(self) -> None:
         focal_px = as_finite(self.focal_px, (2,), "focal_px")
         require(bool((focal_px != 0.0).all()), "focal_px must not be zero")
-        object.__setattr__(self, "focal_px", focal_px)
-        object.__setattr__(self, "principal_px", as_finite(self.principal_px, (2,), "principal_px"))
-        Value.__post_init__(self)
+        self._keep(focal_px=focal_px, principal_px=as_finite(self.principal_px, (2,), "principal_px"))
 
     def pixels(self, tangents: ArrayLike) -> Float:
         """Pixels of tangents of angles.

@@ -29,6 +29,7 @@ class ObserverState(Value):
     velocity_km_s: Float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position_km", as_finite(self.position_km, (3,), "observer position_km"))
-        object.__setattr__(self, "velocity_km_s", as_finite(self.velocity_km_s, (3,), "observer velocity_km_s"))
-        Value.__post_init__(self)
+        self._keep(
+            position_km=as_finite(self.position_km, (3,), "observer position_km"),
+            velocity_km_s=as_finite(self.velocity_km_s, (3,), "observer velocity_km_s"),
+        )

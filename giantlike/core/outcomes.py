@@ -75,8 +75,7 @@ class AttitudeErrors(Value):
     flags: Quality = Quality.NONE
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "parts", checked_parts(self.parts, 3))
-        Value.__post_init__(self)
+        self._keep(parts=checked_parts(self.parts, 3))
 
     def apart_from_camera(self, covariance_rad2: Float) -> Float:
         """Covariance of the attitude for a body whose camera part already includes the rotation of the stars.

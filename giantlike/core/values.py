@@ -62,6 +62,12 @@ class Value:
                     check(value, name)
                 object.__setattr__(self, name, read_only(value))
 
+    def _keep(self, **checked: object) -> None:
+        """Replace fields by checked values, at the end of a ``__post_init__``."""
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        Value.__post_init__(self)
+
 
 class Estimate(Value):
     """Base of the values that a fit returns in place of a :class:`~giantlike.core.outcomes.Failure`."""

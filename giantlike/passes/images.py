@@ -61,9 +61,7 @@ class LimbPoints(Value):
             require(shift.ndim == 2 and len(shift) == len(points), f"shared_px[{key!r}] needs a row for each point")
         rays = PixelRays.through(points, self.model)
         require(bool(np.isfinite(rays.directions).all()), "points_px must lie where the camera model has directions")
-        for name, value in (("points_px", points), ("sigma_px", sigma), ("shared_px", shared), ("_rays", rays)):
-            object.__setattr__(self, name, value)
-        Value.__post_init__(self)
+        self._keep(points_px=points, sigma_px=sigma, shared_px=shared, _rays=rays)
 
     @classmethod
     def of(cls, measured: LimbMeasurement, model: CameraModel, figure: Figure) -> LimbPoints:
@@ -177,11 +175,12 @@ class MeasuredPosition(Value):
             require(
                 shift.ndim == 2 and len(shift) == 3, f"shared_km[{key!r}] must have shape (3, c), got {shift.shape}"
             )
-        object.__setattr__(self, "position_camera_km", position)
-        object.__setattr__(self, "covariance_camera_km2", covariance)
-        object.__setattr__(self, "shared_km", shared)
-        object.__setattr__(self, "_whiten", (axes / np.sqrt(values)).T)
-        Value.__post_init__(self)
+        self._keep(
+            position_camera_km=position,
+            covariance_camera_km2=covariance,
+            shared_km=shared,
+            _whiten=(axes / np.sqrt(values)).T,
+        )
 
     @property
     def least_radius_km(self) -> float:
@@ -261,15 +260,14 @@ class PassImage(Value):
 
     def __post_init__(self) -> None:
         require_number(self.time_s, "time_s")
-        for name in ("position_camera_km", "rate_camera_km_s"):
-            object.__setattr__(self, name, as_finite(getattr(self, name), (3,), name))
         by_trajectory = as_floats(self.by_trajectory, (), "by_trajectory")
         require(
             by_trajectory.ndim == 2 and len(by_trajectory) == 3,
             f"by_trajectory must have shape (3, m), got {by_trajectory.shape}",
         )
-        object.__setattr__(self, "by_trajectory", by_trajectory)
-        Value.__post_init__(self)
+        names = ("position_camera_km", "rate_camera_km_s")
+        vectors = {name: as_finite(getattr(self, name), (3,), name) for name in names}
+        self._keep(**vectors, by_trajectory=by_trajectory)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -294,7 +292,6 @@ class NavigationPass(Value):
 
     def __post_init__(self) -> None:
         require(len(self.images) > 0, "a pass needs at least one image")
-        object.__setattr__(self, "images", tuple(self.images))
         require_number(self.limb_altitude_km, "limb_altitude_km")
         covariance = as_floats(self.covariance_trajectory, (), "covariance_trajectory")
         count = len(covariance)
@@ -309,9 +306,11 @@ class NavigationPass(Value):
                 f"{image.name}: by_trajectory must have {count} columns as covariance_trajectory has, got "
                 f"{image.by_trajectory.shape[1]}",
             )
-        object.__setattr__(self, "covariance_trajectory", covariance)
-        object.__setattr__(self, "trajectory_names", tuple(self.trajectory_names))
-        Value.__post_init__(self)
+        self._keep(
+            images=tuple(self.images),
+            covariance_trajectory=covariance,
+            trajectory_names=tuple(self.trajectory_names),
+        )
 
     @property
     def times_s(self) -> Float:

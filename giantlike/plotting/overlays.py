@@ -278,7 +278,8 @@ def _close_up(pixels: NDArray[np.generic], body: BodyMarks, middle_px: Float, ha
             layers.append(Layer(points=_close_outline(found), shape=MarkShape.LINE, color=mark.color, width=0.7))
         layers.append(Layer(points=mark.center_px[None], shape=MarkShape.CROSS, color=mark.color, size=8.0, width=1.6))
         if np.isfinite(mark.covariance_px2).all():
-            layers.append(Layer(points=_three_sigma(mark), shape=MarkShape.LINE, color=mark.color))
+            ellipse = three_sigma_ellipse(mark.center_px, mark.covariance_px2)
+            layers.append(Layer(points=ellipse, shape=MarkShape.LINE, color=mark.color))
     return OverlayPanel(
         title=f"{body.name}, close-up",
         gray=stretch_image(cut) if cut.size else np.zeros((0, 0), np.uint8),
@@ -304,9 +305,9 @@ def _close_outline(points: Float) -> Float:
     return np.concatenate([points, points[:1]])
 
 
-def _three_sigma(mark: CenterMark) -> Float:
+def three_sigma_ellipse(center_px: Float, covariance_px2: Float) -> Float:
     """Points (n, 2), px, of the ellipse of three standard deviations."""
-    values, vectors = np.linalg.eigh(mark.covariance_px2)
+    values, vectors = np.linalg.eigh(covariance_px2)
     circle = np.stack([np.cos(_ELLIPSE_RAD), np.sin(_ELLIPSE_RAD)])
-    points: Float = mark.center_px + (3.0 * (vectors * np.sqrt(np.maximum(values, 0.0))) @ circle).T
+    points: Float = center_px + (3.0 * (vectors * np.sqrt(np.maximum(values, 0.0))) @ circle).T
     return points

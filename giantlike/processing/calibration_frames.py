@@ -183,8 +183,7 @@ class CalibrationFrames(Value):
             bad |= pixels < _DEAD_RESPONSE * _around(pixels)
             bad |= pixels <= 0.0
             object.__setattr__(self, "flat", replace(self.flat, pixels=pixels, noise=self.flat.noise / level))
-        object.__setattr__(self, "bad", bad)
-        Value.__post_init__(self)
+        self._keep(bad=bad)
 
     def apply(
         self, pixels: NDArray[Any], detector: Detector, *, exposure_s: float | None = None, mask: Mask | None = None

@@ -85,8 +85,7 @@ class StarAttitude(Value):
 
     def __post_init__(self) -> None:
         require(math.isfinite(self.et), f"et must be finite, got {self.et}")
-        object.__setattr__(self, "covariance_rad2", as_finite(self.covariance_rad2, (3, 3), "covariance_rad2"))
-        Value.__post_init__(self)
+        self._keep(covariance_rad2=as_finite(self.covariance_rad2, (3, 3), "covariance_rad2"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -16,12 +16,9 @@ from giantlike.campaign.store.records import ObservationRecord
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 from giantlike.plotting.layers import Layer, MarkShape
-from giantlike.plotting.overlays import CENTERS, MARKS
+from giantlike.plotting.overlays import CENTERS, MARKS, three_sigma_ellipse
 from giantlike.viewer.session import SeenImage
 
-_THREE_SIGMA = 3.0
-_ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)
-"""Angles, rad, of the points of an ellipse: 7.5 deg apart, where its corners cannot be seen."""
 _LONGEST_NUMBER = 9
 """Maximum digits of a catalog number next to a mark: enough for Hipparcos, Tycho-2 and UCAC4."""
 TERMINATOR = "#ff7ad9"
@@ -233,9 +230,7 @@ def _centers(seen: SeenImage) -> list[MarkLayer]:
         cross = Layer(points=center[None], shape=MarkShape.CROSS, color=color, size=9.0, width=1.6)
         made.append(MarkLayer(name="centers", title=title, layer=cross, labels=[title]))
         if fix.covariance_px2 is not None and np.isfinite(fix.covariance_px2).all():
-            values, vectors = np.linalg.eigh(np.array(fix.covariance_px2))
-            circle = np.stack([np.cos(_ELLIPSE_RAD), np.sin(_ELLIPSE_RAD)])
-            ellipse = center + (_THREE_SIGMA * (vectors * np.sqrt(np.maximum(values, 0.0))) @ circle).T
+            ellipse = three_sigma_ellipse(center, np.array(fix.covariance_px2))
             line = Layer(points=ellipse, shape=MarkShape.LINE, color=color, width=1.0)
             made.append(MarkLayer(name="centers", title=f"{title}, 3 sigma", layer=line))
     return made

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -61,8 +61,12 @@ def write_report(result: RunResult) -> Path:
             _estimator_summary(target, estimator, records)
             for (target, estimator), records in result.by_estimator.items()
         ],
-        reasons=Counter((failure.stage, failure.reason) for failure in failures).most_common(),
-        untried=Counter(_list_untried(result)).most_common(),
+        reasons=Counter((failure["stage"], failure["reason"]) for failure in failures).most_common(),
+        untried=Counter(
+            (stage, record.outcome.words, str(record.problem.reason))
+            for stage, record in _steps(result)
+            if record.problem is not None and not record.outcome.is_attempt
+        ).most_common(),
         failures=failures[:_MAX_FAILURES],
         n_failures=len(failures),
         warnings=[*result.warnings, *_notes(result)],
@@ -83,54 +87,11 @@ def write_report(result: RunResult) -> Path:
     return path
 
 
-@dataclass(frozen=True, slots=True)
-class _Failure:
-    file: str
-    stage: str
-    reason: str
-    detail: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _AttitudeSummary:
-    """Counts of the attitudes wanted from one source, and medians of the good ones."""
-
-    source: str
-    counts: StatusCounts
-    n_matched: float | None
-    rms_px: float | None
-    sigma_across_arcsec: float | None
-    sigma_roll_arcsec: float | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _EstimatorSummary:
-    """Counts of the observations of one estimator of one target, and medians of the good ones."""
-
-    target: str
-    estimator: str
-    counts: StatusCounts
-    offset_px: float | None
-    sigma_px: float | None
-    range_offset_percent: float | None
-    sigma_range_percent: float | None
-    time_s: float | None
-
-
-def _failures(result: RunResult) -> list[_Failure]:
+def _failures(result: RunResult) -> list[dict[str, str]]:
     return [
-        _Failure(record.file, stage, str(record.problem.reason), record.problem.detail)
+        {"file": record.file, "stage": stage, "reason": str(record.problem.reason), "detail": record.problem.detail}
         for stage, record in _steps(result)
         if record.problem is not None and record.outcome is Outcome.FAILED
-    ]
-
-
-def _list_untried(result: RunResult) -> list[tuple[str, str, str]]:
-    """Stage, outcome in words and reason of everything that is neither a result nor a failure."""
-    return [
-        (stage, record.outcome.words, str(record.problem.reason))
-        for stage, record in _steps(result)
-        if record.problem is not None and not record.outcome.is_attempt
     ]
 
 
@@ -153,26 +114,27 @@ def _notes(result: RunResult) -> list[str]:
     return notes + [f"{image.file}: {note}" for image in result.bodies for note in image.notes]
 
 
-def _attitude_summary(records: Sequence[AttitudeRecord]) -> list[_AttitudeSummary]:
-    """One row per source."""
+def _attitude_summary(records: Sequence[AttitudeRecord]) -> list[dict[str, Any]]:
+    """Counts of the attitudes wanted from each source, and medians of the good ones."""
     table = []
     for source, members in group_by(records, lambda record: record.wanted_source or "unreadable image").items():
         attitudes = [record.attitude for record in members if record.attitude is not None]
         sigmas = [ARCSEC_PER_RAD * each.sigma_rad for each in attitudes if each.covariance_rad2 is not None]
         table.append(
-            _AttitudeSummary(
-                source=source,
-                counts=StatusCounts.from_records(members),
-                n_matched=_median([record.n_matched for record in members]),
-                rms_px=_median([record.rms_px for record in members]),
-                sigma_across_arcsec=_median([float(max(sigma[0], sigma[1])) for sigma in sigmas]),
-                sigma_roll_arcsec=_median([float(sigma[2]) for sigma in sigmas]),
-            )
+            {
+                "source": source,
+                "counts": StatusCounts.from_records(members),
+                "n_matched": _median([record.n_matched for record in members]),
+                "rms_px": _median([record.rms_px for record in members]),
+                "sigma_across_arcsec": _median([float(max(sigma[0], sigma[1])) for sigma in sigmas]),
+                "sigma_roll_arcsec": _median([float(sigma[2]) for sigma in sigmas]),
+            }
         )
     return table
 
 
-def _estimator_summary(target: str, estimator: str, records: Sequence[ObservationRecord]) -> _EstimatorSummary:
+def _estimator_summary(target: str, estimator: str, records: Sequence[ObservationRecord]) -> dict[str, Any]:
+    """Counts of the observations of one estimator of one target, and medians of the good ones."""
     offsets, sigmas, range_errors, range_sigmas = [], [], [], []
     for record in records:
         if record.center_px is None or record.predicted_px is None or record.covariance_px2 is None:
@@ -182,16 +144,16 @@ def _estimator_summary(target: str, estimator: str, records: Sequence[Observatio
         if record.range_km is not None and record.sigma_range_km is not None and record.predicted_camera_km:
             range_errors.append(abs(record.range_km / float(np.linalg.norm(record.predicted_camera_km)) - 1) * 100)
             range_sigmas.append(record.sigma_range_km / record.range_km * 100)
-    return _EstimatorSummary(
-        target=target,
-        estimator=estimator,
-        counts=StatusCounts.from_records(records),
-        offset_px=_median(offsets),
-        sigma_px=_median(sigmas),
-        range_offset_percent=_median(range_errors),
-        sigma_range_percent=_median(range_sigmas),
-        time_s=_median([record.time_s for record in records if record.status != "failed"]),
-    )
+    return {
+        "target": target,
+        "estimator": estimator,
+        "counts": StatusCounts.from_records(records),
+        "offset_px": _median(offsets),
+        "sigma_px": _median(sigmas),
+        "range_offset_percent": _median(range_errors),
+        "sigma_range_percent": _median(range_sigmas),
+        "time_s": _median([record.time_s for record in records if record.status != "failed"]),
+    }
 
 
 def _median(values: Sequence[float | int | None]) -> float | None:

@@ -85,8 +85,7 @@ class HeightGrid(Value):
         radii = np.asarray(self.reference_radii_km, dtype=np.float64)
         if radii.shape != (3,) or not (np.isfinite(radii).all() and bool((radii > 0.0).all())):
             raise ValueError(f"needed three positive radii of the reference, got {radii.tolist()}")
-        object.__setattr__(self, "reference_radii_km", radii)
-        Value.__post_init__(self)
+        self._keep(reference_radii_km=radii)
 
     @property
     def global_columns(self) -> bool:
