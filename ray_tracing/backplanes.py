@@ -46,6 +46,10 @@ class Backplanes(Value):
         The point of the surface.
     shadowed : (rows, columns) bool
         No direct light of the center of the Sun: below the horizon, or something in the way.
+    normal_body : (rows, columns, 3) float64, body axes
+        Outward unit normal of the facet or ellipsoid.
+    resolution_km : (rows, columns) float64, km/px
+        Side of a square across the line of sight that has the area of a pixel there.
     """
 
     body: NDArray[np.int32]
@@ -59,6 +63,37 @@ class Backplanes(Value):
     latitude_rad: Float
     point_body_km: Float
     shadowed: Mask
+    normal_body: Float
+    resolution_km: Float
+
+    @property
+    def oblique_resolution_km(self) -> Float:
+        """Resolution (rows, columns) over the cosine of the emission angle, km/px: where most foreshortened."""
+        return np.asarray(self.resolution_km / np.cos(self.emission_rad))
+
+    @property
+    def slope_rad(self) -> Float:
+        """Angle (rows, columns) between the normal and the direction from the center of the body."""
+        return np.asarray(_angle(self.normal_body, self._up))
+
+    @property
+    def slope_azimuth_rad(self) -> Float:
+        """Direction (rows, columns) in which the surface falls, clockwise from north in [0, 2 pi)."""
+        north = np.stack(
+            [
+                -np.sin(self.latitude_rad) * np.cos(self.longitude_rad),
+                -np.sin(self.latitude_rad) * np.sin(self.longitude_rad),
+                np.cos(self.latitude_rad),
+            ],
+            axis=-1,
+        )
+        to_east = np.sum(self.normal_body * np.cross(north, self._up), axis=-1)
+        return np.asarray(np.arctan2(to_east, np.sum(self.normal_body * north, axis=-1)) % (2.0 * np.pi))
+
+    @property
+    def _up(self) -> Float:
+        """Unit vectors (rows, columns, 3) from the center of the body, body axes."""
+        return np.asarray(self.point_body_km / np.linalg.norm(self.point_body_km, axis=-1, keepdims=True))
 
 
 def trace_backplanes(
@@ -102,6 +137,10 @@ def trace_backplanes(
             _fill(
                 {name: values[window] for name, values in planes.items()}, number, view, np.swapaxes(directions, 0, 1)
             )
+    hit = planes["body"] >= 0
+    by_pixel = model.unproject_jacobian(np.argwhere(hit)[:, ::-1].astype(np.float64))
+    areas = np.linalg.norm(np.cross(by_pixel[..., 0], by_pixel[..., 1]), axis=-1)
+    planes["resolution_km"][hit] = planes["range_km"][hit] * np.sqrt(areas)
     return Backplanes(**planes)
 
 
@@ -109,7 +148,8 @@ def _blank(columns: int, rows: int) -> dict[str, NDArray[Any]]:
     """Planes of a frame without bodies."""
     planes: dict[str, NDArray[Any]] = {field.name: np.full((rows, columns), np.nan) for field in fields(Backplanes)}
     planes |= {name: np.full((rows, columns), -1, np.int32) for name in ("body", "facet")}
-    return planes | {"point_body_km": np.full((rows, columns, 3), np.nan), "shadowed": np.zeros((rows, columns), bool)}
+    planes |= {name: np.full((rows, columns, 3), np.nan) for name in ("point_body_km", "normal_body")}
+    return planes | {"shadowed": np.zeros((rows, columns), bool)}
 
 
 def _fill(planes: dict[str, NDArray[Any]], number: int, view: View, directions: Float) -> None:
@@ -136,6 +176,7 @@ def _fill(planes: dict[str, NDArray[Any]], number: int, view: View, directions: 
         "latitude_rad": np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])),
         "point_body_km": points,
         "shadowed": shadowed,
+        "normal_body": normals,
     }
     place = np.unravel_index(nearest, directions.shape[:2])
     for name, value in values.items():

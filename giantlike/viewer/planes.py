@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,6 +30,10 @@ PLANES: Mapping[str, str] = MappingProxyType(
         "latitude": "planetocentric latitude, deg",
         "longitude": "east longitude, deg",
         "shadowed": "1 where no sunlight falls",
+        "resolution": "resolution across the line of sight, km/px",
+        "oblique_resolution": "resolution over cos(emission), km/px",
+        "slope": "normal to direction from center, deg",
+        "slope_azimuth": "downhill, clockwise from north, deg",
     }
 )
 """Planes of a cube in their order, with unit and meaning."""
@@ -106,7 +111,10 @@ def values_at(planes: Backplanes, pixel: tuple[int, int] | None = None) -> dict[
 
     ``pixel``: row and column (default: all); the result has NaN off all bodies, where the body is -1.
     """
-    at = ... if pixel is None else pixel
+    at: Any = ...
+    if pixel is not None:
+        window, at = tuple(slice(place, place + 1) for place in pixel), (0, 0)
+        planes = Backplanes(**{field.name: getattr(planes, field.name)[window] for field in fields(Backplanes)})
     values = {
         "body": planes.body[at],
         "range": planes.range_km[at],
@@ -116,6 +124,10 @@ def values_at(planes: Backplanes, pixel: tuple[int, int] | None = None) -> dict[
         "latitude": np.degrees(planes.latitude_rad[at]),
         "longitude": np.degrees(planes.longitude_rad[at]),
         "shadowed": np.where(planes.body[at] >= 0, planes.shadowed[at].astype(float), np.nan),
+        "resolution": planes.resolution_km[at],
+        "oblique_resolution": planes.oblique_resolution_km[at],
+        "slope": np.degrees(planes.slope_rad[at]),
+        "slope_azimuth": np.degrees(planes.slope_azimuth_rad[at]),
     }
     return {name: np.asarray(values[name], dtype=np.float64) for name in PLANES}
 

@@ -7,10 +7,18 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from giantlike.camera_models import BrownModel
+from giantlike.camera_models import BrownModel, PinholeModel
 from giantlike.core.errors import InputError
 from giantlike.ray_tracing import Body, trace_backplanes
-from giantlike.shapes import Ellipsoid, LevelsOfDetail, Shape, irregular_body, mesh_from_ellipsoid, sphere
+from giantlike.shapes import (
+    Ellipsoid,
+    LevelsOfDetail,
+    Shape,
+    TriangleMesh,
+    irregular_body,
+    mesh_from_ellipsoid,
+    sphere,
+)
 from tests.tolerances import FLOAT64, FLOAT64_CHAIN
 
 PIXEL = 1e-6  # px: rays are interpolated to 1e-11 rad, 1e-8 px of this camera
@@ -65,6 +73,48 @@ def test_angles_on_an_ellipsoid_are_those_of_its_normals() -> None:
     assert_allclose(np.cos(planes.phase_rad[seen]), toward @ sun, rtol=0, atol=FLOAT64_CHAIN)
     assert np.array_equal(planes.shadowed[seen], planes.incidence_rad[seen] >= 0.5 * np.pi)
     assert planes.emission_rad[seen].max() <= 0.5 * np.pi
+
+
+def test_slopes_and_resolution_are_those_of_closed_forms() -> None:
+    """A sphere has no slope; off the axis of a pinhole a pixel covers cos^3 of its solid angle on the axis."""
+    pinhole = PinholeModel(fx_px=500.0, fy_px=500.0, cx_px=80.0, cy_px=60.0)
+    ball = trace_backplanes(
+        [_body(sphere(1.0), [0.3, 0.2, 8.0])], pinhole, sun_direction_camera=SUN, columns=FRAME[0], rows=FRAME[1]
+    )
+    seen = ball.body == 0
+    assert np.abs(ball.slope_rad[seen]).max() < 1e-7
+    cosine = ball.depth_km[seen] / ball.range_km[seen]
+    assert_allclose(ball.resolution_km[seen], ball.range_km[seen] * cosine**1.5 / 500.0, rtol=FLOAT64_CHAIN)
+    oblique = ball.resolution_km[seen] / np.cos(ball.emission_rad[seen])
+    assert_allclose(ball.oblique_resolution_km[seen], oblique, rtol=FLOAT64)
+    body = _body(ELLIPSOID, [0.3, 0.2, 8.0])
+    planes = trace_backplanes([body], CAMERA, sun_direction_camera=SUN, columns=FRAME[0], rows=FRAME[1])
+    seen = planes.body == 0
+    points = planes.point_body_km[seen]
+    normals = points / ELLIPSOID.radii_km**2
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    up = points / np.linalg.norm(points, axis=1, keepdims=True)
+    assert_allclose(np.cos(planes.slope_rad[seen]), np.sum(normals * up, axis=1), rtol=0, atol=FLOAT64_CHAIN)
+    east = np.cross([0.0, 0.0, 1.0], up)
+    east /= np.linalg.norm(east, axis=1, keepdims=True)
+    downhill = normals - np.sum(normals * up, axis=1, keepdims=True) * up
+    azimuth = planes.slope_azimuth_rad[seen][:, None]
+    along = np.cos(azimuth) * np.cross(up, east) + np.sin(azimuth) * east
+    assert_allclose(np.linalg.norm(downhill, axis=1)[:, None] * along, downhill, rtol=0, atol=1e-9)
+
+
+def test_a_facet_tilted_to_the_east_slopes_down_to_the_east() -> None:
+    """A plate at longitude 0 on the equator, turned by 10 degrees about north: its east side is lower."""
+    tilt = np.radians(10.0)
+    corners = np.array([[0.0, -1.0, -1.0], [0.0, 1.0, -1.0], [0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
+    turned = corners @ Rotation.from_euler("z", tilt).as_matrix().T + [5.0, 0.0, 0.0]
+    plate = TriangleMesh(vertices_km=turned, faces=np.array([[0, 1, 2], [0, 2, 3]]))
+    to_camera = Rotation.from_matrix(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]]))
+    body = Body(shape=plate, camera_from_body=to_camera, position_camera_km=np.array([0.0, 0.0, 50.0]))
+    pinhole = PinholeModel(fx_px=500.0, fy_px=500.0, cx_px=20.0, cy_px=20.0)
+    planes = trace_backplanes([body], pinhole, sun_direction_camera=-np.eye(3)[2], columns=41, rows=41)
+    assert planes.slope_rad[20, 20] == pytest.approx(tilt, abs=1e-9)
+    assert planes.slope_azimuth_rad[20, 20] == pytest.approx(0.5 * np.pi, abs=1e-9)
 
 
 def test_off_the_bodies_there_is_nothing() -> None:
