@@ -394,7 +394,8 @@ class Camera(Pictured):
         require(
             (image.columns, image.rows) == (self.columns, self.rows),
             f"{image.name}: image is {image.columns} x {image.rows} pixels, camera {self.name!r} has {self.columns} x "
-            f"{self.rows}; use the camera of this image, or Camera.binned or Camera.windowed of it",
+            f"{self.rows}; use the camera of this image, or Camera.binned or Camera.windowed of it (in a campaign, "
+            "camera.binned)",
         )
         require_same_frame(image.camera_name, self.frame_name)
 

@@ -36,6 +36,7 @@ from giantlike.io import load_kernels, read_ephemeris_table, read_geometry
 from giantlike.io.attitude_series import read_attitude_csv, read_attitude_table
 from giantlike.io.camera_import import read_foreign_camera
 from giantlike.io.camera_opencv import write_opencv_camera
+from giantlike.io.epic_metadata import read_epic
 from giantlike.io.image_files import read_image_file
 from giantlike.io.observables_file import read_observables, write_observables
 from giantlike.io.spc_sumfile import read_sumfile, write_sumfile
@@ -58,6 +59,7 @@ from tests.io import test_image_files as image_files
 from tests.io import test_planetary_files as planetary_files
 from tests.io import test_spice as kernel_files
 from tests.io.height_map_files import heights_km, write_geotiff, write_pds3
+from tests.io.test_epic_metadata import RECORDS
 from tests.observables import test_rows as exchange
 from tests.shapes.test_local_maps import _map
 
@@ -72,6 +74,10 @@ class Kind:
     file: str
     write: Callable[[Path], object]
     read: Callable[[Path], object]
+
+
+def _read_epic(path: Path) -> object:
+    return read_epic(path, [Path(f"{record['identifier']}.png") for record in RECORDS], {"EARTH": "EARTH"})
 
 
 def _with(text: str | bytes) -> Callable[[Path], object]:
@@ -367,6 +373,7 @@ KINDS: dict[str, Kind] = {
     "rates": Kind("gyro.csv", _with(GYRO), read_rates),
     "ephemeris": Kind("orbit.csv", _with(ORBIT), read_ephemeris_table),
     "geometry": Kind("geometry.csv", _with(GEOMETRY), read_geometry),
+    "epic metadata": Kind("epic.json", _with(json.dumps(RECORDS)), _read_epic),
     "attitudes": Kind("attitudes.csv", _with(_table("qx,qy,qz,qw", "0,0,0,1")), read_attitude_csv),
     "campaign": Kind("campaign.toml", _campaign, Campaign.load),
     "scene": Kind("scene.toml", lambda path: path.write_text(tomli_w.dumps(scene_table())), RenderPlan.load),

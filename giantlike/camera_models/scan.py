@@ -27,7 +27,7 @@ class SweepXModel(AffineModel):
 
     References
     ----------
-    .. [1] GOES-R Series Product Definition and Users' Guide, volume 5, section 4.2.8.
+    .. [1] NOAA STAR, GOES Imager Projection (ABI Fixed Grid), star.nesdis.noaa.gov/atmospheric-composition-training.
     """
 
     type_name: ClassVar[str] = "sweep_x"
@@ -69,7 +69,7 @@ class SweepYModel(SweepXModel):
 
     References
     ----------
-    .. [1] CGMS 03, LRIT/HRIT Global Specification, section 4.4.
+    .. [1] JMA, Himawari-8/9 Himawari Standard Data User's Guide, section 3.
     """
 
     type_name: ClassVar[str] = "sweep_y"

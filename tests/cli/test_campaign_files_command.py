@@ -185,6 +185,11 @@ def test_init_takes_a_preset_or_a_mission_that_fits_the_images(tmp_path: Path) -
         unknown = giantlike("init", tmp_path / "images", option, "casini_nac", "--output", tmp_path / "x.toml")
         assert unknown.exit_code == 2
         assert "cassini_nac" in unknown.stderr
+    write_fits(tmp_path / "images" / "a.fits", np.zeros((640, 640), np.uint16), header={})
+    path = tmp_path / "resampled.toml"
+    assert giantlike("init", tmp_path / "images", "--preset", "cassini_nac", "--output", path).exit_code == 0
+    assert "binned = [640, 640]" in path.read_text()
+    assert Campaign.load(path).camera.columns == 640
     write_fits(tmp_path / "images" / "a.fits", np.zeros((300, 256), np.uint16), header={})
     other = giantlike("init", tmp_path / "images", "--preset", "cassini_nac", "--output", tmp_path / "x.toml")
     assert other.exit_code == 2
