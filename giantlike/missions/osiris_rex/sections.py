@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -81,27 +80,19 @@ def calibration_section(mission: MissionSetup, calibrations: Sequence[CameraCali
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Panel:
-    """A figure of the paper with its comparison; no figure where nothing was found."""
-
-    number: int
-    title: str
-    caption: str
-    figure: Figure | None
-    comparison: Comparison
+_Panel = tuple[int, str, str, Figure | None, Comparison]
+"""Number, title and caption of a figure of the paper, the figure, None where nothing was found, and its comparison."""
 
 
 def phase_section(mission: MissionSetup, phase: PhaseSetup, results: Sequence[CampaignResult]) -> Section:
     """A phase: its figures in the order of the paper, and the sizes that the paper states."""
-    panels = [panel for result in results for panel in _panels(phase, result)]
-    panels.sort(key=lambda panel: panel.number)
+    panels = sorted((panel for result in results for panel in _panels(phase, result)), key=lambda panel: panel[0])
     made = tuple(
-        ReplayFigure(f"Fig. {panel.number}", panel.title, panel.caption, panel.figure)
-        for panel in panels
-        if panel.figure is not None
+        ReplayFigure(f"Fig. {number}", title, caption, figure)
+        for number, title, caption, figure, _ in panels
+        if figure is not None
     )
-    compared = (*_sizes(mission, phase, results), *(panel.comparison for panel in panels))
+    compared = (*_sizes(mission, phase, results), *(comparison for *_, comparison in panels))
     return Section(title=phase.title, text=_text(phase, results), figures=made, comparisons=compared)
 
 
@@ -112,21 +103,21 @@ def _panels(phase: PhaseSetup, result: CampaignResult) -> tuple[_Panel, ...]:
     stars = "less than" if phase.key == "orbital_a" else "around"
     bars = "Bars are the standard deviations that the fixes state, hollow marks are flagged suspect."
     return (
-        _Panel(
+        (
             star_number,
             f"{where}: stars",
             f"{len(result.stars.residuals_px)} stars of {result.stars.solved} images. The paper: {stars} 0.1 px.",
             figures.star_figure(result) if len(result.stars.residuals_px) else None,
             comparisons.star_comparison(result, phase, f"Fig. {star_number}"),
         ),
-        _Panel(
+        (
             center_number,
             f"{where}: centers",
             f"Observed less true. The paper: {less} px. {bars}",
             figures.center_figure(result, centers, f"{where}: centers") if centers else None,
             comparisons.center_comparison(result, phase, centers, ("center finding", less), f"Fig. {center_number}"),
         ),
-        _Panel(
+        (
             limb_number,
             f"{where}: centers from limbs",
             f"Observed less true. The paper: excellent. {bars}",
@@ -135,7 +126,7 @@ def _panels(phase: PhaseSetup, result: CampaignResult) -> tuple[_Panel, ...]:
                 result, phase, limbs, ("limb centers", "excellent (taken as: less than 1)"), f"Fig. {limb_number}"
             ),
         ),
-        _Panel(
+        (
             range_number,
             f"{where}: ranges from limbs",
             f"Observed less true. The paper: less than {'1' if phase.key == 'approach' else '0.01'} %. {bars}",
