@@ -338,7 +338,8 @@ def _evaluate(check: _Check, campaign: Campaign, shapes: Mapping[str, Shape], *,
             _count_stars(check, campaign, image)
             _check_sigma(check, campaign, image)
         failed = any(mistake.fatal for mistake in check.found[before:])
-        if until_good and not failed and (_finds_attitudes(campaign) or entry.key not in unpointed):
+        good = not failed and not any(one.fits_other_frame for one in seen.values())
+        if until_good and good and (_finds_attitudes(campaign) or entry.key not in unpointed):
             break
     for number, target in enumerate(campaign.targets):
         if target.name in shapes:
@@ -363,6 +364,12 @@ class _Seen:
     ranges_km: dict[str, float] = field(default_factory=dict)
     outside_px: list[float] = field(default_factory=list)
     other_px: list[float] = field(default_factory=list)
+
+    @property
+    def fits_other_frame(self) -> bool:
+        """True if it is predicted outside of all images, and inside with states in ECLIPJ2000."""
+        known = 0 < len(self.outside_px) == len(self.other_px)
+        return known and min(self.outside_px) > 0.0 and max(self.other_px) < 0.0
 
 
 def _finds_attitudes(campaign: Campaign) -> bool:
@@ -466,12 +473,11 @@ def _note_prediction(campaign: Campaign, image: Image, target: TargetSetup, scen
 
 def _wrong_frame(check: _Check, campaign: Campaign, number: int, seen: _Seen) -> None:
     """A target that is predicted outside of all images, and inside with the other inertial frame of SPICE."""
-    apart = seen.outside_px
-    if apart and min(apart) > 0.0 and len(seen.other_px) == len(apart) and max(seen.other_px) < 0.0:
+    if seen.fits_other_frame:
         spacecraft = campaign.table["spice"]["spacecraft"]
         text = (
-            f"{campaign.targets[number].name} is predicted outside of each of {len(apart)} images, by {min(apart):.0f} "
-            f"px or more, and inside with the SPK of {spacecraft} taken as ECLIPJ2000: is its frame labeled wrong?"
+            f"{campaign.targets[number].name} is predicted outside of all images, by {min(seen.outside_px):.0f} px or "
+            f"more, and inside with the SPK of {spacecraft} taken as ECLIPJ2000: is its frame labeled wrong?"
         )
         check.add("spice.kernels", text, fatal=False)
 

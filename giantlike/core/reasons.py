@@ -235,7 +235,7 @@ class Quality(enum.Flag):
     Check that it is the right target, and the errors declared of ephemeris and attitude.
     """
     LARGE_RESIDUALS = enum.auto()
-    """Residuals of stars, or of a triangulation, are several times the noise.
+    """Residuals of stars, or of a triangulation, are several times the noise, or those of stars are radial.
 
     Look at the residuals: distortion or blur may be wrong. Fixes of bodies never have it: there such residuals inflate
     the sigma.

@@ -79,6 +79,8 @@ def _time_offsets(
 ) -> Iterator[str]:
     """Offset of the epochs that explains the positions of a target in all images."""
     epochs = {record.file: record.et for record in attitudes}
+    exposures = {record.exposure_s for record in attitudes}
+    half_s = 0.5 * (exposures.pop() or 0.0) if len(exposures) == 1 else 0.0
     for target in campaign.targets:
         fixes = [
             min(ones, key=lambda one: float(np.trace(one.covariance_px2 or np.eye(2))))
@@ -100,7 +102,7 @@ def _time_offsets(
             yield (
                 f"{target.name}: a time offset of {offset_s:+.4g} +- {sigma_s:.1g} s common to all {len(fixes)} images "
                 f"explains the positions (residual rms {with_px:.2g} px with it, {without_px:.2g} px without)"
-                f"{_name_of_offset(offset_s, sigma_s, float(et[0]))}; or its ephemeris is off along the track"
+                f"{_name_of_offset(offset_s, sigma_s, float(et[0]), half_s)}; or its ephemeris is off along the track"
             )
 
 
@@ -153,8 +155,10 @@ def _fit_offset(
     return float(values[0]), sigma_s, rms[0], rms[1]
 
 
-def _name_of_offset(offset_s: float, sigma_s: float, et: float) -> str:
-    """Pair of time scales that differ by an offset, in words; empty for none."""
+def _name_of_offset(offset_s: float, sigma_s: float, et: float, half_exposure_s: float) -> str:
+    """Pair of time scales that differ by an offset, or half the exposure, in words; empty for none."""
+    if half_exposure_s and abs(abs(offset_s) - half_exposure_s) < 3.0 * sigma_s:
+        return ", half of the exposure: are the dates those of its start or of its middle?"
     epoch = time_from_et(et)
     utc, tai, tdb = (float(one.jd1 - epoch.jd1) + float(one.jd2) for one in (epoch.utc, epoch.tai, epoch.tdb))
     tai_s, tdb_s = (tai - utc) * 86400.0, (tdb - utc) * 86400.0
