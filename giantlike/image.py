@@ -252,6 +252,27 @@ class Image(Pictured, Value):
             raise InputError(f"{self.name}: {error}") from error
         return dataclasses.replace(self, pixels=done.pixels, mask=done.mask, detector=done.detector, eight_bit=None)
 
+    def with_observer(self, position_km: ArrayLike, velocity_km_s: ArrayLike) -> Image:
+        """Return a new image taken from another place: light time and aberration follow from it.
+
+        Parameters
+        ----------
+        position_km : (3,) array_like, km
+            Of the camera relative to the solar system barycenter at mid-exposure, ICRF axes.
+        velocity_km_s : (3,) array_like, km/s
+
+        Returns
+        -------
+        Image
+
+        Raises
+        ------
+        InputError
+            A vector has another shape or is not finite.
+        """
+        vectors = [as_finite(position_km, (3,), "position_km"), as_finite(velocity_km_s, (3,), "velocity_km_s")]
+        return dataclasses.replace(self, observer=ObserverState(position_km=vectors[0], velocity_km_s=vectors[1]))
+
     def with_attitude(
         self,
         attitude: AttitudeFix | FrameRotation | Rotation,

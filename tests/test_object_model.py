@@ -58,6 +58,15 @@ def test_an_image_cannot_be_changed_but_gives_a_new_one_with_another_attitude() 
         image.name = "other"  # type: ignore[misc]
 
 
+def test_an_image_from_another_place_has_its_state_and_refuses_others() -> None:
+    moved = image_at().with_observer([1.0, 2.0, 3.0], np.array([4.0, 5.0, 6.0]))
+    assert moved.observer is not None
+    assert moved.observer.position_km.tolist() == [1.0, 2.0, 3.0]
+    assert moved.observer.velocity_km_s.tolist() == [4.0, 5.0, 6.0]
+    with pytest.raises(InputError, match="velocity_km_s"):
+        image_at().with_observer([1.0, 2.0, 3.0], [0.0, np.nan, 0.0])
+
+
 def test_pixels_that_are_not_finite_become_masked_zeros() -> None:
     pixels = np.ones((4, 5), dtype=np.float32)
     pixels[1, 2], pixels[3, 4] = np.nan, np.inf
