@@ -5,8 +5,10 @@ from giantlike.passes.fix import PassFix
 from giantlike.passes.images import LimbPoints, NavigationPass, PassImage
 from giantlike.passes.run import RunPass, pass_from_run
 from giantlike.passes.terms import PassOptions, PassTerm
+from giantlike.relative.horizon.geometry import Figure
 
 __all__ = [
+    "Figure",
     "LimbPoints",
     "NavigationPass",
     "PassFix",

@@ -50,9 +50,19 @@ class CraMethod(StrEnum):
 class Figure(Value):
     """Ellipsoid in its attitude before the camera.
 
-    radii_km: Semi-axes.
-    camera_from_axes: takes vectors along the principal axes to camera axes.
-    air: over the ellipsoid.
+    Parameters
+    ----------
+    radii_km : (3,) float64, km
+        Semi-axes.
+    camera_from_axes : Rotation
+        Takes vectors along the principal axes to camera axes.
+    air : Air, optional
+        Over the ellipsoid.
+
+    Raises
+    ------
+    InputError
+        A semi-axis is not positive and finite.
     """
 
     radii_km: Float
@@ -75,8 +85,22 @@ class Figure(Value):
     def cone(self, position_camera_km: Float) -> tuple[Float, Float]:
         """Cone of the rays that graze the ellipsoid.
 
-        Returns ``pull`` (3,) 1/km; ``conic`` (3, 3) 1/km^2, the matrix ``M = A s s.A - (s.A.s - 1) A``: ``x.M.x`` is
-        zero for rays x that graze the body, positive for those that meet it.
+        Parameters
+        ----------
+        position_camera_km : (3,) float64, km, camera axes
+            Center of the ellipsoid, s.
+
+        Returns
+        -------
+        pull : (3,) float64, 1/km
+        conic : (3, 3) float64, 1/km^2
+            The matrix ``M = A s s.A - (s.A.s - 1) A``: ``x.M.x`` is zero for rays x that graze the body, positive for
+            those that meet it.
+
+        Raises
+        ------
+        InputError
+            The camera is inside the ellipsoid.
         """
         pull = self.shape_matrix @ position_camera_km
         strength = float(position_camera_km @ pull)
