@@ -242,7 +242,7 @@ def write_session(flyby: Flyby, folder: Path, change: Change | None = None, *, i
         "images": {"files": names, "attitude_sigma_deg": APRIORI_DEG},
         "camera": {"file": "camera.toml"},
         "spice": {"kernels": [str(flyby.folder / name) for name in (*KERNELS, "flyby.bsp")], "spacecraft": "PROBE"},
-        "stars": {},
+        "stars": {"options": {"all_stars": True}},
         "targets": [{"name": "RHEA", "shape": {"radii_km": list(RADII_KM)}, "estimators": ["limb_matching"]}],
         "report": {"max_overlays": 0},
     }
