@@ -18,7 +18,7 @@ from giantlike.core.arrays import require
 from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.ray_tracing import trace_silhouette
-from giantlike.relative.consensus import agreement_of, find_confirming, fuse
+from giantlike.relative.consensus import agreement_of, confirm, find_confirming, fuse
 from giantlike.relative.estimator import BodyEstimator, Estimator
 from giantlike.relative.horizon.ellipsoid_cra import EllipsoidCRA, EllipsoidCRAOptions
 from giantlike.relative.inputs import EstimatorInputs
@@ -168,7 +168,8 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
     first of other fixes that is not suspect and precise enough confirms it: estimators of another part of the image
     (the limb instead of the light) come before others of the same light. Where the two differ by more than their
     covariances explain, these grow. An unconfirmed fix is flagged ``UNCHECKED``. Where the confirming fix is so
-    precise that it has more than half of the weight, a third one of another part of the image than its own confirms it.
+    precise that it has more than half of the weight, a third one of another part of the image than its own confirms it;
+    without one, the first fix is kept.
 
     The result is the fix of the chosen estimator, a :class:`~giantlike.core.outcomes.PositionFix` if it estimates the
     range, under the name ``auto``, fused with the confirming fix (:func:`~giantlike.relative.consensus.fuse`). Its
@@ -250,10 +251,14 @@ class Auto(BodyEstimator[AutoOptions, CenterFix]):
             if confirmed is None:
                 return replace(fix, flags=fix.flags | Quality.UNCHECKED)
             name, second = confirmed
-            fused = _confirm(fix, name, second, inputs.camera.model)
-            third = check(fused, choice.checks_by_other_part(taken, name)) if _second_decides(fused) else None
-        if third is not None:
-            fused = _confirm(fused, *third, inputs.camera.model)
+            fused = _fuse_confirmed(fix, name, second, inputs.camera.model)
+            if _second_decides(fused):
+                third = check(fused, choice.checks_by_other_part(taken, name))
+                if third is not None:
+                    fused = _fuse_confirmed(fused, *third, inputs.camera.model)
+                else:
+                    kept = replace(fused.findings, weight=None)
+                    fused = replace(confirm(fix, second, inputs.camera.model), findings=kept)
         return _with_turn(fused, second)
 
     def _choice(self, inputs: EstimatorInputs) -> Choice:
@@ -285,7 +290,7 @@ def _in_haze(scene: Scene, name: str, sigma_km: float) -> Scene:
     )
 
 
-def _confirm(fix: CenterFix, name: str, second: CenterFix, model: CameraModel) -> CenterFix:
+def _fuse_confirmed(fix: CenterFix, name: str, second: CenterFix, model: CameraModel) -> CenterFix:
     """Fuse a fix with another one that confirms it."""
     known = fix.findings
     names, agreement = filter(None, (known.checked_by, name)), agreement_of(fix, second)

@@ -71,6 +71,11 @@ def _own_covariance(fix: CenterFix) -> Float:
     return covariance
 
 
+def confirm(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
+    """Return the first of two fixes, with larger errors where they differ by more than their covariances."""
+    return with_larger_errors(first, model, inflation(*_squared_difference(first, second)), _OWN)
+
+
 def fuse(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     """Fuse two fixes that agree.
 
@@ -82,16 +87,15 @@ def fuse(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     that they do not share grow, see
     :func:`~giantlike.relative.judge.inflation`.
     """
-    squared, size = _squared_difference(first, second)
-    grown = inflation(squared, size)
+    grown = inflation(*_squared_difference(first, second))
     if not first.parts or not second.parts or isinstance(first, PositionFix) != isinstance(second, PositionFix):
-        return with_larger_errors(first, model, grown, _OWN)
+        return confirm(first, second, model)
     fusions = [_fused_parts(first, second, float(weight)) for weight in _WEIGHTS]
     sizes = [float(np.linalg.slogdet(sum_parts(parts, _OWN))[1]) for parts in fusions]
     best = int(np.argmin(sizes))
     weight, parts = float(_WEIGHTS[best]), fusions[best]
     if weight == 1.0:
-        return with_larger_errors(first, model, grown, _OWN)
+        return confirm(first, second, model)
     parts = {cause: grown * part if cause in _OWN else part for cause, part in parts.items()}
     center_px = weight * first.center_px + (1.0 - weight) * second.center_px
     changes: dict[str, object] = {
