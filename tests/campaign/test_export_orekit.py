@@ -82,6 +82,6 @@ def test_orekit_reads_the_angles_of_a_tdm(orekit: Any, tmp_path: Path) -> None:
     assert str(segment.getMetadata().getReferenceFrame().getName()) == "GCRF"
     values = [float(one.getMeasurement()) for one in segment.getData().getObservations()]
     measured = rows()[1]
-    assert values[0] == pytest.approx(np.radians(measured.astrometric_ra_deg), abs=1e-12)
-    assert values[1] == pytest.approx(np.radians(measured.astrometric_dec_deg), abs=1e-12)
+    angles = np.radians(np.array([measured.astrometric_ra_deg, measured.astrometric_dec_deg], dtype=np.float64))
+    assert values[:2] == pytest.approx(angles.tolist(), abs=1e-12)
     assert len(values) == 6

@@ -86,7 +86,9 @@ def random_image(seed: int) -> RandomImage:
         ),
         reflectance=law,
         uncertainty=TargetUncertainty(
-            **{name: float(rng.choice([0.0, 1e-12, 0.01, 0.1])) for name in ("scale", "pole_rad", "spin_rad")},
+            scale=float(rng.choice([0.0, 1e-12, 0.01, 0.1])),
+            pole_rad=float(rng.choice([0.0, 1e-12, 0.01, 0.1])),
+            spin_rad=float(rng.choice([0.0, 1e-12, 0.01, 0.1])),
             ephemeris_km=float(rng.choice([0.0, 1e-9, 5.0])),
         ),
     )  # fmt: skip

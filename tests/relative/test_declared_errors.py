@@ -74,7 +74,13 @@ def found(
         name="b",
         shape=Ellipsoid(radii_km=np.array(RADII_KM)),
         ephemeris=geometry,
-        uncertainty=TargetUncertainty(**{name: sigma for name, sigma in known.items() if name != "attitude_rad"}),
+        uncertainty=TargetUncertainty(
+            scale=known.get("scale", 0.0),
+            pole_rad=known.get("pole_rad", 0.0),
+            spin_rad=known.get("spin_rad", 0.0),
+            ephemeris_km=known.get("ephemeris_km", 0.0),
+            albedo=known.get("albedo", TargetUncertainty().albedo),
+        ),
     )
     fix = ESTIMATORS[estimator]().estimate(image, camera, Scene(targets=(target,)))
     assert isinstance(fix, CenterFix), fix
