@@ -39,6 +39,7 @@ from giantlike.io.camera_opencv import write_opencv_camera
 from giantlike.io.epic_metadata import read_epic
 from giantlike.io.image_files import read_image_file
 from giantlike.io.observables_file import read_observables, write_observables
+from giantlike.io.spc_lmk import read_lmk, write_lmk
 from giantlike.io.spc_sumfile import read_sumfile, write_sumfile
 from giantlike.observables import row_of_body, row_of_landmark
 from giantlike.observables.exchange import sumfile_of
@@ -57,6 +58,7 @@ from tests.cli.test_render_command import scene_table
 from tests.io import test_camera_files as camera_files
 from tests.io import test_image_files as image_files
 from tests.io import test_planetary_files as planetary_files
+from tests.io import test_spc_lmk
 from tests.io import test_spice as kernel_files
 from tests.io.height_map_files import heights_km, write_geotiff, write_pds3
 from tests.io.test_epic_metadata import RECORDS
@@ -223,6 +225,10 @@ def _read_index(path: Path) -> None:
         assert np.isfinite(index.directions[index.patterns[found].astype(np.intp)]).all()
 
 
+def _lmk(path: Path) -> None:
+    write_lmk(path, test_spc_lmk.LANDMARK)
+
+
 def _sumfile(path: Path) -> None:
     body = row_of_body(exchange.CONTEXT, exchange.SIGHTING, exchange.position_fix(), is_preferred=True)
     mark = row_of_landmark(exchange.CONTEXT, exchange.SIGHTING, exchange.position_fix(), exchange.LANDMARK)
@@ -385,6 +391,7 @@ KINDS: dict[str, Kind] = {
     "observables": Kind("o.parquet", _observables, read_observables),
     "star index": Kind("i.npz", _index, _read_index),
     "sumfile": Kind("a.SUM", _sumfile, read_sumfile),
+    "lmk": Kind("a.LMK", _lmk, read_lmk),
     "attitude table": Kind(
         "attitudes.csv", _with("name,qx,qy,qz,qw\na.fits,0,0,0,1\nb.fits,0,0,0.6,0.8\n"), read_attitude_table
     ),

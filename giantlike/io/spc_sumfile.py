@@ -23,7 +23,7 @@ from giantlike.core.values import Value
 if TYPE_CHECKING:
     from astropy.time import Time
 
-_FIRST_PIXEL = 1.0  # coordinate of the center of the first pixel in SPC
+FIRST_PIXEL = 1.0  # coordinate of the center of the first pixel in SPC
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 _ORTHOGONAL = (
     1e-6  # largest departure of the camera's axes from orthogonal unit vectors: they are written with 10 digits
@@ -74,25 +74,22 @@ def write_sumfile(path: str | Path, content: Sumfile) -> None:
     """Write a SUMFILE."""
     axes = content.camera_from_body.as_matrix()
     k = content.pixels_per_mm
-    center = content.center_px + _FIRST_PIXEL
+    center = content.center_px + FIRST_PIXEL
     lines = [
         content.name,
         _spice_utc(content.epoch),
         f"{content.columns:6d}{content.rows:6d}{content.thresholds_dn[0]:6d}{content.thresholds_dn[1]:6d}"
         f"{'':<40}NPX, NLN, THRSH",
-        _numbers([content.focal_length_mm, *center], "MMFL, CTR"),
-        _numbers(content.target_km, "SCOBJ"),
-        *(_numbers(axis, name) for axis, name in zip(axes, ("CX", "CY", "CZ"), strict=True)),
-        _numbers(content.sun_direction_body, "SZ"),
+        numbers_line([content.focal_length_mm, *center], "MMFL, CTR"),
+        numbers_line(content.target_km, "SCOBJ"),
+        *(numbers_line(axis, name) for axis, name in zip(axes, ("CX", "CY", "CZ"), strict=True)),
+        numbers_line(content.sun_direction_body, "SZ"),
         "".join(f"{value:11.5f}" for value in k.ravel()) + "   K-MATRIX",
         "".join(f"{_fortran(0.0, 5):>15}" for _ in range(4)) + "   DISTORTION",
-        _numbers(content.sigma_target_km, "SIGMA_VSO"),
-        _numbers(content.sigma_pointing_rad, "SIGMA_PTG"),
+        numbers_line(content.sigma_target_km, "SIGMA_VSO"),
+        numbers_line(content.sigma_pointing_rad, "SIGMA_PTG"),
         "LANDMARKS",
-        *(
-            f"{name:<6}{x + _FIRST_PIXEL:10.3f}{y + _FIRST_PIXEL:10.3f}"
-            for name, (x, y) in content.landmarks_px.items()
-        ),
+        *(f"{name:<6}{x + FIRST_PIXEL:10.3f}{y + FIRST_PIXEL:10.3f}" for name, (x, y) in content.landmarks_px.items()),
         "LIMB FITS",
         "END FILE",
     ]
@@ -108,12 +105,9 @@ def read_sumfile(path: str | Path) -> Sumfile:
         raise DataError(path, f"cannot be read as a SUMFILE: {error}") from error
     if len(lines) < 14:
         raise DataError(path, f"is no SUMFILE: it needs at least 14 lines, got {len(lines)}")
-    values = [_read_numbers(path, lines, number, count) for number, count in
-              ((2, 4), (3, 3), (4, 3), (5, 3), (6, 3), (7, 3), (8, 3), (9, 6), (11, 3), (12, 3))]  # fmt: skip
-    size, optics, target, *axes, sun, k, sigma_target, sigma_pointing = values
-    rotation = np.array(axes)
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ORTHOGONAL or np.linalg.det(rotation) < 0.0:
-        raise DataError(path, "lines 6 to 8: CX, CY, CZ must be orthogonal unit vectors, right-handed")
+    values = [read_numbers(path, lines, number, count) for number, count in
+              ((2, 4), (3, 3), (4, 3), (8, 3), (9, 6), (11, 3), (12, 3))]  # fmt: skip
+    size, optics, target, sun, k, sigma_target, sigma_pointing = values
     length = float(np.linalg.norm(sun))
     if length == 0.0:
         raise DataError(path, "line 9: SZ must not be zero")
@@ -124,10 +118,10 @@ def read_sumfile(path: str | Path) -> Sumfile:
         rows=int(size[1]),
         thresholds_dn=(int(size[2]), int(size[3])),
         focal_length_mm=float(optics[0]),
-        center_px=optics[1:] - _FIRST_PIXEL,
+        center_px=optics[1:] - FIRST_PIXEL,
         pixels_per_mm=k.reshape(2, 3),
         target_km=target,
-        camera_from_body=Rotation.from_matrix(rotation),
+        camera_from_body=Rotation.from_matrix(read_axes(path, lines, 5, "CX, CY, CZ")),
         sun_direction_body=sun / length,
         sigma_target_km=sigma_target,
         sigma_pointing_rad=sigma_pointing,
@@ -142,10 +136,19 @@ def _read_landmarks(path: Path, lines: list[str]) -> Iterator[tuple[str, Float]]
         words = lines[number].split()
         if len(words) < 3:
             return
-        yield words[0], _read_numbers(path, lines, number, 2, skip=1) - _FIRST_PIXEL
+        yield words[0], read_numbers(path, lines, number, 2, skip=1) - FIRST_PIXEL
 
 
-def _read_numbers(path: Path, lines: list[str], number: int, count: int, *, skip: int = 0) -> Float:
+def read_axes(path: Path, lines: list[str], first: int, names: str) -> Float:
+    """Three orthogonal unit vectors (3, 3), right-handed, of three lines."""
+    axes = np.array([read_numbers(path, lines, number, 3) for number in range(first, first + 3)])
+    if np.abs(axes @ axes.T - np.eye(3)).max() > _ORTHOGONAL or np.linalg.det(axes) < 0.0:
+        where = f"lines {first + 1} to {first + 3}"
+        raise DataError(path, f"{where}: {names} must be orthogonal unit vectors, right-handed")
+    return axes
+
+
+def read_numbers(path: Path, lines: list[str], number: int, count: int, *, skip: int = 0) -> Float:
     """Numbers of a line, which Fortran may have written with D as the exponent."""
     words = lines[number].replace("D", "E").replace("d", "e").split()[skip : skip + count]
     try:
@@ -171,7 +174,8 @@ def _spice_utc(epoch: Time) -> str:
     return f"{year} {_MONTHS[int(month) - 1]} {of_month} {clock}"
 
 
-def _numbers(values: Float | list[float], name: str) -> str:
+def numbers_line(values: Float | list[float], name: str) -> str:
+    """Numbers of a line with 10 digits, and their name."""
     return "".join(f"{_fortran(float(value), 10):>20}" for value in values) + f"   {name}"
 
 
