@@ -9,8 +9,15 @@ from giantlike.catalogs.table import StarTable, julian_year
 from giantlike.core.arrays import Float, as_finite, require, unit
 from giantlike.core.frames import direction_from_radec, east_north
 from giantlike.core.light import aberrate
-from giantlike.core.time import time_from_et
-from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, RAD_PER_MAS, SECONDS_PER_JULIAN_YEAR, SPEED_OF_LIGHT_KM_S
+from giantlike.core.units import (
+    AU_KM,
+    J2000_JD,
+    RAD_PER_ARCSEC,
+    RAD_PER_MAS,
+    SECONDS_PER_DAY,
+    SECONDS_PER_JULIAN_YEAR,
+    SPEED_OF_LIGHT_KM_S,
+)
 
 SUN_SCHWARZSCHILD_AU = 1.97412574336e-8
 """2 G M / c^2 of the Sun, in au: the value that ERFA uses (``ERFA_SRS`` in erfam.h)."""
@@ -105,13 +112,13 @@ def sun_position_km(et: float) -> Float:
 
     Returns (3,), inertial axes (ICRF).
 
-    From the analytic ephemeris of ERFA, ``epv00``, that astropy has built in: no kernel is needed. Good to tens of
+    From the analytic ephemeris of ERFA, ``epv00``: no kernel is needed. Good to tens of
     kilometers from 1900 to 2100, where light deflection needs about a thousand.
     """
-    from astropy.coordinates import get_body_barycentric
+    import erfa
 
-    place = get_body_barycentric("sun", time_from_et(et), ephemeris="builtin")
-    return np.asarray(place.xyz.to_value("km"), dtype=np.float64)
+    heliocentric, barycentric = erfa.epv00(J2000_JD, et / SECONDS_PER_DAY)  # of the Earth
+    return np.asarray((barycentric["p"] - heliocentric["p"]) * AU_KM, dtype=np.float64)
 
 
 def _positions(stars: StarTable, years: Float, position_au: Float) -> Float:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from giantlike.core.arrays import Float, as_floats, require
+from giantlike.core.units import AU_KM, J2000_JD, SECONDS_PER_DAY
 from giantlike.core.values import Value
 
 __all__ = ["Flight", "PointMasses", "ThirdBody", "cislunar", "fly", "moon_position_km", "sun_position_km"]
@@ -24,10 +25,6 @@ GM_MOON_KM3_S2 = 4_902.800118
 """km^3/s^2, of the ephemeris DE440."""
 GM_SUN_KM3_S2 = 132_712_440_041.279419
 """km^3/s^2, of the ephemeris DE440."""
-AU_KM = 149_597_870.7
-"""km, by definition."""
-J2000_JD = 2_451_545.0
-"""Julian day of the epoch of TDB seconds."""
 SPLINE_STEP_S = 3600.0
 """The Moon turns by 0.01 rad: a cubic spline errs by a fourth power of it, a centimeter or two."""
 RELATIVE_TOLERANCE = 1e-11
@@ -102,7 +99,7 @@ def moon_position_km(et: float) -> Float:
     """
     import erfa
 
-    return np.asarray(erfa.moon98(J2000_JD, et / 86_400.0)["p"]) * AU_KM
+    return np.asarray(erfa.moon98(J2000_JD, et / SECONDS_PER_DAY)["p"]) * AU_KM
 
 
 def sun_position_km(et: float) -> Float:
@@ -118,7 +115,7 @@ def sun_position_km(et: float) -> Float:
     """
     import erfa
 
-    return -np.asarray(erfa.epv00(J2000_JD, et / 86_400.0)[0]["p"]) * AU_KM
+    return -np.asarray(erfa.epv00(J2000_JD, et / SECONDS_PER_DAY)[0]["p"]) * AU_KM
 
 
 def fit_spline(position_km: Callable[[float], Float], first: float, last: float) -> Callable[[float], Float]:

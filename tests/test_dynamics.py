@@ -7,7 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from giantlike.core.errors import InputError
-from giantlike.dynamics import AU_KM, GM_EARTH_KM3_S2, PointMasses, cislunar, fly, moon_position_km, sun_position_km
+from giantlike.core.units import AU_KM
+from giantlike.dynamics import GM_EARTH_KM3_S2, PointMasses, cislunar, fly, moon_position_km, sun_position_km
 from giantlike.independent.flight import Processes, fly_spacecraft
 from tests.cislunar.cislunar_case import MODEL, MOON_KM, SKY, START, START_ET
 from tests.numerical import numerical_jacobian

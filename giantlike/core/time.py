@@ -9,13 +9,12 @@ import warnings
 from typing import TYPE_CHECKING
 
 from giantlike.core.errors import InputError
-from giantlike.core.units import SECONDS_PER_DAY
+from giantlike.core.units import J2000_JD, SECONDS_PER_DAY
 
 if TYPE_CHECKING:
     from astropy.time import Time
 
 _ORDINAL = re.compile(r"(\d{4})-(\d{3})T(\d{2}:\d{2}(?::\d{2}(?:\.\d*)?)?)")  # ISO 8601, ordinal date
-_J2000_JD = 2451545.0  # Julian date of J2000, 2000-01-01 12:00 TDB
 _AMPLITUDE_S, _ECCENTRICITY, _ANOMALY_RAD = 1.657e-3, 1.671e-2, (6.239996, 1.99096871e-7)
 """DELTET/K, DELTET/EB and DELTET/M of all leap seconds kernels."""
 
@@ -55,7 +54,7 @@ def et_from_time(epoch: Time) -> float:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         known = epoch if epoch.scale == "tdb" else epoch.tt
-    seconds = float(((known.jd1 - _J2000_JD) + known.jd2) * SECONDS_PER_DAY)
+    seconds = float(((known.jd1 - J2000_JD) + known.jd2) * SECONDS_PER_DAY)
     if epoch.scale == "tdb":
         return seconds
     et = seconds
@@ -69,7 +68,7 @@ def time_from_et(et: float) -> Time:
     from astropy.time import Time
 
     days, rest = divmod(et, SECONDS_PER_DAY)
-    return Time(_J2000_JD + days, (rest - _tdb_minus_tt_s(et)) / SECONDS_PER_DAY, format="jd", scale="tt")
+    return Time(J2000_JD + days, (rest - _tdb_minus_tt_s(et)) / SECONDS_PER_DAY, format="jd", scale="tt")
 
 
 def _tdb_minus_tt_s(et: float) -> float:

@@ -18,3 +18,4 @@ RAD_PER_DEG = math.pi / 180.0  # exact, as the following
 RAD_PER_ARCSEC = RAD_PER_DEG / 3600.0  # 3,600 arcsec to the degree
 ARCSEC_PER_RAD = 1.0 / RAD_PER_ARCSEC  # about 206,265
 RAD_PER_MAS = RAD_PER_ARCSEC / 1000.0  # milliarcseconds
+J2000_JD = 2_451_545.0  # Julian date of J2000, 2000-01-01 12:00 TDB

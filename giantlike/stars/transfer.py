@@ -143,7 +143,7 @@ def transfer_attitude(
     if options.method is TransferMethod.INTERPOLATE and before is not None and after is not None:
         result = _between(et, stars, before, after, options)
     else:
-        nearest = min(usable, key=lambda i: (abs(stars[i].et - et), stars[i].et))
+        nearest = min(usable, key=lambda i: (round(abs(stars[i].et - et), 6), stars[i].et))  # epochs are good to 1 us
         relative = _relative(et, stars[nearest], apriori, rates, options)
         if isinstance(relative, Failure):
             return relative

@@ -26,7 +26,9 @@ START_S = 60.0
 def test_a_signal_ends_a_command_with_one_line(number: signal.Signals, code: ExitCode, tmp_path: Path) -> None:
     write_campaign(tmp_path, visits=1)
     command = [sys.executable, "-m", "giantlike", "run", str(tmp_path / "campaign.toml"), "--workers", "2", "--watch"]
+    ignored = signal.signal(number, signal.SIG_DFL)  # under nohup HUP is ignored, and children inherit that
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    signal.signal(number, ignored)
     until = time.monotonic() + START_S
     while not (tmp_path / "run" / ".lock.json").exists() and time.monotonic() < until:
         time.sleep(0.05)
