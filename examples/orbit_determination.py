@@ -266,9 +266,10 @@ def solve(
     dynamics = Dynamics(observations[0].target) if dynamics is None else dynamics
     times, information = np.array([each.et for each in observations]), dynamics.information
     n_residuals = sum(len(each.noise) for each in observations)
-    if n_residuals <= 6:
+    if n_residuals <= 6 or np.ptp(times) == 0.0:
+        epochs = len(set(times.tolist()))
         raise RefusedError(
-            f"{n_residuals} residuals do not determine six unknowns and check them: more images are needed"
+            f"{n_residuals} residuals of {epochs} epochs do not determine and check six unknowns: more images are needed"
         )
     noise = block_diagonal([each.noise for each in observations])
     values = first_guess(observations, dynamics) if start is None else start

@@ -115,7 +115,7 @@ def read_lmk(path: str | Path) -> Lmk:
     def section(name: str, count: int) -> dict[str, Float]:
         if name not in named:
             return {}
-        last = min(number for number in named.values() if number > named[name])
+        last = min((number for number in named.values() if number > named[name]), default=len(lines))
         return dict(_read_places(path, lines, range(named[name] + 1, last), count))
 
     first, second, third, fourth = (int(value) for value in horizon)

@@ -142,7 +142,8 @@ def _read_landmarks(path: Path, lines: list[str]) -> Iterator[tuple[str, Float]]
 def read_axes(path: Path, lines: list[str], first: int, names: str) -> Float:
     """Three orthogonal unit vectors (3, 3), right-handed, of three lines."""
     axes = np.array([read_numbers(path, lines, number, 3) for number in range(first, first + 3)])
-    if np.abs(axes @ axes.T - np.eye(3)).max() > _ORTHOGONAL or np.linalg.det(axes) < 0.0:
+    long = np.abs(axes).max() > 1.0 + _ORTHOGONAL  # before products, which would overflow
+    if long or np.abs(axes @ axes.T - np.eye(3)).max() > _ORTHOGONAL or np.linalg.det(axes) < 0.0:
         where = f"lines {first + 1} to {first + 3}"
         raise DataError(path, f"{where}: {names} must be orthogonal unit vectors, right-handed")
     return axes
