@@ -269,7 +269,7 @@ def solve(
     if n_residuals <= 6 or np.ptp(times) == 0.0:
         epochs = len(set(times.tolist()))
         raise RefusedError(
-            f"{n_residuals} residuals of {epochs} epochs do not determine and check six unknowns: more images are needed"
+            f"{n_residuals} residuals of {epochs} epochs do not determine and check six unknowns: more are needed"
         )
     noise = block_diagonal([each.noise for each in observations])
     values = first_guess(observations, dynamics) if start is None else start

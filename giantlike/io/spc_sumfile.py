@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike._system.atomic import write_text_atomic
-from giantlike.core.arrays import Float, as_finite
+from giantlike.core.arrays import Float, as_finite, unit
 from giantlike.core.errors import DataError
 from giantlike.core.time import time_from_utc, utc_text
 from giantlike.core.values import Value
@@ -108,8 +108,8 @@ def read_sumfile(path: str | Path) -> Sumfile:
     values = [read_numbers(path, lines, number, count) for number, count in
               ((2, 4), (3, 3), (4, 3), (8, 3), (9, 6), (11, 3), (12, 3))]  # fmt: skip
     size, optics, target, sun, k, sigma_target, sigma_pointing = values
-    length = float(np.linalg.norm(sun))
-    if length == 0.0:
+    largest = float(np.abs(sun).max())  # divided by it, the squares of huge numbers do not overflow
+    if largest == 0.0:
         raise DataError(path, "line 9: SZ must not be zero")
     return Sumfile(
         name=lines[0].strip(),
@@ -122,7 +122,7 @@ def read_sumfile(path: str | Path) -> Sumfile:
         pixels_per_mm=k.reshape(2, 3),
         target_km=target,
         camera_from_body=Rotation.from_matrix(read_axes(path, lines, 5, "CX, CY, CZ")),
-        sun_direction_body=sun / length,
+        sun_direction_body=unit(sun / largest),
         sigma_target_km=sigma_target,
         sigma_pointing_rad=sigma_pointing,
         landmarks_px=dict(_read_landmarks(path, lines)),

@@ -181,7 +181,7 @@ def test_the_command_solves_about_saturn_by_kernels_and_refuses_what_is_not_dete
     assert "look for a maneuver" in err
     code, _, err = run(str(tmp_path / "one.parquet"), *about)
     assert code == 1
-    assert "more images" in err
+    assert "more are needed" in err
     code, _, err = run(str(path))
     assert code == 1
     assert "--kernels" in err
