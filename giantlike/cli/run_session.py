@@ -21,10 +21,12 @@ from giantlike.campaign.store.run_folder import REPORT_PAGE
 from giantlike.campaign.watch import watch_campaign
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
-from giantlike.stars.navigation import STAR_NOTES
+from giantlike.core.outcomes import Quality
 
 _MAX_DETAILS = 3
 """Maximum failures printed for each reason, enough to see a common cause; the tables, or -v, have all."""
+_WITH_NOTE = set((Quality.WRONG_APRIORI | Quality.LARGE_RESIDUALS).names())
+"""Flags of star attitudes that come with a note on the cause."""
 
 
 def run_and_print(
@@ -139,8 +141,8 @@ def _print_reasons(result: RunResult) -> None:
             typer.echo(f"  {text}")
         if len(texts) > _MAX_DETAILS:
             typer.echo(f"  and {len(texts) - _MAX_DETAILS} more, in the column reason of the tables and with -v")
-    said = [record.provenance[key] for record in result.attitudes for key in STAR_NOTES if key in record.provenance]
-    for text in list(dict.fromkeys(said))[:_MAX_DETAILS]:
+    notes = [note for record in result.attitudes if _WITH_NOTE & set(record.flags) for note in record.notes]
+    for text in list(dict.fromkeys(notes))[:_MAX_DETAILS]:
         typer.echo(text)
     if flags:
         typer.echo("flags of what is suspect: " + ", ".join(f"{flag} ({count})" for flag, count in flags.items()))

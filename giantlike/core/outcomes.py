@@ -137,6 +137,8 @@ class AttitudeFix(Pictured, Estimate):
         Derivative of ``e`` by the parameters of the camera model, in the order of their names.
     star_names : tuple of n str
         Proper names of the stars used, empty for those that have none.
+    notes : tuple of str
+        Sentences on errors of the inputs that the solution shows: of the a priori attitude, or of the distortion.
     """
 
     camera_from_inertial: Rotation
@@ -159,6 +161,7 @@ class AttitudeFix(Pictured, Estimate):
     parts: Mapping[Cause, Float] = field(default_factory=dict)
     by_camera: Float | None = None
     star_names: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parts", checked_parts(self.parts, 3))

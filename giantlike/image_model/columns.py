@@ -104,11 +104,6 @@ class Layout:
         _, causes, sizes = zip(*self.effects, strict=True)
         return np.flatnonzero(np.repeat([each is cause for each in causes], sizes))
 
-    def between(self, first: str, last: str) -> Layout:
-        """Return the layout of the unknowns from one effect to another."""
-        names = [name for name, _, _ in self.effects]
-        return Layout(self.effects[names.index(first) : names.index(last) + 1])
-
     def without(self, effect: str) -> NDArray[np.int64]:
         """Return the entries of all other effects."""
         return np.delete(np.arange(self.count), self._spans[effect])

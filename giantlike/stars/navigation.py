@@ -6,7 +6,7 @@ import json
 import logging
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -61,8 +61,6 @@ _ROUND = 0.25
 """Growth of the minor axis of stars relative to the major axis, above which a blur is isotropic."""
 _UNMATCHED = (Reason.TOO_FEW_MATCHES, Reason.NO_PATTERN_MATCH, Reason.AMBIGUOUS, Reason.FOV_MISMATCH)
 """Reasons of stars that match nowhere near the a priori attitude."""
-STAR_NOTES = ("apriori_error", "residuals")
-"""Keys of the provenance of a fix that are sentences about an error of its inputs."""
 _RADIAL_SHARE, _RADIAL_STARS = 0.5, 12
 """Share of the squares of the residuals that two radial terms explain, of at least so many stars: by chance 2 of 24."""
 _MOST_ALONE = 1 / 3
@@ -381,19 +379,18 @@ class StarNavigation:
             | self._other_sky(detections, usable, outcome)
             | (Quality.LARGE_RESIDUALS if radial else Quality.NONE)
             | (Quality.WRONG_APRIORI if apriori_error else Quality.NONE),
-            provenance=self._provenance(image, outcome, method)
-            | apriori_error
-            | ({"residuals": radial} if radial else {}),
+            provenance=self._provenance(image, outcome, method),
+            notes=tuple(text for text in (apriori_error, radial) if text),
             parts=parts,
             by_camera=by_camera,
         )
 
-    def _apriori_error(self, image: Image, solved: Rotation) -> dict[str, str]:
-        """Provenance of an attitude that is farther from the a priori one than the options allow; empty otherwise."""
+    def _apriori_error(self, image: Image, solved: Rotation) -> str:
+        """Sentence on an a priori attitude that is farther from the solved one than the options allow, else empty."""
         apriori, most = image.camera_from_inertial, math.radians(self.options.attitude_error_deg)
         if apriori is None or (solved * apriori.inv()).magnitude() <= most:
-            return {}
-        return {"apriori_error": text_of_error(apriori, solved, most)}
+            return ""
+        return text_of_error(apriori, solved, most)
 
     def _blur(self, detections: Detections, indices: NDArray[np.intp]) -> Quality:
         """Flag of stars that are wider or narrower than the camera's optics make them."""
@@ -424,7 +421,7 @@ class StarNavigation:
         alone = [1.0 - float(np.isin(*pair).mean()) for pair in ((seen, found), (expected, stars)) if pair[0].size]
         return Quality.AMBIGUOUS if len(alone) == 2 and min(alone) > _MOST_ALONE else Quality.NONE
 
-    def _provenance(self, image: Image, outcome: RefinedAttitude, method: str) -> dict[str, str]:
+    def _provenance(self, image: Image, outcome: RefinedAttitude, method: str) -> Mapping[str, str]:
         solution = outcome.solution
         return {
             "giantlike": VERSION,

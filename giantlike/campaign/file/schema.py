@@ -334,8 +334,8 @@ class AdesSection(TomlSection):
     measurers: list[str] = Field(min_length=1)
     """Names."""
     earth_kernel: str
-    """Ephemeris of the Earth (SPK), of the same series as the states of the spacecraft: the barycenters of DE405 and
-    DE440 are 115 km apart."""
+    """Ephemeris of the Earth (SPK), of the same series as the states of the spacecraft: the Earth of ERFA's `epv00`
+    was 115 km from that of DE440 in January 2024."""
     design: str
     """Design of the telescope, such as `"Refractor"`."""
     aperture_m: float

@@ -24,7 +24,6 @@ from giantlike.core.time import utc_text
 from giantlike.image import AttitudeSource, Image
 from giantlike.io.geometry_table import ImageGeometry
 from giantlike.stars import StarNavigation
-from giantlike.stars.navigation import STAR_NOTES
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,5 +199,4 @@ def _from_stars(record: AttitudeRecord, navigation: StarNavigation, image: Image
     if isinstance(fix, Failure):
         n_detected = int(detections.clean.sum())
         return record.replace(problem=Problem.from_failure(fix), detected_px=detected_px, n_detected=n_detected)
-    notes = [fix.provenance[name] for name in STAR_NOTES if name in fix.provenance]
-    return with_stars(record.replace(notes=record.notes + notes), navigation.camera, fix, detected_px)
+    return with_stars(record.replace(notes=[*record.notes, *fix.notes]), navigation.camera, fix, detected_px)

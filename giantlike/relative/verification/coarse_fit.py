@@ -361,7 +361,7 @@ def _alternatives(fitted: _FittedDesign) -> dict[Alternative, float]:
 def _geometry(fitted: _FittedDesign) -> tuple[Estimate, Estimate, Estimate]:
     """Place, strain and blur."""
     solution, gain, cells = fitted.solution, fitted.gain, fitted.cells
-    layout = solution.columns.layout.between("place", "blur")
+    layout = solution.columns.layout.part("place", "blur")
     by_law = _OTHER_LAW * (solution.values - _without_laws(solution.columns))
     by_law = by_law[solution.columns.layout.span("place", "blur")]
     span = solution.columns.layout.span("place", "blur")
