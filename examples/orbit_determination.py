@@ -399,18 +399,24 @@ def dynamics_from(arguments: argparse.Namespace, observations: list[Observation]
         return Dynamics(center, gm, maneuvers=maneuvers), None
     import spiceypy
 
-    spiceypy.furnsh(arguments.kernels)
+    def ask(function: Callable[..., Any], *inputs: Any) -> Any:
+        try:
+            return function(*inputs)
+        except spiceypy.utils.exceptions.SpiceyError as error:
+            raise RefusedError(f"kernels: {' '.join(f'{error.short} {error.long}'.split())}") from error
+
+    ask(spiceypy.furnsh, arguments.kernels)
 
     def place(name: str, et: float) -> Array:
-        return np.asarray(spiceypy.spkpos(name, et, "J2000", "NONE", center)[0])
+        return np.asarray(ask(spiceypy.spkpos, name, et, "J2000", "NONE", center)[0])
 
     gm = dict[str, float]()
     for name in dict.fromkeys([center, *targets, *arguments.pull]):
         given = [value for key, value in arguments.gm if key in (name, "")]
-        gm[name] = float(given[0]) if given else float(spiceypy.bodvrd(name, "GM", 1)[1][0])
+        gm[name] = float(given[0]) if given else float(ask(spiceypy.bodvrd, name, "GM", 1)[1][0])
     start = None
     if first.observer is not None:
-        state = np.concatenate(first.observer) - spiceypy.spkezr(center, first.et, "J2000", "NONE", "SSB")[0]
+        state = np.concatenate(first.observer) - ask(spiceypy.spkezr, center, first.et, "J2000", "NONE", "SSB")[0]
         start = np.concatenate([state, np.zeros(3 + 3 * len(maneuvers))])
     return Dynamics(center, gm, place, maneuvers), start
 
@@ -449,7 +455,7 @@ def main() -> int:
                     by_place = each.by_position[: len(each.noise)]
                     each.shared[f"ephemeris of {each.target}"] = by_place, arguments.ephemeris_km**2 * np.eye(3)
         solution = solve(observations, dynamics, start=start, estimate=arguments.estimate)
-    except RefusedError as refused:
+    except (RefusedError, OSError) as refused:
         print(f"no orbit: {refused}", file=sys.stderr)
         return 1
     sigma = np.sqrt(np.diag(solution.covariance))

@@ -112,3 +112,10 @@ def test_a_map_of_residuals_is_red_where_the_image_is_brighter() -> None:
     assert (blue[..., 0] > blue[..., 2]).all()
     assert (red[..., 2] > red[..., 0]).all()
     assert ElementTree.fromstring(svg) is not None
+
+
+@pytest.mark.parametrize(("value", "low", "high"), [(0.0, -0.55, 0.55), (4.0, 1.8, 6.2), (-4.0, -6.2, -1.8)])
+def test_an_axis_of_a_single_value_has_ticks_that_can_be_read(value: float, low: float, high: float) -> None:
+    """The report of a campaign of one image had ticks of 1e-13."""
+    axis = Axis.around("x", np.array([value]))
+    assert (axis.low, axis.high) == pytest.approx((low, high))

@@ -24,6 +24,7 @@ from giantlike.io.ccsds_tdm import ABERRATION_REMOVED, TdmPoint, TdmSegment
 from giantlike.io.observables_file import ObservableBlock, ObservableRow
 from giantlike.io.picture_sequence import PictureObject, PsfCamera, PsfImage, PsfPicture
 from giantlike.io.spc_sumfile import Sumfile
+from giantlike.io.spice import load_kernels, spk_state
 
 _PIXELS_PER_MM = 100.0
 """Of the focal plane of a file: a camera here has no pitch in mm, and only focal length times pitch matters."""
@@ -120,7 +121,7 @@ def astrometry_of(
 ) -> tuple[tuple[AdesObservation, ...], dict[str, int]]:
     """Astrometric observations from the preferred fixes of bodies, and the number of fixes left out by reason."""
     made, left_out = list[AdesObservation](), Counter[str]()
-    with spiceypy.KernelPool([source.earth_kernel]):
+    with load_kernels([source.earth_kernel], "."):
         for row in rows:
             if row.kind != "body" or not row.preferred or row.target is None:
                 continue
@@ -139,7 +140,7 @@ def astrometry_of(
 def _astrometry(row: ObservableRow, designation: tuple[str, str], source: AdesSource) -> AdesObservation:
     """Observation of a row that has what is needed."""
     assert row.epoch_et_s is not None
-    earth = np.asarray(spiceypy.spkezr("EARTH", row.epoch_et_s, "J2000", "NONE", "SSB")[0], dtype=np.float64)
+    earth_km, earth_km_s = spk_state("EARTH", row.epoch_et_s, observer=BARYCENTER)
     sigma_km = source.sigma_position_km
     return AdesObservation(
         identification=designation,
@@ -149,8 +150,8 @@ def _astrometry(row: ObservableRow, designation: tuple[str, str], source: AdesSo
         sigma_ra_arcsec=float(row.sigma_ra_cos_dec_arcsec or 0.0),
         sigma_dec_arcsec=float(row.sigma_dec_arcsec or 0.0),
         correlation=float(np.clip(row.correlation_ra_dec or 0.0, -0.999999, 0.999999)),
-        position_km=_vector(row.observer_position_icrf_km) - earth[:3],
-        velocity_km_s=_vector(row.observer_velocity_icrf_km_s) - earth[3:],
+        position_km=_vector(row.observer_position_icrf_km) - earth_km,
+        velocity_km_s=_vector(row.observer_velocity_icrf_km_s) - earth_km_s,
         position_covariance_km2=None if sigma_km is None else sigma_km**2 * np.eye(3),
         sigma_time_s=source.sigma_time_s,
         exposure_s=row.exposure_s or None,

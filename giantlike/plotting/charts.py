@@ -49,14 +49,15 @@ class Axis:
 
     @classmethod
     def around(cls, label: str, values: Float, *, margin: float = 0.05, logarithmic: bool = False) -> Axis:
-        """Axis that contains given values.
+        """Axis that contains given values; as wide as a single value is large, or by 1 about zero.
 
         ``values`` (n,), those that are not finite do not count.
         """
         known = values[np.isfinite(values)]
         known = np.log10(known) if logarithmic else known
         low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-        half = max(high - low, 1e-9 * abs(high), 1e-12) * (0.5 + margin)
+        width = high - low if high > low else abs(high) or 1.0
+        half = max(width, 1e-9 * abs(high), 1e-12) * (0.5 + margin)
         ends = ((low + high) / 2 - half, (low + high) / 2 + half)
         low, high = (10.0**end for end in ends) if logarithmic else ends
         return cls(label=label, low=low, high=high, logarithmic=logarithmic)

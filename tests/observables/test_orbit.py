@@ -185,3 +185,10 @@ def test_the_command_solves_about_saturn_by_kernels_and_refuses_what_is_not_dete
     code, _, err = run(str(path))
     assert code == 1
     assert "--kernels" in err
+    for kernel in ("gone.bsp", kernels[1]):  # missing, and without the moons
+        code, _, err = run(str(path), "--center", "SATURN", "--kernels", kernel)
+        assert code == 1
+        assert "kernels: SPICE(" in err
+    code, _, err = run(str(tmp_path / "gone.parquet"))
+    assert code == 1
+    assert "gone.parquet" in err
