@@ -22,7 +22,7 @@ from giantlike.campaign.store.results import RunResult, attitude_series, camera_
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
 from giantlike.core.frames import quaternion_xyzw, require_same_frame
-from giantlike.core.outcomes import Failure
+from giantlike.core.outcomes import Failure, Outcome
 from giantlike.io.ades import AdesContext, write_ades
 from giantlike.io.attitude_series import AttitudeSeries, UntimedAttitude, write_attitude_csv
 from giantlike.io.camera_sip import PosedModel
@@ -38,6 +38,7 @@ from giantlike.observables.exchange import (
     Angles,
     astrometry_of,
     picture_of,
+    plain_line,
     psf_camera,
     sumfile_of,
     tracking_segments,
@@ -195,7 +196,7 @@ def _chosen(
             reason = "no attitude"
         elif record.attitude.source == "a_priori":
             reason = "a priori only"
-        elif record.status == "suspect" and not options.suspect:
+        elif record.outcome is Outcome.SUSPECT and not options.suspect:
             reason = "suspect"
         elif options.stars_only and record.attitude.source != "stars":
             reason = "not from own stars"
@@ -273,9 +274,15 @@ def _ck(job: _Job) -> tuple[Path, ...]:
     comments = [
         f"{job.camera.name}, {len(job.records)} attitudes from {job.options.pointing}",
         "axes: " + target.frame_name,
+        *_acceptances(job),
     ]
     max_gap_s = job.options.max_gap_s if job.options.ck_type == 3 else None
     return write_ck(job.output, series, target, sclk=job.options.sclk, max_gap_s=max_gap_s, comments=comments)
+
+
+def _acceptances(job: _Job) -> list[str]:
+    """Who accepted which suspect attitude, and why."""
+    return [plain_line(f"{one.file}: suspect, {one.accepted}") for one in job.records if one.accepted is not None]
 
 
 def _aem(job: _Job) -> tuple[Path, ...]:
@@ -292,7 +299,7 @@ def _aem(job: _Job) -> tuple[Path, ...]:
             inertial=job.options.inertial,
         ),
         max_gap_s=job.options.max_gap_s,
-        comments=(f"camera {job.camera.name}: +x along columns, +y along rows, +z boresight",),
+        comments=(f"camera {job.camera.name}: +x along columns, +y along rows, +z boresight", *_acceptances(job)),
     )
     return (job.output,)
 

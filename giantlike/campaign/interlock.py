@@ -119,7 +119,7 @@ def _series(path: Path) -> tuple[AttitudeSeries, int]:
     good = [
         (record, attitude)
         for record in load_result(path).attitudes
-        if record.status == "ok" and (attitude := record.attitude) is not None and attitude.source == "stars"
+        if record.outcome.is_usable and (attitude := record.attitude) is not None and attitude.source == "stars"
     ]
     records = [record for record, _ in good if record.et is not None]
     require(bool(records), f"{path}: the run has no attitude from stars with an epoch")

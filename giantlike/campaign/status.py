@@ -42,7 +42,7 @@ class RunStatus:
     state: ``running``, ``finished`` or ``interrupted``.
     holder: the process at work.
     images: of the campaign.
-    edits: rejections in effect.
+    edits: decisions in effect.
     last_event: time of the last line of the log.
     """
 

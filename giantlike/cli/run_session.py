@@ -21,7 +21,7 @@ from giantlike.campaign.store.run_folder import REPORT_PAGE
 from giantlike.campaign.watch import watch_campaign
 from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
-from giantlike.core.outcomes import Quality
+from giantlike.core.outcomes import Outcome, Quality
 
 _MAX_DETAILS = 3
 """Maximum failures printed for each reason, enough to see a common cause; the tables, or -v, have all."""
@@ -112,7 +112,7 @@ def _print_tables(result: RunResult) -> None:
         rows[f"{target}: {estimator}"] = StatusCounts.from_records(records)
     for name, counts in rows.items():
         reasons = ", ".join(f"{reason} ({count})" for reason, count in counts.reasons.items())
-        other = ", ".join(f"{count} {words}" for words, count in counts.untried_counts.items())
+        other = ", ".join(f"{count} {words}" for words, count in counts.other_counts.items())
         table.add_row(escape(name), str(counts.ok), str(counts.suspect), str(counts.failed), other, reasons)
     Console().print(table)
     _print_reasons(result)
@@ -132,7 +132,7 @@ def _print_reasons(result: RunResult) -> None:
     for record in records:
         if record.problem is not None:
             details.setdefault(str(record.problem.reason), {})[record.problem.detail] = None
-        if record.status == "suspect":
+        if record.outcome is Outcome.SUSPECT:
             for flag in record.flags:
                 flags[flag] = flags.get(flag, 0) + 1
     for reason, texts in details.items():

@@ -24,6 +24,8 @@ class Action(StrEnum):
 
     LIST = "list"
     REJECT = "reject"
+    ACCEPT = "accept"
+    DISCUSS = "discuss"
     RESTORE = "restore"
 
 
@@ -44,29 +46,28 @@ def _lines(found: RunStatus) -> Iterator[str]:
         for reason, count in step.reasons.items():
             yield f"  {reason} ({count}), such as {step.example[reason]}"
     if found.edits:
-        yield f"{found.edits} rejections by hand; giantlike edit {found.folder} list"
+        yield f"{found.edits} decisions by hand; giantlike edit {found.folder} list"
 
 
 def edit(
     folder: Run,
-    action: Annotated[Action, typer.Argument(help="list, reject or restore.")],
+    action: Annotated[Action, typer.Argument(help="list, reject, accept, discuss or restore.")],
     file: Annotated[
         str | None,
-        typer.Argument(metavar="IMAGE", help="Name of the image, or its beginning; reject and restore need it."),
+        typer.Argument(metavar="IMAGE", help="Name of the image, or its beginning; all but list need it."),
     ] = None,
     star: Annotated[int | None, typer.Option(help="Number of a star of it, in the catalog.", metavar="ID")] = None,
     target: Annotated[str | None, typer.Option(help="Target of a fix of it.")] = None,
     estimator: Annotated[str | None, typer.Option(help="Estimator of that fix.")] = None,
-    why: Annotated[
-        str | None, typer.Option(help="Reason, for those who come after; reject and restore need one.")
-    ] = None,
+    why: Annotated[str | None, typer.Option(help="Reason, for those who come after; all but list need one.")] = None,
     who: Annotated[str | None, typer.Option(help="Default: the user.")] = None,
     json: Json = False,
 ) -> ExitCode:
-    """Reject or restore an image of a run, a star of it or a fix of it.
+    """Reject an image of a run, a star or a fix of it, accept a suspect fix or attitude, or restore what was decided.
 
     The edit list is kept with the results, with who, when and why. Every later run, report and export applies it;
-    results are kept, so that they can be restored.
+    results are kept, so that they can be restored. Without a target, accept is for the attitude, and discuss marks the
+    image for others to look at.
     """
     run = RunFolder.open(folder)
     if action is Action.LIST:
@@ -75,7 +76,8 @@ def edit(
     require(file is not None and bool((why or "").strip()), f"{action} needs an IMAGE and --why TEXT")
     require((target is None) == (estimator is None), "a fix has a --target and an --estimator")
     require(star is None or target is None, "give either --star or --target and --estimator")
-    what = Edited.STAR if star is not None else Edited.FIX if target is not None else Edited.IMAGE
+    whole = {Action.ACCEPT: Edited.ATTITUDE, Action.DISCUSS: Edited.REVIEW}.get(action, Edited.IMAGE)
+    what = Edited.STAR if star is not None else Edited.FIX if target is not None else whole
     made = new_edit(
         run,
         {"action": str(action), "what": what, "file": file, "star": star, "target": target, "estimator": estimator,

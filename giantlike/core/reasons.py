@@ -157,6 +157,8 @@ class Outcome(StrEnum):
 
     OK = "ok"
     """There is a result."""
+    ACCEPTED = "accepted"
+    """A named check objects to the result, and a user accepted it."""
     SUSPECT = "suspect"
     """There is a result, but a named check objects."""
     FAILED = "failed"
@@ -176,7 +178,12 @@ class Outcome(StrEnum):
     @property
     def is_attempt(self) -> bool:
         """True for a result, and for a failure to get one."""
-        return self in (Outcome.OK, Outcome.SUSPECT, Outcome.FAILED)
+        return self in (Outcome.OK, Outcome.ACCEPTED, Outcome.SUSPECT, Outcome.FAILED)
+
+    @property
+    def is_usable(self) -> bool:
+        """True for a result that is used by default: not suspect, or accepted by a user."""
+        return self in (Outcome.OK, Outcome.ACCEPTED)
 
 
 class Quality(enum.Flag):

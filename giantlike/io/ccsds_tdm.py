@@ -27,6 +27,7 @@ class TdmPoint:
     ra_deg, dec_deg: in ICRF.
     range_km: one way, of light.
     errors: standard deviations and correlations, in words; a TDM has no place for them but comments.
+    remarks: one line, or nothing.
     """
 
     epoch_utc: str
@@ -34,6 +35,7 @@ class TdmPoint:
     dec_deg: float
     range_km: float | None = None
     errors: str = ""
+    remarks: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +93,8 @@ def _segment_lines(segment: TdmSegment) -> Iterator[str]:
     if ranged:
         yield "RANGE_UNITS = km"
     yield from ("ANGLE_TYPE = RADEC", f"REFERENCE_FRAME = {segment.frame}", "META_STOP", "", "DATA_START")
-    yield from (f"COMMENT {point.epoch_utc}: {point.errors}" for point in segment.points if point.errors)
+    for point in segment.points:
+        yield from (f"COMMENT {point.epoch_utc}: {text}" for text in (point.errors, point.remarks) if text)
     for point in segment.points:
         yield f"ANGLE_1 = {point.epoch_utc} {point.ra_deg:.12f}"
         yield f"ANGLE_2 = {point.epoch_utc} {point.dec_deg:.12f}"

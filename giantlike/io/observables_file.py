@@ -61,6 +61,8 @@ class ObservableRow:
     estimator: str | None = column("Name of the estimator; null for a star.")
     feature: str | None = column("Name of the landmark; catalog number of the star.")
     status: str = column("`ok`, or `suspect` (a named check objects).")
+    accepted_by: str | None = column("User who accepted a suspect result.")
+    accepted_why: str | None = column("The reason.")
     flags: str | None = column("Names of quality flags, joined by `|`.")
     preferred: bool = column("True for the one fix of a target in an image that a filter should take.")
     preferred_reason: str | None = column("Why this fix is preferred, or why another is; of bodies.")
@@ -247,6 +249,11 @@ class ObservableRow:
     score: float | None = column("Measure of fit of the estimator.")
     n_used: int | None = column("Number of pixels or points used.")
     n_rejected: int | None = column("Number of pixels or points rejected.")
+
+    @property
+    def is_usable(self) -> bool:
+        """True if it is not suspect, or a user accepted it."""
+        return self.status == "ok" or self.accepted_by is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -16,9 +16,12 @@ _INERTIAL = "inertial (ICRF)"
 _STATUS = "`ok`, `suspect` (kept, but a named check objects) or `failed`."
 _REASON = "Reason of a failure."
 _OUTCOME = (
-    "The status or, of what is no failure, `rejected` (by a user), `not_applicable` (the estimator is not made for "
-    "such a body) or `not_in_field` (the target is predicted far outside of the image), all with the status `failed`."
+    "The status; of a suspect result that a user accepted, `accepted`; or, of what is no failure, `rejected` (by a "
+    "user), `not_applicable` (the estimator is not made for such a body) or `not_in_field` (the target is predicted "
+    "far outside of the image), all with the status `failed`."
 )
+_ACCEPTED_BY = "User who accepted a suspect result."
+_ACCEPTED_WHY = "The reason."
 _FLAGS = "Names of quality flags, joined by `|`."
 _TIME = "Computing time."
 _DETAIL = "Reason of a failure in words."
@@ -53,6 +56,8 @@ class AttitudeRow:
     sigma_z_arcsec: float | None = column("One sigma of the rotation about z.", "arcsec", _CAMERA)
     flags: str | None = column(_FLAGS)
     outcome: str | None = column(_OUTCOME)
+    accepted_by: str | None = column(_ACCEPTED_BY)
+    accepted_why: str | None = column(_ACCEPTED_WHY)
     time_s: float | None = column(_TIME, "s")
     detail: str | None = _parquet(_DETAIL)
     sha256: str | None = _parquet("Hash of the image file; empty where it could not be read.")
@@ -118,6 +123,8 @@ class ObservationRow:
     n_rejected: int | None = column("Number of pixels or points rejected.")
     flags: str | None = column(_FLAGS)
     outcome: str | None = column(_OUTCOME)
+    accepted_by: str | None = column(_ACCEPTED_BY)
+    accepted_why: str | None = column(_ACCEPTED_WHY)
     time_s: float | None = column(_TIME, "s")
     detail: str | None = _parquet(_DETAIL)
     attitude_source: str | None = _parquet("Source of the attitude used, as in `attitudes`.")

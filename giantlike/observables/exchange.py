@@ -28,6 +28,8 @@ from giantlike.io.spice import load_kernels, spk_state
 
 _PIXELS_PER_MM = 100.0
 """Of the focal plane of a file: a camera here has no pitch in mm, and only focal length times pitch matters."""
+_LONGEST_LINE = 200
+"""Characters of a remark: with an epoch before it, it fits the 254 of a line of CCSDS messages."""
 _LARGEST_DN = 65535  # of a SUMFILE, for a detector without saturation: 16 bits
 
 
@@ -70,7 +72,14 @@ def tracking_segments(
             position = row.astrometric_position_icrf_km
             range_km = None if position is None else float(np.linalg.norm(position))
             points.setdefault(row.target, []).append(
-                TdmPoint(epoch_utc=row.epoch_utc, ra_deg=ra, dec_deg=dec, range_km=range_km, errors=_errors(row))
+                TdmPoint(
+                    epoch_utc=row.epoch_utc,
+                    ra_deg=ra,
+                    dec_deg=dec,
+                    range_km=range_km,
+                    errors=_errors(row),
+                    remarks=_acceptance(row),
+                )
             )
     removed = {
         Angles.ASTROMETRIC: f"angles: {ABERRATION_REMOVED}, light time is not",
@@ -97,6 +106,19 @@ def _errors(row: ObservableRow) -> str:
         return ""
     text = f"sigma RA*cos(Dec) {east:.6g} arcsec, Dec {north:.6g} arcsec, correlation {both:.4f}"
     return text if row.sigma_range_km is None else f"{text}, range {row.sigma_range_km:.6g} km"
+
+
+def _acceptance(row: ObservableRow) -> str:
+    """Who accepted a suspect observation, and why, in plain characters; empty for one that is not suspect."""
+    if row.accepted_by is None:
+        return ""
+    return plain_line(f"suspect ({row.flags}), accepted by {row.accepted_by}: {row.accepted_why}")
+
+
+def plain_line(text: str) -> str:
+    """Return the text in ASCII without bars, cut where it is too long for a line of a message."""
+    plain = text.encode("ascii", "replace").decode().replace("|", ", ")
+    return plain if len(plain) <= _LONGEST_LINE else plain[: _LONGEST_LINE - 3].rstrip() + "..."
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,7 +178,9 @@ def _astrometry(row: ObservableRow, designation: tuple[str, str], source: AdesSo
         sigma_time_s=source.sigma_time_s,
         exposure_s=row.exposure_s or None,
         n_stars=source.n_stars.get(row.file) or None,
-        remarks=f"ICRF; center of the shape of the object by giantlike {VERSION}",
+        remarks="; ".join(
+            [f"ICRF; center of the shape of the object by giantlike {VERSION}", *filter(None, [_acceptance(row)])]
+        ),
     )
 
 

@@ -149,13 +149,13 @@ class _Measured(Value):
 
 
 def _select_used(rows: Sequence[ObservableRow], *, turned: bool) -> list[_Measured]:
-    """Landmarks that are not suspect; of the targets without any, the preferred fix, or rather one with a turn."""
+    """Usable landmarks; of the targets without any, the preferred fix, or rather one with a turn."""
     known = [row for row in rows if row.computed_pixel_px is not None and row.computed_line_px is not None]
-    landmarks = [row for row in known if row.kind == "landmark" and row.status == "ok"]
+    landmarks = [row for row in known if row.kind == "landmark" and row.is_usable]
     with_landmarks = {row.target for row in landmarks}
     bodies: dict[str | None, ObservableRow] = {}
     for row in sorted(known, key=lambda row: (turned and row.turn_rad is None, not row.preferred)):
-        good = row.preferred or (turned and row.turn_rad is not None and row.status == "ok")
+        good = row.preferred or (turned and row.turn_rad is not None and row.is_usable)
         if row.kind == "body" and good and row.target not in with_landmarks:
             bodies.setdefault(row.target, row)
     return [_Measured.from_row(row) for row in [*bodies.values(), *landmarks]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,17 +31,20 @@ class Preference:
     reason: str
 
 
-def preferred(fixes: Sequence[CenterFix]) -> Preference:
+def preferred(fixes: Sequence[CenterFix], *, accepted: Collection[int] = ()) -> Preference:
     """Choose the fix that a filter should take.
 
-    Suspect fixes are never chosen. ``auto``, which checks its choice by an independent estimator and fuses the two, is
-    taken where it was run. Else each fix is compared with the others by what they do not share, and of those that agree
-    with the most others the one with the smallest error ellipse in the image is taken.
+    Suspect fixes are chosen only where a user accepted them. ``auto``, which checks its choice by an independent
+    estimator and fuses the two, is taken where it was run. Else each fix is compared with the others by what they do
+    not share, and of those that agree with the most others the one with the smallest error ellipse in the image is
+    taken.
 
     Parameters
     ----------
     fixes : sequence of CenterFix
         Of one target in one image.
+    accepted : collection of int
+        Indices of suspect fixes that a user accepted.
 
     Returns
     -------
@@ -52,7 +55,7 @@ def preferred(fixes: Sequence[CenterFix]) -> Preference:
     >>> preferred([])
     Preference(index=None, reason='no fix')
     """
-    good = [index for index, fix in enumerate(fixes) if not fix.flags.suspect]
+    good = [index for index, fix in enumerate(fixes) if not fix.flags.suspect or index in accepted]
     if not good:
         return Preference(None, "no fix" if not fixes else "all fixes are suspect")
     for index in good:
@@ -60,7 +63,8 @@ def preferred(fixes: Sequence[CenterFix]) -> Preference:
             checked = fixes[index].findings.checked_by
             return Preference(index, f"auto, checked by {checked}" if checked else "auto, which nothing else confirms")
     if len(good) == 1:
-        return Preference(good[0], "the only fix that is not suspect")
+        kind = "accepted by a user" if fixes[good[0]].flags.suspect else "not suspect"
+        return Preference(good[0], f"the only fix that is {kind}")
     friends = {i: sum(agreement_of(fixes[i], fixes[j]) >= _DISAGREE for j in good if j != i) for i in good}
     most = max(friends.values())
     agreeing = [index for index in good if friends[index] == most]

@@ -48,6 +48,8 @@ class ImageContext(Value):
     attitude_shares : mapping of str to float
         Star images that a transferred attitude is made of, and the share of each.
     epoch_utc, et, exposure_s : str, float, float, optional
+    accepted_by, accepted_why : str, optional
+        User who accepted the result of the rows, which is suspect, and the reason.
     """
 
     file: str
@@ -61,6 +63,8 @@ class ImageContext(Value):
     epoch_utc: str | None = None
     et: float | None = None
     exposure_s: float | None = None
+    accepted_by: str | None = None
+    accepted_why: str | None = None
 
     @property
     def attitude_parts_rad2(self) -> dict[Cause, Float]:
@@ -79,6 +83,8 @@ class ImageContext(Value):
         shares = self.attitude_shares or ({self.file: 1.0} if self.attitude_source == "stars" else {})
         return {
             "file": self.file,
+            "accepted_by": self.accepted_by,
+            "accepted_why": self.accepted_why,
             "epoch_utc": self.epoch_utc,
             "epoch_et_s": self.et,
             "exposure_s": self.exposure_s,

@@ -142,7 +142,7 @@ def _usable(row: ObservableRow) -> bool:
         row.part_noise,
         row.camera_from_icrf_xyzw,
     )
-    return row.kind == "body" and row.preferred and row.status == "ok" and all(value is not None for value in needed)
+    return row.kind == "body" and row.preferred and row.is_usable and all(value is not None for value in needed)
 
 
 def _epoch(row: ObservableRow) -> float:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
-from giantlike.campaign.store.edits import add_edits, new_edit
+from giantlike.campaign.store.edits import add_edits, new_edit, read_edits
 from giantlike.campaign.store.fix_differences import difference_of
 from giantlike.campaign.store.records import ObservationRecord
 from giantlike.campaign.store.results import group_by
@@ -29,7 +29,7 @@ from giantlike.viewer.comparison import match_of
 from giantlike.viewer.explain import explain
 from giantlike.viewer.layers import MarkLayer, layers_of
 from giantlike.viewer.planes import backplanes_of, values_at, with_terminators
-from giantlike.viewer.session import SeenImage, Session, verdict_of
+from giantlike.viewer.session import SeenImage, Session, review_of, verdict_of
 
 COLOR_MAPS: Mapping[str, int | None] = {
     "gray": None,
@@ -62,16 +62,12 @@ class Answers:
         with self._lock:
             result = self._session.result
             statuses = group_by(result.observations, lambda one: one.file)
-            images = [
-                {
-                    "index": number,
-                    "file": record.file,
-                    "epoch": record.epoch_utc,
-                    "verdict": verdict_of(record, statuses.get(record.file, ())),
-                    "attitude": record.outcome,
-                }
-                for number, record in enumerate(result.attitudes)
-            ]
+            edits, images = group_by(read_edits(result.folder).standing, lambda edit: edit.file), []
+            for number, record in enumerate(result.attitudes):
+                verdict = verdict_of(record, statuses.get(record.file, ()))
+                review = review_of(verdict, edits.get(record.file, ()))
+                image = {"index": number, "file": record.file, "epoch": record.epoch_utc, "attitude": record.outcome}
+                images.append(image | {"verdict": verdict, "review": review})
             places = {record.file: number for number, record in enumerate(result.attitudes)}
             return {
                 "name": result.name,
@@ -80,6 +76,7 @@ class Answers:
                 "fixes": [_fix_row(one, places[one.file]) for one in result.observations],
                 "color_maps": list(COLOR_MAPS),
                 "stretches": list(STRETCHES),
+                "who": getpass.getuser(),
             }
 
     def image(self, index: int) -> dict[str, Any]:
@@ -186,7 +183,7 @@ class Answers:
     def edit(self, wanted: dict[str, Any]) -> dict[str, Any]:
         """Append an edit to the edit list of the run."""
         with self._lock:
-            edit = new_edit(RunFolder.open(self._session.folder), wanted | {"who": getpass.getuser()})
+            edit = new_edit(RunFolder.open(self._session.folder), {"who": getpass.getuser()} | wanted)
             add_edits(self._session.folder, [edit])
             self._session.reload()
         return edit.model_dump(mode="json", exclude_none=True)
@@ -298,6 +295,7 @@ def _fix_row(one: ObservationRecord, index: int) -> dict[str, Any]:
         "words": one.outcome.words,
         "reason": None if one.problem is None else str(one.problem.reason),
         "flags": list(one.flags),
+        "accepted": None if one.accepted is None else str(one.accepted),
         **dict.fromkeys(["x", "y", "sigma_x", "sigma_y", "dx", "dy", "range_km", "sigma_range_km", "d_range_percent"]),
         "sigma_d_range_percent": None,
     }

@@ -232,4 +232,5 @@ def _doubt(one: AttitudeRecord | ObservationRecord) -> dict[str, Any]:
     what = f"{one.target}: {one.estimator}" if isinstance(one, ObservationRecord) else "attitude"
     reason = "" if one.problem is None else f"{one.problem.reason}: {one.problem.detail}"
     status = {"status": one.status, "outcome": one.outcome}
-    return {"file": one.file, "what": what, **status, "reason": reason, "flags": list(one.flags)}
+    accepted = None if one.accepted is None else one.accepted.model_dump()
+    return {"file": one.file, "what": what, **status, "reason": reason, "flags": list(one.flags), "accepted": accepted}

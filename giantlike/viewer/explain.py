@@ -58,7 +58,9 @@ def _explained_image(seen: SeenImage) -> str:
             lines += [f"  {one.estimator}: {one.outcome.words}", *(f"    {line}" for line in _observation(one))]
         lines += [f"  {line}" for line in _together(seen, name, there)]
     for edit in seen.edits:
-        lines += ["", f"Rejected by hand ({edit.name}): {edit.who}, {edit.when_utc}: {edit.why}"]
+        lines += ["", f"{edit.decision} ({edit.name}): {edit.who}, {edit.when_utc}: {edit.why}"]
+        if edit.action == "accept" and edit.name not in seen.accepted:
+            lines.append("  The result is another one since: accept it again where it is right.")
     return "\n".join(lines)
 
 
@@ -99,7 +101,7 @@ def _attitude(record: AttitudeRecord) -> Iterator[str]:
     if record.attitude_shares:
         shares = ", ".join(f"{file} ({share:.0%})" for file, share in record.attitude_shares.items())
         yield f"  Made of {shares}."
-    yield from (f"  {line}" for line in _flags(record.flags))
+    yield from (f"  {line}" for line in [*_flags(record.flags), *_acceptance(record)])
 
 
 def _target(name: str, there: Sequence[ObservationRecord], known: TargetRecord | None) -> Iterator[str]:
@@ -135,7 +137,7 @@ def _observation(one: ObservationRecord) -> Iterator[str]:
         rejected = "" if not one.n_rejected else f", {one.n_rejected} rejected"
         yield f"Observations used: {one.n_used}{rejected}."
     yield from _causes(one.parts or {}, one.checks)
-    yield from _flags(one.flags)
+    yield from [*_flags(one.flags), *_acceptance(one)]
     yield from _tests(one.checks)
     if not one.checks and "checks" in one.provenance:  # a run of an earlier version
         yield f"Numbers of its checks: {one.provenance['checks']}."
@@ -212,6 +214,11 @@ def _flags(flags: Sequence[str]) -> Iterator[str]:
     for flag in flags:
         kind = "Suspect because" if Quality[flag.upper()].suspect else "Note"
         yield f"{kind}: {flag}. {meanings[flag.upper()]}"
+
+
+def _acceptance(record: AttitudeRecord | ObservationRecord) -> Iterator[str]:
+    if record.accepted is not None:
+        yield f"It was {str(record.accepted).rstrip('.')}."
 
 
 def _problem(problem: Problem | Failure) -> str:

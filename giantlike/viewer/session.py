@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -34,7 +34,7 @@ class SeenImage:
     points: lists of points as :meth:`~giantlike.campaign.store.run_folder.RunFolder.points` returns them, by target and
         estimator of an observation; the lists of the image itself by two empty names.
     targets: A priori geometry and outlines.
-    edits: rejections in effect.
+    edits: decisions in effect.
     rejected_fixes: fixes that were rejected, as they were before.
     terminators: mapping of str to tuple of (n, 2) px; by target, where
         :func:`~giantlike.viewer.planes.with_terminators` traced them.
@@ -47,6 +47,12 @@ class SeenImage:
     edits: tuple[Edit, ...]
     rejected_fixes: tuple[ObservationRecord, ...] = ()
     terminators: Mapping[str, tuple[Float, ...]] = field(default_factory=dict)
+
+    @property
+    def accepted(self) -> set[str]:
+        """Names of the things whose acceptance is in effect, as edits have them."""
+        names = {f"{one.target} by {one.estimator}" for one in self.observations if one.accepted is not None}
+        return names if self.record.accepted is None else names | {"the attitude"}
 
     @property
     def image_edit(self) -> Edit | None:
@@ -67,17 +73,31 @@ class SeenImage:
 def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]) -> str:
     """Return the verdict on an image: the worst of its attitude and of the best fix of each target.
 
-    ``observations``: of the image; returns ``ok``, ``suspect``, ``failed`` or, of a rejected image, ``rejected``. What
-    was rejected, does not suit a body or is not in the field, does not count.
+    ``observations``: of the image; returns ``ok``, ``accepted``, ``suspect``, ``failed`` or, of a rejected image,
+    ``rejected``. What was rejected, does not suit a body or is not in the field, does not count.
     """
     if record.outcome is Outcome.REJECTED:
         return str(Outcome.REJECTED)
-    order = (Outcome.OK, Outcome.SUSPECT, Outcome.FAILED)
+    order = (Outcome.OK, Outcome.ACCEPTED, Outcome.SUSPECT, Outcome.FAILED)
     best: dict[str, Outcome] = {}
     for one in observations:
         if one.outcome.is_attempt:
             best[one.target] = min(best.get(one.target, Outcome.FAILED), one.outcome, key=order.index)
     return str(max([record.outcome, *best.values()], key=order.index))
+
+
+def review_of(verdict: str, edits: Sequence[Edit]) -> str:
+    """Return the state of review of an image: ``unseen``, ``accepted``, ``rejected`` or ``to discuss``.
+
+    ``verdict``: of :func:`verdict_of`; ``edits``: decisions in effect on the image. It is unseen while nobody decided,
+    or something suspect is left.
+    """
+    if any(edit.action == "discuss" for edit in edits):
+        return "to discuss"
+    decided = [edit for edit in edits if edit.action != "discuss" and edit.what is not Edited.STAR]
+    if not decided or verdict == Outcome.SUSPECT:
+        return "unseen"
+    return "accepted" if decided[-1].action == "accept" else "rejected"
 
 
 class Session:
@@ -333,4 +353,4 @@ def chosen_fix(seen: SeenImage, target: str, estimator: str | None = None) -> Ob
 
 def _rank(fix: ObservationRecord) -> tuple[bool, bool, float]:
     size = np.inf if fix.covariance_px2 is None else float(np.trace(np.array(fix.covariance_px2)))
-    return fix.status != "ok", fix.estimator != "auto", size
+    return not fix.outcome.is_usable, fix.estimator != "auto", size

@@ -61,20 +61,40 @@ async function loadRun() {
   state.run = await (await get("/api/run", "reading the run")).json();
   state.pairs = null;
   $("name").textContent = state.run.name;
-  const verdicts = ["suspect", "failed", "rejected"].map(name => [state.run.images.filter(image => image.verdict === name).length, name]).filter(([count]) => count);
+  const verdicts = ["accepted", "suspect", "failed", "rejected"].map(name => [state.run.images.filter(image => image.verdict === name).length, name]).filter(([count]) => count);
   $("count").textContent = `${counted(state.run.images.length, "image")}: ${verdicts.map(each => each.join(" ")).join(", ") || "all ok"}`;
   document.title = `${state.run.name} - giantlike view`;
-  $("film").replaceChildren(...state.run.images.map(image => {
+  $("frames").replaceChildren(...state.run.images.map(image => {
     const button = document.createElement("button"), picture = new Image();
     button.className = image.verdict; button.dataset.index = image.index; button.title = `${image.file}: ${image.verdict}`;
+    const review = image.review === "unseen" ? "" : image.review;
     picture.loading = "lazy"; picture.alt = ""; picture.dataset.source = `/thumbnail/${image.index}.jpg`;
-    button.append(picture, image.file); button.onclick = () => choose(image.index);
+    button.append(picture, image.file, cell("span", review && ` (${review})`, "review")); button.onclick = () => choose(image.index);
     watcher.observe(picture);
     return button;
   }));
   for (const [id, values] of [["stretch", state.run.stretches], ["colors", state.run.color_maps]])
     if (!$(id).children.length) $(id).replaceChildren(...values.map(value => new Option(value)));
-  drawRows();
+  $("who").value ||= state.run.who;
+  filterFilm(); drawRows();
+}
+const SHOWN = ["all", "ok", "accepted", "suspect", "failed", "rejected", "unseen", "to discuss"];
+$("show").replaceChildren(...SHOWN.map(name => new Option(name)));
+function filterFilm() {  // by verdict or review, and by name
+  const kind = $("show").value, name = $("find").value.trim().toLowerCase();
+  const shown = state.run.images.filter(image => (kind === "all" || image.verdict === kind || image.review === kind) && image.file.toLowerCase().includes(name));
+  for (const button of $("frames").children) button.hidden = true;
+  for (const image of shown) $("frames").children[image.index].hidden = false;
+}
+$("show").onchange = $("find").oninput = filterFilm;
+const listed = test => state.run.images.filter(image => !$("frames").children[image.index].hidden && test(image)).map(image => image.index);
+function neighbor(sense) {
+  const others = listed(() => true).filter(index => sense * (index - state.index) > 0);
+  if (others.length) choose(others.at(sense > 0 ? 0 : -1));
+}
+function nextSuspect() {  // after the last one comes the first
+  const suspect = listed(image => image.verdict === "suspect");
+  if (suspect.length) choose(suspect.find(index => index > state.index) ?? suspect[0]); else say("no image in the list is suspect");
 }
 const watcher = new IntersectionObserver(seen => { for (const each of seen) if (each.isIntersecting) { each.target.src = each.target.dataset.source; watcher.unobserve(each.target); } });
 
@@ -84,9 +104,9 @@ const choose = guarded(async index => {
   const image = await (await get(`/api/image/${index}`, "reading the image")).json();
   if (number !== wanted) return;
   state.image = image; state.index = index;
-  for (const button of $("film").children) button.classList.toggle("chosen", +button.dataset.index === index);
+  for (const button of $("frames").children) button.classList.toggle("chosen", +button.dataset.index === index);
   if (!same) {
-    $("film").children[index].scrollIntoView({ block: "nearest" });
+    $("frames").children[index].scrollIntoView({ block: "nearest" });
     $("marks").replaceChildren(); fit(); stopBlink(); select(null);
     $("chart").replaceChildren(); $("readout").textContent = ""; $("picture").style.visibility = "hidden";
   }
@@ -95,9 +115,12 @@ const choose = guarded(async index => {
   $("kind").replaceChildren(...kinds.map(([value, title]) => new Option(title, value)));
   if (same && kinds.some(kind => kind[0] === before)) $("kind").value = before;
   $("words").textContent = image.words;
-  $("reject-image").textContent = rejected(edit => edit.what === "image") ? "restore image" : "reject image";
+  $("reject-image").textContent = decided(edit => edit.what === "image") ? "restore image" : "reject image";
+  $("discuss").textContent = decided(edit => edit.what === "review") ? "end discussion" : "discuss";
+  const attitude = state.run.images[index].attitude;
+  $("accept-attitude").hidden = attitude !== "suspect" && attitude !== "accepted"; $("accept-attitude").textContent = attitude === "accepted" ? "restore attitude" : "accept attitude";
   $("charts").replaceChildren(...image.charts.map(chart => { const button = cell("button", chart.title); button.onclick = () => showChart(chart); return button; }));
-  drawPicture(); drawLayers(); drawRejections(); drawRows(); showChosenRow();
+  drawPicture(); drawLayers(); drawDecisions(); drawRows(); showChosenRow();
   location.hash = image.file;
 });
 
@@ -332,7 +355,7 @@ function shownRows(rows, body, columns) {  // so many, with those of the image
   note.colSpan = columns; note.textContent = `rows ${first + 1} to ${Math.min(first + MOST_ROWS, rows.length)} of ${rows.length}: filter for others, or choose another image`;
   return rows.slice(first, first + MOST_ROWS);
 }
-const why = fix => fix.reason ?? fix.flags.join(", ");
+const why = fix => fix.reason ?? [fix.flags.join(", "), fix.accepted].filter(Boolean).join("; ");
 function fixTable(rows) {
   const [table, head, body] = sortable(COLUMNS, state.sort, order => { state.sort = order; }), [by, sense] = state.sort;
   rows = sorted(rows, state.sort, fix => by === "reason" ? why(fix) : fix[by] ?? (sense > 0 ? Infinity : -Infinity));
@@ -345,10 +368,12 @@ function fixTable(rows) {
     row.querySelector("td.why").title = why(fix);
     const place = row.insertCell();
     place.className = "do";
-    if (state.run.images[fix.index].attitude === "rejected" || !["ok", "suspect", "rejected"].includes(fix.outcome)) continue;
-    const act = cell("button", fix.outcome === "rejected" ? "restore" : "reject");
-    act.onclick = event => { event.stopPropagation(); rejectFix(fix); };
-    place.append(act);
+    if (state.run.images[fix.index].attitude === "rejected") continue;
+    for (const action of { ok: ["reject"], suspect: ["accept", "reject"], accepted: ["restore"], rejected: ["restore"] }[fix.outcome] ?? []) {
+      const act = cell("button", action);
+      act.onclick = guarded(async event => { event.stopPropagation(); await edit(action, { what: "fix", file: fix.file, target: fix.target, estimator: fix.estimator }); });
+      place.append(act);
+    }
   }
   if (!state.run.fixes.length) body.insertRow().append(cell("td", "no fixes of bodies in this run"));
   return table;
@@ -441,21 +466,25 @@ function plot(fixes, key, sigma, title, across, names) {
 async function edit(action, thing) {
   const why = window.prompt(`Why ${action} ${thing.what} ${thing.star ?? thing.estimator ?? ""} of ${thing.file}?`);
   if (!why) return;
-  await post("/api/edit", { action, why, ...thing });
+  await post("/api/edit", { action, why, who: $("who").value, ...thing });
   select(null);
   await loadRun(); await choose(state.index);
-  say(`${thing.what} ${action === "reject" ? "rejected" : "restored"}; solve again brings results and report up to date`);
+  say(`${thing.what} ${DONE[action]}; solve again brings results and report up to date`);
 }
-const rejected = test => state.image.edits.some(test);
-const rejectStar = guarded(async star => edit(rejected(one => one.star === star) ? "restore" : "reject", { what: "star", file: state.image.file, star }));
-const rejectFix = guarded(async fix => edit(fix.outcome === "rejected" ? "restore" : "reject", { what: "fix", file: fix.file, target: fix.target, estimator: fix.estimator }));
-$("reject-image").onclick = guarded(async () => edit(rejected(one => one.what === "image") ? "restore" : "reject", { what: "image", file: state.image.file }));
-function drawRejections() {
+const DONE = { reject: "rejected", accept: "accepted", discuss: "to discuss", restore: "restored" };
+const decided = test => state.image.edits.some(test);
+const toggle = (action, thing, test) => edit(decided(test) ? "restore" : action, { file: state.image.file, ...thing });
+const rejectStar = guarded(async star => toggle("reject", { what: "star", star }, one => one.star === star));
+for (const [id, action, what] of [["reject-image", "reject", "image"], ["discuss", "discuss", "review"]])
+  $(id).onclick = guarded(async () => toggle(action, { what }, one => one.what === what));
+$("accept-attitude").onclick = guarded(async () =>
+  edit(state.run.images[state.index].attitude === "accepted" ? "restore" : "accept", { what: "attitude", file: state.image.file }));
+function drawDecisions() {
   const edits = state.image.edits;
-  $("rejections").replaceChildren(...(edits.length ? [cell("h2", "Rejected by hand")] : []), ...edits.map(one => {
+  $("decisions").replaceChildren(...(edits.length ? [cell("h2", "Decided by hand")] : []), ...edits.map(one => {
     const line = document.createElement("div"), act = cell("button", "restore"), { what, file, star, target, estimator } = one;
     act.onclick = guarded(() => edit("restore", { what, file, star, target, estimator }));
-    line.append(act, ` ${what === "image" ? "the image" : star ? `star ${star}` : `${target} by ${estimator}`}: ${one.why} (${one.who})`);
+    line.append(act, ` ${DONE[one.action]}: ${star ? `star ${star}` : target ? `${target} by ${estimator}` : `the ${what}`}: ${one.why} (${one.who})`);
     return line;
   }));
 }
@@ -495,7 +524,8 @@ window.addEventListener("keydown", event => {
   if (!state.image || event.ctrlKey || event.metaKey || event.altKey || event.target.closest("input:not([type=checkbox]), select, textarea, summary, [role=separator]")) return;
   const arrow = ARROWS[event.key], box = state.box;
   if (arrow && event.shiftKey) { state.box = { ...box, x: box.x + 0.1 * box.w * arrow[0], y: box.y + 0.1 * box.h * arrow[1] }; zoomed(); }
-  else if (arrow) choose(Math.min(Math.max(state.index + arrow[0] + arrow[1], 0), state.run.images.length - 1));
+  else if (arrow) neighbor(arrow[0] + arrow[1]);
+  else if (event.key === "s") nextSuspect();
   else if (event.key === "+" || event.key === "=") zoom(1 / 1.25);
   else if (event.key === "-") zoom(1.25);
   else if (event.key === "0") fit();

@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
+from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import Float
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.io import write_fits, write_geometry
@@ -111,3 +113,13 @@ def rock(tmp_path_factory: pytest.TempPathFactory) -> RockRun:
         position_camera_km=one.position_camera_km,
         camera_from_body=told.inertial_from_body,
     )
+
+
+def make_suspect(run: Path, file: str, of: tuple[str, str] = ("", ""), flag: str = "far_from_prediction") -> None:
+    """Let a check object to a stored result: a fix of a target by an estimator, or the attitude."""
+    folder = RunFolder.open(run)
+    kind: type[AttitudeRecord] | type[ObservationRecord] = ObservationRecord if of[0] else AttitudeRecord
+    record, key = folder.load(kind, file, of), folder.keys(kind)[file, *of]
+    assert record is not None
+    with folder.writing():
+        folder.save(record.replace(status="suspect", flags=[*record.flags, flag]), key)

@@ -19,7 +19,7 @@ from giantlike.core.frames import direction_from_radec
 from giantlike.io.image_files import read_image_file
 from giantlike.viewer.layers import LAYERS
 from tests.viewer.browser import CHROMIUM, chromium_page, multiply, open_page, served, with_rejected_match
-from tests.viewer.conftest import RockRun
+from tests.viewer.conftest import RockRun, make_suspect
 
 pytestmark = pytest.mark.slow
 
@@ -235,7 +235,7 @@ def test_a_star_is_rejected_the_image_solved_again_and_the_export_knows(page: Pa
         assert set(_stars(run, file)) == set(matched) - {star}
         count = page.evaluate("state.image.layers.find(layer => layer.name === 'matches').star_ids.length")
         assert count == len(matched) - 1
-        assert page.locator("#rejections div").inner_text().count(str(star)) == 1
+        assert page.locator("#decisions div").inner_text().count(str(star)) == 1
         _click_star(page, "rejected-stars", star)
         _said(page, "star restored")
         assert read_edits(run).standing == []
@@ -256,7 +256,7 @@ def test_a_rejected_image_and_its_fixes_are_drawn_as_rejected_and_restored(page:
         assert page.locator("#marks > g.rejected[data-layer=centers]").count() > 0
         assert page.locator("#film button.chosen.rejected").count() == 1
         assert set(page.locator("#rows tr.chosen td:nth-child(4)").all_inner_texts()) == {"rejected"}
-        page.click("#rejections button")
+        page.click("#decisions button")
         _said(page, "image restored")
         assert page.locator("#marks > g.rejected").count() == 0
 
@@ -515,3 +515,57 @@ def test_a_thousand_images_are_listed_and_the_last_one_opens(page: Page, run: Pa
         assert page.locator("#film button").count() == IMAGES
         _show(page, f"image{IMAGES - 1:04d}.fits")
         assert page.locator("#marks > g").count() > 0
+
+
+def test_a_suspect_fix_is_accepted_with_name_and_reason_and_the_list_shows_the_state_of_review(
+    page: Page, run: Path
+) -> None:
+    make_suspect(run, "visit0_b_short.fits", ("PEBBLE", "limb_matching"))
+    make_suspect(run, "visit0_b_short.fits", ("PEBBLE", "cross_correlation"))
+    make_suspect(run, "visit0_c_long.fits", flag="large_residuals")
+    page.on("dialog", lambda dialog: dialog.accept("the crescent is right"))
+    shown = "() => [...document.querySelectorAll('#film button')].filter(one => one.offsetParent).map(one => one.title)"
+    with served(run) as address:
+        open_page(page, address)
+        page.focus("#stage")
+        for file in ("visit0_b_short.fits", "visit0_c_long.fits", "visit0_b_short.fits"):
+            page.keyboard.press("s")
+            page.wait_for_function("file => state.image.file === file", arg=file)
+        page.fill("#who", "Ann")
+        page.locator("#rows tr", has_text="limb_matching").get_by_text("accept", exact=True).click()
+        _said(page, "fix accepted")
+        (edit,) = read_edits(run).standing
+        assert (edit.action, edit.estimator, edit.who, edit.why) == (
+            *("accept", "limb_matching", "Ann", "the crescent is right"),
+        )
+        row = page.locator("#rows tr", has_text="limb_matching")
+        assert "accepted by Ann on" in row.locator("td.why").inner_text()
+        assert row.locator("td.t-accepted").inner_text() == "accepted"
+        assert (
+            "accepted: PEBBLE by limb_matching: the crescent is right (Ann)" in page.locator("#decisions").inner_text()
+        )
+        assert "It was accepted by Ann" in page.locator("#words").inner_text()
+
+        page.select_option("#show", "accepted")
+        assert page.evaluate(shown) == ["visit0_b_short.fits: accepted"]
+        page.select_option("#show", "suspect")
+        assert page.evaluate(shown) == ["visit0_c_long.fits: suspect"]
+        page.keyboard.press("s")  # the menu has the focus, and keeps the key
+        page.focus("#stage")
+        page.keyboard.press("s")
+        page.wait_for_function("() => state.image.file === 'visit0_c_long.fits'")
+        page.click("#discuss")
+        _said(page, "review to discuss")
+        page.select_option("#show", "to discuss")
+        assert page.evaluate(shown) == ["visit0_c_long.fits: suspect"]
+        page.click("#accept-attitude")
+        _said(page, "attitude accepted")
+        assert page.inner_text("#accept-attitude") == "restore attitude"
+        page.click("#discuss")
+        _said(page, "review restored")
+        page.select_option("#show", "all")
+        page.fill("#find", "A_LONG")
+        assert page.evaluate(shown) == ["visit0_a_long.fits: ok"]
+        page.fill("#find", "")
+        page.select_option("#show", "unseen")
+        assert page.evaluate(shown) == ["visit0_a_long.fits: ok"]

@@ -80,7 +80,7 @@ def test_an_edit_that_matches_nothing_is_refused_with_the_nearest(client: TestCl
     assert str(min(known)) in star.stderr
     restored = giantlike("edit", run, "restore", LONG, *why)
     assert restored.exit_code == 2
-    assert "the image is not rejected; of this image is: nothing" in restored.stderr
+    assert "there is no decision on the image; decided on: nothing" in restored.stderr
     assert _edit(client, action="restore", what="star", file=LONG, star=str(known[0]), why="x").status_code == 400
     fix = giantlike("edit", run, "reject", SHORT, "--target", "PEBBLE", "--estimator", "limb", *why)
     assert fix.exit_code == 2

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from giantlike.campaign.report.figures import points_of
-from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, Problem, TargetRecord, TargetView
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, TargetRecord, TargetView
 from giantlike.campaign.store.results import RunResult
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.attribute_docs import attribute_docs
@@ -96,7 +96,7 @@ def fix_line(record: ObservationRecord) -> FixLine:
         offset=offset,
         range_km=range_km,
         range_offset=range_offset,
-        words=list(_words(record.problem, record.flags)),
+        words=list(_words(record)),
     )
 
 
@@ -124,7 +124,7 @@ def card(result: RunResult, record: AttitudeRecord, colors: Mapping[str, str]) -
     common = [each for each in found_words[0] if all(each in words for words in found_words)] if found_words else []
     return ImageCard(
         record=record,
-        words=[*_words(record.problem, record.flags), *common],
+        words=[*_words(record), *common],
         fixes=[replace(fix, words=[each for each in fix.words if each not in common]) for fix in fixes],
         picture=picture,
         residuals=[
@@ -135,12 +135,15 @@ def card(result: RunResult, record: AttitudeRecord, colors: Mapping[str, str]) -
     )
 
 
-def _words(problem: Problem | None, flags: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Status and sentence for a problem and for each flag."""
+def _words(record: AttitudeRecord | ObservationRecord) -> Iterator[tuple[str, str]]:
+    """Status and sentence for a problem, for the acceptance, and for each flag."""
+    problem = record.problem
+    if record.accepted is not None:
+        yield str(record.outcome), f"{record.accepted}"
     if problem is not None:
         meaning = attribute_docs(Reason)[Reason(problem.reason).name]
         yield str(problem.outcome), f"{_plain(problem.reason)}: {problem.detail.rstrip('.')}. {_sentence(meaning)}"
-    for flag in flags:
+    for flag in record.flags:
         kind = "suspect" if Quality[flag.upper()].suspect else "soft"
         yield kind, f"{_plain(flag)}: {_sentence(attribute_docs(Quality)[flag.upper()])}"
 

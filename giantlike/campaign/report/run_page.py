@@ -22,7 +22,7 @@ _MAX_FAILURES = 300
 """Failures listed one by one; all are counted by reason, and the tables hold the rest."""
 _MAX_FIXES = 4000
 """Maximum lines of the table of fixes, about 300 bytes each; beyond it, good fixes are only in the tables."""
-_RANK = {"failed": 0, "suspect": 1, "ok": 2, "rejected": 3, "not_applicable": 3, "not_in_field": 3}
+_RANK = {"failed": 0, "suspect": 1, "accepted": 1, "ok": 2, "rejected": 3, "not_applicable": 3, "not_in_field": 3}
 
 
 def write_report(result: RunResult) -> Path:

@@ -85,7 +85,7 @@ def _transfer_attitude(
         outcome.camera_from_inertial, AttitudeSource.INTERPOLATED, outcome.covariance_rad2, outcome.errors
     )
     sources = [donors[index][0] for index in outcome.used]
-    suspect = any(source.status == "suspect" for source in sources)
+    suspect = any(not source.outcome.is_usable for source in sources)
     provenance = {
         "transfer": str(options.method),
         "from": ", ".join(source.file for source in sources),

@@ -1,9 +1,11 @@
-"""The edit list of a run: stars, images and fixes that a user rejected or restored, with who, when and why.
+"""The edit list of a run: stars, images and fixes that a user rejected, accepted or restored, with who, when and why.
 
 ``edits.jsonl`` in the run folder has a line per edit and only grows; the last edit of an item counts. Rejected images
 and fixes keep their results in the store, so that they can be restored, and have no result, with the reason
-``rejected``, wherever a run is read: tables, report, exports. An image with a rejected star is solved again. Numbers of
-stars are strings in the file, because they exceed the integers that JSON readers with double precision keep exactly.
+``rejected``, wherever a run is read: tables, report, exports. An image with a rejected star is solved again. A suspect
+result that was accepted keeps its numbers, flags and status; the acceptance is beside them, and lapses when the result
+moves or another check objects. Numbers of stars are strings in the file, because they exceed the integers that JSON
+readers with double precision keep exactly.
 """
 
 from __future__ import annotations
@@ -14,18 +16,21 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal
+from types import MappingProxyType
+from typing import Any, Literal, TypeAlias, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError, field_serializer, model_validator
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_serializer, model_validator
+from scipy.spatial.transform import Rotation
 
 from giantlike._system.atomic import append_text
 from giantlike.campaign.store.image_names import find_image
-from giantlike.campaign.store.record_values import Pair
-from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, Problem
+from giantlike.campaign.store.record_values import FlagName, Pair, UnitQuaternion
+from giantlike.campaign.store.records import Acceptance, AttitudeRecord, ObservationRecord, ObservationsRecord, Problem
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import require
 from giantlike.core.errors import DataError, InputError
-from giantlike.core.outcomes import Reason
+from giantlike.core.outcomes import Outcome, Quality, Reason
 
 EDITS_FILE = "edits.jsonl"
 MAX_WORDS = 500
@@ -36,23 +41,41 @@ class Edited(StrEnum):
     """Kind of thing that an edit is about."""
 
     IMAGE = "image"
+    ATTITUDE = "attitude"
     STAR = "star"
     FIX = "fix"
+    REVIEW = "review"
+
+
+_WHOLE = (Edited.IMAGE, Edited.ATTITUDE, Edited.REVIEW)
+"""Things of which an image has one."""
+_DECIDED: Mapping[str, tuple[Edited, ...]] = MappingProxyType({
+    "reject": (Edited.IMAGE, Edited.STAR, Edited.FIX),
+    "accept": (Edited.ATTITUDE, Edited.FIX),
+    "discuss": (Edited.REVIEW,),
+})  # fmt: skip
+"""Things that each action is for."""
+_ROUNDING_RAD = 1e-12
+Thing: TypeAlias = tuple[Edited, str, int | None, str | None, str | None]
+Decided = TypeVar("Decided", AttitudeRecord, ObservationRecord)
 
 
 class Edit(BaseModel):
     """One edit.
 
-    action: ``reject`` or ``restore``.
+    action: ``reject``, ``accept``, ``discuss`` or ``restore``.
     file: name of the image in the tables.
     star: number of the star in the catalog.
     target, estimator: of the fix.
-    at_px: (2,) list of float, px; where the star was observed when it was rejected, so that it can still be shown.
+    at_px: (2,) list of float, px; where the star was observed when it was rejected, so that it can still be shown;
+        center of a fix that was accepted.
+    quaternion_xyzw: (4,); attitude that was accepted.
+    flags: names of the flags for which an accepted result is suspect.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    action: Literal["reject", "restore"]
+    action: Literal["reject", "accept", "discuss", "restore"]
     what: Edited
     file: str
     star: int | None = None
@@ -62,6 +85,8 @@ class Edit(BaseModel):
     when_utc: str
     why: str
     at_px: Pair | None = None
+    quaternion_xyzw: UnitQuaternion | None = None
+    flags: list[FlagName] = Field(default_factory=list)
 
     @field_serializer("star", when_used="json-unless-none")
     def _star_text(self, star: int) -> str:
@@ -73,25 +98,47 @@ class Edit(BaseModel):
             raise ValueError("a star, and nothing else, has a number")
         if (self.what is Edited.FIX) != (self.target is not None and self.estimator is not None):
             raise ValueError("a fix, and nothing else, has a target and an estimator")
+        if self.action != "restore" and self.what not in _DECIDED[self.action]:
+            raise ValueError(f"{self.action} is for {' and '.join(_DECIDED[self.action])}, not for {self.what}")
         return self
 
     @property
-    def thing(self) -> tuple[Edited, str, int | None, str | None, str | None]:
+    def thing(self) -> Thing:
         """The thing that it is about."""
         return self.what, self.file, self.star, self.target, self.estimator
 
     @property
     def name(self) -> str:
         """The thing in words."""
-        if self.what is Edited.IMAGE:
-            return "the image"
+        if self.what in _WHOLE:
+            return f"the {self.what}"
         return f"star {self.star}" if self.star is not None else f"{self.target} by {self.estimator}"
 
     @property
     def line(self) -> str:
         """The edit in one line."""
-        which = "" if self.what is Edited.IMAGE else f" ({self.name})"
+        which = "" if self.what in _WHOLE else f" ({self.name})"
         return _printable(f"{self.when_utc} {self.who}: {self.action} {self.what} {self.file}{which}: {self.why}")
+
+    @property
+    def decision(self) -> str:
+        """The action in words: ``Rejected by hand``."""
+        return {"reject": "Rejected by hand", "accept": "Accepted by hand", "discuss": "To discuss"}[self.action]
+
+    def accepts(self, record: AttitudeRecord | ObservationRecord) -> bool:
+        """True if a result is the one that was accepted: within its sigma, with no other flag that makes it suspect."""
+        if self.action != "accept" or record.status != "suspect" or not suspect_flags(record) <= set(self.flags):
+            return False
+        if isinstance(record, ObservationRecord):
+            if record.center_px is None or record.covariance_px2 is None or self.at_px is None:
+                return False
+            moved, sigma = np.subtract(record.center_px, self.at_px), np.sqrt(np.diag(np.array(record.covariance_px2)))
+        else:
+            if record.attitude is None or self.quaternion_xyzw is None:
+                return False
+            moved = (record.attitude.rotation * Rotation.from_quat(self.quaternion_xyzw).inv()).as_rotvec()
+            sigma = np.nan_to_num(record.attitude.sigma_rad) + _ROUNDING_RAD
+        return bool((np.abs(moved) <= sigma).all())
 
     @property
     def problem(self) -> Problem:
@@ -107,9 +154,12 @@ class EditList:
 
     @property
     def standing(self) -> list[Edit]:
-        """Rejections that were not taken back."""
-        last = {edit.thing: edit for edit in self.edits}
-        return [edit for edit in last.values() if edit.action == "reject"]
+        """Decisions that were not taken back, the latest last."""
+        last = dict[Thing, Edit]()
+        for edit in self.edits:
+            last.pop(edit.thing, None)
+            last[edit.thing] = edit
+        return [edit for edit in last.values() if edit.action != "restore"]
 
     def rejected_stars(self) -> dict[str, frozenset[int]]:
         """Numbers of the stars that are not to be used, by image."""
@@ -126,24 +176,27 @@ class EditList:
     def attitudes(self, records: Iterable[AttitudeRecord]) -> list[AttitudeRecord]:
         """Attitudes after the edits."""
         rejected = self.rejected_images()
+        accepted = {edit.file: edit for edit in self.standing if edit.what is Edited.ATTITUDE}
         return [
-            record if record.file not in rejected else _without_attitude(record, rejected[record.file])
+            _accepted(record, accepted.get(record.file))
+            if record.file not in rejected
+            else _without_attitude(record, rejected[record.file])
             for record in records
         ]
 
     def bodies(self, images: Iterable[ObservationsRecord]) -> list[ObservationsRecord]:
         """Observations after the edits."""
-        rejected, fixes = self.rejected_images(), {}
-        for edit in self.standing:
-            if edit.what is Edited.FIX:
-                fixes[edit.file, edit.target, edit.estimator] = edit.problem
+        rejected = self.rejected_images()
+        fixes = {(one.file, one.target, one.estimator): one for one in self.standing if one.what is Edited.FIX}
         edited = []
         for image in images:
-            observations = [
-                record if problem is None else _without_fix(record, problem)
-                for record in image.observations
-                for problem in [rejected.get(image.file) or fixes.get((image.file, record.target, record.estimator))]
-            ]
+            observations = []
+            for record in image.observations:
+                edit = fixes.get((image.file, record.target, record.estimator))
+                problem = rejected.get(image.file) or (
+                    None if edit is None or edit.action == "accept" else edit.problem
+                )
+                observations.append(_accepted(record, edit) if problem is None else _without_fix(record, problem))
             edited.append(image.model_copy(update={"observations": observations}))
         return edited
 
@@ -157,7 +210,9 @@ def new_edit(run: RunFolder, wanted: Mapping[str, Any]) -> Edit:
     """
     when = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     try:
-        edit = Edit.model_validate({**wanted, "when_utc": when, "at_px": None})
+        edit = Edit.model_validate(
+            {**wanted, **dict.fromkeys(("at_px", "quaternion_xyzw")), "when_utc": when, "flags": []}
+        )
     except ValidationError as error:
         found = "; ".join(f"{'.'.join(map(str, one['loc'])) or 'edit'}: {one['msg']}" for one in error.errors())
         raise InputError(f"this is no edit: {_printable(found)[:300]}") from error
@@ -166,14 +221,48 @@ def new_edit(run: RunFolder, wanted: Mapping[str, Any]) -> Edit:
     edit = edit.model_copy(update={"file": find_image(edit.file, files, run.path)})
     known = read_edits(run.path)
     if edit.action == "restore":
-        standing = [each for each in known.standing if each.file == edit.file]
-        if edit.thing not in {each.thing for each in standing}:
-            there = ", ".join(each.name for each in standing) or "nothing"
-            raise InputError(f"{run.path}: {edit.file}: {edit.name} is not rejected; of this image is: {there}")
-        return edit
+        return _restoring(run, edit, [each for each in known.standing if each.file == edit.file])
     if edit.what is Edited.FIX:
         _require_fix(run, edit)
+    if edit.action == "accept":
+        return _accepting(run, edit, known)
     return _with_place(run, edit, known) if edit.star is not None else edit
+
+
+def _restoring(run: RunFolder, edit: Edit, standing: Sequence[Edit]) -> Edit:
+    """Edit that takes a decision back; of an image without further words, the last one on the image as a whole."""
+    if edit.what is Edited.IMAGE:
+        whole = next((each.what for each in reversed(standing) if each.what in _WHOLE), edit.what)
+        edit = edit.model_copy(update={"what": whole})
+    if edit.thing not in {each.thing for each in standing}:
+        there = ", ".join(each.name for each in standing) or "nothing"
+        raise InputError(f"{run.path}: {edit.file}: there is no decision on {edit.name}; decided on: {there}")
+    return edit
+
+
+def _accepting(run: RunFolder, edit: Edit, known: EditList) -> Edit:
+    """Edit with the result that it accepts; refuses one that is not suspect."""
+    of = (edit.file, edit.target or "", edit.estimator or "")
+    bodies = (one for image in known.bodies(run.bodies()) for one in image.observations)
+    records: list[AttitudeRecord | ObservationRecord] = [*known.attitudes(run.attitudes()), *bodies]
+    record = next((one for one in records if (one.file, *one.subject) == of), None)
+    name = f"{run.path}: {edit.file}: {edit.name}"
+    if record is None or record.accepted is not None:
+        raise InputError(f"{name} is {'not in the run any more' if record is None else record.accepted}")
+    if record.outcome is not Outcome.SUSPECT:
+        reason = "" if record.problem is None else f" ({record.problem.reason})"
+        raise InputError(f"{name} is {record.outcome.words}{reason}: only suspect results can be accepted")
+    changes: dict[str, object] = {"flags": sorted(suspect_flags(record))}
+    if isinstance(record, ObservationRecord):
+        changes["at_px"] = record.center_px
+    elif record.attitude is not None:
+        changes["quaternion_xyzw"] = record.attitude.quaternion_xyzw
+    return edit.model_copy(update=changes)
+
+
+def suspect_flags(record: AttitudeRecord | ObservationRecord) -> set[str]:
+    """Names of the flags that make a result suspect."""
+    return {flag for flag in record.flags if Quality[flag.upper()].suspect}
 
 
 def _one_line(text: str, what: str) -> str:
@@ -242,6 +331,13 @@ def add_edits(folder: Path, edits: Sequence[Edit]) -> None:
     """Append edits to the list of a run."""
     lines = "".join(json.dumps(edit.model_dump(mode="json", exclude_none=True)) + "\n" for edit in edits)
     append_text(folder / EDITS_FILE, lines)
+
+
+def _accepted(record: Decided, edit: Edit | None) -> Decided:
+    """The result with its acceptance, where it is still the accepted one."""
+    if edit is None or not edit.accepts(record):
+        return record
+    return record.model_copy(update={"accepted": Acceptance(who=edit.who, when_utc=edit.when_utc, why=edit.why)})
 
 
 _NO_FIX = ObservationRecord(index=0, file="", target="", estimator="", status="failed")

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera import Camera
 from giantlike.campaign.store.packing import points_of
 from giantlike.campaign.store.record_values import SightingRecord, TurnRecord
-from giantlike.campaign.store.records import Attitude, AttitudeRecord, ObservationRecord, ObservationsRecord
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord
 from giantlike.campaign.store.results import RunResult, camera_of_run
 from giantlike.campaign.store.run_folder import RESULTS_FILE, RunFolder
 from giantlike.core.arrays import Float
@@ -157,14 +157,14 @@ class ImageRecords:
             predicted_px=np.array(stars["predicted_px"]).reshape(-1, 2),
             sigma_px=np.array(stars["sigma_px"]),
         )
-        return rows_of_stars(self._context(attitude.attitude), seen, observer, status=attitude.status)
+        return rows_of_stars(self._context(attitude), seen, observer, status=attitude.status)
 
     def _body_rows(self, bodies: ObservationsRecord, known: SightingRecord) -> Iterator[ObservableRow]:
         records = [record for record in bodies.observations if record.target == known.target and _is_fix(record)]
         fixes = [_fix(record) for record in records]
-        choice = preferred(fixes)
+        choice = preferred(fixes, accepted={k for k, record in enumerate(records) if record.accepted is not None})
         for index, (record, fix) in enumerate(zip(records, fixes, strict=True)):
-            context, sighting = self._context(record.attitude), _sighting(known, record)
+            context, sighting = self._context(record), _sighting(known, record)
             yield row_of_body(
                 context,
                 sighting,
@@ -184,10 +184,10 @@ class ImageRecords:
                 )
                 yield row_of_landmark(context, sighting, fix, landmark)
 
-    def _context(self, used: Attitude | None) -> ImageContext:
-        """Context of rows of the image, with the attitude that its estimators used or, for stars, found."""
+    def _context(self, record: AttitudeRecord | ObservationRecord) -> ImageContext:
+        """Context of rows of a result, with the attitude that its estimator used or, for stars, found."""
+        image, used, accepted = self.attitude, record.attitude, record.accepted
         assert used is not None
-        image = self.attitude
         return ImageContext(
             file=image.file,
             camera=self.camera,
@@ -200,6 +200,8 @@ class ImageRecords:
             epoch_utc=image.epoch_utc,
             et=image.et,
             exposure_s=image.exposure_s,
+            accepted_by=None if accepted is None else accepted.who,
+            accepted_why=None if accepted is None else accepted.why,
         )
 
 

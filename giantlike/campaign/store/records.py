@@ -67,6 +67,17 @@ _OUTCOMES = MappingProxyType({Reason.REJECTED: Outcome.REJECTED, Reason.NOT_UNRE
 """Outcomes that follow from the reason."""
 
 
+class Acceptance(PlainRecord):
+    """The decision of a user to use a suspect result."""
+
+    who: str
+    when_utc: str
+    why: str
+
+    def __str__(self) -> str:
+        return f"accepted by {self.who} on {self.when_utc}: {self.why}"
+
+
 class RunSummary(PlainRecord):
     """Section ``run`` of the provenance of a finished run.
 
@@ -186,14 +197,20 @@ class _TriedRecord(ImageRecord):
 
 
 class _StatusRecord(_TriedRecord):
-    """Base of the results that stand in the tables."""
+    """Base of the results that stand in the tables.
+
+    accepted: of a suspect result; set where a run is read, from its edit list.
+    """
 
     status: Status
+    accepted: Acceptance | None = None
 
     @property
     def outcome(self) -> Outcome:
-        """The status, or the reason why a missing result does not count as a failure."""
-        return Outcome(self.status) if self.problem is None else self.problem.outcome
+        """The status, its acceptance, or the reason why a missing result does not count as a failure."""
+        if self.problem is not None:
+            return self.problem.outcome
+        return Outcome(self.status) if self.accepted is None else Outcome.ACCEPTED
 
 
 class AttitudeRecord(_StatusRecord):

@@ -38,6 +38,7 @@ class StatusCounts:
     """Number of records by outcome, and of those without a result by reason."""
 
     ok: int
+    accepted: int
     suspect: int
     failed: int
     rejected: int
@@ -53,9 +54,10 @@ class StatusCounts:
         return cls(**{str(one): outcomes[one] for one in Outcome}, reasons=dict(reasons))
 
     @property
-    def untried_counts(self) -> dict[str, int]:
-        """Numbers of records that are neither results nor failures, by outcome in words; those that are not 0."""
-        counts = {one.words: int(getattr(self, one)) for one in Outcome if not one.is_attempt}
+    def other_counts(self) -> dict[str, int]:
+        """Numbers of records that are neither ok, suspect nor failed, by outcome in words; those that are not 0."""
+        usual = (Outcome.OK, Outcome.SUSPECT, Outcome.FAILED)
+        counts = {one.words: int(getattr(self, one)) for one in Outcome if one not in usual}
         return {words: count for words, count in counts.items() if count}
 
 
@@ -166,7 +168,7 @@ class RunResult(Pictured, Value):
         failed = {record.file for record in self.observations if record.outcome is Outcome.FAILED}
         fixed = {record.file for record in self.observations if record.status != "failed"}
         broken = {record.file for record in self.observations if _has_internal_error(record)}
-        found = {record.file for record in self.observations if record.outcome is Outcome.OK}
+        found = {record.file for record in self.observations if record.outcome.is_usable}
         unreadable = {record.file for record in self.attitudes if not record.readable}
         missed = {record.file for record in self.attitudes if record.outcome is Outcome.FAILED} | (failed - fixed)
         wrong = (missed - self.empty_images) | (found & self.empty_images) | broken | unreadable

@@ -138,6 +138,8 @@ def _row(kind: type[Row], record: AttitudeRecord | ObservationRecord, **cells: A
         "reason": None if problem is None else str(problem.reason),
         "detail": None if problem is None else problem.detail,
         "outcome": str(record.outcome),
+        "accepted_by": None if record.accepted is None else record.accepted.who,
+        "accepted_why": None if record.accepted is None else record.accepted.why,
         "flags": "|".join(record.flags) or None,
         "provenance": json.dumps(record.provenance) if record.provenance else None,
         "time_s": round(record.time_s, 4),

@@ -1,0 +1,182 @@
+"""Suspect results that a user accepts: used and shown as accepted everywhere, unchanged, until they change."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pyarrow import parquet
+from starlette.testclient import TestClient
+
+from giantlike.campaign.export import ExportFormat, export_run
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.run.runner import run_campaign
+from giantlike.campaign.store.edits import add_edits, new_edit, read_edits
+from giantlike.campaign.store.records import ObservationRecord
+from giantlike.campaign.store.results import load_result
+from giantlike.campaign.store.run_folder import RunFolder
+from giantlike.core.outcomes import Outcome
+from giantlike.viewer import Session, explain
+from giantlike.viewer.dossier import write_dossier
+from giantlike.viewer.server import application
+from tests.viewer.conftest import make_suspect
+from tests.viewer.test_edits import giantlike
+
+LONG, SHORT = "visit0_a_long.fits", "visit0_b_short.fits"
+TARGET, LIMB, TEMPLATE = "PEBBLE", "limb_matching", "cross_correlation"
+FIX = ("--target", TARGET, "--estimator", LIMB)
+BY_ANN = ("--who", "Ann Möller", "--why", "the crescent is its own | limb")
+
+
+def _accept(run: Path, **changes: Any) -> None:
+    edit = {"action": "accept", "what": "fix", "file": SHORT, "target": TARGET, "estimator": LIMB, "who": "Ann",
+            "why": "right"}  # fmt: skip
+    add_edits(run, [new_edit(RunFolder.open(run), edit | changes)])
+
+
+def _fix(run: Path, estimator: str = LIMB) -> ObservationRecord:
+    return next(one for one in load_result(run).observations if one.estimator == estimator)
+
+
+def test_an_accepted_fix_is_taken_everywhere_and_keeps_its_numbers_and_flags(campaign: Path, run: Path) -> None:
+    make_suspect(run, SHORT, (TARGET, LIMB))
+    make_suspect(run, SHORT, (TARGET, TEMPLATE))
+    before = _fix(run)
+    export_run(run, run / "before.parquet", ExportFormat.OBSERVABLES)
+    assert {row["preferred_reason"] for row in _bodies(run / "before.parquet")} == {"all fixes are suspect"}
+    with pytest.raises(ValueError, match="no observation to write"):
+        export_run(run, run / "before.tdm", ExportFormat.TDM)
+
+    done = giantlike("edit", run, "accept", SHORT, *FIX, *BY_ANN)
+    assert done.exit_code == 0, done.stderr
+    run_campaign(Campaign.load(campaign), workers=1)
+    after = _fix(run)
+    assert after.outcome is Outcome.ACCEPTED
+    assert after.accepted is not None
+    assert after.replace(accepted=None) == before
+    row = next(
+        row for row in csv.DictReader((run / "observations.csv").read_text().splitlines()) if row["estimator"] == LIMB
+    )
+    assert (row["status"], row["outcome"], row["accepted_by"]) == ("suspect", "accepted", "Ann Möller")
+    assert row["accepted_why"] == BY_ANN[3]
+    (used,) = (row for row in _bodies(run / "observables.parquet") if row["preferred"])
+    assert (used["estimator"], used["status"], used["accepted_by"]) == (LIMB, "suspect", "Ann Möller")
+    assert used["preferred_reason"] == "the only fix that is accepted by a user"
+    export_run(run, run / "o.jsonl", ExportFormat.OBSERVABLES)
+    rows = [json.loads(line) for line in (run / "o.jsonl").read_text().splitlines()]
+    assert [one["accepted_by"] for one in rows if one.get("preferred")] == ["Ann Möller"]
+    export_run(run, run / "after.tdm", ExportFormat.TDM)
+    tdm = (run / "after.tdm").read_text()
+    assert (
+        "suspect (interpolated_attitude, far_from_prediction), accepted by Ann M?ller: the crescent is its own" in tdm
+    )
+    assert max(map(len, tdm.splitlines())) <= 254
+    assert "accepted by Ann Möller on" in (run / "report.html").read_text()
+    words = giantlike("explain", run, SHORT).stdout
+    assert "It was accepted by Ann Möller on" in words
+    assert f"Accepted by hand ({TARGET} by {LIMB}): Ann Möller" in words
+    dossier = write_dossier(run, run / "dossier", campaign)
+    assert "accepted by Ann Möller on" in (dossier / "dossier.html").read_text()
+    content = json.loads((dossier / "dossier.json").read_text())
+    assert content["verdicts"][f"{TARGET}: {LIMB}"]["accepted"] == 1
+    assert {doubt["outcome"] for doubt in content["doubts"]} == {"accepted", "suspect"}
+
+    assert giantlike("edit", run, "restore", SHORT, *FIX, *BY_ANN).exit_code == 0
+    assert _fix(run) == before
+
+
+def _bodies(path: Path) -> list[dict[str, Any]]:
+    return [row for row in parquet.read_table(path).to_pylist() if row["kind"] == "body"]
+
+
+def test_an_accepted_attitude_is_exported(run: Path) -> None:
+    make_suspect(run, LONG, flag="large_residuals")
+    taken = [export_run(run, run / f"{name}.aem", ExportFormat.AEM).n_attitudes for name in "a"]
+    assert giantlike("edit", run, "accept", LONG, *BY_ANN).exit_code == 0
+    taken.append(export_run(run, run / "b.aem", ExportFormat.AEM).n_attitudes)
+    assert taken == [2, 3]
+    assert f"COMMENT {LONG}: suspect, accepted by Ann M?ller on" in (run / "b.aem").read_text()
+    assert giantlike("edit", run, "restore", LONG, "--why", "no").exit_code == 0
+    assert read_edits(run).standing == []
+
+
+REFUSED = {
+    "what is ok": ((SHORT, *FIX), f"{TARGET} by {LIMB} is ok: only suspect"),
+    "an attitude that is ok": ((LONG,), "the attitude is ok: only suspect"),
+    "a star": ((LONG, "--star", "5"), "accept is for attitude and fix, not for star"),
+    "a fix that is not there": ((SHORT, "--target", TARGET, "--estimator", "moment"), f"{TARGET} by {LIMB}"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_only_a_suspect_result_can_be_accepted(run: Path, case: str) -> None:
+    arguments, words = REFUSED[case]
+    done = giantlike("edit", run, "accept", *arguments, *BY_ANN)
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert read_edits(run).edits == ()
+
+
+def test_what_failed_was_rejected_or_is_accepted_already_cannot_be_accepted(run: Path) -> None:
+    make_suspect(run, SHORT, (TARGET, LIMB))
+    _accept(run)
+    with pytest.raises(ValueError, match="is accepted by Ann on"):
+        _accept(run)
+    _accept(run, action="reject")
+    with pytest.raises(ValueError, match="is rejected"):
+        _accept(run)
+    assert _fix(run).outcome is Outcome.REJECTED
+    folder = RunFolder.open(run)
+    record = folder.load(ObservationRecord, SHORT, (TARGET, TEMPLATE))
+    assert record is not None
+    with folder.writing():
+        failed = {"status": "failed", "problem": {"reason": "no_signal", "detail": "dark"}, "center_px": None}
+        folder.save(record.replace(**failed), "key")
+    with pytest.raises(ValueError, match=r"is failed \(no_signal\)"):
+        _accept(run, estimator=TEMPLATE)
+
+
+@pytest.mark.parametrize(
+    ("moved_sigmas", "flag", "holds"), [(0.5, "", True), (2.0, "", False), (0.0, "ambiguous", False)]
+)
+def test_an_acceptance_lapses_when_the_fix_moves_or_another_check_objects(
+    run: Path, moved_sigmas: float, flag: str, holds: bool
+) -> None:
+    make_suspect(run, SHORT, (TARGET, LIMB))
+    _accept(run)
+    folder = RunFolder.open(run)
+    record = folder.load(ObservationRecord, SHORT, (TARGET, LIMB))
+    assert record is not None
+    assert record.center_px is not None
+    assert record.covariance_px2 is not None
+    x, y = record.center_px
+    moved = [x + moved_sigmas * record.covariance_px2[0][0] ** 0.5, y]
+    with folder.writing():
+        folder.save(record.replace(center_px=moved, flags=[*record.flags, *filter(None, [flag])]), "key")
+    assert _fix(run).outcome is (Outcome.ACCEPTED if holds else Outcome.SUSPECT)
+    assert ("another one since" in explain(Session(run).seen(SHORT))) is not holds
+
+
+def test_images_have_a_state_of_review(run: Path) -> None:
+    client = TestClient(application(Session(run), "secret"), base_url="http://127.0.0.1:8000")
+    client.get("/?token=secret")
+
+    def decide(action: str, **thing: Any) -> str:
+        wanted = {"action": action, "file": SHORT, "why": "x", "who": "Ann"} | thing
+        answer = client.post("/api/edit", json=wanted, headers={"X-Token": "secret"})
+        assert answer.status_code == 200, answer.text
+        (image,) = (image for image in client.get("/api/run").json()["images"] if image["file"] == SHORT)
+        return f"{image['verdict']}, {image['review']}"
+
+    fix = {"what": "fix", "target": TARGET}
+    make_suspect(run, SHORT, (TARGET, LIMB))
+    make_suspect(run, SHORT, (TARGET, TEMPLATE))
+    assert decide("discuss", what="review") == "suspect, to discuss"
+    assert decide("restore", what="review") == "suspect, unseen"
+    assert decide("accept", estimator=LIMB, **fix) == "accepted, accepted"
+    assert decide("reject", estimator=TEMPLATE, **fix) == "accepted, rejected"
+    assert decide("restore", estimator=TEMPLATE, **fix) == "accepted, accepted"
+    assert decide("reject", what="image") == "rejected, rejected"
+    assert decide("restore", what="image") == "accepted, accepted"
+    assert decide("restore", estimator=LIMB, **fix) == "suspect, unseen"
