@@ -178,7 +178,7 @@ class EditList:
         rejected = self.rejected_images()
         accepted = {edit.file: edit for edit in self.standing if edit.what is Edited.ATTITUDE}
         return [
-            _accepted(record, accepted.get(record.file))
+            _apply_acceptance(record, accepted.get(record.file))
             if record.file not in rejected
             else _without_attitude(record, rejected[record.file])
             for record in records
@@ -196,7 +196,9 @@ class EditList:
                 problem = rejected.get(image.file) or (
                     None if edit is None or edit.action == "accept" else edit.problem
                 )
-                observations.append(_accepted(record, edit) if problem is None else _without_fix(record, problem))
+                observations.append(
+                    _apply_acceptance(record, edit) if problem is None else _without_fix(record, problem)
+                )
             edited.append(image.model_copy(update={"observations": observations}))
         return edited
 
@@ -221,15 +223,15 @@ def new_edit(run: RunFolder, wanted: Mapping[str, Any]) -> Edit:
     edit = edit.model_copy(update={"file": find_image(edit.file, files, run.path)})
     known = read_edits(run.path)
     if edit.action == "restore":
-        return _restoring(run, edit, [each for each in known.standing if each.file == edit.file])
+        return _restore(run, edit, [each for each in known.standing if each.file == edit.file])
     if edit.what is Edited.FIX:
         _require_fix(run, edit)
     if edit.action == "accept":
-        return _accepting(run, edit, known)
+        return _accept(run, edit, known)
     return _with_place(run, edit, known) if edit.star is not None else edit
 
 
-def _restoring(run: RunFolder, edit: Edit, standing: Sequence[Edit]) -> Edit:
+def _restore(run: RunFolder, edit: Edit, standing: Sequence[Edit]) -> Edit:
     """Edit that takes a decision back; of an image without further words, the last one on the image as a whole."""
     if edit.what is Edited.IMAGE:
         whole = next((each.what for each in reversed(standing) if each.what in _WHOLE), edit.what)
@@ -240,7 +242,7 @@ def _restoring(run: RunFolder, edit: Edit, standing: Sequence[Edit]) -> Edit:
     return edit
 
 
-def _accepting(run: RunFolder, edit: Edit, known: EditList) -> Edit:
+def _accept(run: RunFolder, edit: Edit, known: EditList) -> Edit:
     """Edit with the result that it accepts; refuses one that is not suspect."""
     of = (edit.file, edit.target or "", edit.estimator or "")
     bodies = (one for image in known.bodies(run.bodies()) for one in image.observations)
@@ -333,7 +335,7 @@ def add_edits(folder: Path, edits: Sequence[Edit]) -> None:
     append_text(folder / EDITS_FILE, lines)
 
 
-def _accepted(record: Decided, edit: Edit | None) -> Decided:
+def _apply_acceptance(record: Decided, edit: Edit | None) -> Decided:
     """The result with its acceptance, where it is still the accepted one."""
     if edit is None or not edit.accepts(record):
         return record
