@@ -59,7 +59,7 @@ def _explained_image(seen: SeenImage) -> str:
         lines += [f"  {line}" for line in _together(seen, name, there)]
     for edit in seen.edits:
         lines += ["", f"{edit.decision} ({edit.name}): {edit.who}, {edit.when_utc}: {edit.why}"]
-        if edit.action == "accept" and edit.name not in seen.accepted:
+        if edit.action == "accept" and edit.name not in seen.names_accepted:
             lines.append("  The result is another one since: accept it again where it is right.")
     return "\n".join(lines)
 

@@ -49,7 +49,7 @@ class SeenImage:
     terminators: Mapping[str, tuple[Float, ...]] = field(default_factory=dict)
 
     @property
-    def accepted(self) -> set[str]:
+    def names_accepted(self) -> set[str]:
         """Names of the things whose acceptance is in effect, as edits have them."""
         names = {f"{one.target} by {one.estimator}" for one in self.observations if one.accepted is not None}
         return names if self.record.accepted is None else names | {"the attitude"}

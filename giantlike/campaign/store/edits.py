@@ -193,11 +193,11 @@ class EditList:
             observations = []
             for record in image.observations:
                 edit = fixes.get((image.file, record.target, record.estimator))
-                problem = rejected.get(image.file) or (
-                    None if edit is None or edit.action == "accept" else edit.problem
-                )
+                problem = rejected.get(image.file)
+                if problem is None and edit is not None and edit.action == "reject":
+                    problem = edit.problem
                 observations.append(
-                    _apply_acceptance(record, edit) if problem is None else _without_fix(record, problem)
+                    _without_fix(record, problem) if problem is not None else _apply_acceptance(record, edit)
                 )
             edited.append(image.model_copy(update={"observations": observations}))
         return edited
