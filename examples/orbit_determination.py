@@ -217,6 +217,7 @@ def observation(row: dict[str, Any], camera_covariance: Array) -> Observation:
         (f"scale of {body}", "partial_shape_scale", 1, squared(row["sigma_shape_scale"])),
         (f"pole of {body}", "partial_pole", 2, squared(row["sigma_pole_rad"])),
         (f"spin of {body}", "partial_spin", 1, squared(row["sigma_spin_rad"])),
+        (f"sun of {body}", "partial_sun", 3, squared(row["sigma_sun_rad"])),
         (f"camera {camera}", "partial_camera_parameters", len(camera_covariance), camera_covariance.ravel()),
     ):
         if count and row[partial] is not None and covariance is not None:

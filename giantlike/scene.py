@@ -6,6 +6,7 @@ import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,14 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.atmosphere import ATMOSPHERES, Atmosphere, is_airless
 from giantlike.camera import Camera
-from giantlike.core.arrays import Float, Mask, require, require_number, unit
+from giantlike.core.arrays import Float, Mask, as_finite, require, require_number, unit
 from giantlike.core.display import Pictured
 from giantlike.core.errors import FrameMismatchError, InputError
 from giantlike.core.frames import rotate, turn_between
 from giantlike.core.light import aberrate, boosted
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
-from giantlike.core.values import Value
+from giantlike.core.values import Value, check_covariance
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, DistantLight, Ephemeris, light_path
 from giantlike.image import Image
 from giantlike.ray_tracing import Air, Body, McEwen, Reflectance, trace_silhouette
@@ -55,6 +56,11 @@ class TargetUncertainty:
         Error of the rotation about the body-fixed z axis.
     ephemeris_km : float, km
         Error of the predicted position, along each axis.
+    ephemeris_icrf_km2 : (3, 3) array_like, km^2, ICRF axes, optional
+        Covariance of the predicted position in an image, in place of ``ephemeris_km``, which becomes the square root of
+        its largest eigenvalue.
+    sun_rad : float, rad
+        Error of the direction to the Sun, about each axis across it.
     albedo : float
         Relative standard deviation of the brightness of the surface about its law (albedo variations), which are not
         attributed to another body, shape or Sun. 0.5 and more for clouds above sea.
@@ -75,8 +81,16 @@ class TargetUncertainty:
     ephemeris_km: float = 0.0
     albedo: float = 0.15
     pole_unknown: bool = False
+    ephemeris_icrf_km2: Any = None
+    sun_rad: float = 0.0
 
     def __post_init__(self) -> None:
+        if self.ephemeris_icrf_km2 is not None:
+            covariance = as_finite(self.ephemeris_icrf_km2, (3, 3), "ephemeris_icrf_km2")
+            check_covariance(covariance, "ephemeris_icrf_km2")
+            object.__setattr__(self, "ephemeris_icrf_km2", tuple(map(tuple, covariance.tolist())))
+            object.__setattr__(self, "ephemeris_km", math.sqrt(max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0)))
+        require_number(self.sun_rad, "sun_rad", least=0.0, most=0.5)
         require_number(self.albedo, "albedo", least=0.01, most=2.0)
         require_number(self.scale, "scale", least=0.0, most=0.3)
         require_number(self.pole_rad, "pole_rad", least=0.0, most=0.5)
@@ -84,6 +98,11 @@ class TargetUncertainty:
         require_number(self.ephemeris_km, "ephemeris_km", least=0.0)
         alone = not (self.pole_unknown and (self.pole_rad or self.spin_rad))
         require(alone, "an unknown pole has no pole_rad and no spin_rad: nothing is known of the orientation")
+
+    @property
+    def covariance_ephemeris_km2(self) -> Float:
+        """Covariance (3, 3) of the predicted position, km^2, ICRF axes."""
+        return np.array(self.ephemeris_icrf_km2 or self.ephemeris_km**2 * np.eye(3))
 
     def require_known_pole(self, name: str, radii_km: Sequence[float] | None) -> None:
         """Raise where the pole is unknown and the body is no ellipsoid, or looks too different from other sides.
@@ -204,12 +223,21 @@ class TargetGeometry(Value):
         Orientation at the time the light left the body.
     sun_direction_camera : (3,), unitless, camera axes
         Unit vector from body to Sun.
+    covariance_position_km2 : (3, 3), km^2, camera axes, optional
+        Of the position, by the ephemeris; by default that of ``ephemeris_km`` of the target.
     """
 
     target: Target
     position_camera_km: Float
     camera_from_body: Rotation
     sun_direction_camera: Float
+    covariance_position_km2: Float | None = None
+
+    @property
+    def covariance_ephemeris_km2(self) -> Float:
+        """Covariance (3, 3) of the position by the ephemeris, km^2, camera axes."""
+        known = self.covariance_position_km2
+        return self.target.uncertainty.ephemeris_km**2 * np.eye(3) if known is None else known
 
     @property
     def limb_altitude_km(self) -> tuple[float, float]:
@@ -413,12 +441,13 @@ class Scene(Pictured, Value):
             sun = self.light.direction_inertial
         if sun is None:
             return Failure(Reason.NO_GEOMETRY, f"{image.name}: no direction from {found.name} to the Sun: give a light")
-        turn = image.camera_from_inertial
+        turn, known = image.camera_from_inertial, found.uncertainty
         return TargetGeometry(
             target=found,
             position_camera_km=rotate(turn, apparent.position_inertial_km),
             camera_from_body=turn * apparent.inertial_from_body,
             sun_direction_camera=rotate(turn, sun),
+            covariance_position_km2=turn.as_matrix() @ known.covariance_ephemeris_km2 @ turn.as_matrix().T,
         )
 
     def apparent(self, image: Image, target: Target) -> ApparentGeometry | Failure:

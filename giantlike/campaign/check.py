@@ -229,7 +229,8 @@ def _named_files(check: _Check, table: dict[str, Any], broken: set[str]) -> None
 
 def _targets_nowhere(check: _Check, table: dict[str, Any], geometry: GeometryTable) -> None:
     """Targets without a row in the geometry table, which are never searched for: usually a misspelled name."""
-    known = list(dict.fromkeys(row.target for row in geometry.rows if row.target is not None))
+    rows = (row.target for row in geometry.rows if row.target is not None)
+    known = list(dict.fromkeys([*rows, *(name for image in geometry.images.values() for name in image.seen)]))
     for number, target in enumerate(table.get("targets", [])):
         name = target.get("name") if isinstance(target, dict) else None
         if isinstance(name, str) and name not in known:
@@ -253,8 +254,12 @@ def _targets(table: dict[str, Any]) -> Iterator[tuple[int, TargetSection | None]
 
 def _pieces(target: TargetSection) -> Iterator[tuple[str, TargetSection]]:
     """Yield a target once for each of its keys that may be wrong, the others replaced by valid values."""
-    kept = {"options": {}, "estimators": ["moment"]}
-    yield "shape", target.model_copy(update=kept | {"reflectance": None})
+    kept: dict[str, Any] = {"options": {}, "estimators": ["moment"], "reflectance": None}
+    untimed = target.uncertainty.model_copy(update={"ephemeris_table": None})
+    yield "shape", target.model_copy(update=kept | {"uncertainty": untimed})
+    if target.uncertainty.ephemeris_table is not None:
+        yield "uncertainty.ephemeris_table", target.model_copy(update=_ALONE)
+        target = target.model_copy(update={"uncertainty": untimed})
     yield "reflectance", target.model_copy(update=_ALONE | {"reflectance": target.reflectance})
     yield "estimators", target.model_copy(update=_ALONE | {"estimators": target.estimators})
     for name, options in target.options.items():

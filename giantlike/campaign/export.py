@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -15,10 +17,11 @@ import numpy as np
 from giantlike._system.atomic import make_folder, name_of_file
 from giantlike.camera import Camera
 from giantlike.campaign.file.schema import AdesFile
-from giantlike.campaign.file.toml_file import read_toml
+from giantlike.campaign.file.toml_file import prefix_errors, read_toml
 from giantlike.campaign.store.observables import run_observables, write_run_observables
 from giantlike.campaign.store.records import Attitude, AttitudeRecord
 from giantlike.campaign.store.results import RunResult, attitude_series, camera_of_run, load_result
+from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
 from giantlike.core.frames import quaternion_xyzw, require_same_frame
@@ -28,15 +31,21 @@ from giantlike.io.attitude_series import AttitudeSeries, UntimedAttitude, write_
 from giantlike.io.camera_sip import PosedModel
 from giantlike.io.ccsds_aem import AemNames, write_aem
 from giantlike.io.ccsds_tdm import write_tdm
+from giantlike.io.csv_rows import write_csv_rows
 from giantlike.io.observables_file import ObservableBlock, ObservableRow
+from giantlike.io.orbit_covariance import COLUMNS
 from giantlike.io.picture_sequence import PsfPicture, write_psf
+from giantlike.io.spc_lmk import Lmk, write_lmk
 from giantlike.io.spc_sumfile import write_sumfile
+from giantlike.io.spice import body_id
 from giantlike.io.spice_ck import CkTarget, write_ck
+from giantlike.io.spice_spk import SpkArc, write_spk
 from giantlike.io.wcs_header import write_wcs
 from giantlike.observables.exchange import (
     AdesSource,
     Angles,
     astrometry_of,
+    lmk_of,
     picture_of,
     plain_line,
     psf_camera,
@@ -44,6 +53,8 @@ from giantlike.observables.exchange import (
     tracking_segments,
 )
 from giantlike.observables.pointing import pointing_from_bodies
+from giantlike.observables.trajectory import relative_arcs
+from giantlike.shapes.landmarks import load_landmarks
 
 
 class ExportFormat(StrEnum):
@@ -65,6 +76,8 @@ class ExportFormat(StrEnum):
     """JPL picture sequence file: pointing, bodies and stars of each picture."""
     SUMFILE = "sumfile"
     """SUMFILEs of stereophotoclinometry, one for each target in an image, in a folder."""
+    SPK = "spk"
+    """SPICE SPK of the spacecraft relative to each target from the preferred positions, and covariances as CSV."""
     ADES = "ades"
     """Astrometry for the Minor Planet Center, XML or, by the name of the output, PSV: the preferred fixes."""
 
@@ -99,6 +112,7 @@ EXPORT_NAMES: Mapping[ExportFormat, str] = MappingProxyType(
         ExportFormat.PSF: "pictures.psf",
         ExportFormat.ADES: "astrometry.xml",
         ExportFormat.SUMFILE: "sumfiles",
+        ExportFormat.SPK: "trajectory.bsp",
     }
 )
 """Names of the files in the run folder that an export writes where no other is given."""
@@ -110,7 +124,7 @@ class ExportOptions:
 
     suspect: write suspect attitudes as well.
     stars_only: leave out attitudes that were transferred from other images.
-    max_gap_s: CK and AEM: longest gap to interpolate over. The default is not from a study.
+    max_gap_s: CK, AEM and SPK: longest gap to interpolate over. The default is not from a study.
     instrument_id: CK: NAIF code of the camera frame.
     frame_name: CK and AEM: name of the camera frame; default: the mission's frame, or the name of the camera.
     sclk: CK: clock kernel of the spacecraft; without it, one is made.
@@ -121,6 +135,8 @@ class ExportOptions:
     inertial: AEM, TDM: name of the inertial axes.
     sip_order: WCS: order of the polynomials, 2 to 9.
     ades: ADES: TOML file with a table ``[ades]``, such as the campaign file.
+    spacecraft_id, target_id: SPK: NAIF codes; that of the target for a run with one, by default by its name.
+    landmarks: SUMFILE: catalog of landmarks or folder of their maps, of which LMK files are written.
     """
 
     pointing: PointingSource = PointingSource.STARS
@@ -138,6 +154,9 @@ class ExportOptions:
     inertial: InertialFrame = InertialFrame.ICRF
     sip_order: int = 5
     ades: Path | None = None
+    spacecraft_id: int | None = None
+    target_id: int | None = None
+    landmarks: Path | None = None
 
     def __post_init__(self) -> None:
         require(self.ck_type in (1, 3), f"C-kernels are written of type 1 or 3, got {self.ck_type}")
@@ -173,7 +192,9 @@ def export_run(
     if format_name is ExportFormat.PSF:
         return _pictures(output, result, camera, options)
     if format_name is ExportFormat.SUMFILE:
-        return _sumfiles(output, _single_rows(result, camera), camera)
+        return _sumfiles(output, _single_rows(result, camera), camera, options.landmarks)
+    if format_name is ExportFormat.SPK:
+        return _spk(output, result, camera, options)
     needs_epoch = format_name not in (ExportFormat.WCS, ExportFormat.CSV)
     if options.pointing is PointingSource.BODIES:
         chosen, left_out = _by_bodies(result, camera, needs_epoch=needs_epoch)
@@ -401,8 +422,51 @@ def _file_of(rows: ObservableRow | ObservableBlock) -> str:
     return str(rows.shared["file"]) if isinstance(rows, ObservableBlock) else rows.file
 
 
-def _sumfiles(output: Path, rows: Iterable[ObservableRow], camera: Camera) -> Exported:
-    """Write a SUMFILE for each preferred position, with the landmarks of any fix of that target in that image."""
+def _spk(output: Path, result: RunResult, camera: Camera, options: ExportOptions) -> Exported:
+    """Write the spacecraft relative to the targets, and beside it the covariances of the positions."""
+    spacecraft = options.spacecraft_id
+    if spacecraft is None:
+        raise InputError("an SPK needs --spacecraft, the NAIF code of the spacecraft")
+    arcs, left_out = relative_arcs(_single_rows(result, camera), max_gap_s=options.max_gap_s)
+    require(bool(arcs), f"{output}: no arc to write ({_said(left_out)}): is --max-gap shorter than their steps?")
+    targets = list(dict.fromkeys(arc.target for arc in arcs))
+    require(options.target_id is None or len(targets) == 1, f"--body is for one target, the run has {len(targets)}")
+    codes = {target: options.target_id or body_id(target) for target in targets}
+    for target, code in codes.items():
+        require(code is not None, f"SPICE does not know {target}: give --body, its NAIF code")
+    run = hashlib.sha256(json.dumps(RunFolder.open(result.folder).provenance(), sort_keys=True).encode()).hexdigest()
+    make_folder(output.parent)
+    segments = [
+        SpkArc(
+            body=spacecraft,
+            center=codes[arc.target] or 0,
+            et=arc.et,
+            states=arc.states,
+            name=f"{'+'.join(arc.estimators)[:29]} {run[:10]}",
+        )
+        for arc in arcs
+    ]
+    write_spk(output, segments, [f"{result.name}: measured positions, geometric; run {run}"])
+    files, lower = [output], np.tril_indices(3)
+    for target in targets:
+        files.append(output.with_name(f"{output.stem}_{name_of_file(target)}.csv"))
+        known = [
+            [et, *covariance[lower].tolist()]
+            for arc in arcs
+            for et, covariance in zip(arc.et.tolist(), arc.covariances_km2, strict=True)
+            if arc.target == target and np.isfinite(covariance).all()
+        ]
+        write_csv_rows(files[-1], ("et", *COLUMNS[: lower[0].size]), known)
+    return Exported(files=tuple(files), n_observations=sum(arc.et.size for arc in arcs), left_out=left_out)
+
+
+def _sumfiles(output: Path, rows: Iterable[ObservableRow], camera: Camera, landmarks: Path | None) -> Exported:
+    """Write a SUMFILE for each preferred position, with the landmarks of any fix of that target in that image.
+
+    With the maps of the landmarks, an LMK file for each, too.
+    """
+    maps = {} if landmarks is None else {one.name: one for one in load_landmarks(landmarks).landmarks}
+    lmks = dict[str, Lmk]()
     make_folder(output)
     files, left_out = list[Path](), 0
     for (file, target), group in groupby(rows, key=lambda row: (row.file, row.target)):
@@ -415,11 +479,24 @@ def _sumfiles(output: Path, rows: Iterable[ObservableRow], camera: Camera) -> Ex
             continue
         path = output / (name_of_file(f"{'_'.join(Path(file).with_suffix('').parts)}_{target}") + ".SUM")
         require(path not in files, f"{path.name}: two images or targets would have this file: export them one by one")
-        write_sumfile(path, sumfile_of(camera, body, [row for row in members if row.kind == "landmark"]))
+        marks = [row for row in members if row.kind == "landmark"]
+        content = sumfile_of(camera, body, marks)
+        write_sumfile(path, content)
         files.append(path)
+        if landmarks is not None:
+            for row in marks:
+                with prefix_errors(f"{landmarks}: "):
+                    lmk = lmk_of(row, maps, content.name, lmks.get(row.feature or ""))
+                lmks[lmk.name] = lmk
+    for name, lmk in lmks.items():
+        make_folder(output / "LMKFILES")
+        files.append(output / "LMKFILES" / f"{name_of_file(name)}.LMK")
+        write_lmk(files[-1], lmk)
     require(bool(files), f"{output}: no position to write ({left_out} targets in images without one that is preferred)")
     return Exported(
-        files=tuple(files), n_observations=len(files), left_out={"no preferred position": left_out} if left_out else {}
+        files=tuple(files),
+        n_observations=len(files) - len(lmks),
+        left_out={"no preferred position": left_out} if left_out else {},
     )
 
 

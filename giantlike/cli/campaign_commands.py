@@ -39,7 +39,7 @@ def export(
     stars_only: Annotated[
         bool, typer.Option("--stars-only", help="Leave out attitudes transferred from neighbors.")
     ] = False,
-    max_gap: Annotated[float, typer.Option(help="ck, aem: longest gap to interpolate over, s.")] = 600.0,
+    max_gap: Annotated[float, typer.Option(help="ck, aem, spk: longest gap to interpolate over, s.")] = 600.0,
     instrument: Annotated[int | None, typer.Option(help="ck: NAIF code of the camera frame.", metavar="ID")] = None,
     frame: Annotated[str | None, typer.Option(help="ck, aem: name of the camera frame.", metavar="NAME")] = None,
     sclk: Annotated[
@@ -56,6 +56,12 @@ def export(
         Path | None,
         typer.Option(help="ades: file with a table [ades]: the campaign file, say.", metavar="FILE.toml"),
     ] = None,
+    spacecraft: Annotated[int | None, typer.Option(help="spk: NAIF code of the spacecraft.", metavar="ID")] = None,
+    body: Annotated[int | None, typer.Option(help="spk: NAIF code of the target.", metavar="ID")] = None,
+    landmarks: Annotated[
+        Path | None,
+        typer.Option(help="sumfile: landmarks that the run used, for LMK files as well.", metavar="FILE.npz|DIR"),
+    ] = None,
     json: Json = False,
 ) -> ExitCode:
     """Write the attitudes or observables of a run for other programs.
@@ -63,8 +69,8 @@ def export(
     csv: quaternions and covariances. ck: SPICE C-kernel of type 3 or 1. aem: CCSDS attitude ephemeris. wcs: a FITS
     header with TAN-SIP world coordinates for each image. observables: bodies, landmarks and stars as JSON lines, or as
     the Parquet file that every run writes. tdm: CCSDS tracking data message of the preferred fixes. psf: JPL picture
-    sequence file. sumfile: SUMFILEs of stereophotoclinometry. ades: astrometry for the Minor Planet Center, .xml or
-    .psv.
+    sequence file. sumfile: SUMFILEs of stereophotoclinometry. spk: SPICE SPK of the spacecraft relative to the
+    targets. ades: astrometry for the Minor Planet Center, .xml or .psv.
     """
     options = ExportOptions(
         pointing=pointing,
@@ -82,6 +88,9 @@ def export(
         inertial=inertial,
         sip_order=sip_order,
         ades=ades,
+        spacecraft_id=spacecraft,
+        target_id=body,
+        landmarks=landmarks,
     )
     target = output or folder / EXPORT_NAMES[kind]
     there = any(target.iterdir()) if target.is_dir() else target.exists()

@@ -42,6 +42,8 @@ class Cause(StrEnum):
     """Direction of the rotation axis of the body."""
     SPIN = "spin"
     """Rotation of the body about its axis."""
+    SUN = "sun"
+    """Direction of the Sun."""
     ORIENTATION = "orientation"
     """Orientation of body and Sun in the image, by the error of the attitude."""
     CAMERA = "camera"

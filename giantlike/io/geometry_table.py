@@ -97,6 +97,8 @@ class ImageGeometry(Value):
 
     targets: the rows with a target, by its name.
     seen: geometry in camera axes of targets without a row, by name.
+    covariance_attitude_rad2: of the attitude that follows from them, about the camera axes.
+    in_body_axes: all that is known is in axes of the body: SPICE gives the attitude, or these axes are inertial.
     """
 
     epoch: Time | None
@@ -105,6 +107,8 @@ class ImageGeometry(Value):
     observer: ObserverState | None
     targets: Mapping[str, GeometryRow]
     seen: Mapping[str, StatedGeometry] = field(default_factory=dict)
+    covariance_attitude_rad2: Float | None = None
+    in_body_axes: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,10 +117,12 @@ class GeometryTable(Value):
 
     rows: in file order; no two have the same ``file`` and ``target``, and all rows of a file agree on epoch, exposure,
         attitude and observer where they give them.
+    images: geometry of images in a folder of SUMFILEs, in place of rows.
     """
 
     path: Path
     rows: tuple[GeometryRow, ...]
+    images: Mapping[Path, ImageGeometry] = field(default_factory=dict)
 
     def image(self, file: str) -> ImageGeometry | None:
         """Geometry of one image. Returns None when it is not there."""
@@ -144,7 +150,7 @@ class GeometryTable(Value):
                     f"({sharing[0]}, {sharing[1]}): write their paths relative to the campaign file",
                 )
             chosen[sharing[0]] = name
-        return {image: _merge_rows(groups[file]) for image, file in chosen.items()}
+        return {image: _merge_rows(groups[file]) for image, file in chosen.items()} | dict(self.images)
 
 
 def read_geometry(path: str | Path, *, default_target: str | None = None) -> GeometryTable:

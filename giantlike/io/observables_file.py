@@ -139,6 +139,7 @@ class ObservableRow:
     part_shape_scale: Sequence[float] | None = _part(Cause.SHAPE_SCALE, "the size of the shape", "shared_body")
     part_pole: Sequence[float] | None = _part(Cause.POLE, "the pole of the body", "shared_body")
     part_spin: Sequence[float] | None = _part(Cause.SPIN, "the rotation of the body about its pole", "shared_body")
+    part_sun: Sequence[float] | None = _part(Cause.SUN, "the direction of the Sun", "shared_body")
     part_orientation: Sequence[float] | None = _part(
         Cause.ORIENTATION, "the body being turned in the image with the attitude", "shared_attitude"
     )
@@ -159,10 +160,26 @@ class ObservableRow:
         _CAMERA,
         size=9,
     )
+    camera_rate_rad_s: Sequence[float] | None = column(
+        "Rotation rate of the camera: by the CK of the campaign, else by the attitudes of the images before and after, "
+        "at most 600 s away, where the rates from and to them agree to 10 % or three sigmas. They do not tell a steady "
+        "rotation from equal steps with halts.",
+        "rad/s",
+        _CAMERA,
+        size=3,
+    )
     sigma_shape_scale: float | None = column("One sigma, relative, that `part_shape_scale` goes back to.")
     sigma_pole_rad: float | None = column("One sigma about each axis that `part_pole` goes back to.", "rad", "body")
     sigma_spin_rad: float | None = column("One sigma that `part_spin` goes back to.", "rad", "body")
-    sigma_ephemeris_km: float | None = column("One sigma per axis of the a priori position; in no covariance.", "km")
+    sigma_ephemeris_km: float | None = column(
+        "Largest sigma, along any axis, of the a priori position; in no covariance.", "km"
+    )
+    covariance_ephemeris_icrf_km2: Sequence[float] | None = column(
+        "Covariance of the a priori position in this image (3 x 3, by rows); in no covariance.", "km²", _ICRF, size=9
+    )
+    sigma_sun_rad: float | None = column(
+        "One sigma about each axis across the Sun that `part_sun` goes back to.", "rad"
+    )
 
     partial_camera_position: Sequence[float] | None = column(
         "By the position of the spacecraft at the epoch (3 x 3, by rows); the last row, of the range, is computed even "
@@ -182,6 +199,13 @@ class ObservableRow:
         "px/rad, px/rad, km/rad",
         _CAMERA,
         size=9,
+    )
+    partial_time_tag: Sequence[float] | None = column(
+        "By the lateness of this exposure after `epoch_et_s`: the motion of target and spacecraft and, unless "
+        "the attitude is from its own stars, the rotation of the camera; null where the velocities, or "
+        "`camera_rate_rad_s` where it is needed, are not known; of bodies and landmarks.",
+        "px/s, px/s, km/s",
+        size=3,
     )
     partial_focal_length: Sequence[float] | None = column(
         "By the focal length, relative: pixels grow with the true one, and the range from a size in the image shrinks.",
@@ -205,6 +229,13 @@ class ObservableRow:
         "px/rad, px/rad, km/rad",
         "body",
         size=3,
+    )
+    partial_sun: Sequence[float] | None = column(
+        "By a small rotation of the direction of the Sun about the camera axes (3 x 3, by rows), zero about that "
+        "direction; null where no sigma is declared.",
+        "px/rad, px/rad, km/rad",
+        _CAMERA,
+        size=9,
     )
     partial_camera_parameters: Sequence[float] | None = column(
         "By the uncertain parameters of the camera, with the attitude from stars that follows them (3 x m, by rows); "

@@ -29,6 +29,7 @@ class StatedGeometry(Value):
     sun_direction_camera: from the target to the Sun.
     camera_from_body: orientation of the target; None where it is not stated.
     camera_from_inertial: attitude of the camera; None where it is not stated.
+    covariance_camera_km2: of the position; None where it is not stated.
     """
 
     target: str
@@ -36,6 +37,7 @@ class StatedGeometry(Value):
     sun_direction_camera: Float
     camera_from_body: Rotation | None = None
     camera_from_inertial: Rotation | None = None
+    covariance_camera_km2: Float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

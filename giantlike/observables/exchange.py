@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import PurePath
 
@@ -23,8 +23,10 @@ from giantlike.io.ades import AdesObservation, is_designation
 from giantlike.io.ccsds_tdm import ABERRATION_REMOVED, TdmPoint, TdmSegment
 from giantlike.io.observables_file import ObservableBlock, ObservableRow
 from giantlike.io.picture_sequence import PictureObject, PsfCamera, PsfImage, PsfPicture
+from giantlike.io.spc_lmk import Lmk
 from giantlike.io.spc_sumfile import Sumfile
 from giantlike.io.spice import load_kernels, spk_state
+from giantlike.shapes.landmarks import Landmark
 
 _PIXELS_PER_MM = 100.0
 """Of the focal plane of a file: a camera here has no pitch in mm, and only focal length times pitch matters."""
@@ -231,6 +233,25 @@ def sumfile_of(camera: Camera, body: ObservableRow, landmarks: Sequence[Observab
             row.feature or str(k): np.array([row.observed_pixel_px, row.observed_line_px])
             for k, row in enumerate(landmarks)
         },
+    )
+
+
+def lmk_of(row: ObservableRow, maps: Mapping[str, Landmark], picture: str, known: Lmk | None) -> Lmk:
+    """LMK file of a landmark with one more picture; the place of the landmark counts as exact."""
+    name = row.feature or ""
+    require(name in maps, f"there is no landmark {name!r}, which the run has: give the landmarks that it used")
+    pixel = {picture: np.array([row.observed_pixel_px, row.observed_line_px])}
+    if known is not None:
+        return replace(known, pictures_px={**known.pictures_px, **pixel})
+    here = maps[name].map
+    return Lmk(
+        name=name,
+        half_size=max(here.heights_km.shape) // 2,
+        scale_km=here.spacing_km,
+        position_body_km=_vector(row.feature_position_body_km),
+        body_from_local=here.body_from_map,
+        sigma_body_km=np.zeros(3),
+        pictures_px=pixel,
     )
 
 

@@ -23,7 +23,7 @@ _WORST_CONDITION = 1e12
 """Condition number of the information about the three angles beyond which one of them is not determined."""
 _ONE_BY_ONE = (
     Cause.NOISE, Cause.BACKGROUND, Cause.PSF, Cause.EDGE, Cause.REFLECTANCE, Cause.ALBEDO, Cause.RELIEF, Cause.ALTITUDE,
-    Cause.ORIENTATION,
+    Cause.SUN, Cause.ORIENTATION,
 )  # fmt: skip
 """Causes of which only a covariance of each row is known."""
 _BODY_AXES = {"partial_pole": slice(0, 2), "partial_spin": slice(2, 3)}
@@ -170,8 +170,12 @@ def _covariance(used: Sequence[_Measured], camera: Camera) -> Float:
         total = total + by_camera @ known.covariance @ by_camera.T
     for target in dict.fromkeys(one.row.target for one in used):
         sigmas = next(one.row for one in used if one.row.target == target)
+        if sigmas.covariance_ephemeris_icrf_km2 is not None:
+            by_place = np.vstack(
+                [(one.row.target == target) * one.partial("partial_target_position", 3) for one in used]
+            )
+            total = total + by_place @ _numbers(sigmas.covariance_ephemeris_icrf_km2).reshape(3, 3) @ by_place.T
         for name, size, sigma in (
-            ("partial_target_position", 3, sigmas.sigma_ephemeris_km),
             ("partial_shape_scale", 1, sigmas.sigma_shape_scale),
             ("partial_pole", 2, sigmas.sigma_pole_rad),
             ("partial_spin", 1, sigmas.sigma_spin_rad),

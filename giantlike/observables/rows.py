@@ -50,6 +50,8 @@ class ImageContext(Value):
     epoch_utc, et, exposure_s : str, float, float, optional
     accepted_by, accepted_why : str, optional
         User who accepted the result of the rows, which is suspect, and the reason.
+    camera_rate_rad_s : (3,) float64, rad/s, camera axes, optional
+        Rotation rate of the camera.
     """
 
     file: str
@@ -65,6 +67,7 @@ class ImageContext(Value):
     exposure_s: float | None = None
     accepted_by: str | None = None
     accepted_why: str | None = None
+    camera_rate_rad_s: Float | None = None
 
     @property
     def attitude_parts_rad2(self) -> dict[Cause, Float]:
@@ -96,6 +99,7 @@ class ImageContext(Value):
             "attitude_weights": list(shares.values()) or None,
             "camera_from_icrf_xyzw": quaternion_xyzw(self.camera_from_inertial).tolist(),
             "attitude_covariance_rad2": _flat(covariance),
+            "camera_rate_rad_s": _flat(self.camera_rate_rad_s),
         }
 
 
@@ -141,6 +145,8 @@ class Sighting(Value):
             "sigma_pole_rad": known.pole_rad or None,
             "sigma_spin_rad": known.spin_rad or None,
             "sigma_ephemeris_km": known.ephemeris_km or None,
+            "covariance_ephemeris_icrf_km2": _flat(known.covariance_ephemeris_km2) if known.ephemeris_km else None,
+            "sigma_sun_rad": known.sun_rad or None,
         }
         if states is not None:
             cells |= {
@@ -440,13 +446,28 @@ class _Point(Value):
             Cause.SHAPE_SCALE: "partial_shape_scale",
             Cause.POLE: "partial_pole",
             Cause.SPIN: "partial_spin",
+            Cause.SUN: "partial_sun",
             Cause.CAMERA: "partial_camera_parameters",
         }
         return {
             "partial_target_position": _flat(by_target),
             "partial_camera_position": _flat(-by_target),
             "partial_focal_length": _flat(self.by_focal_length()),
+            "partial_time_tag": _flat(self.by_time_tag(by_target, by_cause.get(Cause.ATTITUDE))),
         } | {names[cause]: _flat(partial) for cause, partial in by_cause.items() if cause in names}
+
+    def by_time_tag(self, by_target: Float, by_attitude: Float | None) -> Float | None:
+        """Derivative (3,) by the lateness of the exposure; None where the velocities or the rate are not known.
+
+        ``by_target`` (3, 3), by the position of the target; ``by_attitude`` (3, 3).
+        """
+        states, rate = self.circumstances, self.context.camera_rate_rad_s
+        if states is None or states.target_velocity_km_s is None:
+            return None
+        moved: Float = by_target @ (states.target_velocity_km_s - states.observer_velocity_km_s)
+        if self.context.attitude_source == "stars":  # of the same exposure
+            return moved
+        return None if rate is None or by_attitude is None else moved - by_attitude @ rate
 
     def by_focal_length(self) -> Float:
         """Derivative (3,) of (pixel, line, apparent range) by the focal length, relative."""

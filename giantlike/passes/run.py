@@ -34,6 +34,7 @@ _SHARED_PARTS = (
     "part_relief",
     "part_pole",
     "part_spin",
+    "part_sun",
 )
 _ATTITUDE_PARTS = ("part_attitude", "part_orientation")
 
@@ -114,7 +115,8 @@ def pass_from_rows(rows: Sequence[ObservableRow], camera: Camera, choice: RunPas
     Returns None where no row is of use.
 
     A trajectory error moves all images along a straight line: valid for passes of hours. A late exposure moves the body
-    by its motion relative to the spacecraft, the camera held still in inertial axes.
+    by its motion relative to the spacecraft and, where the attitude is not from its own stars, by the rotation of the
+    camera, as far as its rate is known.
     """
     chosen = sorted(
         (row for row in rows if _usable(row) and row.target == choice.target and _during(row, choice)), key=_epoch
@@ -177,7 +179,7 @@ def _image(row: ObservableRow, camera: Camera, choice: RunPass, middle_s: float,
         name=row.file,
         time_s=time_s,
         position_camera_km=_place(model, row.computed_pixel_px, row.computed_line_px, row.computed_apparent_range_km),
-        rate_camera_km_s=_rate(row, turn),
+        rate_camera_km_s=_rate(row, turn, measured),
         exposure_s=np.nan if row.exposure_s is None else row.exposure_s,
         sensor=row.attitude_source or "",
         by_trajectory=np.zeros((3, 0)) if choice.covariance_trajectory is None else by_state,
@@ -198,11 +200,12 @@ def _signed_shifts(row: ObservableRow, cause: str, camera: Camera) -> Float | No
 
     Returns None for a cause without partials: its shifts are known apart from their signs.
     """
-    pole, spin, known = row.sigma_pole_rad, row.sigma_spin_rad, camera.uncertainty
+    pole, spin, sun, known = row.sigma_pole_rad, row.sigma_spin_rad, row.sigma_sun_rad, camera.uncertainty
     covariances: dict[str, tuple[Sequence[float] | None, object]] = {
         "attitude": (row.partial_attitude, row.attitude_covariance_rad2),
         "pole": (row.partial_pole, None if pole is None else pole**2 * np.eye(2)),
         "spin": (row.partial_spin, None if spin is None else spin**2 * np.eye(1)),
+        "sun": (row.partial_sun, None if sun is None else sun**2 * np.eye(3)),
         "camera": (row.partial_camera_parameters, None if known is None else known.covariance),
     }
     partial, covariance = covariances.get(cause, (None, None))
@@ -221,12 +224,13 @@ def _place(model: CameraModel, pixel: float | None, line: float | None, range_km
     return place
 
 
-def _rate(row: ObservableRow, turn: Rotation) -> Float:
-    """Velocity (3,) of the target relative to the spacecraft, camera axes; zero where it is not known."""
+def _rate(row: ObservableRow, turn: Rotation, position_camera_km: Float) -> Float:
+    """Rate (3,) of the position of the target in camera axes; zero where the velocities are not known."""
     if row.target_velocity_icrf_km_s is None or row.observer_velocity_icrf_km_s is None:
         return np.zeros(3)
     relative = np.array(row.target_velocity_icrf_km_s) - np.array(row.observer_velocity_icrf_km_s)
-    return rotate(turn, relative)
+    rotation = np.zeros(3) if row.camera_rate_rad_s is None or row.attitude_source == "stars" else row.camera_rate_rad_s
+    return rotate(turn, relative) - np.cross(rotation, position_camera_km)
 
 
 def _root(covariance: Float) -> Float:

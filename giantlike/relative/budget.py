@@ -45,8 +45,8 @@ demonstration.
 """
 STRAIN_TENSION = "strain_tension"
 """Name of the factor by which variances of a limb are too small for a strain of the outline, among the checks."""
-DECLARED = (Cause.POLE, Cause.SPIN, Cause.ORIENTATION)
-"""Causes of the declared errors of the orientation of the body."""
+DECLARED = (Cause.POLE, Cause.SPIN, Cause.SUN, Cause.ORIENTATION)
+"""Causes of the declared errors of the orientation of the body and of its Sun."""
 _LEAST_STEP_PX = 0.5
 """Minimum motion of the surface, px, for a derivative by a rotation: errors of renders and convergence, some hundredths
 of a pixel, are then a few percent of it."""
@@ -109,9 +109,8 @@ def with_budget(
         in_camera = in_camera + _propagate(response, known.covariance)
         partials[Cause.CAMERA] = response + turn @ _d_attitude_d_camera(image, camera)
         added[Cause.CAMERA] = _propagate(partials[Cause.CAMERA], known.covariance)
-    sigma_km = geometry.target.uncertainty.ephemeris_km
-    if sigma_km > 0.0:
-        added[Cause.EPHEMERIS] = _propagate(place_per_km[:size], sigma_km**2 * np.eye(3))
+    if geometry.target.uncertainty.ephemeris_km > 0.0:
+        added[Cause.EPHEMERIS] = _propagate(place_per_km[:size], geometry.covariance_ephemeris_km2)
     new = {cause: part for cause, part in added.items() if cause not in parts}
     changes: dict[str, object] = {"parts": parts | new, "partials": partials | dict(fix.partials)}
     if body:
@@ -236,10 +235,8 @@ def _fit_motion(
 
 def _circle(axis: Float, half_angle: float) -> tuple[Float, Float]:
     """Unit rays (n, 3) at an angle from an axis, and the directions (n, 3) away from the axis across them."""
-    across = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-    across /= np.linalg.norm(across)
     angles = np.linspace(0.0, 2.0 * np.pi, _OUTLINE_POINTS, endpoint=False)[:, None]
-    around = np.cos(angles) * across + np.sin(angles) * np.cross(axis, across)
+    around = np.hstack([np.cos(angles), np.sin(angles)]) @ _across(axis)
     cosine, sine = math.cos(half_angle), math.sin(half_angle)
     return cosine * axis + sine * around, cosine * around - sine * axis
 
@@ -281,9 +278,10 @@ def _body_partials(
     *,
     missing: set[Cause],
 ) -> dict[Cause, Float] | Failure:
-    """Derivatives (k, m) of the position by the true scale, pole and spin of the body, where missing.
+    """Derivatives (k, m) of the position by the true scale, pole, spin and Sun of the body, where missing.
 
-    The scale is relative; pole and spin are small rotations of the body about its axes, rad.
+    The scale is relative; pole and spin are small rotations of the body about its axes, rad, and the Sun is a small
+    rotation of its direction about the camera axes (k, 3).
     """
     size = 3 if isinstance(fix, PositionFix) else 2
     columns = dict[Cause, list[Float]]()
@@ -297,13 +295,21 @@ def _body_partials(
         if isinstance(shift, Failure):
             return Failure(shift.reason, f"no fix with the {cause} of the body off by one sigma: {shift.detail}")
         columns.setdefault(cause, []).append(-shift / step)
-    return {cause: np.stack(each, axis=1) for cause, each in columns.items()}
+    partials = {cause: np.stack(each, axis=1) for cause, each in columns.items()}
+    if Cause.SUN in partials:
+        partials[Cause.SUN] = partials[Cause.SUN] @ _across(geometry.sun_direction_camera)
+    return partials
 
 
 def _body_parts(partials: Mapping[Cause, Float], geometry: TargetGeometry) -> dict[Cause, Float]:
-    """Parts by scale and orientation of the body, where these are not declared exact."""
+    """Parts by scale, orientation and Sun of the body, where these are not declared exact."""
     known = geometry.target.uncertainty
-    sigmas = {Cause.SHAPE_SCALE: known.scale, Cause.POLE: known.pole_rad, Cause.SPIN: known.spin_rad}
+    sigmas = {
+        Cause.SHAPE_SCALE: known.scale,
+        Cause.POLE: known.pole_rad,
+        Cause.SPIN: known.spin_rad,
+        Cause.SUN: known.sun_rad,
+    }
     return {
         cause: _propagate(partial, sigmas[cause] ** 2 * np.eye(partial.shape[1]))
         for cause, partial in partials.items()
@@ -337,6 +343,22 @@ def _moved_bodies(
                     replace(geometry, camera_from_body=before * turn.inv()),
                 ),
             )
+    sun = geometry.sun_direction_camera
+    for axis in _across(sun) if known.sun_rad > 0.0 else ():
+        step_rad = max(known.sun_rad, least_rad)
+        plus, minus = (rotate(Rotation.from_rotvec(sign * step_rad * axis), sun) for sign in (1.0, -1.0))
+        yield (
+            Cause.SUN,
+            step_rad,
+            (replace(geometry, sun_direction_camera=plus), replace(geometry, sun_direction_camera=minus)),
+        )
+
+
+def _across(direction: Float) -> Float:
+    """Two orthogonal unit vectors (2, 3) perpendicular to a direction (3,)."""
+    first = np.cross(direction, np.eye(3)[int(np.argmin(np.abs(direction)))])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
 
 
 def _unknown_pole_part(

@@ -124,8 +124,9 @@ def test_uncertainties_of_targets_and_a_priori_attitudes_are_turned_into_radians
     known = campaign.targets[0].uncertainty
     found = [known.scale, known.pole_rad, known.spin_rad, known.ephemeris_km, known.albedo]
     np.testing.assert_allclose(found, [1e-3, math.radians(0.1), math.radians(0.2), 5.0, 0.5], rtol=1e-12)
-    assert campaign.apriori_covariance_rad2 is not None
-    np.testing.assert_allclose(np.sqrt(np.diag(campaign.apriori_covariance_rad2)), math.radians(0.5), rtol=1e-12)
+    covariance = campaign.apriori_covariance_rad2(campaign.images[0].key)
+    assert covariance is not None
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), math.radians(0.5), rtol=1e-12)
 
 
 def test_a_pole_may_be_unknown(tmp_path: Path) -> None:

@@ -33,8 +33,14 @@ from giantlike.core.outcomes import Reason
 from giantlike.core.time import et_from_time, time_from_et, time_from_utc, utc_text
 from giantlike.io.attitude_series import AttitudeSeries, read_attitude_csv
 from giantlike.io.ccsds_aem import AemNames, write_aem
+from giantlike.io.orbit_covariance import read_orbit_covariance
+from giantlike.io.spc_lmk import read_lmks
 from giantlike.io.spice_ck import CkTarget, write_ck
 from giantlike.io.wcs_header import attitude_of_wcs
+from giantlike.observables import row_of_landmark
+from giantlike.shapes.landmarks import LandmarkCatalog, save_landmarks
+from tests.observables.test_exchange import map_at, preferred_arc
+from tests.observables.test_rows import CONTEXT, LANDMARK, SIGHTING, position_fix
 from tests.tolerances import FLOAT64, FLOAT64_DIGIT
 
 WCS_PX = 0.01  # order 5 polynomials of a lens with 8 px of distortion in the corner
@@ -458,3 +464,40 @@ def test_images_of_one_name_in_two_folders_get_a_header_each(tmp_path: Path) -> 
 def test_a_run_that_does_not_exist_is_told_from_a_folder_that_is_none(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="there is no such run folder"):
         export_run(tmp_path / "nothing", tmp_path / "a.csv", ExportFormat.CSV)
+
+
+def test_an_spk_and_its_covariances_of_a_run_are_read_back(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows, et, states = preferred_arc(6, velocities=True)
+    monkeypatch.setattr("giantlike.campaign.export._single_rows", lambda *_: iter(rows))
+    options = ["export", str(run), "--format", "spk", "--output", str(tmp_path / "t.bsp"), "--max-gap", "6000"]
+    refused = CliRunner().invoke(app, options)
+    assert refused.exit_code == 2
+    assert "--spacecraft" in refused.stderr
+    refused = CliRunner().invoke(app, [*options, "--spacecraft", "-999"])
+    assert "SPICE does not know ROCK: give --body" in refused.stderr
+    written = CliRunner().invoke(app, [*options, "--spacecraft", "-999", "--body", "2000001"])
+    assert written.exit_code == 0, written.output
+    spiceypy.furnsh(str(tmp_path / "t.bsp"))
+    for epoch, state in zip(et, states, strict=True):
+        read, _ = spiceypy.spkezr("-999", epoch, "J2000", "NONE", "2000001")
+        np.testing.assert_allclose(read, state, rtol=0, atol=1e-6)
+    known = read_orbit_covariance(tmp_path / "t_ROCK.csv")
+    expected = np.reshape(np.array(rows[0].covariance_position_icrf_km2, dtype=np.float64), (3, 3))
+    np.testing.assert_allclose(known.at(float(et[2])), expected, rtol=1e-12)
+
+
+def test_lmk_files_go_beside_sumfiles_with_the_same_pixels(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    body, mark = preferred_arc(1, velocities=True)[0][0], row_of_landmark(CONTEXT, SIGHTING, position_fix(), LANDMARK)
+    monkeypatch.setattr("giantlike.campaign.export._single_rows", lambda *_: iter([body, mark]))
+    save_landmarks(LandmarkCatalog((map_at(LANDMARK.body_km),)), tmp_path / "marks.npz")
+    options = ExportOptions(landmarks=tmp_path / "marks.npz")
+    exported = export_run(run, tmp_path / "spc", ExportFormat.SUMFILE, options)
+    assert exported.n_observations == 1
+    found = read_lmks(tmp_path / "spc" / "LMKFILES", tmp_path / "spc")  # compares pixels
+    assert list(found) == [LANDMARK.name]
+    assert (found[LANDMARK.name].half_size, found[LANDMARK.name].scale_km) == (4, pytest.approx(0.1))
+    np.testing.assert_allclose(found[LANDMARK.name].position_body_km, LANDMARK.body_km, rtol=0, atol=1e-9)

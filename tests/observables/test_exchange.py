@@ -24,21 +24,30 @@ from giantlike.core.frames import radec_from_direction, rotate
 from giantlike.core.light import aberrate
 from giantlike.core.observer import ObserverState
 from giantlike.core.time import time_from_et
+from giantlike.io.attitude_series import AttitudeSeries
 from giantlike.io.ccsds_tdm import TdmPoint, TdmSegment, write_tdm
 from giantlike.io.observables_file import ObservableBlock, ObservableRow
 from giantlike.io.picture_sequence import write_psf
+from giantlike.io.spc_lmk import write_lmk
 from giantlike.io.spc_sumfile import read_sumfile, write_sumfile
+from giantlike.io.spice import load_kernels
+from giantlike.io.spice_ck import CkTarget, write_ck
+from giantlike.io.spice_spk import SpkArc, write_spk
 from giantlike.observables import StarsSeen, row_of_body, row_of_landmark, rows_of_stars
 from giantlike.observables.exchange import (
     AdesSource,
     Angles,
     astrometry_of,
     designation_of,
+    lmk_of,
     picture_of,
     psf_camera,
     sumfile_of,
     tracking_segments,
 )
+from giantlike.observables.trajectory import relative_arcs
+from giantlike.shapes import LocalMap
+from giantlike.shapes.landmarks import Landmark
 from tests.observables.test_rows import (
     APPARENT_KM,
     ATTITUDE,
@@ -329,3 +338,126 @@ def test_astrometry_is_that_of_the_row_with_the_spacecraft_from_the_geocenter() 
 )
 def test_designations_follow_from_names_of_spice(name: str, designation: tuple[str, str] | None) -> None:
     assert designation_of(name) == designation
+
+
+NODE_KM = 1e-6  # of states read back at their epochs
+START_ET = 757339269.184
+
+
+def preferred_arc(count: int, *, velocities: bool) -> tuple[list[ObservableRow], Float, Float]:
+    """Preferred fixes along a curve, and its epochs and states of the spacecraft relative to the target."""
+    seconds: Float = 40.0 * np.arange(count) + np.where(np.arange(count) >= 5, 5000.0, 0.0)
+    angle = 2e-5 * seconds
+    position = 900.0 * np.stack([np.cos(angle), np.sin(angle), 0.3 * np.sin(angle)], axis=1)
+    velocity = 900.0 * 2e-5 * np.stack([-np.sin(angle), np.cos(angle), 0.3 * np.cos(angle)], axis=1)
+    row, found = row_of_body(CONTEXT, SIGHTING, position_fix(), is_preferred=True), []
+    for second, place, speed in zip(seconds, position, velocity, strict=True):
+        states: dict[str, Any] = {
+            "observer_velocity_icrf_km_s": (speed + 1.0).tolist() if velocities else None,
+            "target_velocity_icrf_km_s": [1.0, 1.0, 1.0] if velocities else None,
+        }
+        where = (-place).tolist()
+        found.append(replace(row, epoch_et_s=START_ET + second, geometric_position_icrf_km=where, **states))
+    return found, START_ET + seconds, np.hstack([position, velocity])
+
+
+@pytest.mark.parametrize("velocities", [True, False])
+def test_spice_reads_the_states_of_an_spk_back(tmp_path: Path, velocities: bool) -> None:
+    found, et, states = preferred_arc(11, velocities=velocities)
+    arcs, left_out = relative_arcs([*found, replace(found[0], preferred=False), found[0]], max_gap_s=600.0)
+    assert left_out == {"another fix of the same epoch": 1}
+    assert [arc.et.size for arc in arcs] == [5, 6]  # the gap of 5040 s is not interpolated over
+    segments = [SpkArc(body=-999, center=2000001, et=arc.et, states=arc.states, name="limb 0123") for arc in arcs]
+    write_spk(tmp_path / "a.bsp", segments, ["a comment"])
+    with load_kernels(["a.bsp"], tmp_path):
+        for epoch, state in zip(et, states, strict=True):
+            read, _ = spiceypy.spkezr("-999", epoch, "J2000", "NONE", "2000001")
+            assert np.abs(read[:3] - state[:3]).max() < NODE_KM
+            assert np.abs(read[3:] - state[3:]).max() < (1e-12 if velocities else 1e-8)
+        between, _ = spiceypy.spkezr("-999", et[1] + 20.0, "J2000", "NONE", "2000001")
+        angle = 2e-5 * 60.0
+        expected = 900.0 * np.array([np.cos(angle), np.sin(angle), 0.3 * np.sin(angle)])
+        assert_allclose(between[:3], expected, rtol=0, atol=NODE_KM)
+        with pytest.raises(spiceypy.utils.exceptions.SpiceyError):
+            spiceypy.spkezr("-999", et[4] + 1000.0, "J2000", "NONE", "2000001")
+    few, left_out = relative_arcs(preferred_arc(3, velocities=False)[0], max_gap_s=600.0)
+    assert (few, left_out) == ([], {"fewer than 4 epochs without a gap": 3})
+
+
+def test_ck_and_spk_together_put_a_landmark_where_it_was(tmp_path: Path) -> None:
+    """Both are read by SPICE; at rest with respect to the barycenter there is no aberration to apply again."""
+    rest = replace(
+        STATES,
+        observer_velocity_km_s=np.zeros(3),
+        target_velocity_km_s=np.zeros(3),
+        target_motion_km=np.zeros(3),
+    )
+    sighting = replace(SIGHTING, circumstances=rest)
+    body = row_of_body(CONTEXT, sighting, position_fix(), is_preferred=True)
+    mark = row_of_landmark(CONTEXT, sighting, position_fix(), LANDMARK)
+    assert body.epoch_et_s is not None
+    times = [body.epoch_et_s, body.epoch_et_s + 60.0]
+    (arc,), _ = relative_arcs([replace(body, epoch_et_s=each) for each in times], max_gap_s=600.0)
+    write_spk(tmp_path / "a.bsp", [SpkArc(body=-999, center=2000001, et=arc.et, states=arc.states, name="a")])
+    series = AttitudeSeries(
+        et=np.array(times),
+        camera_from_inertial=Rotation.concatenate([ATTITUDE, ATTITUDE]),
+        covariance_rad2=np.full((2, 3, 3), np.nan),
+        names=("a", "b"),
+    )
+    files = write_ck(tmp_path / "a.bc", series, CkTarget(instrument_id=-999001, frame_name="GL_TEST_CAM"))
+    with load_kernels([*files, tmp_path / "a.bsp"], tmp_path):
+        relative, _ = spiceypy.spkpos("2000001", times[0], "GL_TEST_CAM", "NONE", "-999")
+    expected = MODEL.project(relative + rotate(SIGHTING.camera_from_body, LANDMARK.body_km))
+    computed = APPARENT_KM + rotate(SIGHTING.camera_from_body, LANDMARK.body_km)
+    assert np.abs(expected - MODEL.project(computed)).max() < 1e-3
+    assert mark.feature == LANDMARK.name
+
+
+def test_a_reader_as_tudats_finds_camera_pose_and_landmarks(tmp_path: Path) -> None:
+    """SUMFILE and LMK by their fields alone, m and pixels, as Tudat's reader takes them; no code is shared."""
+    body = row_of_body(CONTEXT, SIGHTING, position_fix(), is_preferred=True)
+    mark = row_of_landmark(CONTEXT, SIGHTING, position_fix(), LANDMARK)
+    catalog = {"L7": map_at(LANDMARK.body_km)}
+    write_sumfile(tmp_path / "a.SUM", sumfile_of(CAMERA, body, [mark]))
+    lmk = lmk_of(mark, catalog, "a", None)
+    write_lmk(tmp_path / "L7.LMK", lmk_of(mark, catalog, "b", lmk))
+    with pytest.raises(InputError, match="no landmark 'L7'"):
+        lmk_of(mark, {}, "a", None)
+
+    def fields(name: str) -> tuple[dict[str, Float], list[list[str]]]:
+        values, places = {}, []
+        for line in (tmp_path / name).read_text().splitlines():
+            words = line.split()
+            numbers = [word.replace("D", "E") for word in words if re.fullmatch(r"[-+.\dDE]+", word)]
+            if words and numbers and words[0] == numbers[0].replace("E", "D"):
+                values[words[len(numbers)].strip(",")] = np.array(numbers, dtype=np.float64)
+            elif len(words) == 3 and len(numbers) >= 2:
+                places.append(words)
+        return values, places
+
+    pose, seen = fields("a.SUM")
+    landmark, pictures = fields("L7.LMK")
+    axes = np.array([pose["CX"], pose["CY"], pose["CZ"]])
+    point_m = 1e3 * (axes @ (pose["SCOBJ"] + landmark["VLM"]))
+    plane_mm = pose["MMFL"][0] * point_m[:2] / point_m[2]
+    linear_px = pose["MMFL"][1:] + pose["K-MATRIX"].reshape(2, 3)[:, :2] @ plane_mm
+    pinhole = MODEL.__class__(fx_px=MODEL.fx_px, fy_px=MODEL.fy_px, cx_px=MODEL.cx_px, cy_px=MODEL.cy_px)
+    where = APPARENT_KM + rotate(SIGHTING.camera_from_body, LANDMARK.body_km)
+    assert_allclose(linear_px - 1.0, pinhole.project(where), rtol=0, atol=1e-4)  # K has five decimals
+    assert np.linalg.norm(pose["SIGMA_PTG"]) == pytest.approx(
+        np.sqrt(np.trace(np.reshape(vector(body.attitude_covariance_rad2), (3, 3)))), rel=1e-9
+    )
+    assert [words[0] for words in seen] == ["L7"]
+    assert [words[0] for words in pictures] == ["a", "b"]
+    for words in (seen[0], pictures[0]):
+        assert_allclose(np.array(words[1:], dtype=np.float64) - 1.0, LANDMARK.observed_px, rtol=0, atol=1e-3)
+    assert_allclose(np.cross(landmark["UX"], landmark["UY"]), landmark["UZ"], rtol=0, atol=1e-9)
+    assert landmark["UZ"] @ landmark["VLM"] > 0.0
+
+
+def map_at(point_km: Float) -> Landmark:
+    """A flat map of 9 x 9 heights whose z axis points outward."""
+    turn = Rotation.align_vectors([unit(point_km)], [[0.0, 0.0, 1.0]])[0]
+    flat = LocalMap(center_body_km=point_km, body_from_map=turn, heights_km=np.zeros((9, 9)), spacing_km=0.1, name="L7")
+    return Landmark(map=flat, texture=0.0)

@@ -36,6 +36,7 @@ from giantlike.observables import (
     row_of_landmark,
     rows_of_stars,
 )
+from giantlike.observables.rates import camera_rates
 from giantlike.relative.place import place_jacobian
 from giantlike.scene import Circumstances, TargetUncertainty
 
@@ -193,6 +194,46 @@ def test_partials_by_positions_attitude_and_focal_length_are_those_of_difference
     assert_allclose(partial[:2], numerical, rtol=1e-6)
     # A body whose image is larger by 1e-5 than the assumed lens makes it is taken to be nearer by as much.
     assert_allclose(partial[2], -np.linalg.norm(APPARENT_KM), rtol=1e-12)
+
+
+def test_the_partial_by_the_time_tag_is_that_of_a_later_exposure() -> None:
+    """Spacecraft and target move on, and the camera rotates; an attitude from its own stars needs no rate."""
+    rate = np.array([2e-4, -1e-4, 3e-3])
+    context = replace(CONTEXT, camera_rate_rad_s=rate)
+    row = row_of_body(context, SIGHTING, position_fix())
+    target_km = np.array(row.geometric_position_icrf_km)
+    assert STATES.target_velocity_km_s is not None
+    motion = STATES.target_velocity_km_s - STATES.observer_velocity_km_s
+
+    def later(step_s: Float, rotation: Float = rate) -> Float:
+        return observed(target_km + step_s[0] * motion, turn=Rotation.from_rotvec(-rotation * step_s[0]) * ATTITUDE)
+
+    expected = differences(later, 0.01, 1)[:, 0]
+    assert_allclose(vector(row.partial_time_tag), expected, rtol=1e-6, atol=1e-9)
+    assert row.camera_rate_rad_s == rate.tolist()
+    starry = row_of_body(replace(context, attitude_source="stars"), SIGHTING, position_fix())
+    still = differences(lambda step: later(step, np.zeros(3)), 0.01, 1)[:, 0]
+    assert_allclose(vector(starry.partial_time_tag), still, rtol=1e-6, atol=1e-9)
+    assert np.linalg.norm(expected - still) > 0.3
+    assert row_of_body(CONTEXT, SIGHTING, position_fix()).partial_time_tag is None
+    assert row_of_body(replace(CONTEXT, attitude_source="stars"), SIGHTING, position_fix()).partial_time_tag is not None
+    mark = row_of_landmark(context, SIGHTING, position_fix(), LANDMARK)
+    moved = matrix(mark.partial_target_position) @ motion - matrix(mark.partial_attitude) @ rate
+    assert_allclose(vector(mark.partial_time_tag)[:2], moved[:2], rtol=1e-12)
+
+
+def test_a_rate_is_given_where_the_attitudes_before_and_after_agree() -> None:
+    et = np.array([0.0, 30.0, 50.0, 100.0, 130.0, 160.0, 900.0])
+    rate = np.array([1e-4, -3e-4, 2e-3])
+    turns = Rotation.from_rotvec(-np.outer(np.minimum(et, 100.0), rate)) * ATTITUDE  # it stops at 100 s
+    found = camera_rates(et, turns, np.zeros(et.size))
+    assert_allclose(found[1:3], [rate, rate], rtol=0, atol=1e-12)
+    assert np.isnan(found[[0, 3, 5, 6]]).all()
+    assert_allclose(found[4], 0.0, atol=1e-12)
+    assert np.isnan(camera_rates(et[:2], turns[:2], np.zeros(2))).all()
+    shaken = Rotation.from_rotvec(1e-3 * np.random.default_rng(1).normal(size=(et.size, 3))) * turns
+    assert np.isnan(camera_rates(et, shaken, np.zeros(et.size))[4]).all()
+    assert np.isfinite(camera_rates(et, shaken, np.full(et.size, 2e-3))[4]).all()
 
 
 def test_parts_go_back_to_what_rows_share_and_sum_to_the_covariance() -> None:

@@ -34,7 +34,7 @@ from giantlike.ray_tracing import Lambert
 from giantlike.relative import ESTIMATORS, Estimator
 from giantlike.relative.budget import _icosahedron
 from giantlike.relative.place import place_covariance, place_jacobian
-from giantlike.scene import TargetUncertainty
+from giantlike.scene import TargetGeometry, TargetUncertainty
 from giantlike.shapes import Ellipsoid
 
 VIEW = PinholeView(900.0, (127.5, 127.5), 256, 256, k1=-0.05)
@@ -309,7 +309,10 @@ def test_the_attitude_and_the_ephemeris_shift_the_direction_as_a_turned_camera_a
         camera_from_inertial=Rotation.identity(),
         attitude_covariance_rad2=np.diag(sigma_rad**2),
     )
-    here = scene(position, np.full(3, 30.0), Rotation.identity(), TargetUncertainty(ephemeris_km=0.2, scale=1e-3))
+    sigma_km = np.array([0.2, 0.1, 0.4])
+    known = TargetUncertainty(ephemeris_icrf_km2=np.diag(sigma_km**2), scale=1e-3)
+    assert known.ephemeris_km == pytest.approx(0.4)
+    here = scene(position, np.full(3, 30.0), Rotation.identity(), known)
     estimators: tuple[Estimator, ...] = (LimbMatching(), Moment(), Auto())
     for estimator in estimators:
         fix = estimator.estimate(image, camera(), here).unwrap()
@@ -320,13 +323,19 @@ def test_the_attitude_and_the_ephemeris_shift_the_direction_as_a_turned_camera_a
             return np.append(VIEW.project(vector), np.log(np.linalg.norm(vector)))[:size]
 
         turned = [place(rotate(Rotation.from_rotvec(turn), where)) - place(where) for turn in np.diag(sigma_rad)]
-        moved = [place(where + step) - place(where) for step in 0.2 * np.eye(3)]
+        moved = [place(where + step) - place(where) for step in np.diag(sigma_km)]
         for cause, shifts in ((Cause.ATTITUDE, turned), (Cause.EPHEMERIS, moved)):
             expected = np.array(shifts).T @ np.array(shifts)
             sigma = np.sqrt(np.diag(expected)) + 1e-12
             difference = np.abs(fix.parts[cause] - expected) / np.outer(sigma, sigma)
             assert difference.max() < 0.02, cause
         assert set(fix.parts) - {Cause.ATTITUDE, Cause.EPHEMERIS} <= set(IN_IMAGE)
+    turned_image = image.with_attitude(Rotation.from_rotvec([0.0, 0.0, np.pi / 2.0]))
+    geometry = here.geometry(turned_image)
+    assert isinstance(geometry, TargetGeometry)
+    np.testing.assert_allclose(geometry.covariance_ephemeris_km2, np.diag([0.01, 0.04, 0.16]), rtol=0, atol=1e-15)
+    with pytest.raises(ValueError, match="ephemeris_icrf_km2"):
+        TargetUncertainty(ephemeris_icrf_km2=np.diag([1.0, -1.0, 1.0]))
 
 
 @pytest.mark.parametrize("value", [-1e-3, 0.5, np.nan])

@@ -34,17 +34,22 @@ LEVELS = {
     "spin_rad": (0.0, 1e-4, 1e-3, 1e-2, 0.05),
     "scale": (0.0, 1e-4, 1e-3, 1e-2, 0.05),
     "albedo": (0.02, 0.15, 0.4, 1.0),
+    "sun_rad": (0.0, 1e-3, 1e-2, 0.05, 0.2),
     "ephemeris_km": (0.0, 0.01, 0.1, 1.0),
     "attitude_rad": (0.0, 1e-6, 1e-5, 1e-4, 1e-3),
 }
 
 
 @cache
-def picture(markings: float, turn_rad: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Image:
-    """A body with markings of a relative brightness that nobody declares, turned about its own axes."""
+def picture(
+    markings: float, turn_rad: tuple[float, ...] = (0.0, 0.0, 0.0), sun_rad: tuple[float, ...] = (0.0, 0.0, 0.0)
+) -> Image:
+    """A body with markings of a relative brightness that nobody declares, turned about its own axes, and its Sun."""
     body = EllipsoidBody(RADII_KM, bumps(3, rms=markings, widths_deg=(4.0, 25.0)) if markings else None)
     view = PinholeView(FOCAL_PX, (0.5 * (SIZE - 1), 0.5 * (SIZE - 1)), SIZE, SIZE)
-    pose = Pose(np.array([0.5, -0.3, RANGE_KM]), TURN * Rotation.from_rotvec(turn_rad), SUN)
+    pose = Pose(
+        np.array([0.5, -0.3, RANGE_KM]), TURN * Rotation.from_rotvec(turn_rad), Rotation.from_rotvec(sun_rad).apply(SUN)
+    )
     light = 2000.0 * render_body(body, view, pose, law="mcewen", psf=Psf(0.7)) + 100.0
     rng = np.random.default_rng(5)
     noisy = rng.poisson(light) + rng.normal(0.0, 5.0, light.shape)
@@ -52,9 +57,13 @@ def picture(markings: float, turn_rad: tuple[float, ...] = (0.0, 0.0, 0.0)) -> I
 
 
 def found(
-    estimator: str, markings: float, known: dict[str, float], turn_rad: tuple[float, ...] = (0.0, 0.0, 0.0)
+    estimator: str,
+    markings: float,
+    known: dict[str, float],
+    turn_rad: tuple[float, ...] = (0.0, 0.0, 0.0),
+    sun_rad: tuple[float, ...] = (0.0, 0.0, 0.0),
 ) -> CenterFix:
-    image, attitude_rad = picture(markings, turn_rad), known.get("attitude_rad", 0.0)
+    image, attitude_rad = picture(markings, turn_rad, sun_rad), known.get("attitude_rad", 0.0)
     if attitude_rad:
         image = replace(image, attitude_covariance_rad2=attitude_rad**2 * np.eye(3))
     camera = Camera(
@@ -78,6 +87,7 @@ def found(
             scale=known.get("scale", 0.0),
             pole_rad=known.get("pole_rad", 0.0),
             spin_rad=known.get("spin_rad", 0.0),
+            sun_rad=known.get("sun_rad", 0.0),
             ephemeris_km=known.get("ephemeris_km", 0.0),
             albedo=known.get("albedo", TargetUncertainty().albedo),
         ),
@@ -140,3 +150,21 @@ def test_a_template_moves_with_the_true_body_as_its_gain_says() -> None:
         by_gain_px.append(sigma_rad * fix.partials[cause][:2, column])
     assert np.linalg.norm(moved_px) > 0.02
     assert np.linalg.norm(np.subtract(moved_px, by_gain_px)) < 0.2 * np.linalg.norm(moved_px)
+
+
+@pytest.mark.parametrize("estimator", ["moment", "cross_correlation"])
+def test_a_fix_moves_with_the_true_sun_as_its_partial_says(estimator: str) -> None:
+    """Pictures of another renderer under a Sun that is turned about two axes; what is declared stays."""
+    sigma_rad, moved_px, by_partial_px = 0.02, [], []
+    before = found(estimator, 0.0, {"sun_rad": sigma_rad})
+    across = np.cross(SUN, [0.0, 1.0, 0.0])
+    for axis in (across, np.cross(SUN, across)):
+        turn_rad = tuple(sigma_rad * axis / np.linalg.norm(axis))
+        fix = found(estimator, 0.0, {"sun_rad": sigma_rad}, sun_rad=turn_rad)
+        moved_px.append(fix.center_px - before.center_px)
+        by_partial_px.append(fix.partials[Cause.SUN][:2] @ turn_rad)  # weights follow the residuals
+    assert np.linalg.norm(moved_px) > 0.1
+    assert np.linalg.norm(np.subtract(moved_px, by_partial_px)) < 0.2 * np.linalg.norm(moved_px)
+    part = sigma_rad**2 * before.partials[Cause.SUN] @ before.partials[Cause.SUN].T
+    np.testing.assert_allclose(before.parts[Cause.SUN], part, rtol=0, atol=1e-12)
+    assert np.abs(before.partials[Cause.SUN] @ SUN).max() < 1e-9

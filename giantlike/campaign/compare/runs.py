@@ -22,7 +22,7 @@ _ROUNDING = 1e-12
 _SAME_FILES = "the same image files; in part, where options differ"
 _OF_PIXELS = (Cause.NOISE, Cause.BACKGROUND, Cause.ALBEDO)
 """Causes that two fixes have in common because they come from the same pixels with the same estimator."""
-_OF_BODY = (Cause.RELIEF, Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN)
+_OF_BODY = (Cause.RELIEF, Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN, Cause.SUN)
 """Causes that they have in common because the shape is the same."""
 _OF_HEADER = (Cause.ABERRATION, Cause.EPOCH)
 """Causes that two attitudes have in common because time and velocity of the spacecraft come from one source."""

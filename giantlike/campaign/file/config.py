@@ -159,10 +159,23 @@ class Campaign:
         with resolving(path, "a campaign file"):
             return _resolve(path, content, table)
 
-    @property
-    def apriori_covariance_rad2(self) -> Float | None:
-        """Covariance (3, 3) of a priori attitudes about the camera axes, rad^2; None where it is not known."""
-        return None if self.apriori_sigma_rad is None else self.apriori_sigma_rad**2 * np.eye(3)
+    def apriori_covariance_rad2(self, key: str) -> Float | None:
+        """Return the covariance of the a priori attitude of an image, as declared, else as in its SUMFILE.
+
+        Parameters
+        ----------
+        key : str
+            Of the image.
+
+        Returns
+        -------
+        (3, 3) float64, rad^2, camera axes, or None
+            None where it is not known.
+        """
+        known = self.geometry.get(key)
+        if self.apriori_sigma_rad is not None:
+            return self.apriori_sigma_rad**2 * np.eye(3)
+        return None if known is None else known.covariance_attitude_rad2
 
     def path_from_output(self, path: Path) -> str:
         """Path of a file relative to the run folder, so that both can be moved together.

@@ -21,12 +21,15 @@ from giantlike.campaign.file.schema import BodySection, Radii, SpiceSection, Tar
 from giantlike.campaign.file.toml_file import prefix_errors
 from giantlike.core.arrays import Float, require
 from giantlike.core.detector import Detector
+from giantlike.core.errors import DataError
 from giantlike.core.frames import INERTIAL_FRAME, FrameRotation, rotation_from_xyzw
 from giantlike.core.units import RAD_PER_DEG, SPEED_OF_LIGHT_KM_S
 from giantlike.ephemeris import BARYCENTER
 from giantlike.image import ObserverState
 from giantlike.io.epic_metadata import read_epic
 from giantlike.io.geometry_table import GeometryTable, read_geometry
+from giantlike.io.orbit_covariance import OrbitCovariance, read_orbit_covariance
+from giantlike.io.spc_geometry import read_sumfiles
 from giantlike.io.spice import ellipsoid_from_pck, find_kernels, orientation, spk_state
 from giantlike.io.spice_pointing import LabelClock, nearest_attitude
 from giantlike.presets import CameraPreset, camera_preset
@@ -39,6 +42,9 @@ from giantlike.shapes.load import guessed_units
 
 CAMERA_CHANGES = frozenset({"binned", "psf", "detector"})
 """Keys of ``[camera]`` that refine a camera from a file, a preset or a mission; other keys declare another camera."""
+
+_RATE_STEP_S = 0.5
+"""Half the time over which a rate is taken from a CK: attitudes have 1e-15 rad of rounding, and rates last seconds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +72,18 @@ class SpiceSetup:
         pointing = nearest_attitude(turn.source, et, self.ck_tolerance_s)
         return turn * FrameRotation(rotation=pointing, target=turn.source, source=INERTIAL_FRAME)
 
+    def camera_rate_rad_s(self, et: float) -> Float | None:
+        """Rotation rate (3,) of the camera about its axes by a continuous CK. Returns None where it has none."""
+        if self.camera_from_frame is None or self.ck_tolerance_s > 0.0:
+            return None
+        try:
+            before, after = (self.camera_from_inertial(et + step_s) for step_s in (-_RATE_STEP_S, _RATE_STEP_S))
+        except DataError:
+            return None
+        assert before is not None
+        assert after is not None
+        return -(after.rotation * before.rotation.inv()).as_rotvec() / (2.0 * _RATE_STEP_S)
+
     def observer(self, et: float) -> ObserverState:
         """State of the spacecraft relative to the barycenter of the Solar System."""
         position, velocity = spk_state(self.spacecraft, et, observer=BARYCENTER)
@@ -88,6 +106,7 @@ class TargetSetup:
     estimators: empty in a scene file.
     spice_body, frame: NAIF name and body-fixed frame.
     limb: height map, atmosphere and rings.
+    orbit: covariance of the predicted position by epoch.
     """
 
     name: str
@@ -99,6 +118,7 @@ class TargetSetup:
     frame: str
     uncertainty: TargetUncertainty = field(default_factory=TargetUncertainty)
     limb: LimbSetup = field(default_factory=LimbSetup)
+    orbit: OrbitCovariance | None = None
 
     def inertial_from_body(self, position_inertial_km: Float, et: float) -> Rotation:
         """Orientation by SPICE at the emission time of the observed light."""
@@ -139,7 +159,9 @@ def catalog_of(path: Path, name: str) -> str:
 def geometry_of(
     path: Path, key: str, name: str, targets: Sequence[BodySection], images: Sequence[Path] = ()
 ) -> GeometryTable:
-    """Read the geometry table or EPIC metadata that a file names; rows without a target belong to a single target."""
+    """Read a geometry table, EPIC metadata or a folder of SUMFILEs; rows without a target belong to a single target."""
+    if (path.parent / name).is_dir():
+        return read_sumfiles(path.parent / name, images, [target.name for target in targets])
     file = existing_file(path, key, name)
     if file.suffix.lower() == ".json":
         names = {(target.spice_body or target.name).upper(): target.name for target in targets}
@@ -265,10 +287,16 @@ def _target(path: Path, where: str, section: BodySection, spice: SpiceSetup | No
         shape = (x_km, y_km, z_km)
     with prefix_errors(f"{where}."):
         reflectance = McEwen() if section.reflectance is None else reflectance_from_mapping(section.reflectance)
-    limb, uncertainty = LimbSetup(), TargetUncertainty()
+    limb, uncertainty, orbit = LimbSetup(), TargetUncertainty(), None
     if isinstance(section, TargetSection):
+        table, key = section.uncertainty.ephemeris_table, f"{where}.uncertainty.ephemeris_table"
+        if table is not None:
+            require(section.uncertainty.ephemeris_km == 0.0, f"{key}: give either ephemeris_km or a table")
+            file = existing_file(path, key, table)
+            with prefix_errors(f"{key}: "):
+                orbit = read_orbit_covariance(file)
         with prefix_errors(f"{where}.uncertainty.pole_deg: "):
-            uncertainty = _uncertainty(section)
+            uncertainty = _uncertainty(section, orbit)
             uncertainty.require_known_pole(section.name, None if isinstance(shape, str) else shape)
         terrain = None if section.terrain is None else existing_file(path, f"{where}.terrain", section.terrain)
         limb = LimbSetup.from_section(section, where, shape, terrain)
@@ -282,17 +310,19 @@ def _target(path: Path, where: str, section: BodySection, spice: SpiceSetup | No
         frame=section.frame or spice_body,
         uncertainty=uncertainty,
         limb=limb,
+        orbit=orbit,
     )
 
 
-def _uncertainty(section: TargetSection) -> TargetUncertainty:
+def _uncertainty(section: TargetSection, orbit: OrbitCovariance | None) -> TargetUncertainty:
     known = section.uncertainty
     unknown = known.pole_deg == "unknown"
     return TargetUncertainty(
         scale=known.scale,
         pole_rad=0.0 if isinstance(known.pole_deg, str) else known.pole_deg * RAD_PER_DEG,
         spin_rad=known.spin_deg * RAD_PER_DEG,
-        ephemeris_km=known.ephemeris_km,
+        ephemeris_km=known.ephemeris_km if orbit is None else orbit.largest_sigma_km,
+        sun_rad=known.sun_deg * RAD_PER_DEG,
         albedo=known.albedo,
         pole_unknown=unknown,
     )

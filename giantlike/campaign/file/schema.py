@@ -124,7 +124,7 @@ class ImagesSection(TomlSection):
     """File names or glob patterns (`**` for subfolders) of images in any readable format."""
     geometry: str | None = None
     """Table of a priori geometry ([columns](howto/a-priori.md)), or the JSON that NASA's EPIC API gives for a day of
-    pictures; missing values come from headers, then SPICE."""
+    pictures, or a folder of SUMFILEs of stereophotoclinometry; missing values come from headers, then SPICE."""
     hdu: Annotated[int | str | None, PlainValidator(_checked_hdu)] = None
     """Number (from 0) or name of the FITS extension; default: the first with an image."""
     bottom_up: bool = False
@@ -286,6 +286,11 @@ class UncertaintySection(TomlSection):
     """Error of the rotation about the body-fixed z axis, deg."""
     ephemeris_km: float = Field(default=0.0, ge=0)
     """Error of the predicted position along each axis, km; part of observed minus computed, not of the fix."""
+    ephemeris_table: str | None = None
+    """Table of the covariance of that position along the arc, by epoch, in place of `ephemeris_km`
+    ([columns](howto/a-priori.md#an-orbit-covariance-that-varies))."""
+    sun_deg: float = Field(default=0.0, ge=0, le=25)
+    """Error of the direction to the Sun, about each axis across it, deg."""
     albedo: float = Field(default=0.15, ge=0.01, le=2.0)
     """Brightness of the surface about its law: albedo variations, clouds (0.5). Residuals from them raise no flag."""
 

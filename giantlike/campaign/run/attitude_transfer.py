@@ -42,7 +42,7 @@ def attitude_to_use(campaign: Campaign, record: AttitudeRecord) -> Attitude | No
     """
     if record.attitude is not None or record.apriori is None:
         return record.attitude
-    return attitude_of(record.apriori, AttitudeSource.A_PRIORI, campaign.apriori_covariance_rad2)
+    return attitude_of(record.apriori, AttitudeSource.A_PRIORI, campaign.apriori_covariance_rad2(record.file))
 
 
 def _star(record: AttitudeRecord) -> StarAttitude | None:

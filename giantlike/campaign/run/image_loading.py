@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.file.inputs import SpiceSetup, TargetSetup
-from giantlike.core.arrays import unit
+from giantlike.core.arrays import require, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
@@ -21,13 +21,13 @@ from giantlike.core.time import time_from_et
 from giantlike.core.values import Value
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, SpiceEphemeris
 from giantlike.image import Image
-from giantlike.io.geometry_table import GeometryRow
+from giantlike.io.geometry_table import GeometryRow, ImageGeometry
 from giantlike.io.label_geometry import geometry_of_label
 from giantlike.io.spice import CoverageError, spk_state
 from giantlike.io.spice_pointing import LabelClock
 from giantlike.io.wcs_header import attitude_of_wcs, has_world_coordinates
 from giantlike.processing.calibration_frames import CalibrationFrames
-from giantlike.scene import Scene, Target
+from giantlike.scene import Scene, Target, TargetUncertainty
 from giantlike.shapes import Ellipsoid, Shape
 
 _POLE_UP = Rotation.from_matrix([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -62,6 +62,9 @@ def open_image(campaign: Campaign, entry: ImageEntry, frames: CalibrationFrames 
             exposure_s=image.exposure_s if known.exposure_s is None else known.exposure_s,
             observer=known.observer or image.observer,
         )
+        if known.in_body_axes:
+            pointing = _attitude_by_body(campaign, image, known)
+            image = image if pointing is None else image.with_attitude(pointing)
         if known.camera_from_inertial is not None:
             image = image.with_attitude(known.camera_from_inertial)
     if frames is not None:
@@ -79,9 +82,27 @@ def open_image(campaign: Campaign, entry: ImageEntry, frames: CalibrationFrames 
         image, more = _with_world_coordinates(image, campaign)
         notes += more
     if image.camera_from_inertial is None and known is not None and known.seen:
-        image = image.with_attitude(Rotation.identity())
-        notes += ("no a priori attitude: camera axes are used as inertial axes",)
+        turn = next(iter(known.seen.values())).camera_from_body if known.in_body_axes else None
+        image = dataclasses.replace(image, observer=None if known.in_body_axes else image.observer)
+        image = image.with_attitude(turn or Rotation.identity())
+        axes = "camera axes" if turn is None else "axes of the body"
+        notes += (f"no a priori attitude: {axes} are used as inertial axes, without aberration",)
     return PreparedImage(image, notes)
+
+
+def _attitude_by_body(campaign: Campaign, image: Image, known: ImageGeometry) -> Rotation | None:
+    """Attitude by the orientation of a target by SPICE. Returns None where there is none."""
+    et = image.et
+    if campaign.spice is None or et is None:
+        return None
+    for target in campaign.targets:
+        stated = known.seen.get(target.name)
+        if stated is not None and stated.camera_from_body is not None:
+            try:
+                return stated.camera_from_body * target.inertial_from_body(stated.position_camera_km, et).inv()
+            except DataError:
+                continue
+    return None
 
 
 def _with_world_coordinates(image: Image, campaign: Campaign) -> tuple[Image, tuple[str, ...]]:
@@ -145,22 +166,24 @@ class _SpiceGeometry:
 
     spice: SpiceSetup
     target: TargetSetup
+    uncertainty: TargetUncertainty
     relative: bool
 
     @classmethod
-    def at(cls, spice: SpiceSetup, target: TargetSetup, et: float | None) -> _SpiceGeometry:
+    def at(
+        cls, spice: SpiceSetup, target: TargetSetup, uncertainty: TargetUncertainty, et: float | None
+    ) -> _SpiceGeometry:
         """Choose the origin: the barycenter, unless the kernels know the spacecraft relative to the target only."""
-        if et is None:
-            return cls(spice, target, relative=False)
-        linked = all(_has_state(body, et, BARYCENTER) for body in (spice.spacecraft, target.spice_body))
-        return cls(spice, target, relative=not linked and _has_state(spice.spacecraft, et, target.spice_body))
+        linked = et is None or all(_has_state(body, et, BARYCENTER) for body in (spice.spacecraft, target.spice_body))
+        relative = et is not None and not linked and _has_state(spice.spacecraft, et, target.spice_body)
+        return cls(spice, target, uncertainty, relative=relative)
 
     def scene(self, shape: Shape, *, sun: bool = True) -> Scene:
         """Scene of the target, without the Sun for positions alone."""
         origin = self.target.spice_body if self.relative else BARYCENTER
         body = SpiceEphemeris(self.target.spice_body, self.target.frame, origin)
         return Scene(
-            targets=(_body(self.target, shape, body),),
+            targets=(_body(self.target, self.uncertainty, shape, body),),
             observer=SpiceEphemeris(self.spice.spacecraft, origin=origin),
             light=SpiceEphemeris("SUN", origin=origin) if sun else None,
         )
@@ -174,13 +197,29 @@ def _has_state(body: str, et: float, origin: str) -> bool:
     return True
 
 
-def _body(target: TargetSetup, shape: Shape, ephemeris: ApparentGeometry | SpiceEphemeris) -> Target:
+def _uncertainty_in(campaign: Campaign, image: Image, target: TargetSetup) -> TargetUncertainty:
+    """Uncertainty of a target with the covariance of its position in an image: of the arc, or of its SUMFILE."""
+    known, et, attitude = campaign.geometry.get(image.name), image.et, image.camera_from_inertial
+    stated = None if known is None else known.seen.get(target.name)
+    if target.orbit is not None:
+        require(et is not None, f"{target.name}: its covariance by epoch needs the epoch of the image")
+        return dataclasses.replace(target.uncertainty, ephemeris_icrf_km2=target.orbit.at(et or 0.0))
+    covariance = None if stated is None else stated.covariance_camera_km2
+    if covariance is None or attitude is None or target.uncertainty.ephemeris_km > 0.0:
+        return target.uncertainty
+    turn = attitude.as_matrix()
+    return dataclasses.replace(target.uncertainty, ephemeris_icrf_km2=turn.T @ covariance @ turn)
+
+
+def _body(
+    target: TargetSetup, uncertainty: TargetUncertainty, shape: Shape, ephemeris: ApparentGeometry | SpiceEphemeris
+) -> Target:
     return Target(
         name=target.name,
         shape=shape,
         ephemeris=ephemeris,
         reflectance=target.reflectance,
-        uncertainty=target.uncertainty,
+        uncertainty=uncertainty,
         terrain=target.limb.height_map(),
         atmosphere=target.limb.atmosphere,
         rings=target.limb.rings,
@@ -194,12 +233,14 @@ def scene_of(campaign: Campaign, image: Image, target: TargetSetup, shape: Shape
     row = None if known is None else known.targets.get(target.name)
     if row is None:
         row = stated_row(campaign, image, target)
-    spice = None if campaign.spice is None else _SpiceGeometry.at(campaign.spice, target, image.et)
+    known_errors = _uncertainty_in(campaign, image, target)
+    setup = campaign.spice
+    spice = None if setup is None else _SpiceGeometry.at(setup, target, known_errors, image.et)
     if row is not None:
         apparent = _from_row(row, image, target, shape, spice)
         if isinstance(apparent, Failure):
             return apparent
-        return Scene(targets=(_body(target, shape, apparent),))
+        return Scene(targets=(_body(target, known_errors, shape, apparent),))
     if spice is None:
         return _missing(image, target, "row")
     if spice.relative and image.et is not None and not _has_state("SUN", image.et, target.spice_body):

@@ -102,6 +102,8 @@ def sighting_of(scene: Scene, image: Image, geometry: TargetGeometry) -> Sightin
         pole_sigma_rad=known.pole_rad,
         spin_sigma_rad=known.spin_rad,
         ephemeris_sigma_km=known.ephemeris_km,
+        sun_sigma_rad=known.sun_rad,
+        ephemeris_icrf_km2=known.ephemeris_icrf_km2 and list(map(list, known.ephemeris_icrf_km2)),
     )
     circumstances = scene.circumstances(image, geometry.target.name)
     if circumstances is None:

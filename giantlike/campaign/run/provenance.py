@@ -28,7 +28,7 @@ def inputs_of(campaign: Campaign, bench: Workbench) -> dict[str, Any]:
         "campaign": dict(campaign.table),
         "image_files": [image.key for image in campaign.images],
         "camera": campaign.camera.to_mapping(),
-        "geometry_sha256": None if campaign.geometry_file is None else file_sha256(campaign.geometry_file),
+        "geometry_sha256": _geometry_sha256(campaign.geometry_file),
         "calibration_frames_sha256": None if campaign.frames is None else campaign.frames.sha256(campaign.path.parent),
         "rates_sha256": None if stars is None or stars.rates is None else file_sha256(stars.rates),
         "kernels_sha256": {Path(path).name: digest for path, digest in kernels.items()},
@@ -57,6 +57,13 @@ def environment_of(campaign: Campaign) -> dict[str, Any]:
         "platform": platform.platform(),
         "packages": package_versions(),
     }
+
+
+def _geometry_sha256(path: Path | None) -> str | dict[str, str] | None:
+    """Hash of a geometry table, or of each SUMFILE of a folder."""
+    if path is None or path.is_file():
+        return None if path is None else file_sha256(path)
+    return {file.name: file_sha256(file) for file in sorted(path.iterdir()) if file.is_file()}
 
 
 def file_sha256(path: Path) -> str:

@@ -55,6 +55,7 @@ class Steps:
                 bench.shapes[target.name].sha256,
                 *(target.units, target.reflectance, target.uncertainty, target.spice_body, target.frame, target.name),
                 *(() if target.limb == LimbSetup() else (target.limb,)),
+                *(() if target.orbit is None else (target.orbit,)),
             )
             for target in campaign.targets
         }

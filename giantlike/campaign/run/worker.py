@@ -164,19 +164,21 @@ def _open_image(bench: Workbench, job: ImageJob) -> tuple[Workbench, PreparedIma
 
 def _solve_attitude(bench: Workbench, prepared: PreparedImage, entry: ImageEntry) -> AttitudeRecord:
     campaign, image = bench.campaign, prepared.image
-    apriori = image.camera_from_inertial
+    apriori, spice = image.camera_from_inertial, campaign.spice
+    rate = None if spice is None or image.et is None else spice.camera_rate_rad_s(image.et)
     record = with_observer(_make_unsolved_record(campaign, entry, image), image.observer).replace(
         sha256=image.sha256,
         columns=image.columns,
         rows=image.rows,
         et=image.et,
+        rate_rad_s=None if rate is None else rate.tolist(),
         apriori_xyzw=None if apriori is None else quaternion_xyzw(apriori).tolist(),
         notes=_notes(campaign, prepared),
     )
     if bench.navigation is not None and record.star_image:
         return _from_stars(record, bench.navigation, image)
     if apriori is not None:
-        attitude = attitude_of(apriori, AttitudeSource.A_PRIORI, campaign.apriori_covariance_rad2)
+        attitude = attitude_of(apriori, AttitudeSource.A_PRIORI, campaign.apriori_covariance_rad2(entry.key))
         return with_attitude(record, campaign.camera, attitude)
     missing = Problem(reason=Reason.NO_ATTITUDE, detail=f"{entry.key}: no attitude in table, header or SPICE")
     return record.replace(problem=missing)

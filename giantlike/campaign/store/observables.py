@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,7 @@ from giantlike.observables import (
     row_of_landmark,
     rows_of_stars,
 )
+from giantlike.observables.rates import camera_rates
 from giantlike.scene import Circumstances, TargetUncertainty
 
 OBSERVABLES_FILE = "observables.parquet"
@@ -81,6 +82,7 @@ class ObservableGroups:
         self._folder = folder
         self._camera, self._shared_camera = camera, f"{camera.name} {_digest(camera)}"
         self._bodies = {record.file: record for record in result.bodies}
+        self._rates = _rates_of(result.attitudes)
         self._groups: list[list[AttitudeRecord]] = []
         rows, last = 0, list[AttitudeRecord]()
         for attitude in result.attitudes:
@@ -110,6 +112,7 @@ class ObservableGroups:
             camera=self._camera,
             shared_camera=self._shared_camera,
             attitude=attitude,
+            rate_rad_s=self._rates.get(attitude.file),
             bodies=self._bodies.get(attitude.file),
             stars=None if attitude.attitude is None else self._folder.packed_points(attitude),
             fixes={record.subject: self._folder.packed_points(record) for record in self._fixes(attitude.file)},
@@ -122,6 +125,7 @@ class ImageRecords:
 
     results: file that the records are from, for errors.
     shared_camera: key of camera and calibration.
+    rate_rad_s: rotation rate of the camera, by a CK or by the images before and after.
     stars: points of the attitude, packed.
     fixes: points of fixes by target and estimator, packed.
     """
@@ -130,6 +134,7 @@ class ImageRecords:
     camera: Camera
     shared_camera: str
     attitude: AttitudeRecord
+    rate_rad_s: list[float] | None
     bodies: ObservationsRecord | None
     stars: bytes | None
     fixes: dict[tuple[str, str], bytes | None]
@@ -202,6 +207,7 @@ class ImageRecords:
             exposure_s=image.exposure_s,
             accepted_by=None if accepted is None else accepted.who,
             accepted_why=None if accepted is None else accepted.why,
+            camera_rate_rad_s=_array(self.rate_rad_s),
         )
 
 
@@ -224,6 +230,20 @@ def observables_metadata(name: str, camera: Camera) -> dict[str, str]:
         "camera": json.dumps(camera.to_mapping()),
         "camera_parameters": json.dumps(parameters),
     }
+
+
+def _rates_of(records: Sequence[AttitudeRecord]) -> dict[str, list[float]]:
+    """Rotation rates of the camera by image, where a CK or steady attitudes before and after an image tell them."""
+    by_et = {record.et: record for record in records if record.et is not None and record.attitude is not None}
+    timed = [by_et[et] for et in sorted(by_et)]
+    known = [attitude for record in timed if (attitude := record.attitude) is not None]
+    if not known:
+        return {}
+    sigmas = [float(np.sqrt(np.trace(one.covariance_rad2 or np.zeros((3, 3))))) for one in known]
+    attitudes = Rotation.concatenate([one.rotation for one in known])
+    rates = camera_rates(np.array([record.et for record in timed], dtype=np.float64), attitudes, np.array(sigmas))
+    found = {record.file: rate.tolist() for record, rate in zip(timed, rates, strict=True) if np.isfinite(rate).all()}
+    return found | {record.file: record.rate_rad_s for record in records if record.rate_rad_s is not None}
 
 
 def _is_fix(record: ObservationRecord) -> bool:
@@ -256,6 +276,8 @@ def _sighting(known: SightingRecord, record: ObservationRecord) -> Sighting:
             pole_rad=known.pole_sigma_rad,
             spin_rad=known.spin_sigma_rad,
             ephemeris_km=known.ephemeris_sigma_km,
+            ephemeris_icrf_km2=known.ephemeris_icrf_km2,
+            sun_rad=known.sun_sigma_rad,
         ),
         circumstances=circumstances,
     )

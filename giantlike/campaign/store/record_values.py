@@ -124,7 +124,7 @@ class SightingRecord(PlainRecord):
     origin, observer_position_km, ..., light_time_s: as in :class:`~giantlike.scene.Circumstances`; None where unknown.
     camera_from_body_xyzw: (4,); orientation at the emission time of the light, by the attitude used; scalar last.
     sun_direction_camera: from the body to the Sun.
-    scale_sigma, pole_sigma_rad, spin_sigma_rad, ephemeris_sigma_km: as in :class:`~giantlike.scene.TargetUncertainty`.
+    scale_sigma, ..., sun_sigma_rad, ephemeris_icrf_km2: as in :class:`~giantlike.scene.TargetUncertainty`.
     """
 
     target: str
@@ -140,3 +140,5 @@ class SightingRecord(PlainRecord):
     pole_sigma_rad: float = 0.0
     spin_sigma_rad: float = 0.0
     ephemeris_sigma_km: float = 0.0
+    sun_sigma_rad: float = 0.0
+    ephemeris_icrf_km2: Covariance | None = None

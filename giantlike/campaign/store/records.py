@@ -223,6 +223,7 @@ class AttitudeRecord(_StatusRecord):
         km/s, ICRF axes.
     star_image, body_image: True if its own stars were to be solved; True if estimators run on it.
     transferred: True if the attitude was sought from its neighbors in time.
+    rate_rad_s: of the rotation of the camera about its axes, by SPICE.
     apriori_xyzw: (4,); a priori ``camera_from_inertial``, scalar last.
     attitude: the result; None when failed.
     attitude_shares: of a transferred attitude, its star images and the weight of each.
@@ -249,6 +250,7 @@ class AttitudeRecord(_StatusRecord):
     star_image: bool = False
     body_image: bool = True
     transferred: bool = False
+    rate_rad_s: Triple | None = None
     apriori_xyzw: UnitQuaternion | None = None
     attitude: Attitude | None = None
     attitude_shares: dict[str, float] = Field(default_factory=dict)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike.core.arrays import Float
+from giantlike.core.arrays import Float, unit
 from giantlike.core.causes import IN_IMAGE, Cause, sum_parts
 from giantlike.core.findings import Smear
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
@@ -165,7 +165,8 @@ def _size_variance(fix: CenterFix, inputs: EstimatorInputs) -> float:
     """Relative variance of the predicted size of a body in the image, as far as its errors are declared."""
     geometry, camera = inputs.geometry, inputs.camera
     known = geometry.target.uncertainty
-    declared = (known.ephemeris_km / geometry.range_km) ** 2 + known.scale**2
+    along = unit(geometry.position_camera_km) / geometry.range_km
+    declared = float(along @ geometry.covariance_ephemeris_km2 @ along) + known.scale**2
     if camera.uncertainty is None or not camera.uncertainty.estimated:
         return declared
     position_km = geometry.range_km * camera.model.unproject(fix.center_px)

@@ -1,0 +1,93 @@
+"""SUMFILEs as a priori geometry of images: all in axes of the body, as :mod:`giantlike.io.spc_sumfile` has them.
+
+``SCOBJ`` is taken as seen, light time and aberration in it: the page of the format does not say which it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.core.arrays import Float
+from giantlike.core.errors import DataError
+from giantlike.core.frames import rotate
+from giantlike.io.geometry_table import GeometryTable, ImageGeometry
+from giantlike.io.spc_sumfile import Sumfile, read_sumfile
+from giantlike.io.viewing_geometry import StatedGeometry
+
+_HALF_TURN = Rotation.from_quat([0.0, 0.0, 1.0, 0.0])
+
+
+def read_sumfiles(folder: Path, images: Sequence[Path], targets: Sequence[str]) -> GeometryTable:
+    """Read the geometry of images from the SUMFILEs of a folder.
+
+    A SUMFILE belongs to the image whose file name begins with the name in its first line, upper or lower case. It does
+    not name its body: that is the target of a campaign with one, else the target with which the name of the file ends.
+    """
+    files = sorted(path for path in folder.iterdir() if path.suffix.upper() == ".SUM")
+    if not files:
+        raise DataError(folder, "there is no file *.SUM")
+    by_name: dict[str, list[Path]] = {}
+    for image in images:
+        by_name.setdefault(image.stem.upper(), []).append(image)
+    found: dict[Path, ImageGeometry] = {}
+    for path in files:
+        content = read_sumfile(path)
+        sharing = by_name.get(content.name.upper(), [])
+        if len(sharing) > 1:
+            raise DataError(path, f"{content.name} is the name of {len(sharing)} images ({sharing[0]}, {sharing[1]})")
+        if sharing:
+            known, target = found.get(sharing[0]), _target(path, targets)
+            if known is not None and target in known.seen:
+                raise DataError(path, f"the image {content.name} has another SUMFILE of {target}")
+            found[sharing[0]] = _geometry(path, content, target, known)
+    if not found:
+        raise DataError(folder, f"no image has the name of a SUMFILE, such as {content.name}")
+    return GeometryTable(folder, (), found)
+
+
+def _target(path: Path, targets: Sequence[str]) -> str:
+    ends = [name for name in targets if path.stem.upper().endswith(f"_{name.upper()}")]
+    if len(targets) != 1 and not ends:
+        raise DataError(path, f"of which body? Name the file IMAGE_TARGET.SUM, TARGET one of {', '.join(targets)}")
+    return max(ends, key=len, default=targets[0])
+
+
+def _geometry(path: Path, content: Sumfile, target: str, known: ImageGeometry | None) -> ImageGeometry:
+    """Geometry of an image with that of another of its targets."""
+    turn = _camera_from_plane(path, content.pixels_per_mm)
+    camera_from_body = turn * content.camera_from_body
+    stated = StatedGeometry(
+        target=target,
+        position_camera_km=rotate(camera_from_body, content.target_km),
+        sun_direction_camera=rotate(camera_from_body, content.sun_direction_body),
+        camera_from_body=camera_from_body,
+        covariance_camera_km2=_covariance(camera_from_body, content.sigma_target_km),
+    )
+    return ImageGeometry(
+        epoch=content.epoch,
+        exposure_s=None,
+        camera_from_inertial=None,
+        observer=None,
+        targets={},
+        seen={target: stated} if known is None else {**known.seen, target: stated},
+        covariance_attitude_rad2=_covariance(turn, content.sigma_pointing_rad),
+        in_body_axes=True,
+    )
+
+
+def _camera_from_plane(path: Path, pixels_per_mm: Float) -> Rotation:
+    """Rotation to camera axes, +x along columns and +y along rows, from the axes of a SUMFILE."""
+    across, down = np.diag(pixels_per_mm[:, :2])
+    if across * down <= 0.0:
+        raise DataError(path, "line 10: K has a mirrored image: its first and fifth number must have the same sign")
+    return Rotation.identity() if across > 0.0 else _HALF_TURN
+
+
+def _covariance(turn: Rotation, sigmas: Float) -> Float | None:
+    """Covariance (3, 3) of standard deviations along axes that are rotated; None where all are zero."""
+    axes = turn.as_matrix()
+    return axes * sigmas**2 @ axes.T if np.any(sigmas) else None
