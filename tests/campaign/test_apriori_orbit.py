@@ -94,7 +94,7 @@ def test_sumfiles_are_the_geometry_of_a_campaign_in_axes_of_the_body(tmp_path: P
     path = campaign_of(tmp_path, picture)
     assert [str(one) for one in check_campaign(path, all_images=True)] == []
     image, geometry, notes = predicted(path)
-    assert notes == ("no a priori attitude: axes of the body are used as inertial axes, without aberration",)
+    assert notes == ("no a priori attitude: axes of the body are used as inertial axes",)
     assert image.et == pytest.approx(ET, abs=1e-3)
     assert_as_declared(geometry)
     result = run_campaign(Campaign.load(path), workers=1)

@@ -499,5 +499,6 @@ def test_lmk_files_go_beside_sumfiles_with_the_same_pixels(
     assert exported.n_observations == 1
     found = read_lmks(tmp_path / "spc" / "LMKFILES", tmp_path / "spc")  # compares pixels
     assert list(found) == [LANDMARK.name]
-    assert (found[LANDMARK.name].half_size, found[LANDMARK.name].scale_km) == (4, pytest.approx(0.1))
+    assert found[LANDMARK.name].half_size == 4
+    assert found[LANDMARK.name].scale_km == pytest.approx(0.1)
     np.testing.assert_allclose(found[LANDMARK.name].position_body_km, LANDMARK.body_km, rtol=0, atol=1e-9)

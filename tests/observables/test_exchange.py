@@ -346,7 +346,7 @@ START_ET = 757339269.184
 
 def preferred_arc(count: int, *, velocities: bool) -> tuple[list[ObservableRow], Float, Float]:
     """Preferred fixes along a curve, and its epochs and states of the spacecraft relative to the target."""
-    seconds: Float = 40.0 * np.arange(count) + np.where(np.arange(count) >= 5, 5000.0, 0.0)
+    seconds = 40.0 * np.arange(count, dtype=np.float64) + np.where(np.arange(count) >= 5, 5000.0, 0.0)
     angle = 2e-5 * seconds
     position = 900.0 * np.stack([np.cos(angle), np.sin(angle), 0.3 * np.sin(angle)], axis=1)
     velocity = 900.0 * 2e-5 * np.stack([-np.sin(angle), np.cos(angle), 0.3 * np.cos(angle)], axis=1)

@@ -86,7 +86,7 @@ def open_image(campaign: Campaign, entry: ImageEntry, frames: CalibrationFrames 
         image = dataclasses.replace(image, observer=None if known.in_body_axes else image.observer)
         image = image.with_attitude(turn or Rotation.identity())
         axes = "camera axes" if turn is None else "axes of the body"
-        notes += (f"no a priori attitude: {axes} are used as inertial axes, without aberration",)
+        notes += (f"no a priori attitude: {axes} are used as inertial axes",)
     return PreparedImage(image, notes)
 
 
