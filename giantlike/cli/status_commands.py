@@ -26,6 +26,7 @@ class Action(StrEnum):
     REJECT = "reject"
     ACCEPT = "accept"
     DISCUSS = "discuss"
+    START = "start"
     RESTORE = "restore"
 
 
@@ -51,14 +52,18 @@ def _lines(found: RunStatus) -> Iterator[str]:
 
 def edit(
     folder: Run,
-    action: Annotated[Action, typer.Argument(help="list, reject, accept, discuss or restore.")],
+    action: Annotated[Action, typer.Argument(help="list, reject, accept, discuss, start or restore.")],
     file: Annotated[
         str | None,
         typer.Argument(metavar="IMAGE", help="Name of the image, or its beginning; all but list need it."),
     ] = None,
     star: Annotated[int | None, typer.Option(help="Number of a star of it, in the catalog.", metavar="ID")] = None,
-    target: Annotated[str | None, typer.Option(help="Target of a fix of it.")] = None,
+    target: Annotated[str | None, typer.Option(help="Target of a fix of it, or of a start.")] = None,
     estimator: Annotated[str | None, typer.Option(help="Estimator of that fix.")] = None,
+    center: Annotated[
+        tuple[float, float] | None, typer.Option(help="Where a start has the center of its target, px.", metavar="X Y")
+    ] = None,
+    sigma: Annotated[float | None, typer.Option(help="Sigma of that center, px.", show_default="3")] = None,
     why: Annotated[str | None, typer.Option(help="Reason, for those who come after; all but list need one.")] = None,
     who: Annotated[str | None, typer.Option(help="Default: the user.")] = None,
     json: Json = False,
@@ -67,21 +72,23 @@ def edit(
 
     The edit list is kept with the results, with who, when and why. Every later run, report and export applies it;
     results are kept, so that they can be restored. Without a target, accept is for the attitude, and discuss marks the
-    image for others to look at.
+    image for others to look at. A start says where estimators look for a target when its image is solved again.
     """
     run = RunFolder.open(folder)
     if action is Action.LIST:
         edits = read_edits(folder).edits
         return show_result(list(map(_fields, edits)), [edit.line for edit in edits], json=json)
     require(file is not None and bool((why or "").strip()), f"{action} needs an IMAGE and --why TEXT")
-    require((target is None) == (estimator is None), "a fix has a --target and an --estimator")
+    started = action is Action.START or (action is Action.RESTORE and target is not None and estimator is None)
+    require((center is not None) == (action is Action.START), "start, and nothing else, needs --center X Y")
+    require(started or (target is None) == (estimator is None), "a fix has a --target and an --estimator")
     require(star is None or target is None, "give either --star or --target and --estimator")
     whole = {Action.ACCEPT: Edited.ATTITUDE, Action.DISCUSS: Edited.REVIEW}.get(action, Edited.IMAGE)
-    what = Edited.STAR if star is not None else Edited.FIX if target is not None else whole
+    what = Edited.START if started else Edited.STAR if star is not None else Edited.FIX if target is not None else whole
     made = new_edit(
         run,
         {"action": str(action), "what": what, "file": file, "star": star, "target": target, "estimator": estimator,
-         "who": who or getpass.getuser(), "why": why},
+         "at_px": center, "sigma_px": sigma, "who": who or getpass.getuser(), "why": why},
     )  # fmt: skip
     add_edits(folder, [made])
     lines = [made.line, "run the campaign again to bring tables and report up to date"]

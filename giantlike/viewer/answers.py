@@ -94,6 +94,11 @@ class Answers:
                 "words": explain(seen),
                 "fixes": [_fix_row(one, index) for one in seen.observations],
                 "targets": list(dict.fromkeys(one.target for one in seen.observations)),
+                "outlines": [
+                    {"target": each.target, "center": each.view.predicted_px, "outline": each.view.outline_px}
+                    for each in seen.targets
+                    if each.view is not None
+                ],
                 "edits": [edit.model_dump(mode="json", exclude_none=True) for edit in seen.edits],
                 "charts": _charts(seen),
             }

@@ -129,10 +129,12 @@ def _phase_deg(position_camera_km: Sequence[float], known: TargetRecord) -> floa
 
 
 def _observation(one: ObservationRecord) -> Iterator[str]:
+    started = [f"Started by hand: {one.provenance['start']}."] if "start" in one.provenance else []
     if one.problem is not None:
         yield _problem(one.problem)
+        yield from started
         return
-    yield from _place(one)
+    yield from [*started, *_place(one)]
     if one.n_used is not None:
         rejected = "" if not one.n_rejected else f", {one.n_rejected} rejected"
         yield f"Observations used: {one.n_used}{rejected}."

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from giantlike.campaign.store.edits import Edit
+from giantlike.campaign.store.edits import Edit, Edited
 from giantlike.campaign.store.records import ObservationRecord
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
@@ -23,6 +23,8 @@ _LONGEST_NUMBER = 9
 """Maximum digits of a catalog number next to a mark: enough for Hipparcos, Tycho-2 and UCAC4."""
 TERMINATOR = "#ff7ad9"
 """Color of the line where the Sun is at the horizon of the surface."""
+START = "#ffd84d"
+"""Color of the outline from which a user lets estimators start."""
 REJECTED = "#aab4be"
 """Color of everything that a user rejected."""
 LANDMARK, LANDMARK_REJECTED = "#22d3ff", MARKS["limb points rejected"]
@@ -200,6 +202,20 @@ def _predicted_outlines(seen: SeenImage) -> list[MarkLayer]:
     return made
 
 
+def _starts(seen: SeenImage) -> list[MarkLayer]:
+    """The predicted outline moved to where a user lets estimators start."""
+    made, views = [], {target.target: target.view for target in seen.targets if target.view is not None}
+    for edit in seen.edits:
+        if edit.what is Edited.START and edit.at_px is not None:
+            view, center = views.get(edit.target or ""), np.array(edit.at_px)
+            outline = np.zeros((0, 2)) if view is None else _points(view.outline_px) + center - view.predicted_px
+            shape = MarkShape.DASHES if len(outline) else MarkShape.PLUS
+            points = _close_outline(outline) if len(outline) else center[None]
+            layer = Layer(points=points, shape=shape, color=START, size=9.0, width=1.2)
+            made.append(MarkLayer(name="start", title=f"{edit.target}: start by {edit.who}: {edit.why}", layer=layer))
+    return made
+
+
 def _fitted_outlines(seen: SeenImage) -> list[MarkLayer]:
     """The outline at each fix: the outline of a template, else the predicted one moved and scaled."""
     made, colors = [], center_colors(seen)
@@ -316,6 +332,7 @@ _MAKERS: Mapping[str, Callable[[SeenImage], list[MarkLayer]]] = MappingProxyType
         "rejected": _rejected_matches,
         "rejected-stars": _rejected_stars,
         "predicted": _predicted_outlines,
+        "start": _starts,
         "fitted": _fitted_outlines,
         "centers": _centers,
         "limb": partial(_limb_points, name="limb", kept_as="limb_px", meaning="limb points used"),

@@ -3,7 +3,7 @@
 
 const TOKEN = document.querySelector("meta[name=token]").content, NS = "http://www.w3.org/2000/svg", $ = id => document.getElementById(id);
 const state = { run: null, image: null, index: -1, off: new Set(["detections", "fitted"]), box: null, selected: null, sort: ["index", 1], pairs: null, pairSort: ["", 1],
-  tab: "fixes", blink: 0 };
+  tab: "fixes", blink: 0, moved: null };
 const COLUMNS = [["file", "image"], ["target", "target"], ["estimator", "estimator"], ["words", "status"], ["x", "x, px"], ["y", "y, px"], ["sigma_x", "sigma x"],
   ["sigma_y", "sigma y"], ["dx", "o-c x, px"], ["dy", "o-c y, px"], ["range_km", "range, km"], ["sigma_range_km", "sigma range"], ["d_range_percent", "o-c range, %"],
   ["reason", "reason or flags"]];
@@ -120,7 +120,7 @@ const choose = guarded(async index => {
   const attitude = state.run.images[index].attitude;
   $("accept-attitude").hidden = attitude !== "suspect" && attitude !== "accepted"; $("accept-attitude").textContent = attitude === "accepted" ? "restore attitude" : "accept attitude";
   $("charts").replaceChildren(...image.charts.map(chart => { const button = cell("button", chart.title); button.onclick = () => showChart(chart); return button; }));
-  drawPicture(); drawLayers(); drawDecisions(); drawRows(); showChosenRow();
+  drawPicture(); drawLayers(); move(null); drawDecisions(); drawRows(); showChosenRow();
   location.hash = image.file;
 });
 
@@ -270,6 +270,11 @@ window.addEventListener("pointerup", () => { drag = null; });
 $("view").addEventListener("pointermove", event => {
   if (!state.image) return;
   const [x, y] = imagePoint(event);
+  if (drag && state.moved) {
+    const { at } = state.moved;
+    state.moved.at = [at[0] + x - drag[0], at[1] + y - drag[1]]; drag = [x, y];
+    drawMoved(); return;
+  }
   if (drag) { state.box.x += drag[0] - x; state.box.y += drag[1] - y; zoomed(); return; }
   const place = `x ${x.toFixed(2)}  y ${y.toFixed(2)} px`, number = ++asked;
   $("readout").textContent = place;
@@ -282,6 +287,33 @@ $("view").addEventListener("pointermove", event => {
 });
 $("fit").onclick = fit;
 new ResizeObserver(() => state.box && zoomed()).observe($("stage"));
+
+// --- outlines that are dragged to where estimators are to start
+
+function move(one) {  // an outline that is out of view starts in its middle
+  const { x, y, w, h } = state.box, inside = one && one.center[0] > x && one.center[0] < x + w && one.center[1] > y && one.center[1] < y + h;
+  state.moved = one && { ...one, at: inside ? one.center : [x + w / 2, y + h / 2] };
+  $("stage").classList.toggle("moving", Boolean(one));
+  const act = (text, does) => { const button = cell("button", text); button.onclick = does; return button; };
+  $("starts").replaceChildren(...(one ? [act("solve from here", solveFromHere), act("leave it", () => move(null))]
+    : state.image.outlines.map(each => act(`drag ${each.target}`, () => move(each)))));
+  drawMoved();
+}
+function drawMoved() {
+  const moved = state.moved;
+  $("moved").replaceChildren();
+  if (!moved) return;
+  const [dx, dy] = [moved.at[0] - moved.center[0], moved.at[1] - moved.center[1]], cross = drawn("g", { class: "mark" });
+  cross.style.setProperty("--x", moved.at[0] + "px"); cross.style.setProperty("--y", moved.at[1] + "px");
+  cross.append(drawn("path", { d: "M0-9V9M-9 0H9" }));
+  const line = moved.outline.map(point => `${point[0] + dx} ${point[1] + dy}`).join("L");
+  $("moved").append(...(line ? [drawn("path", { class: "line", d: `M${line}Z` })] : []), cross);
+  $("readout").textContent = `${moved.target} at x ${moved.at[0].toFixed(2)}  y ${moved.at[1].toFixed(2)} px`;
+}
+const solveFromHere = guarded(async () => {
+  const { target, at } = state.moved;
+  if (await edit("start", { what: "start", file: state.image.file, target, at_px: at })) await solveAgain();
+});
 
 // --- marks one by one
 
@@ -465,13 +497,14 @@ function plot(fixes, key, sigma, title, across, names) {
 
 async function edit(action, thing) {
   const why = window.prompt(`Why ${action} ${thing.what} ${thing.star ?? thing.estimator ?? ""} of ${thing.file}?`);
-  if (!why) return;
+  if (!why) return false;
   await post("/api/edit", { action, why, who: $("who").value, ...thing });
   select(null);
   await loadRun(); await choose(state.index);
   say(`${thing.what} ${DONE[action]}; solve again brings results and report up to date`);
+  return true;
 }
-const DONE = { reject: "rejected", accept: "accepted", discuss: "to discuss", restore: "restored" };
+const DONE = { reject: "rejected", accept: "accepted", discuss: "to discuss", start: "set", restore: "restored" };
 const decided = test => state.image.edits.some(test);
 const toggle = (action, thing, test) => edit(decided(test) ? "restore" : action, { file: state.image.file, ...thing });
 const rejectStar = guarded(async star => toggle("reject", { what: "star", star }, one => one.star === star));
@@ -484,11 +517,11 @@ function drawDecisions() {
   $("decisions").replaceChildren(...(edits.length ? [cell("h2", "Decided by hand")] : []), ...edits.map(one => {
     const line = document.createElement("div"), act = cell("button", "restore"), { what, file, star, target, estimator } = one;
     act.onclick = guarded(() => edit("restore", { what, file, star, target, estimator }));
-    line.append(act, ` ${DONE[one.action]}: ${star ? `star ${star}` : target ? `${target} by ${estimator}` : `the ${what}`}: ${one.why} (${one.who})`);
+    line.append(act, ` ${DONE[one.action]}: ${star ? `star ${star}` : estimator ? `${target} by ${estimator}` : `the ${what}${target ? ` of ${target}` : ""}`}: ${one.why} (${one.who})`);
     return line;
   }));
 }
-$("solve").onclick = guarded(async () => {
+const solveAgain = guarded(async () => {
   const done = work("solving");
   try {
     let now = await post("/api/solve", {});
@@ -497,6 +530,8 @@ $("solve").onclick = guarded(async () => {
     say(now.state === "done" ? `solved: ${now.text}` : now.text);
   } finally { done(); }
 });
+
+$("solve").onclick = solveAgain;
 
 // --- panels that can be resized, by pointer and by arrow keys
 

@@ -11,15 +11,19 @@ from playwright.sync_api import Page, Route
 from scipy.spatial import cKDTree
 
 from giantlike.campaign.export import ExportFormat, ExportOptions, export_run
-from giantlike.campaign.store.edits import read_edits
+from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.run.runner import run_campaign
+from giantlike.campaign.store.edits import Measuring, read_edits
 from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.catalogs import load_catalog
 from giantlike.core.frames import direction_from_radec
 from giantlike.io.image_files import read_image_file
 from giantlike.viewer.layers import LAYERS
+from tests.campaign_files import CAMERA
 from tests.viewer.browser import CHROMIUM, chromium_page, multiply, open_page, served, with_rejected_match
-from tests.viewer.conftest import RockRun, make_suspect
+from tests.viewer.conftest import Made, RockRun, make_suspect
+from tests.viewer.test_decisions import predict_elsewhere
 
 pytestmark = pytest.mark.slow
 
@@ -99,7 +103,7 @@ def test_every_mark_of_every_layer_is_drawn_on_its_place(page: Page, run: Path, 
                 page.mouse.wheel(0, -400)
                 page.wait_for_function("() => state.box.w < 0.8 * state.image.columns")
                 _assert_drawn(page)
-    others = {"limb-rejected", "rejected-stars"}  # which have the code of limb points used and of rejected matches
+    others = {"limb-rejected", "rejected-stars", "start"}  # with the code of layers that are drawn
     assert drawn == set(LAYERS) - others
 
 
@@ -229,7 +233,7 @@ def test_a_star_is_rejected_the_image_solved_again_and_the_export_knows(page: Pa
         _show(page, file)
         _click_star(page, "matches", star)
         _said(page, "star rejected")
-        assert read_edits(run).rejected_stars() == {file: frozenset([star])}
+        assert read_edits(run).measuring() == {file: Measuring(rejected_stars=frozenset([star]))}
         page.click("#solve")
         _said(page, "solved", timeout=120000)
         assert set(_stars(run, file)) == set(matched) - {star}
@@ -569,3 +573,35 @@ def test_a_suspect_fix_is_accepted_with_name_and_reason_and_the_list_shows_the_s
         page.fill("#find", "")
         page.select_option("#show", "unseen")
         assert page.evaluate(shown) == ["visit0_a_long.fits: ok"]
+
+
+def test_an_outline_is_dragged_onto_the_body_and_the_image_solved_from_there(
+    page: Page, campaign: Path, run: Path, made: Made
+) -> None:
+    file = "visit0_b_short.fits"
+    predict_elsewhere(campaign)
+    run_campaign(Campaign.load(campaign), workers=1)
+    truth = CAMERA.model.project(made[1][file].position_camera_km)
+    page.on("dialog", lambda dialog: dialog.accept("it is over there"))
+    with served(run) as address:
+        open_page(page, address)
+        _show(page, file)
+        assert page.locator("#film button.chosen.failed").count() == 1
+        page.get_by_text("drag PEBBLE").click()
+        at = page.evaluate("state.moved.at")
+        page.mouse.move(*_place_of(page, at[0] + 3, at[1] - 2))
+        page.mouse.down()
+        page.mouse.move(*_place_of(page, *(truth + np.array([4.0, -3.0]))), steps=5)
+        page.mouse.up()
+        dragged = page.evaluate("state.moved.at")
+        np.testing.assert_allclose(dragged, truth + np.array([1.0, -1.0]), rtol=0, atol=0.5)
+        page.get_by_text("solve from here").click()
+        _said(page, "solved", timeout=120000)
+        (edit,) = read_edits(run).standing
+        assert (edit.action, edit.target, edit.why) == ("start", "PEBBLE", "it is over there")
+        np.testing.assert_allclose(edit.at_px or [], dragged, rtol=0, atol=1e-6)
+        assert page.locator("#film button.chosen.ok").count() == 1
+        assert page.locator("#marks > g[data-layer=start] path.line").count() == 1
+        found = page.evaluate("state.image.fixes.map(fix => [fix.x, fix.y])")
+        np.testing.assert_allclose(found, [truth, truth], rtol=0, atol=0.1)
+        assert "the start of PEBBLE: it is over there" in page.locator("#decisions").inner_text()

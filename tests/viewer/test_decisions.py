@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from pyarrow import parquet
 from starlette.testclient import TestClient
@@ -17,10 +18,11 @@ from giantlike.campaign.store.records import ObservationRecord
 from giantlike.campaign.store.results import load_result
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.outcomes import Outcome
-from giantlike.viewer import Session, explain
+from giantlike.viewer import Session, explain, layers_of
 from giantlike.viewer.dossier import write_dossier
 from giantlike.viewer.server import application
-from tests.viewer.conftest import make_suspect
+from tests.campaign_files import CAMERA
+from tests.viewer.conftest import Made, make_suspect
 from tests.viewer.test_edits import giantlike
 
 LONG, SHORT = "visit0_a_long.fits", "visit0_b_short.fits"
@@ -101,7 +103,7 @@ def test_an_accepted_attitude_is_exported(run: Path) -> None:
     assert read_edits(run).standing == []
 
 
-REFUSED = {
+REFUSED: dict[str, tuple[tuple[str, ...], str]] = {
     "what is ok": ((SHORT, *FIX), f"{TARGET} by {LIMB} is ok: only suspect"),
     "an attitude that is ok": ((LONG,), "the attitude is ok: only suspect"),
     "a star": ((LONG, "--star", "5"), "accept is for attitude and fix, not for star"),
@@ -180,3 +182,69 @@ def test_images_have_a_state_of_review(run: Path) -> None:
     assert decide("reject", what="image") == "rejected, rejected"
     assert decide("restore", what="image") == "accepted, accepted"
     assert decide("restore", estimator=LIMB, **fix) == "suspect, unseen"
+
+
+def predict_elsewhere(campaign: Path, offset_km: float = 8.0) -> None:
+    """Move the predicted direction of the body in the short image, at the same range."""
+    path = campaign.parent / "geometry.csv"
+    head, *lines = path.read_text().splitlines()
+    names = head.split(",")
+    for number, line in enumerate(lines):
+        row = dict(zip(names, line.split(","), strict=True))
+        if row["file"] == SHORT:
+            position = np.array([float(row[f"target_{axis}_km"]) for axis in "xyz"])
+            moved = position + np.array([0.0, offset_km, 0.0])
+            moved *= np.linalg.norm(position) / np.linalg.norm(moved)
+            row |= {f"target_{axis}_km": repr(float(x)) for axis, x in zip("xyz", moved, strict=True)}
+            lines[number] = ",".join(row.values())
+    path.write_text("\n".join([head, *lines]) + "\n")
+
+
+def test_an_image_whose_prediction_is_too_far_off_is_solved_from_a_start(made: Made, campaign: Path, run: Path) -> None:
+    predict_elsewhere(campaign)
+    failed = run_campaign(Campaign.load(campaign), workers=1).observations
+    assert {str(one.problem.reason) for one in failed if one.problem is not None} == {"low_correlation", "no_limb"}
+    truth = CAMERA.model.project(made[1][SHORT].position_camera_km)
+    center = [str(round(each)) for each in truth + 4.0]  # as well as a hand drags
+    done = giantlike("edit", run, "start", SHORT, "--target", TARGET, "--center", *center, *BY_ANN)
+    assert done.exit_code == 0, done.stderr
+    assert f"start {SHORT} ({TARGET} at {center[0]}.00, {center[1]}.00 px)" in done.stdout
+
+    again = run_campaign(Campaign.load(campaign), workers=1)
+    assert sum(count.redone for count in again.steps.values()) == 2  # not the attitudes, nor the outline
+    for fix, before in zip(again.observations, failed, strict=True):
+        assert fix.outcome is Outcome.OK
+        assert fix.center_px is not None
+        assert fix.covariance_px2 is not None
+        assert np.all(np.abs(fix.center_px - truth) < 5.0 * np.sqrt(np.diag(np.array(fix.covariance_px2))))
+        assert fix.predicted_px == before.predicted_px  # observed minus computed is by the a priori geometry
+        assert fix.provenance["start"].endswith("sigma 3 px, by Ann Möller")
+    assert f"Started by hand: center ({center[0]}.00" in giantlike("explain", run, SHORT).stdout
+    assert "start" in {layer.name for layer in layers_of(Session(run).seen(SHORT))}
+    dossier = write_dossier(run, run / "dossier", campaign)
+    assert f"at {center[0]}.00, {center[1]}.00 px" in (dossier / "dossier.html").read_text()
+    assert sum(count.redone for count in run_campaign(Campaign.load(campaign), workers=1).steps.values()) == 0
+
+    assert giantlike("edit", run, "restore", SHORT, "--target", TARGET, "--why", "no").exit_code == 0
+    last = run_campaign(Campaign.load(campaign), workers=1).observations
+    assert [one.problem for one in last] == [one.problem for one in failed]
+
+
+STARTS: dict[str, tuple[tuple[str, ...], str]] = {
+    "no center": (("--target", TARGET), "start, and nothing else, needs --center X Y"),
+    "no target": (("--center", "5", "5"), "have a target"),
+    "another target": (("--target", "MOON", "--center", "5", "5"), f"there are: {TARGET} by"),
+    "an estimator": ((*FIX, "--center", "5", "5"), "a fix, and nothing else, has an estimator"),
+    "nan": (("--target", TARGET, "--center", "nan", "5"), "a start needs a center"),
+    "far outside": (("--target", TARGET, "--center", "5", "9000"), "far outside of its 320 x 280 px"),
+    "a negative sigma": (("--target", TARGET, "--center", "5", "5", "--sigma", "-1"), "sigma_px"),
+}
+
+
+@pytest.mark.parametrize("case", STARTS)
+def test_a_start_that_makes_no_sense_is_refused(run: Path, case: str) -> None:
+    arguments, words = STARTS[case]
+    done = giantlike("edit", run, "start", SHORT, *arguments, *BY_ANN)
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert read_edits(run).edits == ()

@@ -11,7 +11,7 @@ import pytest
 from starlette.testclient import TestClient
 from typer.testing import CliRunner, Result
 
-from giantlike.campaign.store.edits import EDITS_FILE, read_edits
+from giantlike.campaign.store.edits import EDITS_FILE, Measuring, read_edits
 from giantlike.campaign.store.records import AttitudeRecord
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.cli.app import app
@@ -62,7 +62,7 @@ def test_numbers_of_stars_leave_as_text_and_come_back_exactly(client: TestClient
     made = _edit(client, action="reject", what="star", file=LONG, star=str(large), why="double")
     assert made.status_code == 200, made.text
     assert made.json()["star"] == str(large)
-    assert read_edits(run).rejected_stars() == {LONG: frozenset([large])}
+    assert read_edits(run).measuring() == {LONG: Measuring(rejected_stars=frozenset([large]))}
     assert json.loads((run / EDITS_FILE).read_text())["star"] == str(large)
     assert json.loads(giantlike("edit", run, "list", "--json").stdout)[0]["star"] == str(large)
     assert client.get(f"/api/image/{_index(client, LONG)}").json()["edits"][0]["star"] == str(large)

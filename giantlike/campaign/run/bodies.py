@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import TypeAlias
 
@@ -18,10 +19,13 @@ from giantlike.campaign.run.border import attempt
 from giantlike.campaign.run.image_loading import scene_of, targets_in
 from giantlike.campaign.run.observables import sighting_of, with_fix, with_prediction
 from giantlike.campaign.run.worker_context import Workbench
+from giantlike.campaign.store.edits import Start
 from giantlike.campaign.store.records import Attitude, ObservationRecord, Problem, TargetRecord, TargetView
 from giantlike.core.arrays import unit
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import CenterFix, Failure, Outcome, Reason
 from giantlike.core.time import utc_text
+from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import AttitudeSource, Image
 from giantlike.ray_tracing.silhouette import lit_outline
 from giantlike.relative import Estimator
@@ -53,9 +57,14 @@ def work_in(campaign: Campaign, key: str) -> list[Work]:
 
 
 def estimate_bodies(
-    bench: Workbench, entry: ImageEntry, image: Image, attitude: Attitude | None, work: Iterable[Work]
+    bench: Workbench,
+    entry: ImageEntry,
+    image: Image,
+    attitude: Attitude | None,
+    work: Iterable[Work],
+    starts: Mapping[str, Start],
 ) -> list[BodyRecord]:
-    """Run estimators on targets of an image."""
+    """Run estimators on targets of an image; ``starts`` by target."""
     campaign, wanted = bench.campaign, set(work)
     if attitude is not None:
         image = image.with_attitude(
@@ -76,8 +85,9 @@ def estimate_bodies(
         for estimator in todo:
             record = make_pending_record(entry, epoch_utc, target.name, estimator.name).replace(attitude=attitude)
             if isinstance(scene, Scene) and isinstance(geometry, TargetGeometry):
+                record = with_prediction(record, campaign.camera, geometry)
                 jobs[estimator.name] = partial(
-                    _run_estimator, record, estimator, image, campaign.camera, scene, geometry
+                    _run_estimator, record, estimator, image, campaign.camera, scene, starts.get(target.name)
                 )
             else:
                 problem = Problem.from_failure(geometry) if isinstance(geometry, Failure) else geometry
@@ -125,11 +135,16 @@ def _run_estimator(
     image: Image,
     camera: Camera,
     scene: Scene,
-    geometry: TargetGeometry,
+    start: Start | None,
 ) -> ObservationRecord:
-    """Record with the result of one estimator."""
-    start = time.perf_counter()
-    record = with_prediction(record, camera, geometry)
+    """Record, which has the prediction, with the result of one estimator."""
+    began, made_from = time.perf_counter(), dict[str, str]()
+    geometry = scene.geometry(image, record.target)
+    assert isinstance(geometry, TargetGeometry)
+    if start is not None:
+        scene, geometry = move_target(scene, geometry, image, camera, start)
+        x, y = start.center_px
+        made_from["start"] = f"center ({x:.2f}, {y:.2f}) px, sigma {start.sigma_px:g} px, by {start.who}"
     outcome = attempt(estimator.estimate, image, camera, scene, record.target)
     done = attempt(with_fix, record, camera, geometry, outcome) if isinstance(outcome, CenterFix) else outcome
     if not isinstance(done, ObservationRecord):
@@ -137,7 +152,35 @@ def _run_estimator(
         if problem.outcome is Outcome.FAILED and problem.reason is not Reason.INTERNAL_ERROR:
             problem = _out_of_field(record, estimator, image, camera, geometry) or problem
         done = record.replace(problem=problem)
-    return done.model_copy(update={"time_s": time.perf_counter() - start})  # all else is checked already
+    changes: dict[str, object] = {"time_s": time.perf_counter() - began}
+    if made_from:
+        changes |= {"provenance": done.provenance | made_from, "predicted_px": record.predicted_px}
+    return done.model_copy(update=changes)  # all else is checked already
+
+
+def move_target(
+    scene: Scene, geometry: TargetGeometry, image: Image, camera: Camera, start: Start
+) -> tuple[Scene, TargetGeometry]:
+    """Scene with a target at a start, at the predicted range, and its geometry.
+
+    Where errors of the prediction are declared, they are at least the sigma of the start.
+    """
+    assert image.camera_from_inertial is not None
+    inertial_from_camera, target = image.camera_from_inertial.inv(), geometry.target
+    position_camera_km = geometry.range_km * unit(camera.model.unproject(np.array(start.center_px)))
+    sigma_km, known = start.sigma_px * ifov_rad(camera.model, camera.center_px) * geometry.range_km, target.uncertainty
+    if known.ephemeris_km > 0.0:
+        known = replace(known, ephemeris_km=max(known.ephemeris_km, float(sigma_km)))
+    moved = ApparentGeometry(
+        position_inertial_km=rotate(inertial_from_camera, position_camera_km),
+        inertial_from_body=inertial_from_camera * geometry.camera_from_body,
+        sun_direction_inertial=rotate(inertial_from_camera, geometry.sun_direction_camera),
+    )
+    target = replace(target, ephemeris=moved, uncertainty=known)
+    return (
+        replace(scene, targets=tuple(target if one.name == target.name else one for one in scene.targets)),
+        replace(geometry, target=target, position_camera_km=position_camera_km),
+    )
 
 
 def _out_of_field(

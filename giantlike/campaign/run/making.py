@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
@@ -29,7 +29,7 @@ from giantlike.campaign.run.worker import (
     process_image,
 )
 from giantlike.campaign.run.worker_context import Workbench
-from giantlike.campaign.store.edits import EditList
+from giantlike.campaign.store.edits import EditList, Measuring
 from giantlike.campaign.store.packing import PackedRecord
 from giantlike.campaign.store.records import (
     Attitude,
@@ -72,6 +72,7 @@ class RunExecutor:
     progress: Progress
     announce: Announce
     edits: EditList
+    measuring: Mapping[str, Measuring]
     identities: Identities
     goes_on: bool
     camera: Camera | None = None
@@ -122,10 +123,10 @@ class RunExecutor:
         """Make the records of stars that are missing; names and hashes of all of them."""
         setup = self.campaign.calibration
         assert setup is not None
-        steps, rejected = Steps(self.bench), self.edits.rejected_stars()
+        steps = Steps(self.bench)
 
         def key_of(entry: ImageEntry) -> str:
-            stars = rejected.get(entry.key, frozenset())
+            stars = self._measuring(entry).rejected_stars
             limits = (setup.scale_error, None if self.campaign.stars is None else self.campaign.stars.long_exposure_s)
             return steps.first_stars(entry, self.identities.find_hash(entry), limits, stars)
 
@@ -136,7 +137,7 @@ class RunExecutor:
             if not self.identities.find_hash(entry) or known.get((entry.key, "", "")) != key_of(entry)
         ]
         self._say_first({_FIRST_STARS: StepCount(redone=len(todo), kept=len(self.campaign.images) - len(todo))})
-        jobs = [ImageJob(entry=entry, rejected=rejected.get(entry.key, frozenset())) for entry in todo]
+        jobs = [ImageJob(entry=entry, measuring=self._measuring(entry)) for entry in todo]
         for done, (position, answer) in enumerate(pool.run(find_first_stars, jobs)):
             self.progress("finding stars", len(self.campaign.images) - len(jobs) + done, len(self.campaign.images))
             entry = todo[position]
@@ -199,8 +200,10 @@ class RunExecutor:
         return jobs
 
     def _job(self, entry: ImageEntry, *, solve: bool) -> ImageJob:
-        rejected = self.edits.rejected_stars().get(entry.key, frozenset()) if solve else frozenset()
-        return ImageJob(entry=entry, camera=self.camera, rejected=rejected, solve=solve)
+        return ImageJob(entry=entry, camera=self.camera, measuring=self._measuring(entry), solve=solve)
+
+    def _measuring(self, entry: ImageEntry) -> Measuring:
+        return self.measuring.get(entry.key, Measuring())
 
     def _process(self, pool: Pool, plan: _Plan, jobs: list[ImageJob], name: str) -> None:
         """Run jobs; save and log their results."""
@@ -280,12 +283,13 @@ class RunExecutor:
             self.folder.set_places(kind, of_kind)
 
     def _attitude_key(self, plan: _Plan, entry: ImageEntry, record: AttitudeRecord) -> str:
-        stars = self.edits.rejected_stars().get(entry.key, frozenset())
+        stars = self._measuring(entry).rejected_stars
         return plan.steps.attitude(entry, self.identities.find_hash(entry), stars, star_image=record.star_image)
 
     def _key(self, plan: _Plan, entry: ImageEntry, target: str, estimator: str, attitude: Attitude | None) -> str:
         sha256 = self.identities.find_hash(entry)
-        return plan.steps.observation(entry, sha256, target, estimator, attitude) if sha256 else ""
+        decided = self._measuring(entry).of_target(target) if estimator else []
+        return plan.steps.observation(entry, sha256, target, estimator, attitude, decided) if sha256 else ""
 
     def _say_first(self, counts: dict[str, StepCount]) -> None:
         """Announce the pending work, where there was a run before; and count it."""

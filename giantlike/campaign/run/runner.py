@@ -116,12 +116,14 @@ def run_campaign(
             with folder.writing():
                 _require_same_images(campaign, folder)
                 folder.set_images([(entry.key, campaign.path_from_output(entry.path)) for entry in campaign.images])
+                edits = read_edits(folder.path)
                 run = RunExecutor(
                     bench=bench,
                     folder=folder,
                     progress=progress or silent,
                     announce=announce or _unheard,
-                    edits=read_edits(folder.path),
+                    edits=edits,
+                    measuring=edits.measuring(),
                     identities=Identities(folder),
                     goes_on=bool(before),
                 )

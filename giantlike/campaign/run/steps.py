@@ -6,7 +6,7 @@ import dataclasses
 import enum
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -76,14 +76,23 @@ class Steps:
         return digest(self._apriori, sha256, self._pose(entry))
 
     def observation(
-        self, entry: ImageEntry, sha256: str, target: str, estimator: str, attitude: Attitude | None
+        self,
+        entry: ImageEntry,
+        sha256: str,
+        target: str,
+        estimator: str,
+        attitude: Attitude | None,
+        decided: Sequence[object] = (),
     ) -> str:
-        """Hash of the result of one estimator, or of the a priori record of a target."""
+        """Hash of the result of one estimator, or of the a priori record of a target.
+
+        ``decided``: what users decided on the measurement.
+        """
         known = self._geometry.get(entry.key)
         row = None if known is None else known.targets.get(target)
         row = None if row is None else dataclasses.replace(row, file="", line=0, epoch=None)
         options = self._options[target, estimator] if estimator else self._overlays
-        return digest(self._targets[target], sha256, self._pose(entry), row, estimator, options, attitude)
+        return digest(self._targets[target], sha256, self._pose(entry), row, estimator, options, attitude, *decided)
 
     def _pose(self, entry: ImageEntry) -> str:
         """Hash of the row of the geometry table for an image, for all targets."""

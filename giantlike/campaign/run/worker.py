@@ -16,6 +16,7 @@ from giantlike.campaign.run.border import attempt, reading
 from giantlike.campaign.run.image_loading import PreparedImage, open_image
 from giantlike.campaign.run.observables import attitude_of, with_attitude, with_observer, with_stars
 from giantlike.campaign.run.worker_context import Workbench
+from giantlike.campaign.store.edits import Measuring
 from giantlike.campaign.store.packing import PackedRecord
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, CalibrationRecord, Problem
 from giantlike.core.frames import quaternion_xyzw
@@ -31,7 +32,7 @@ class ImageJob:
     """Work on one image.
 
     camera: the calibrated camera; None: the camera of the campaign.
-    rejected: stars that a user rejected.
+    measuring: decisions of users.
     solve: the attitude is to be estimated; otherwise it is given.
     attitude: for the estimators: the one to use or, where it is to be estimated, the one that the kept results used.
     bodies: targets and estimators to run.
@@ -40,7 +41,7 @@ class ImageJob:
 
     entry: ImageEntry
     camera: Camera | None = None
-    rejected: frozenset[int] = frozenset()
+    measuring: Measuring = field(default_factory=Measuring)
     solve: bool = True
     attitude: Attitude | None = None
     bodies: tuple[Work, ...] = ()
@@ -84,7 +85,7 @@ def process_image(bench: Workbench, job: ImageJob) -> ImageAnswer:
         failed = [] if problem is None else failed_bodies(job.entry, work, problem, epoch_utc=epoch_utc)
         return ImageAnswer.from_records(record, failed)
     fitted, prepared = opened
-    bodies = attempt(estimate_bodies, fitted, job.entry, prepared.image, attitude, work)
+    bodies = attempt(estimate_bodies, fitted, job.entry, prepared.image, attitude, work, job.measuring.starts)
     return ImageAnswer.from_records(
         record, failed_bodies(job.entry, work, bodies) if isinstance(bodies, Problem) else bodies
     )
@@ -109,7 +110,7 @@ def failed_stars(entry: ImageEntry, problem: Problem) -> CalibrationRecord:
 
 
 def _first_stars(bench: Workbench, job: ImageJob) -> CalibrationRecord | Problem:
-    entry, bench = job.entry, bench.without_stars(job.rejected)
+    entry, bench = job.entry, bench.without_stars(job.measuring.rejected_stars)
     campaign, setup = bench.campaign, bench.campaign.calibration
     assert setup is not None
     assert bench.navigation is not None
@@ -159,7 +160,7 @@ def _open_image(bench: Workbench, job: ImageJob) -> tuple[Workbench, PreparedIma
     if isinstance(prepared, Problem):
         return prepared
     fitted = reading(bench.for_image, prepared.image)
-    return fitted if isinstance(fitted, Problem) else (fitted.without_stars(job.rejected), prepared)
+    return fitted if isinstance(fitted, Problem) else (fitted.without_stars(job.measuring.rejected_stars), prepared)
 
 
 def _solve_attitude(bench: Workbench, prepared: PreparedImage, entry: ImageEntry) -> AttitudeRecord:

@@ -13,11 +13,11 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, TypeAlias, TypeVar
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_serializer, model_validator
@@ -45,6 +45,7 @@ class Edited(StrEnum):
     STAR = "star"
     FIX = "fix"
     REVIEW = "review"
+    START = "start"
 
 
 _WHOLE = (Edited.IMAGE, Edited.ATTITUDE, Edited.REVIEW)
@@ -53,8 +54,14 @@ _DECIDED: Mapping[str, tuple[Edited, ...]] = MappingProxyType({
     "reject": (Edited.IMAGE, Edited.STAR, Edited.FIX),
     "accept": (Edited.ATTITUDE, Edited.FIX),
     "discuss": (Edited.REVIEW,),
+    "start": (Edited.START,),
 })  # fmt: skip
 """Things that each action is for."""
+_DECISIONS = MappingProxyType({
+    "reject": "Rejected by hand", "accept": "Accepted by hand", "discuss": "To discuss", "start": "Started by hand",
+})  # fmt: skip
+START_SIGMA_PX = 3.0
+"""Standard deviation of a center that was dragged by hand, px."""
 _ROUNDING_RAD = 1e-12
 Thing: TypeAlias = tuple[Edited, str, int | None, str | None, str | None]
 Decided = TypeVar("Decided", AttitudeRecord, ObservationRecord)
@@ -63,19 +70,20 @@ Decided = TypeVar("Decided", AttitudeRecord, ObservationRecord)
 class Edit(BaseModel):
     """One edit.
 
-    action: ``reject``, ``accept``, ``discuss`` or ``restore``.
+    action: ``reject``, ``accept``, ``discuss``, ``start`` or ``restore``.
     file: name of the image in the tables.
     star: number of the star in the catalog.
-    target, estimator: of the fix.
+    target, estimator: of the fix; the target alone of a start.
     at_px: (2,) list of float, px; where the star was observed when it was rejected, so that it can still be shown;
-        center of a fix that was accepted.
+        center of a fix that was accepted; where estimators are to start.
+    sigma_px: of such a start.
     quaternion_xyzw: (4,); attitude that was accepted.
     flags: names of the flags for which an accepted result is suspect.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    action: Literal["reject", "accept", "discuss", "restore"]
+    action: Literal["reject", "accept", "discuss", "start", "restore"]
     what: Edited
     file: str
     star: int | None = None
@@ -85,6 +93,7 @@ class Edit(BaseModel):
     when_utc: str
     why: str
     at_px: Pair | None = None
+    sigma_px: Annotated[float, Field(gt=0, le=1000)] | None = None
     quaternion_xyzw: UnitQuaternion | None = None
     flags: list[FlagName] = Field(default_factory=list)
 
@@ -96,8 +105,12 @@ class Edit(BaseModel):
     def _complete(self) -> Edit:
         if (self.what is Edited.STAR) != (self.star is not None):
             raise ValueError("a star, and nothing else, has a number")
-        if (self.what is Edited.FIX) != (self.target is not None and self.estimator is not None):
-            raise ValueError("a fix, and nothing else, has a target and an estimator")
+        if (self.what is Edited.FIX) != (self.estimator is not None):
+            raise ValueError("a fix, and nothing else, has an estimator")
+        if (self.what in (Edited.FIX, Edited.START)) != (self.target is not None):
+            raise ValueError("a fix and a start, and nothing else, have a target")
+        if self.action == "start" and (self.at_px is None or not np.isfinite(self.at_px).all()):
+            raise ValueError("a start needs a center, px")
         if self.action != "restore" and self.what not in _DECIDED[self.action]:
             raise ValueError(f"{self.action} is for {' and '.join(_DECIDED[self.action])}, not for {self.what}")
         return self
@@ -112,18 +125,23 @@ class Edit(BaseModel):
         """The thing in words."""
         if self.what in _WHOLE:
             return f"the {self.what}"
+        if self.what is Edited.START:
+            return f"the start of {self.target}"
         return f"star {self.star}" if self.star is not None else f"{self.target} by {self.estimator}"
 
     @property
     def line(self) -> str:
         """The edit in one line."""
         which = "" if self.what in _WHOLE else f" ({self.name})"
-        return _printable(f"{self.when_utc} {self.who}: {self.action} {self.what} {self.file}{which}: {self.why}")
+        if self.action == "start" and self.at_px is not None:
+            which = f" ({self.target} at {self.at_px[0]:.2f}, {self.at_px[1]:.2f} px)"
+        what = "" if self.what == self.action else f" {self.what}"
+        return _printable(f"{self.when_utc} {self.who}: {self.action}{what} {self.file}{which}: {self.why}")
 
     @property
     def decision(self) -> str:
         """The action in words: ``Rejected by hand``."""
-        return {"reject": "Rejected by hand", "accept": "Accepted by hand", "discuss": "To discuss"}[self.action]
+        return _DECISIONS[self.action]
 
     def accepts(self, record: AttitudeRecord | ObservationRecord) -> bool:
         """True if a result is the one that was accepted: within its sigma, with no other flag that makes it suspect."""
@@ -147,6 +165,32 @@ class Edit(BaseModel):
 
 
 @dataclass(frozen=True, slots=True)
+class Start:
+    """Position of a target from which its estimators start, in place of the predicted one."""
+
+    center_px: tuple[float, float]
+    sigma_px: float
+    who: str = field(compare=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measuring:
+    """Decisions that change how an image is measured.
+
+    rejected_stars: numbers of stars that are not to be used.
+    starts: by target.
+    """
+
+    rejected_stars: frozenset[int] = frozenset()
+    starts: Mapping[str, Start] = field(default_factory=dict)
+
+    def of_target(self, target: str) -> list[object]:
+        """Return what the results of a target depend on; empty where nobody decided."""
+        start = self.starts.get(target)
+        return [] if start is None else [start.center_px, start.sigma_px]
+
+
+@dataclass(frozen=True, slots=True)
 class EditList:
     """Edits of a run in the order in which they were made."""
 
@@ -161,13 +205,19 @@ class EditList:
             last[edit.thing] = edit
         return [edit for edit in last.values() if edit.action != "restore"]
 
-    def rejected_stars(self) -> dict[str, frozenset[int]]:
-        """Numbers of the stars that are not to be used, by image."""
-        stars: dict[str, set[int]] = {}
+    def measuring(self) -> dict[str, Measuring]:
+        """Decisions that change how images are measured, by image."""
+        found: dict[str, Measuring] = {}
         for edit in self.standing:
+            known = found.get(edit.file, Measuring())
             if edit.star is not None:
-                stars.setdefault(edit.file, set()).add(edit.star)
-        return {file: frozenset(numbers) for file, numbers in stars.items()}
+                known = replace(known, rejected_stars=known.rejected_stars | {edit.star})
+            elif edit.what is Edited.START and edit.target is not None and edit.at_px is not None:
+                x, y = edit.at_px
+                start = Start((x, y), edit.sigma_px or START_SIGMA_PX, edit.who)
+                known = replace(known, starts={**known.starts, edit.target: start})
+            found[edit.file] = known
+        return found
 
     def rejected_images(self) -> dict[str, Problem]:
         """Images that are not to be used, with the reason."""
@@ -212,9 +262,7 @@ def new_edit(run: RunFolder, wanted: Mapping[str, Any]) -> Edit:
     """
     when = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     try:
-        edit = Edit.model_validate(
-            {**wanted, **dict.fromkeys(("at_px", "quaternion_xyzw")), "when_utc": when, "flags": []}
-        )
+        edit = Edit.model_validate({**wanted, "quaternion_xyzw": None, "when_utc": when, "flags": []})
     except ValidationError as error:
         found = "; ".join(f"{'.'.join(map(str, one['loc'])) or 'edit'}: {one['msg']}" for one in error.errors())
         raise InputError(f"this is no edit: {_printable(found)[:300]}") from error
@@ -224,8 +272,11 @@ def new_edit(run: RunFolder, wanted: Mapping[str, Any]) -> Edit:
     known = read_edits(run.path)
     if edit.action == "restore":
         return _restore(run, edit, [each for each in known.standing if each.file == edit.file])
-    if edit.what is Edited.FIX:
+    if edit.what in (Edited.FIX, Edited.START):
         _require_fix(run, edit)
+    if edit.action == "start":
+        return _start(run, edit)
+    edit = edit.model_copy(update={"at_px": None})
     if edit.action == "accept":
         return _accept(run, edit, known)
     return _with_place(run, edit, known) if edit.star is not None else edit
@@ -262,6 +313,19 @@ def _accept(run: RunFolder, edit: Edit, known: EditList) -> Edit:
     return edit.model_copy(update=changes)
 
 
+def _start(run: RunFolder, edit: Edit) -> Edit:
+    """Edit with its sigma; refuses a center that is farther outside of the image than it is large."""
+    record = run.load(AttitudeRecord, edit.file, light=True)
+    assert edit.at_px is not None
+    size = (0, 0) if record is None else (record.columns, record.rows)
+    if not all(-n <= at <= 2 * n for at, n in zip(edit.at_px, size, strict=True)):
+        at = ", ".join(f"{each:g}" for each in edit.at_px)
+        raise InputError(
+            f"{run.path}: {edit.file}: a start at ({at}) px is far outside of its {size[0]} x {size[1]} px"
+        )
+    return edit.model_copy(update={"sigma_px": edit.sigma_px or START_SIGMA_PX})
+
+
 def suspect_flags(record: AttitudeRecord | ObservationRecord) -> set[str]:
     """Names of the flags that make a result suspect."""
     return {flag for flag in record.flags if Quality[flag.upper()].suspect}
@@ -284,6 +348,8 @@ def _printable(text: str) -> str:
 def _require_fix(run: RunFolder, edit: Edit) -> None:
     """Refuse a fix that the run does not hold."""
     there = [(target, name) for file, target, name in run.keys(ObservationRecord) if file == edit.file]
+    if edit.estimator is None and edit.target in {target for target, _ in there}:
+        return
     if (edit.target, edit.estimator) not in there:
         names = ", ".join(f"{target} by {name}" for target, name in there) or "none"
         raise InputError(
