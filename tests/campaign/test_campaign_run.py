@@ -85,12 +85,12 @@ MOON_POINTING = camera_from_inertial_of_pointing(308.0, -23.6, 20.0)  # a degree
 JACOBIAN = 1e-6  # relative to the largest entry: central differences in float64
 ATTITUDE_COLUMNS = (
     "file,epoch_utc,status,reason,source,n_detected,n_matched,rms_px,qx,qy,qz,qw,ra_deg,dec_deg,roll_deg,fov_deg,"
-    "sigma_x_arcsec,sigma_y_arcsec,sigma_z_arcsec,flags,outcome,time_s"
+    "sigma_x_arcsec,sigma_y_arcsec,sigma_z_arcsec,flags,outcome,accepted_by,accepted_why,time_s"
 )  # as in the contract, and the flags
 OBSERVATION_COLUMNS = (
     "file,epoch_utc,target,estimator,status,reason,predicted_x_px,predicted_y_px,x_px,y_px,sigma_x_px,sigma_y_px,"
     "rho_xy,sigma_x_total_px,sigma_y_total_px,rho_xy_total,x_camera_km,y_camera_km,z_camera_km,range_km,sigma_range_km,"
-    "rho_x_range,rho_y_range,rho_x_range_total,rho_y_range_total,score,n_used,n_rejected,flags,outcome,time_s"
+    "rho_x_range,rho_y_range,rho_x_range_total,rho_y_range_total,score,n_used,n_rejected,flags,outcome,accepted_by,accepted_why,time_s"
 )  # likewise
 
 

@@ -344,7 +344,7 @@ def test_status_tells_the_state_of_a_run_and_edit_keeps_who_when_and_why(copied:
     assert (state["state"], state["images"], state["steps"]["attitudes"]["done"]) == ("finished", 6, 6)
     with hold_lock(run):
         assert f"run: running (process {os.getpid()} of " in giantlike("status", run).stdout
-    assert "reject and restore need one" in " ".join(giantlike("edit", "--help").stdout.split())
+    assert "all but list need one" in " ".join(giantlike("edit", "--help").stdout.split())
     for nothing in ((), ("--why", " ")):
         refused = giantlike("edit", run, "reject", "visit0_a_long.fits", *nothing)
         assert refused.exit_code == 2
