@@ -90,7 +90,8 @@ ATTITUDE_COLUMNS = (
 OBSERVATION_COLUMNS = (
     "file,epoch_utc,target,estimator,status,reason,predicted_x_px,predicted_y_px,x_px,y_px,sigma_x_px,sigma_y_px,"
     "rho_xy,sigma_x_total_px,sigma_y_total_px,rho_xy_total,x_camera_km,y_camera_km,z_camera_km,range_km,sigma_range_km,"
-    "rho_x_range,rho_y_range,rho_x_range_total,rho_y_range_total,score,n_used,n_rejected,flags,outcome,accepted_by,accepted_why,time_s"
+    "rho_x_range,rho_y_range,rho_x_range_total,rho_y_range_total,score,n_used,n_rejected,flags,outcome,"
+    "accepted_by,accepted_why,time_s"
 )  # likewise
 
 
