@@ -9,9 +9,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike.camera import ModelUncertainty
 from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, as_floats, require, require_number
+from giantlike.core.causes import Cause
 from giantlike.core.frames import rotate, skew
+from giantlike.core.outcomes import AttitudeErrors
 from giantlike.core.values import Value, check_covariance
 from giantlike.passes.limb_modes import limb_waves, wave_amplitudes
 from giantlike.processing.limb.measurement import LimbMeasurement, SmoothError
@@ -64,7 +67,14 @@ class LimbPoints(Value):
         self._keep(points_px=points, sigma_px=sigma, shared_px=shared, _rays=rays)
 
     @classmethod
-    def of(cls, measured: LimbMeasurement, model: CameraModel, figure: Figure) -> LimbPoints:
+    def of(
+        cls,
+        measured: LimbMeasurement,
+        model: CameraModel,
+        figure: Figure,
+        uncertainty: ModelUncertainty | None = None,
+        attitude_errors: AttitudeErrors | None = None,
+    ) -> LimbPoints:
         """Points of a measured limb, with their shared errors.
 
         Parameters
@@ -73,11 +83,15 @@ class LimbPoints(Value):
         model : CameraModel
         figure : Figure
             The body without the altitude of the limb.
+        uncertainty : ModelUncertainty, optional
+            Of the camera model, such as ``camera.uncertainty``; without it the camera is exact.
+        attitude_errors : AttitudeErrors, optional
+            Those of the image's attitude, which follows the parameters of the camera where it is from stars.
 
         Returns
         -------
         LimbPoints
-            Blur, law and relief are errors that all images of the pass have in common.
+            Blur, law, relief and camera are errors that all images of the pass have in common.
         """
         points, keep = measured.observed_px[measured.keep], measured.keep
         shared = {str(cause): px[keep] for cause, px in measured.common_px.items()}
@@ -86,6 +100,9 @@ class LimbPoints(Value):
         for number, error in enumerate(smooth):
             if error.sigma_px > 0.0:
                 shared[f"{error.cause} {number}"] = smooth_waves(points, center, error)
+        if uncertainty is not None and uncertainty.estimated:
+            errors = attitude_errors or AttitudeErrors()
+            shared[str(Cause.CAMERA)] = _camera_shifts(points, measured.normals_px[keep], model, uncertainty, errors)
         return cls(points_px=points, sigma_px=measured.sigma_px[keep], model=model, figure=figure, shared_px=shared)
 
     @property
@@ -327,6 +344,26 @@ def smooth_waves(points_px: Float, center_px: Float, error: SmoothError) -> Floa
     radius_px = float(np.mean(np.linalg.norm(arms, axis=1)))
     amplitudes = wave_amplitudes(error.sigma_px, error.length_px / radius_px, _SMOOTH_WAVES)
     return limb_waves(np.arctan2(arms[:, 1], arms[:, 0]), amplitudes)
+
+
+def _camera_shifts(
+    points_px: Float, normals_px: Float, model: CameraModel, uncertainty: ModelUncertainty, errors: AttitudeErrors
+) -> Float:
+    """Outward shifts (n, k), px, of points by the camera, in units of the root of its covariance."""
+    rays = model.unproject(points_px)
+    chosen = [model.parameter_names.index(name) for name in uncertainty.estimated]
+    moved = model.parameter_jacobian(rays)[..., chosen]
+    if errors.by_camera is not None:
+        moved = moved - model.project_jacobian(rays) @ skew(rays) @ errors.by_camera[:, chosen]
+    shifts: Float = np.einsum("ni,nik->nk", normals_px, moved) @ covariance_root(uncertainty.covariance)
+    return shifts
+
+
+def covariance_root(covariance: Float) -> Float:
+    """Symmetric root (k, k): the same shifts in all images whose part is the same."""
+    values, axes = np.linalg.eigh((covariance + covariance.T) / 2.0)
+    root: Float = (axes * np.sqrt(np.maximum(values, 0.0))) @ axes.T
+    return root
 
 
 def shared_names(images: tuple[PassImage, ...]) -> tuple[tuple[str, int], ...]:

@@ -18,7 +18,7 @@ from giantlike.core.arrays import Float, as_floats, require, require_number, uni
 from giantlike.core.errors import DataError
 from giantlike.core.frames import rotate, rotation_from_xyzw
 from giantlike.io.observables_file import ObservableRow, read_observables
-from giantlike.passes.images import MeasuredPosition, NavigationPass, PassImage
+from giantlike.passes.images import MeasuredPosition, NavigationPass, PassImage, covariance_root
 from giantlike.relative.place import apparent_radius_px
 
 OBSERVABLES = "observables.parquet"
@@ -172,7 +172,7 @@ def _image(row: ObservableRow, camera: Camera, choice: RunPass, middle_s: float,
         else:
             shifts = _signed_shifts(row, cause, camera)
             key = f"{cause} {row.shared_attitude}" if name in _ATTITUDE_PARTS else cause
-            shared[key] = _root(part) if shifts is None else by_place @ shifts
+            shared[key] = covariance_root(part) if shifts is None else by_place @ shifts
     time_s = _epoch(row) - middle_s
     by_state = -turn.as_matrix() @ np.hstack([np.eye(3), time_s * np.eye(3)])
     return PassImage(
@@ -213,7 +213,7 @@ def _signed_shifts(row: ObservableRow, cause: str, camera: Camera) -> Float | No
         return None
     by_parameters = np.reshape(np.array(partial, dtype=np.float64), (3, -1))
     size = by_parameters.shape[1]
-    return np.asarray(by_parameters @ _root(np.array(covariance, dtype=np.float64).reshape(size, size)))
+    return np.asarray(by_parameters @ covariance_root(np.array(covariance, dtype=np.float64).reshape(size, size)))
 
 
 def _place(model: CameraModel, pixel: float | None, line: float | None, range_km: float | None) -> Float:
@@ -231,11 +231,3 @@ def _rate(row: ObservableRow, turn: Rotation, position_camera_km: Float) -> Floa
     relative = np.array(row.target_velocity_icrf_km_s) - np.array(row.observer_velocity_icrf_km_s)
     rotation = np.zeros(3) if row.camera_rate_rad_s is None or row.attitude_source == "stars" else row.camera_rate_rad_s
     return rotate(turn, relative) - np.cross(rotation, position_camera_km)
-
-
-def _root(covariance: Float) -> Float:
-    """Symmetric root (k, k): the same shifts in all images whose part is the same."""
-    values, axes = np.linalg.eigh((covariance + covariance.T) / 2.0)
-    sigmas = np.sqrt(np.maximum(values, 0.0))
-    root: Float = (axes * sigmas) @ axes.T
-    return root

@@ -8,21 +8,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
 
+from giantlike.camera import ModelUncertainty
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
-from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.outcomes import AttitudeErrors, Failure, Reason
 from giantlike.passes import (
     LimbPoints,
     NavigationPass,
     PassFix,
+    PassImage,
     PassOptions,
     PassTerm,
     estimate_pass,
 )
-from giantlike.passes.images import MeasuredPosition
+from giantlike.passes.images import MeasuredPosition, covariance_root
 from giantlike.passes.terms import Treatment
+from giantlike.processing.limb.measurement import LimbMeasurement
 from tests.numerical import numerical_jacobian
 from tests.passes.simulated_pass import (
     ASSUMED_ALTITUDE_KM,
@@ -288,6 +292,76 @@ def test_errors_that_limbs_share_do_not_average_out() -> None:
     km_per_px = 150_000.0 / 7312.5
     assert_allclose(sigmas[1], 0.2 * km_per_px, rtol=0.1)
     assert sigmas[0] > sigmas[1]
+
+
+def test_an_error_of_the_camera_that_limbs_share_is_in_the_covariance() -> None:
+    """The focal length is off by one sigma: taken as exact it is mistaken for an altitude of the limb."""
+    rng, sigma_px = np.random.default_rng(17), 15.0
+    known = ModelUncertainty(
+        estimated=("fx_px", "cx_px"),
+        covariance=np.array([[sigma_px**2, 0.5 * sigma_px], [0.5 * sigma_px, 1.0]]),
+        residual_sigma_px=0.1,
+        n_observations=100,
+        n_images=5,
+    )
+    given, found = simulated_pass(Truth(), rng, images=20), {}
+    for uncertainty in (None, known):
+        images = []
+        for image in given.images:
+            assert isinstance(image.observed, LimbPoints)
+            model = replace(image.observed.model, fx_px=image.observed.model.parameters[0] - sigma_px)
+            observed = LimbPoints.of(measured(image.observed, image), model, image.observed.figure, uncertainty)
+            images.append(replace(image, observed=observed))
+        found[uncertainty is known] = solved(replace(given, images=tuple(images)), usual())
+    errors = {
+        key: (abs(fix.value("limb_altitude") - TRUE_ALTITUDE_KM), fix.sigma("limb_altitude"))
+        for key, fix in found.items()
+    }
+    assert errors[False][0] > FEW_SIGMAS * errors[False][1], errors
+    assert errors[True][0] < 2.0 * errors[True][1], errors
+
+
+def test_shifts_by_the_camera_are_those_of_points_of_another_camera_and_of_its_attitude() -> None:
+    rng = np.random.default_rng(18)
+    image = simulated_pass(Truth(), rng, images=1, points=9).images[0]
+    assert isinstance(image.observed, LimbPoints)
+    model, limb = image.observed.model, measured(image.observed, image)
+    covariance = np.array([[4.0, 0.3], [0.3, 0.5]])
+    known = ModelUncertainty(
+        estimated=("fx_px", "cy_px"), covariance=covariance, residual_sigma_px=0.1, n_observations=9, n_images=1
+    )
+    by_camera = 1e-7 * rng.normal(size=(3, len(model.parameter_names)))
+    errors = AttitudeErrors(by_camera=by_camera)
+    shifts = LimbPoints.of(limb, model, image.observed.figure, known, errors).shared_px["camera"]
+    root, rays = covariance_root(covariance), model.unproject(limb.observed_px)
+    assert_allclose(root @ root, covariance, rtol=0, atol=1e-12)
+    for column, change in enumerate(root.T):
+        other = replace(model, fx_px=model.parameters[0] + change[0], cy_px=model.parameters[3] + change[1])
+        turn = Rotation.from_rotvec(by_camera[:, [0, 3]] @ change)
+        moved = other.project(turn.apply(rays)) - limb.observed_px
+        assert_allclose(shifts[:, column], np.einsum("ni,ni->n", moved, limb.normals_px), rtol=0, atol=1e-5)
+
+
+def measured(limb: LimbPoints, image: PassImage) -> LimbMeasurement:
+    """Points as a scan returns them."""
+    arms = limb.points_px - limb.model.project(image.position_camera_km)
+    count = limb.size
+    return LimbMeasurement(
+        predicted_px=limb.points_px,
+        normals_px=arms / np.linalg.norm(arms, axis=1)[:, None],
+        design=np.zeros((count, 3)),
+        shift_px=np.zeros(count),
+        sigma_px=limb.sigma_px,
+        keep=np.ones(count, dtype=bool),
+        common_px={},
+        smooth_errors=(),
+        position_camera_km=image.position_camera_km,
+        spacing_px=1.0,
+        perimeter_px=1.0,
+        cut_by_frame=False,
+        rejected={},
+        area=np.zeros((1, 1), dtype=bool),
+    )
 
 
 def replace_limb(limb: LimbPoints, shared: dict[str, Float]) -> LimbPoints:
