@@ -166,6 +166,8 @@ def _image(row: ObservableRow, camera: Camera, choice: RunPass, middle_s: float,
         if cells is None:
             continue
         part = by_place @ np.nan_to_num(np.reshape(np.array(cells, dtype=np.float64), (3, 3))) @ by_place.T
+        if not part.any():
+            continue
         cause = name.removeprefix("part_")
         if name in _NEW_PARTS or (name in _ATTITUDE_PARTS and not attitude_is_shared):
             own += part
