@@ -31,6 +31,7 @@ from tests.numerical import numerical_jacobian
 from tests.passes.simulated_pass import (
     ASSUMED_ALTITUDE_KM,
     EARTH_KM,
+    MODEL,
     TRUE_ALTITUDE_KM,
     Truth,
     as_positions,
@@ -309,7 +310,7 @@ def test_an_error_of_the_camera_that_limbs_share_is_in_the_covariance() -> None:
         images = []
         for image in given.images:
             assert isinstance(image.observed, LimbPoints)
-            model = replace(image.observed.model, fx_px=image.observed.model.parameters[0] - sigma_px)
+            model = replace(MODEL, fx_px=MODEL.fx_px - sigma_px)
             observed = LimbPoints.of(measured(image.observed, image), model, image.observed.figure, uncertainty)
             images.append(replace(image, observed=observed))
         found[uncertainty is known] = solved(replace(given, images=tuple(images)), usual())
@@ -325,7 +326,7 @@ def test_shifts_by_the_camera_are_those_of_points_of_another_camera_and_of_its_a
     rng = np.random.default_rng(18)
     image = simulated_pass(Truth(), rng, images=1, points=9).images[0]
     assert isinstance(image.observed, LimbPoints)
-    model, limb = image.observed.model, measured(image.observed, image)
+    model, limb = MODEL, measured(image.observed, image)
     covariance = np.array([[4.0, 0.3], [0.3, 0.5]])
     known = ModelUncertainty(
         estimated=("fx_px", "cy_px"), covariance=covariance, residual_sigma_px=0.1, n_observations=9, n_images=1
@@ -336,7 +337,7 @@ def test_shifts_by_the_camera_are_those_of_points_of_another_camera_and_of_its_a
     root, rays = covariance_root(covariance), model.unproject(limb.observed_px)
     assert_allclose(root @ root, covariance, rtol=0, atol=1e-12)
     for column, change in enumerate(root.T):
-        other = replace(model, fx_px=model.parameters[0] + change[0], cy_px=model.parameters[3] + change[1])
+        other = replace(model, fx_px=model.fx_px + change[0], cy_px=model.cy_px + change[1])
         turn = Rotation.from_rotvec(by_camera[:, [0, 3]] @ change)
         moved = other.project(turn.apply(rays)) - limb.observed_px
         assert_allclose(shifts[:, column], np.einsum("ni,ni->n", moved, limb.normals_px), rtol=0, atol=1e-5)
