@@ -39,6 +39,7 @@ from giantlike.io.camera_opencv import write_opencv_camera
 from giantlike.io.epic_metadata import read_epic
 from giantlike.io.image_files import read_image_file
 from giantlike.io.observables_file import read_observables, write_observables
+from giantlike.io.orbit_covariance import COLUMNS, read_orbit_covariance
 from giantlike.io.spc_lmk import read_lmk, write_lmk
 from giantlike.io.spc_sumfile import read_sumfile, write_sumfile
 from giantlike.observables import row_of_body, row_of_landmark
@@ -392,6 +393,7 @@ KINDS: dict[str, Kind] = {
     "star index": Kind("i.npz", _index, _read_index),
     "sumfile": Kind("a.SUM", _sumfile, read_sumfile),
     "lmk": Kind("a.LMK", _lmk, read_lmk),
+    "orbit covariance": Kind("arc.csv", _with(_table(",".join(COLUMNS[:6]), "4,0.1,1,0,0,9")), read_orbit_covariance),
     "attitude table": Kind(
         "attitudes.csv", _with("name,qx,qy,qz,qw\na.fits,0,0,0,1\nb.fits,0,0,0.6,0.8\n"), read_attitude_table
     ),

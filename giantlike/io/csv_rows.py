@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -144,6 +145,22 @@ def read_csv_rows(path: str | Path, columns: Sequence[str], required: Sequence[s
     if not names:
         raise DataError(source, f"the table is empty: a header with {', '.join(required)} is needed")
     return rows
+
+
+def read_timed_rows(path: str | Path, columns: Sequence[str], required: Sequence[str]) -> tuple[Float, list[CsvRow]]:
+    """Read a CSV file with a column ``epoch_utc`` or ``et``: epochs (n,), n >= 1, all different, and rows."""
+    rows = read_csv_rows(path, ("epoch_utc", "et", *columns), required)
+    if not rows:
+        raise DataError(path, "the table has no rows")
+    times = [name for name in ("epoch_utc", "et") if name in rows[0].cells]
+    if len(times) != 1:
+        raise DataError(path, "line 1: one of the columns epoch_utc and et is needed, not both")
+    et = np.array([row.et() for row in rows])
+    order = np.argsort(et, kind="stable").tolist()
+    for before, after in pairwise(order):
+        if et[before] == et[after]:
+            raise rows[after].error(times[0], f"an epoch other than that of line {rows[before].line} is needed")
+    return et[order], [rows[k] for k in order]
 
 
 def write_csv_rows(path: str | Path, columns: Sequence[str], rows: Iterable[Sequence[str | float | None]]) -> None:

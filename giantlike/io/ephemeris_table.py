@@ -8,7 +8,6 @@ Columns: the epoch, as ``epoch_utc`` (ISO 8601) or ``et`` (TDB seconds past J200
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +16,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
-from giantlike.core.errors import DataError
 from giantlike.core.values import Value
-from giantlike.io.csv_rows import CsvRow, read_csv_rows
+from giantlike.io.csv_rows import CsvRow, read_timed_rows
 
 _POSITION = ("x_km", "y_km", "z_km")
 _VELOCITY = ("vx_km_s", "vy_km_s", "vz_km_s")
@@ -60,27 +58,14 @@ def read_ephemeris_table(path: str | Path) -> EphemerisSamples:
         and ``et``; empty cells; cells that are not a number or epoch; a quaternion that is not unit to 1e-3; two
         rows with the same epoch; a table without rows.
     """
-    rows = read_csv_rows(path, ("epoch_utc", "et", *_POSITION, *_VELOCITY, *_BODY), _POSITION)
-    if not rows:
-        raise DataError(path, "the table has no rows")
+    et, rows = read_timed_rows(path, (*_POSITION, *_VELOCITY, *_BODY), _POSITION)
     names = set(rows[0].cells)
-    if len(names & {"epoch_utc", "et"}) != 1:
-        raise DataError(path, "line 1: one of the columns epoch_utc and et is needed, not both")
-    et = np.array([row.et() for row in rows])
-    order = np.argsort(et, kind="stable")
-    for before, after in itertools.pairwise(order):
-        if et[before] == et[after]:
-            raise rows[after].error(
-                "et" if "et" in names else "epoch_utc",
-                f"an epoch other than that of line {rows[before].line} is needed",
-            )
     has_velocity, has_body = bool(names & set(_VELOCITY)), bool(names & set(_BODY))
-    ordered = [rows[k] for k in order]
-    body = [row.require(row.rotation(_BODY), _BODY) for row in ordered] if has_body else []
+    body = [row.require(row.rotation(_BODY), _BODY) for row in rows] if has_body else []
     return EphemerisSamples(
-        et=et[order],
-        position_km=_vectors(ordered, _POSITION),
-        velocity_km_s=_vectors(ordered, _VELOCITY) if has_velocity else None,
+        et=et,
+        position_km=_vectors(rows, _POSITION),
+        velocity_km_s=_vectors(rows, _VELOCITY) if has_velocity else None,
         inertial_from_body=Rotation.concatenate(body).inv() if body else None,
     )
 

@@ -9,7 +9,6 @@ covariance, by rows, with the names of a CCSDS orbit ephemeris message and units
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.time import time_from_et, utc_text
 from giantlike.core.values import Value, check_covariance
-from giantlike.io.csv_rows import read_csv_rows
+from giantlike.io.csv_rows import read_timed_rows
 
 _STATE = ("x", "y", "z", "x_dot", "y_dot", "z_dot")
 COLUMNS = tuple(
@@ -68,14 +67,8 @@ class OrbitCovariance(Value):
 
 def read_orbit_covariance(path: str | Path) -> OrbitCovariance:
     """Read the covariance of an arc; every row has all its columns."""
-    rows = read_csv_rows(path, ("epoch_utc", "et", *COLUMNS), COLUMNS[:_OF_POSITION])
-    if not rows:
-        raise DataError(path, "the table has no rows")
+    et, rows = read_timed_rows(path, COLUMNS, COLUMNS[:_OF_POSITION])
     names = COLUMNS if COLUMNS[-1] in rows[0].cells else COLUMNS[:_OF_POSITION]
-    rows = sorted(rows, key=lambda row: row.et())
-    for one, other in pairwise(rows):
-        if one.et() == other.et():
-            raise other.error("epoch_utc" if "epoch_utc" in other.cells else "et", f"is that of line {one.line}")
     size = 6 if len(names) > _OF_POSITION else 3
     lower = np.tril_indices(size)
     covariances = np.zeros((len(rows), size, size))
@@ -86,4 +79,4 @@ def read_orbit_covariance(path: str | Path) -> OrbitCovariance:
             check_covariance(matrix, "the covariance")
         except InputError as error:
             raise DataError(path, f"line {row.line}: {error}") from error
-    return OrbitCovariance(path=Path(path), et=np.array([row.et() for row in rows]), covariances=covariances)
+    return OrbitCovariance(path=Path(path), et=et, covariances=covariances)

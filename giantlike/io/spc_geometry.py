@@ -21,11 +21,14 @@ from giantlike.io.viewing_geometry import StatedGeometry
 _HALF_TURN = Rotation.from_quat([0.0, 0.0, 1.0, 0.0])
 
 
-def read_sumfiles(folder: Path, images: Sequence[Path], targets: Sequence[str]) -> GeometryTable:
+def read_sumfiles(
+    folder: Path, images: Sequence[Path], targets: Sequence[str], size: tuple[int, int] | None = None
+) -> GeometryTable:
     """Read the geometry of images from the SUMFILEs of a folder.
 
-    A SUMFILE belongs to the image whose file name begins with the name in its first line, upper or lower case. It does
+    A SUMFILE belongs to the image with the name of its first line, upper or lower case, whatever its ending. It does
     not name its body: that is the target of a campaign with one, else the target with which the name of the file ends.
+    ``size``: columns and rows of the camera.
     """
     files = sorted(path for path in folder.iterdir() if path.suffix.upper() == ".SUM")
     if not files:
@@ -39,6 +42,9 @@ def read_sumfiles(folder: Path, images: Sequence[Path], targets: Sequence[str]) 
         sharing = by_name.get(content.name.upper(), [])
         if len(sharing) > 1:
             raise DataError(path, f"{content.name} is the name of {len(sharing)} images ({sharing[0]}, {sharing[1]})")
+        here = content.columns, content.rows
+        if sharing and size not in (None, here):
+            raise DataError(path, f"line 3: is of {here[0]} x {here[1]} pixels, and the camera has {size}")
         if sharing:
             known, target = found.get(sharing[0]), _target(path, targets)
             if known is not None and target in known.seen:

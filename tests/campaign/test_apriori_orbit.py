@@ -141,6 +141,9 @@ def test_sumfiles_that_fit_no_image_or_no_body_are_refused(tmp_path: Path, pictu
     sumfile(tmp_path, pixels_per_mm=np.array([[10.0, 0.0, 0.0], [0.0, -10.0, 0.0]]))
     with pytest.raises(DataError, match="mirrored"):
         Campaign.load(path)
+    sumfile(tmp_path, columns=640)
+    with pytest.raises(DataError, match="640 x 280 pixels"):
+        Campaign.load(path)
     sumfile(tmp_path, name="OTHER.SUM", epoch=time_from_utc(EPOCH))
     sumfile(tmp_path)
     with pytest.raises(DataError, match="another SUMFILE of PEBBLE"):

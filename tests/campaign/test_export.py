@@ -21,6 +21,7 @@ from typer.testing import CliRunner
 from giantlike.camera import Camera, MissionFrame
 from giantlike.camera_models import BrownModel
 from giantlike.campaign.export import ExportFormat, ExportOptions, export_run
+from giantlike.campaign.file.inputs import SpiceSetup
 from giantlike.campaign.store.record_values import Status
 from giantlike.campaign.store.records import Attitude, AttitudeRecord, Problem
 from giantlike.campaign.store.results import camera_of_run
@@ -35,6 +36,7 @@ from giantlike.io.attitude_series import AttitudeSeries, read_attitude_csv
 from giantlike.io.ccsds_aem import AemNames, write_aem
 from giantlike.io.orbit_covariance import read_orbit_covariance
 from giantlike.io.spc_lmk import read_lmks
+from giantlike.io.spice import load_kernels
 from giantlike.io.spice_ck import CkTarget, write_ck
 from giantlike.io.wcs_header import attitude_of_wcs
 from giantlike.observables import row_of_landmark
@@ -125,6 +127,21 @@ def test_an_attitude_of_a_discrete_ck_is_found_at_the_epoch_of_its_label(tmp_pat
     epoch = spiceypy.str2et(label)
     matrix, _ = spiceypy.ckgp(TARGET.instrument_id, spiceypy.sce2c(TARGET.clock_id, epoch), 1.0, "J2000")
     assert _angle(Rotation.from_matrix(matrix), _attitude(float(times[0]))) < 1e-9
+
+
+def test_the_rate_of_the_camera_is_that_of_a_continuous_ck(tmp_path: Path) -> None:
+    rate, turn = np.array([2e-4, -1e-4, 5e-4]), Rotation.from_euler("z", 90.0, degrees=True)
+    turning = Rotation.from_rotvec(-np.outer(TIMES[:3] - START_ET, rate)) * _attitude(START_ET)
+    series = replace(_series(TIMES[:3]), camera_from_inertial=turning)
+    files = write_ck(tmp_path / "att.bc", series, TARGET)
+    to_camera = FrameRotation(rotation=turn, target="", source=TARGET.frame_name)
+    spice = SpiceSetup(kernels=files, spacecraft="-999", camera_from_frame=to_camera)
+    with load_kernels(files, tmp_path):
+        found = spice.camera_rate_rad_s(float(TIMES[1]) + 3.0)
+        assert found is not None
+        np.testing.assert_allclose(found, turn.apply(rate), rtol=0, atol=1e-11)
+        assert spice.camera_rate_rad_s(float(TIMES[4])) is None  # not covered
+        assert replace(spice, ck_tolerance_s=9.0).camera_rate_rad_s(float(TIMES[1])) is None
 
 
 def test_a_discrete_ck_holds_the_attitudes_and_nothing_between_them(tmp_path: Path) -> None:

@@ -64,7 +64,7 @@ def test_what_is_no_covariance_of_the_arc_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="line 2: the covariance"):
         read_orbit_covariance(tmp_path / "bad.csv")
     write(tmp_path / "twice.csv", np.array([ET, ET]), np.array([np.eye(3)] * 2))
-    with pytest.raises(DataError, match="line 3, column et: is that of line 2"):
+    with pytest.raises(DataError, match="line 3, column et: an epoch other than that of line 2"):
         read_orbit_covariance(tmp_path / "twice.csv")
     (tmp_path / "half.csv").write_text("et,cx_x_km2,cy_x_km2,cy_y_km2,cz_x_km2,cz_y_km2,cz_z_km2\n1,1,0,1,0,0,\n")
     with pytest.raises(DataError, match=r"cz_z_km2.*must be filled together"):

@@ -235,8 +235,8 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
     geometry: dict[str, ImageGeometry] = {}
     unmatched: list[str] = []
     if content.images.geometry is not None:
-        paths = [image.path for image in images]
-        geometry_table = geometry_of(path, "images.geometry", content.images.geometry, content.targets, paths)
+        paths, size = [image.path for image in images], (camera.columns, camera.rows)
+        geometry_table = geometry_of(path, "images.geometry", content.images.geometry, content.targets, paths, size)
         geometry_file = geometry_table.path
         by_path = geometry_table.match(paths, folder)
         geometry = {image.key: by_path[image.path] for image in images if image.path in by_path}

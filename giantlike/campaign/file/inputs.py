@@ -22,7 +22,7 @@ from giantlike.campaign.file.toml_file import prefix_errors
 from giantlike.core.arrays import Float, require
 from giantlike.core.detector import Detector
 from giantlike.core.errors import DataError
-from giantlike.core.frames import INERTIAL_FRAME, FrameRotation, rotation_from_xyzw
+from giantlike.core.frames import INERTIAL_FRAME, FrameRotation, rotate, rotation_from_xyzw
 from giantlike.core.units import RAD_PER_DEG, SPEED_OF_LIGHT_KM_S
 from giantlike.ephemeris import BARYCENTER
 from giantlike.image import ObserverState
@@ -74,15 +74,16 @@ class SpiceSetup:
 
     def camera_rate_rad_s(self, et: float) -> Float | None:
         """Rotation rate (3,) of the camera about its axes by a continuous CK. Returns None where it has none."""
-        if self.camera_from_frame is None or self.ck_tolerance_s > 0.0:
+        turn = self.camera_from_frame
+        if turn is None or self.ck_tolerance_s > 0.0:
             return None
         try:
-            before, after = (self.camera_from_inertial(et + step_s) for step_s in (-_RATE_STEP_S, _RATE_STEP_S))
+            before, after = (
+                nearest_attitude(turn.source, et + step_s, 0.0) for step_s in (-_RATE_STEP_S, _RATE_STEP_S)
+            )
         except DataError:
             return None
-        assert before is not None
-        assert after is not None
-        return -(after.rotation * before.rotation.inv()).as_rotvec() / (2.0 * _RATE_STEP_S)
+        return rotate(turn.rotation, -(after * before.inv()).as_rotvec() / (2.0 * _RATE_STEP_S))
 
     def observer(self, et: float) -> ObserverState:
         """State of the spacecraft relative to the barycenter of the Solar System."""
@@ -157,11 +158,16 @@ def catalog_of(path: Path, name: str) -> str:
 
 
 def geometry_of(
-    path: Path, key: str, name: str, targets: Sequence[BodySection], images: Sequence[Path] = ()
+    path: Path,
+    key: str,
+    name: str,
+    targets: Sequence[BodySection],
+    images: Sequence[Path] = (),
+    size: tuple[int, int] | None = None,
 ) -> GeometryTable:
     """Read a geometry table, EPIC metadata or a folder of SUMFILEs; rows without a target belong to a single target."""
     if (path.parent / name).is_dir():
-        return read_sumfiles(path.parent / name, images, [target.name for target in targets])
+        return read_sumfiles(path.parent / name, images, [target.name for target in targets], size)
     file = existing_file(path, key, name)
     if file.suffix.lower() == ".json":
         names = {(target.spice_body or target.name).upper(): target.name for target in targets}
