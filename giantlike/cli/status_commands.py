@@ -27,6 +27,7 @@ class Action(StrEnum):
     ACCEPT = "accept"
     DISCUSS = "discuss"
     START = "start"
+    MASK = "mask"
     RESTORE = "restore"
 
 
@@ -52,7 +53,7 @@ def _lines(found: RunStatus) -> Iterator[str]:
 
 def edit(
     folder: Run,
-    action: Annotated[Action, typer.Argument(help="list, reject, accept, discuss, start or restore.")],
+    action: Annotated[Action, typer.Argument(help="list, reject, accept, discuss, start, mask or restore.")],
     file: Annotated[
         str | None,
         typer.Argument(metavar="IMAGE", help="Name of the image, or its beginning; all but list need it."),
@@ -60,6 +61,14 @@ def edit(
     star: Annotated[int | None, typer.Option(help="Number of a star of it, in the catalog.", metavar="ID")] = None,
     target: Annotated[str | None, typer.Option(help="Target of a fix of it, or of a start.")] = None,
     estimator: Annotated[str | None, typer.Option(help="Estimator of that fix.")] = None,
+    landmark: Annotated[str | None, typer.Option(help="Name of a landmark of that fix.")] = None,
+    area: Annotated[
+        str | None,
+        typer.Option(
+            help="Area to mask, for all estimators or for that one: two corners of a rectangle, or those of a polygon.",
+            metavar="'X,Y X,Y ...'",
+        ),
+    ] = None,
     center: Annotated[
         tuple[float, float] | None, typer.Option(help="Where a start has the center of its target, px.", metavar="X Y")
     ] = None,
@@ -72,7 +81,8 @@ def edit(
 
     The edit list is kept with the results, with who, when and why. Every later run, report and export applies it;
     results are kept, so that they can be restored. Without a target, accept is for the attitude, and discuss marks the
-    image for others to look at. A start says where estimators look for a target when its image is solved again.
+    image for others to look at. A start says where estimators look for a target when its image is solved again,
+    a mask which pixels they, or one of them, leave out.
     """
     run = RunFolder.open(folder)
     if action is Action.LIST:
@@ -82,17 +92,34 @@ def edit(
     started = action is Action.START or (action is Action.RESTORE and target is not None and estimator is None)
     require((center is not None) == (action is Action.START), "start, and nothing else, needs --center X Y")
     require(started or (target is None) == (estimator is None), "a fix has a --target and an --estimator")
+    require((area is not None) >= (action is Action.MASK), "mask needs --area 'X,Y X,Y'")
     require(star is None or target is None, "give either --star or --target and --estimator")
     whole = {Action.ACCEPT: Edited.ATTITUDE, Action.DISCUSS: Edited.REVIEW}.get(action, Edited.IMAGE)
-    what = Edited.START if started else Edited.STAR if star is not None else Edited.FIX if target is not None else whole
+    kinds = {Edited.MASK: area, Edited.LANDMARK: landmark, Edited.START: started or None, Edited.STAR: star}
+    kinds[Edited.FIX] = target
+    what = next((kind for kind, given in kinds.items() if given is not None), whole)
     made = new_edit(
         run,
         {"action": str(action), "what": what, "file": file, "star": star, "target": target, "estimator": estimator,
+         "landmark": landmark, "area_px": None if area is None else _corners(area),
          "at_px": center, "sigma_px": sigma, "who": who or getpass.getuser(), "why": why},
     )  # fmt: skip
     add_edits(folder, [made])
     lines = [made.line, "run the campaign again to bring tables and report up to date"]
     return show_result(_fields(made), lines, json=json)
+
+
+def _corners(text: str) -> list[list[float]]:
+    """Corners of an area; of two, those of a rectangle."""
+    try:
+        corners = [[float(number) for number in pair.split(",")] for pair in text.split()]
+    except ValueError:
+        corners = []
+    require(len(corners) > 1 and all(len(pair) == 2 for pair in corners), f"--area is 'X,Y X,Y ...', got {text[:60]!r}")
+    if len(corners) > 2:
+        return corners
+    (left, top), (right, bottom) = corners
+    return [[left, top], [right, top], [right, bottom], [left, bottom]]
 
 
 def _fields(edit: Edit) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from giantlike.campaign.store.records import ObservationRecord
 from giantlike.campaign.store.results import group_by
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import require
-from giantlike.core.errors import OpNavError
+from giantlike.core.errors import InputError, OpNavError
 from giantlike.plotting.overlays import stretch_image
 from giantlike.plotting.style import dark_svg
 from giantlike.ray_tracing import Backplanes
@@ -29,6 +29,7 @@ from giantlike.viewer.comparison import match_of
 from giantlike.viewer.explain import explain
 from giantlike.viewer.layers import MarkLayer, layers_of
 from giantlike.viewer.planes import backplanes_of, values_at, with_terminators
+from giantlike.viewer.points import largest_residuals
 from giantlike.viewer.session import SeenImage, Session, review_of, verdict_of
 
 COLOR_MAPS: Mapping[str, int | None] = {
@@ -99,7 +100,7 @@ class Answers:
                     for each in seen.targets
                     if each.view is not None
                 ],
-                "edits": [edit.model_dump(mode="json", exclude_none=True) for edit in seen.edits],
+                "edits": [edit.model_dump(mode="json", exclude_none=True) | {"name": edit.name} for edit in seen.edits],
                 "charts": _charts(seen),
             }
 
@@ -122,6 +123,11 @@ class Answers:
                     best = min(fixes, key=lambda one: float(np.trace(np.array(one.covariance_px2))))
                     rows += [_difference(one, best, places[image.file]) for one in fixes if one is not best]
             return rows
+
+    def points(self) -> dict[str, Any]:
+        """The points of all images with the largest residuals."""
+        with self._lock:
+            return largest_residuals(self._session)
 
     def picture(
         self,
@@ -185,13 +191,18 @@ class Answers:
             seen = {name: float(value) for name, value in values_at(planes, (row, column)).items()}
             return values | {name: value for name, value in seen.items() if np.isfinite(value) and seen["body"] >= 0}
 
-    def edit(self, wanted: dict[str, Any]) -> dict[str, Any]:
-        """Append an edit to the edit list of the run."""
+    def edit(self, wanted: dict[str, Any]) -> list[dict[str, Any]]:
+        """Append edits of one user for one reason to the edit list of the run, all of ``things`` or none."""
+        common = {"who": getpass.getuser()} | wanted
+        things = common.pop("things", [{}])
+        if not (isinstance(things, list) and all(isinstance(one, dict) for one in things)):
+            raise InputError("things must be a list of JSON objects")
         with self._lock:
-            edit = new_edit(RunFolder.open(self._session.folder), {"who": getpass.getuser()} | wanted)
-            add_edits(self._session.folder, [edit])
+            run = RunFolder.open(self._session.folder)
+            edits = [new_edit(run, common | one) for one in things]
+            add_edits(self._session.folder, edits)
             self._session.reload()
-        return edit.model_dump(mode="json", exclude_none=True)
+        return [edit.model_dump(mode="json", exclude_none=True) for edit in edits]
 
     def solve(self, wanted: dict[str, Any]) -> dict[str, Any]:
         """Rerun the campaign: results changed by edits are recomputed, all others are kept."""
@@ -262,6 +273,7 @@ def _layer(each: MarkLayer) -> dict[str, Any]:
         "names": list(each.names),
         "star_ids": [str(number) for number in each.star_ids],  # they exceed the integers of JavaScript
         "rejected": each.rejected,
+        "subject": list(each.subject),
     }
 
 

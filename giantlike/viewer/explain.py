@@ -129,12 +129,13 @@ def _phase_deg(position_camera_km: Sequence[float], known: TargetRecord) -> floa
 
 
 def _observation(one: ObservationRecord) -> Iterator[str]:
-    started = [f"Started by hand: {one.provenance['start']}."] if "start" in one.provenance else []
+    words = {"start": "Started by hand", "masked": "Masked", "landmarks_rejected": "Landmarks rejected by hand"}
+    by_hand = [f"{words[name]}: {one.provenance[name]}." for name in words if name in one.provenance]
     if one.problem is not None:
         yield _problem(one.problem)
-        yield from started
+        yield from by_hand
         return
-    yield from [*started, *_place(one)]
+    yield from [*by_hand, *_place(one)]
     if one.n_used is not None:
         rejected = "" if not one.n_rejected else f", {one.n_rejected} rejected"
         yield f"Observations used: {one.n_used}{rejected}."

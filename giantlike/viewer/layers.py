@@ -41,6 +41,7 @@ class MarkLayer(Value):
     names: short text next to each point; empty where there is none. The most important points come first.
     star_ids: number of each point in the catalog; empty where points are not stars.
     rejected: True for what a user rejected.
+    subject: target and estimator of limb points.
     """
 
     name: str
@@ -50,6 +51,7 @@ class MarkLayer(Value):
     names: Sequence[str] = ()
     star_ids: Sequence[int] = field(default=())
     rejected: bool = False
+    subject: tuple[str, str] = ("", "")
 
 
 def layers_of(seen: SeenImage, names: Sequence[str] | None = None) -> list[MarkLayer]:
@@ -216,6 +218,19 @@ def _starts(seen: SeenImage) -> list[MarkLayer]:
     return made
 
 
+def _masks(seen: SeenImage) -> list[MarkLayer]:
+    """Areas that users masked."""
+    return [
+        MarkLayer(
+            name="mask",
+            title=f"{edit.name}, masked by {edit.who}: {edit.why}",
+            layer=Layer(points=_close_outline(np.array(edit.area)), shape=MarkShape.LINE, color=REJECTED, width=1.0),
+        )
+        for edit in seen.edits
+        if edit.what is Edited.MASK
+    ]
+
+
 def _fitted_outlines(seen: SeenImage) -> list[MarkLayer]:
     """The outline at each fix: the outline of a template, else the predicted one moved and scaled."""
     made, colors = [], center_colors(seen)
@@ -257,6 +272,7 @@ def _limb_points(seen: SeenImage, *, name: str, kept_as: str, meaning: str) -> l
         MarkLayer(
             name=name,
             title=f"{fix.target}: {meaning} by {fix.estimator}",
+            subject=fix.subject,
             layer=Layer(
                 points=_points(seen.points.get(fix.subject, {}).get(kept_as, [])),
                 shape=MarkShape.DOT,
@@ -333,6 +349,7 @@ _MAKERS: Mapping[str, Callable[[SeenImage], list[MarkLayer]]] = MappingProxyType
         "rejected-stars": _rejected_stars,
         "predicted": _predicted_outlines,
         "start": _starts,
+        "mask": _masks,
         "fitted": _fitted_outlines,
         "centers": _centers,
         "limb": partial(_limb_points, name="limb", kept_as="limb_px", meaning="limb points used"),

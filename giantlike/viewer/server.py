@@ -32,8 +32,8 @@ _POLICY = "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' 
 """The page may load nothing from elsewhere, and runs no script but that of its own file."""
 _PARTS: Mapping[str, str] = MappingProxyType({"view.js": "text/javascript", "view.css": "text/css"})
 """Files of the page, with their media types."""
-_MAX_BODY = 20_000
-"""Maximum size of a request, bytes: an edit has a reason of some hundred characters."""
+_MAX_BODY = 400_000
+"""Maximum size of a request, bytes: two thousand edits of points, or one with a reason and a drawn area."""
 
 
 def application(session: Session, token: str) -> Starlette:
@@ -78,6 +78,7 @@ def application(session: Session, token: str) -> Starlette:
         Route("/api/image/{index:int}", reading(answers.image)),
         Route("/api/terminator/{index:int}", reading(answers.terminator)),
         Route("/api/compare", reading(answers.compare)),
+        Route("/api/points", reading(answers.points)),
         Route("/api/pixel/{index:int}", reading(answers.pixel)),
         Route("/api/edit", changing(answers.edit), methods=["POST"]),
         Route("/api/solve", changing(answers.solve), methods=["POST"]),

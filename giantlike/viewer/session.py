@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.campaign.file.config import Campaign
-from giantlike.campaign.run.image_loading import open_image, scene_of
+from giantlike.campaign.run.image_loading import mask_areas, open_image, scene_of
 from giantlike.campaign.run.worker_context import Workbench
-from giantlike.campaign.store.edits import Edit, Edited, read_edits
+from giantlike.campaign.store.edits import Edit, Edited, Measuring, read_edits
 from giantlike.campaign.store.image_names import find_image
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, TargetRecord
 from giantlike.campaign.store.results import RunResult, camera_of_run, load_result
@@ -263,7 +263,8 @@ class Session:
         entry = next((each for each in bench.campaign.images if each.key == file), None)
         if entry is None:
             raise InputError(f"{bench.campaign.path}: there is no image {file!r} in it any more")
-        image = open_image(bench.campaign, entry, bench.frames).image
+        areas = read_edits(self.folder).measuring().get(file, Measuring()).areas.get(("", ""), ())
+        image = mask_areas(open_image(bench.campaign, entry, bench.frames).image, areas)
         attitude = next(each for each in self.result.attitudes if each.file == file).attitude
         if attitude is None:
             return image

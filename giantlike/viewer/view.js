@@ -2,14 +2,16 @@
 // The page of giantlike view: shows what the server answers, and sends edits.
 
 const TOKEN = document.querySelector("meta[name=token]").content, NS = "http://www.w3.org/2000/svg", $ = id => document.getElementById(id);
-const state = { run: null, image: null, index: -1, off: new Set(["detections", "fitted"]), box: null, selected: null, sort: ["index", 1], pairs: null, pairSort: ["", 1],
+const state = { run: null, image: null, index: -1, off: new Set(["detections", "fitted"]), box: null, selected: null, sort: ["index", 1], pairs: null, pairSort: ["", 1], points: null, pointSort: ["sigmas", -1], area: null,
   tab: "fixes", blink: 0, moved: null };
 const COLUMNS = [["file", "image"], ["target", "target"], ["estimator", "estimator"], ["words", "status"], ["x", "x, px"], ["y", "y, px"], ["sigma_x", "sigma x"],
   ["sigma_y", "sigma y"], ["dx", "o-c x, px"], ["dy", "o-c y, px"], ["range_km", "range, km"], ["sigma_range_km", "sigma range"], ["d_range_percent", "o-c range, %"],
   ["reason", "reason or flags"]];
 const PAIRS = [["file", "image"], ["target", "target"], ["estimator", "estimator"], ["minus", "minus"], ["dx", "dx, px"], ["sigma_dx", "sigma"], ["dy", "dy, px"],
   ["sigma_dy", "sigma"], ["d_range_percent", "d range, %"], ["sigma_d_range_percent", "sigma"], ["sigmas", "sigmas"], ["chance", "by chance"]];
-const TEXTS = new Set(["file", "target", "estimator", "words", "reason", "minus"]);
+const POINTS = [["file", "image"], ["kind", "kind"], ["target", "target"], ["estimator", "estimator"], ["name", "name"], ["x", "x, px"], ["y", "y, px"], ["residual", "residual, px"],
+  ["sigma", "sigma, px"], ["sigmas", "residual / sigma"]];
+const TEXTS = new Set(["file", "target", "estimator", "words", "reason", "minus", "kind", "name"]);
 const SHAPES = { ring: '<circle r="4" fill="none"/>', dot: '<circle r="2" stroke="#0009"/>', cross: '<path d="M-4-4L4 4M4-4L-4 4" fill="none"/>',
   plus: '<path d="M0-4V4M-4 0H4" fill="none"/>' };
 const ON_BODIES = /^(landmarks|centers)/;  // marks on bright ground, which get a dark rim
@@ -59,7 +61,7 @@ const written = (content, x, y, values = {}) => { const made = drawn("text", { x
 
 async function loadRun() {
   state.run = await (await get("/api/run", "reading the run")).json();
-  state.pairs = null;
+  state.pairs = state.points = null;
   $("name").textContent = state.run.name;
   const verdicts = ["accepted", "suspect", "failed", "rejected"].map(name => [state.run.images.filter(image => image.verdict === name).length, name]).filter(([count]) => count);
   $("count").textContent = `${counted(state.run.images.length, "image")}: ${verdicts.map(each => each.join(" ")).join(", ") || "all ok"}`;
@@ -120,7 +122,7 @@ const choose = guarded(async index => {
   const attitude = state.run.images[index].attitude;
   $("accept-attitude").hidden = attitude !== "suspect" && attitude !== "accepted"; $("accept-attitude").textContent = attitude === "accepted" ? "restore attitude" : "accept attitude";
   $("charts").replaceChildren(...image.charts.map(chart => { const button = cell("button", chart.title); button.onclick = () => showChart(chart); return button; }));
-  drawPicture(); drawLayers(); move(null); drawDecisions(); drawRows(); showChosenRow();
+  drawPicture(); drawLayers(); move(null); drawArea(null); drawDecisions(); drawRows(); showChosenRow();
   location.hash = image.file;
 });
 
@@ -265,11 +267,16 @@ function imagePoint(event) {
 }
 $("view").addEventListener("wheel", event => { event.preventDefault(); zoom(Math.exp(event.deltaY * 0.0015), ...imagePoint(event)); }, { passive: false });
 let drag = null, asked = 0;
-$("view").addEventListener("pointerdown", event => { drag = imagePoint(event); });
-window.addEventListener("pointerup", () => { drag = null; });
+$("view").addEventListener("pointerdown", event => { drag = imagePoint(event); if ($("draw").classList.contains("on")) drawArea(null); });
+window.addEventListener("pointerup", () => { if (drag && state.area) areaDrawn(); drag = null; });
 $("view").addEventListener("pointermove", event => {
   if (!state.image) return;
   const [x, y] = imagePoint(event);
+  if (drag && $("draw").classList.contains("on")) {
+    const points = state.area ?? [[drag[0], drag[1]]], [a, b] = points[0];
+    if (event.shiftKey) drawArea([...points, [x, y]]); else drawArea([[a, b], [x, b], [x, y], [a, y]]);
+    return;
+  }
   if (drag && state.moved) {
     const { at } = state.moved;
     state.moved.at = [at[0] + x - drag[0], at[1] + y - drag[1]]; drag = [x, y];
@@ -315,6 +322,31 @@ const solveFromHere = guarded(async () => {
   if (await edit("start", { what: "start", file: state.image.file, target, at_px: at })) await solveAgain();
 });
 
+// --- areas that are drawn, to mask them or to reject the limb points in them
+
+$("draw").onclick = () => { $("draw").classList.toggle("on"); $("stage").classList.toggle("moving", $("draw").classList.contains("on")); drawArea(null); };
+function drawArea(points) {
+  state.area = points;
+  $("area").setAttribute("d", points ? `M${points.map(point => point.join(" ")).join("L")}Z` : "");
+  if (!points) $("drawn").replaceChildren();
+}
+function inArea([x, y]) {  // by the number of edges to the right
+  let inside = false;
+  state.area.forEach(([ax, ay], place) => {
+    const [bx, by] = state.area.at(place - 1);
+    if ((ay > y) !== (by > y) && x < (bx - ax) * (y - ay) / (by - ay) + ax) inside = !inside;
+  });
+  return inside;
+}
+function areaDrawn() {
+  const step = Math.ceil(state.area.length / 200), area_px = state.area.filter((_, place) => place % step === 0).map(point => point.map(value => +value.toFixed(2)));
+  const act = (text, things) => { const button = cell("button", text); button.onclick = guarded(async () => { await edit("mask", { what: "mask", file: state.image.file }, things); }); return button; };
+  const limbs = state.image.layers.filter(layer => layer.name === "limb" && !layer.rejected).map(layer => [layer.subject, layer.points.filter(inArea)]).filter(([, points]) => points.length);
+  $("drawn").replaceChildren(act("mask it", [{ area_px }]), ...limbs.map(([[target, estimator], points]) =>
+    act(`reject ${counted(points.length, "limb point")} of ${estimator}`, points.map(point => ({ target, estimator, area_px: around(point) })))));
+}
+const around = ([x, y]) => [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([dx, dy]) => [+(x + dx).toFixed(2), +(y + dy).toFixed(2)]);  // as far as the profile of a limb point needs
+
 // --- marks one by one
 
 function select(mark) {
@@ -356,10 +388,10 @@ const showChart = guarded(async chart => {
 
 const filterWords = () => $("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
 function drawRows() {
-  for (const tab of ["fixes", "compare", "plots"]) $(`tab-${tab}`).classList.toggle("on", state.tab === tab);
+  for (const tab of TABS) $(`tab-${tab}`).classList.toggle("on", state.tab === tab);
   const words = filterWords();
   const rows = state.run.fixes.filter(fix => words.every(word => `${fix.file} ${fix.target} ${fix.estimator} ${fix.words} ${fix.reason ?? ""} ${fix.flags.join(" ")}`.toLowerCase().includes(word)));
-  $("rows").replaceChildren({ fixes: () => fixTable(rows), compare: compareTable, plots: () => plots(rows) }[state.tab]());
+  $("rows").replaceChildren({ fixes: () => fixTable(rows), compare: compareTable, plots: () => plots(rows), points: pointTable }[state.tab]());
 }
 function showChosenRow() {  // the table follows the image
   const rows = $("rows"), chosen = [...rows.querySelectorAll("tr.chosen")];
@@ -423,7 +455,32 @@ function compareTable() {
   else if (!rows.length) body.insertRow().append(cell("td", "no two fixes of one body to compare"));
   return table;
 }
-for (const tab of ["fixes", "compare", "plots"]) $(`tab-${tab}`).onclick = () => { state.tab = tab; drawRows(); showChosenRow(); };
+function pointTable() {
+  const columns = [["chosen", ""], ...POINTS], [table, , body] = sortable(columns, state.pointSort, order => { state.pointSort = order; }), [by, sense] = state.pointSort, words = filterWords();
+  const points = state.points?.points ?? [], rows = points.filter(point => words.every(word => `${point.file} ${point.kind} ${point.target ?? ""} ${point.estimator ?? ""} ${point.name}`.toLowerCase().includes(word)));
+  const count = () => { const chosen = points.filter(point => point.chosen).length; $("reject-points").hidden = !chosen; $("reject-points").textContent = `reject ${counted(chosen, "point")}`; };
+  for (const point of shownRows(sorted(rows, state.pointSort, point => point[by] ?? ""), body, columns.length)) {
+    const row = body.insertRow(), box = document.createElement("input");
+    row.className = point.index === state.index ? "chosen" : "";
+    row.onclick = guarded(async () => { await choose(point.index); select({ layer: { name: point.kind, points: [point], labels: [], title: point.name }, place: 0, point: [point.x, point.y] }); });
+    box.type = "checkbox"; box.checked = Boolean(point.chosen); box.disabled = point.rejected; box.title = point.rejected ? "rejected already" : "select";
+    box.onclick = event => { event.stopPropagation(); point.chosen = box.checked; count(); };
+    row.insertCell().append(box);
+    for (const [key] of POINTS) row.append(cell("td", text(point[key]), typeof point[key] === "number" ? "n" : ""));
+  }
+  if (!state.points) guarded(async () => { state.points = await (await get("/api/points", "reading points")).json(); if (state.tab === "points") drawRows(); })();
+  else if (state.points.count > points.length) body.insertRow().append(cell("td", `the largest ${points.length} of ${state.points.count}`));
+  count();
+  return table;
+}
+$("reject-points").onclick = guarded(async () => {
+  const chosen = state.points.points.filter(point => point.chosen), masks = chosen.filter(point => point.kind === "limb"), others = chosen.filter(point => point.kind !== "limb");
+  const things = [...masks.map(({ file, target, estimator, x, y }) => ({ action: "mask", what: "mask", file, target, estimator, area_px: around([x, y]) })),
+    ...others.map(({ file, kind, target, estimator, name, star }) => ({ what: kind, file, ...(star ? { star } : { target, estimator, landmark: name }) }))];
+  await edit("reject", { what: counted(things.length, "point") }, things);
+});
+const TABS = ["fixes", "compare", "plots", "points"];
+for (const tab of TABS) $(`tab-${tab}`).onclick = () => { state.tab = tab; drawRows(); showChosenRow(); };
 $("filter").oninput = drawRows;
 
 // --- plots over the campaign
@@ -495,16 +552,16 @@ function plot(fixes, key, sigma, title, across, names) {
 
 // --- edits
 
-async function edit(action, thing) {
-  const why = window.prompt(`Why ${action} ${thing.what} ${thing.star ?? thing.estimator ?? ""} of ${thing.file}?`);
+async function edit(action, thing, things = [{}]) {
+  const why = window.prompt(`Why ${action} ${thing.what} ${thing.star ?? thing.estimator ?? ""} ${thing.file ? `of ${thing.file}` : ""}?`);
   if (!why) return false;
-  await post("/api/edit", { action, why, who: $("who").value, ...thing });
+  await post("/api/edit", { action, why, who: $("who").value, ...thing, things });
   select(null);
   await loadRun(); await choose(state.index);
   say(`${thing.what} ${DONE[action]}; solve again brings results and report up to date`);
   return true;
 }
-const DONE = { reject: "rejected", accept: "accepted", discuss: "to discuss", start: "set", restore: "restored" };
+const DONE = { reject: "rejected", accept: "accepted", discuss: "to discuss", start: "set", mask: "drawn", restore: "restored" };
 const decided = test => state.image.edits.some(test);
 const toggle = (action, thing, test) => edit(decided(test) ? "restore" : action, { file: state.image.file, ...thing });
 const rejectStar = guarded(async star => toggle("reject", { what: "star", star }, one => one.star === star));
@@ -515,9 +572,9 @@ $("accept-attitude").onclick = guarded(async () =>
 function drawDecisions() {
   const edits = state.image.edits;
   $("decisions").replaceChildren(...(edits.length ? [cell("h2", "Decided by hand")] : []), ...edits.map(one => {
-    const line = document.createElement("div"), act = cell("button", "restore"), { what, file, star, target, estimator } = one;
-    act.onclick = guarded(() => edit("restore", { what, file, star, target, estimator }));
-    line.append(act, ` ${DONE[one.action]}: ${star ? `star ${star}` : estimator ? `${target} by ${estimator}` : `the ${what}${target ? ` of ${target}` : ""}`}: ${one.why} (${one.who})`);
+    const line = document.createElement("div"), act = cell("button", "restore"), { what, file, star, target, estimator, landmark, area_px } = one;
+    act.onclick = guarded(() => edit("restore", { what, file, star, target, estimator, landmark, area_px }));
+    line.append(act, ` ${DONE[one.action]}: ${one.name}: ${one.why} (${one.who})`);
     return line;
   }));
 }

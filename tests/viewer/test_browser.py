@@ -103,7 +103,7 @@ def test_every_mark_of_every_layer_is_drawn_on_its_place(page: Page, run: Path, 
                 page.mouse.wheel(0, -400)
                 page.wait_for_function("() => state.box.w < 0.8 * state.image.columns")
                 _assert_drawn(page)
-    others = {"limb-rejected", "rejected-stars", "start"}  # with the code of layers that are drawn
+    others = {"limb-rejected", "rejected-stars", "start", "mask"}  # with the code of layers that are drawn
     assert drawn == set(LAYERS) - others
 
 
@@ -605,3 +605,48 @@ def test_an_outline_is_dragged_onto_the_body_and_the_image_solved_from_there(
         found = page.evaluate("state.image.fixes.map(fix => [fix.x, fix.y])")
         np.testing.assert_allclose(found, [truth, truth], rtol=0, atol=0.1)
         assert "the start of PEBBLE: it is over there" in page.locator("#decisions").inner_text()
+
+
+def test_limb_points_in_a_drawn_area_and_points_selected_in_the_table_are_rejected(page: Page, run: Path) -> None:
+    file = "visit0_b_short.fits"
+    page.on("dialog", lambda dialog: dialog.accept("a ridge"))
+    with served(run) as address:
+        open_page(page, address)
+        _show(page, file)
+        points = np.array(page.evaluate("state.image.layers.find(layer => layer.name === 'limb').points"))
+        corners = np.array([points[:, 0].max() - 3.5, points[:, 1].min() - 5.0]), np.array([250.0, 180.0])
+        inside = ((points > corners[0]) & (points < corners[1])).all(axis=1).sum()
+        assert 5 < inside < len(points)
+        page.click("#draw")
+        page.mouse.move(*_place_of(page, *corners[0]))
+        page.mouse.down()
+        page.mouse.move(*_place_of(page, *corners[1]), steps=4)
+        page.mouse.up()
+        assert page.locator("#drawn button").all_inner_texts() == [
+            *("mask it", f"reject {inside} limb points of limb_matching"),
+        ]
+        page.locator("#drawn button >> nth=1").click()
+        _said(page, "mask drawn")
+        assert len(read_edits(run).measuring()[file].areas["PEBBLE", "limb_matching"]) == inside
+        assert page.locator("#marks > g[data-layer=mask]").count() == inside
+
+        page.click("#tab-points")
+        page.wait_for_selector("#rows tbody tr")
+        assert page.locator("#rows tbody tr").count() > inside
+        page.fill("#filter", "star")
+        names = page.locator("#rows tbody tr td:nth-child(6)").all_inner_texts()[:2]
+        page.locator("#rows tbody tr >> nth=0").click()
+        page.wait_for_function("() => document.querySelector('#selected circle') !== null")
+        for row in range(2):
+            page.locator(f"#rows tbody tr >> nth={row}").locator("input").check()
+        page.click("#reject-points")
+        _said(page, "2 points rejected")
+        stars = {str(edit.star) for edit in read_edits(run).standing if edit.star is not None}
+        assert stars == set(names)
+        page.click("#solve")
+        _said(page, "solved", timeout=120000)
+        left = page.evaluate("state.run.fixes.find(fix => fix.estimator === 'limb_matching').outcome")
+        assert left == "ok"
+        _show(page, file)
+        used = np.array(page.evaluate("state.image.layers.find(layer => layer.name === 'limb').points"))
+        assert not ((used > corners[0]) & (used < corners[1])).all(axis=1).any()

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from giantlike.campaign.export import ExportFormat, export_run
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.store.edits import add_edits, new_edit, read_edits
-from giantlike.campaign.store.records import ObservationRecord
+from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import load_result
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.outcomes import Outcome
@@ -22,7 +23,7 @@ from giantlike.viewer import Session, explain, layers_of
 from giantlike.viewer.dossier import write_dossier
 from giantlike.viewer.server import application
 from tests.campaign_files import CAMERA
-from tests.viewer.conftest import Made, make_suspect
+from tests.viewer.conftest import Made, RockRun, make_suspect
 from tests.viewer.test_edits import giantlike
 
 LONG, SHORT = "visit0_a_long.fits", "visit0_b_short.fits"
@@ -232,9 +233,9 @@ def test_an_image_whose_prediction_is_too_far_off_is_solved_from_a_start(made: M
 
 STARTS: dict[str, tuple[tuple[str, ...], str]] = {
     "no center": (("--target", TARGET), "start, and nothing else, needs --center X Y"),
-    "no target": (("--center", "5", "5"), "have a target"),
+    "no target": (("--center", "5", "5"), "the kind start goes with target, got nothing else"),
     "another target": (("--target", "MOON", "--center", "5", "5"), f"there are: {TARGET} by"),
-    "an estimator": ((*FIX, "--center", "5", "5"), "a fix, and nothing else, has an estimator"),
+    "an estimator": ((*FIX, "--center", "5", "5"), "the kind start goes with target, got target and estimator"),
     "nan": (("--target", TARGET, "--center", "nan", "5"), "a start needs a center"),
     "far outside": (("--target", TARGET, "--center", "5", "9000"), "far outside of its 320 x 280 px"),
     "a negative sigma": (("--target", TARGET, "--center", "5", "5", "--sigma", "-1"), "sigma_px"),
@@ -248,3 +249,83 @@ def test_a_start_that_makes_no_sense_is_refused(run: Path, case: str) -> None:
     assert done.exit_code == 2
     assert words in done.stderr
     assert read_edits(run).edits == ()
+
+
+def test_ten_limb_points_and_an_area_are_left_out_when_the_image_is_solved_again(campaign: Path, run: Path) -> None:
+    session = Session(run)
+    before, seen = _fix(run), session.seen(SHORT)
+    points = np.array(seen.points[TARGET, LIMB]["limb_px"])[5:15]
+    client = TestClient(application(session, "secret"), base_url="http://127.0.0.1:8000")
+    client.get("/?token=secret")
+    table = client.get("/api/points").json()
+    assert {row["kind"] for row in table["points"]} == {"star", "limb"}
+    assert table["count"] == len(table["points"]) > len(points)
+    sigmas = [row["sigmas"] for row in table["points"]]
+    assert sigmas == sorted(sigmas, reverse=True)
+    limb = [row for row in table["points"] if row["kind"] == "limb"]
+    assert np.sqrt(np.mean([row["sigmas"] ** 2 for row in limb])) == pytest.approx(1.0, abs=1e-3)
+
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    things = [{"target": TARGET, "estimator": LIMB, "area_px": (point + corners).tolist()} for point in points]
+    wanted = {"action": "mask", "what": "mask", "file": SHORT, "why": "a ridge", "who": "Ann", "things": things}
+    answer = client.post("/api/edit", json=wanted, headers={"X-Token": "secret"})
+    assert answer.status_code == 200, answer.text
+    assert sum(row["rejected"] for row in client.get("/api/points").json()["points"]) >= len(points)
+    (left, top), (right, bottom) = np.rint(points.min(axis=0) - 40), np.rint(points.max(axis=0) - 20)
+    area = f"{left:g},{top:g} {right:g},{bottom:g}"
+    assert giantlike("edit", run, "mask", LONG, "--area", "0,0 40,279", *BY_ANN).exit_code == 0
+
+    again = run_campaign(Campaign.load(campaign), workers=1)
+    after, used = _fix(run), np.array(Session(run).seen(SHORT).points[TARGET, LIMB]["limb_px"])
+    assert np.linalg.norm(used[:, None] - points, axis=2).min() > 0.5
+    assert before.n_used is not None
+    assert after.n_used is not None
+    assert before.n_used - 15 <= after.n_used <= before.n_used - 10
+    assert after.provenance["masked"] == "10 areas drawn by hand"
+    assert again.steps[f"{TARGET}: {LIMB}"].redone == 1
+    stars = RunFolder.open(run).load(AttitudeRecord, LONG)
+    assert stars is not None
+    assert stars.stars is not None
+    assert np.array(stars.stars.observed_px)[:, 0].min() > 40.0
+    assert _fix(run, TEMPLATE).provenance.get("masked") is None
+    assert giantlike("edit", run, "mask", SHORT, "--area", area, *BY_ANN).exit_code == 0
+    run_campaign(Campaign.load(campaign), workers=1)
+    assert _fix(run, TEMPLATE).provenance["masked"] == "1 area drawn by hand"
+    assert "mask" in {layer.name for layer in layers_of(Session(run).seen(SHORT))}
+    assert giantlike("edit", run, "restore", SHORT, "--area", area, "--why", "no").exit_code == 0
+    assert len(read_edits(run).standing) == 11
+
+
+AREAS: dict[str, tuple[tuple[str, ...], str]] = {
+    "no area": ((), "mask needs --area"),
+    "no numbers": (("--area", "left right"), "--area is 'X,Y X,Y ...', got 'left right'"),
+    "one corner": (("--area", "5,5"), "--area is"),
+    "not a number": (("--area", "nan,5 7,8"), "an area has 3 to 500 corners"),
+    "outside": (("--area", "400,5 500,8"), "has none of its 320 x 280 pixels"),
+    "everything": (("--area", "-5,-5 1e9,1e9"), "has all of its 320 x 280 pixels"),
+    "a target alone": (("--area", "5,5 7,8", "--target", TARGET), "a fix has a --target and an --estimator"),
+}
+
+
+@pytest.mark.parametrize("case", AREAS)
+def test_an_area_that_makes_no_sense_is_refused(run: Path, case: str) -> None:
+    arguments, words = AREAS[case]
+    done = giantlike("edit", run, "mask", SHORT, *arguments, *BY_ANN)
+    assert done.exit_code == 2
+    assert words in done.stderr
+    assert read_edits(run).edits == ()
+
+
+def test_a_rejected_landmark_is_not_used_again(rock: RockRun, tmp_path: Path) -> None:
+    folder = shutil.copytree(rock.run.parent, tmp_path / "copy")
+    run = folder / "run"
+    of = ("--target", "BODY", "--estimator", "surface_features")
+    names = Session(run).seen(rock.file).points["BODY", "surface_features"]["landmarks"]["names"]
+    refused = giantlike("edit", run, "reject", rock.file, *of, "--landmark", names[0][:-1], *BY_ANN)
+    assert refused.exit_code == 2
+    assert names[0] in refused.stderr
+    assert giantlike("edit", run, "reject", rock.file, *of, "--landmark", names[0], *BY_ANN).exit_code == 0
+    run_campaign(Campaign.load(folder / "campaign.toml"), workers=1)
+    marks = Session(run).seen(rock.file).points["BODY", "surface_features"]["landmarks"]
+    assert names[0] not in [*marks["names"], *marks["rejected_names"]]
+    assert f"Landmarks rejected by hand: {names[0]}" in giantlike("explain", run, rock.file).stdout

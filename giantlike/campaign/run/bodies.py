@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 from typing import TypeAlias
@@ -16,10 +16,10 @@ from giantlike.camera import Camera
 from giantlike.camera_models import ifov_rad
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.run.border import attempt
-from giantlike.campaign.run.image_loading import scene_of, targets_in
+from giantlike.campaign.run.image_loading import mask_areas, scene_of, targets_in
 from giantlike.campaign.run.observables import sighting_of, with_fix, with_prediction
 from giantlike.campaign.run.worker_context import Workbench
-from giantlike.campaign.store.edits import Start
+from giantlike.campaign.store.edits import Measuring, Start
 from giantlike.campaign.store.records import Attitude, ObservationRecord, Problem, TargetRecord, TargetView
 from giantlike.core.arrays import unit
 from giantlike.core.frames import rotate
@@ -28,7 +28,7 @@ from giantlike.core.time import utc_text
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import AttitudeSource, Image
 from giantlike.ray_tracing.silhouette import lit_outline
-from giantlike.relative import Estimator
+from giantlike.relative import Estimator, SurfaceFeatures
 from giantlike.relative.place import apparent_radius_px
 from giantlike.scene import Scene, TargetGeometry
 
@@ -62,9 +62,9 @@ def estimate_bodies(
     image: Image,
     attitude: Attitude | None,
     work: Iterable[Work],
-    starts: Mapping[str, Start],
+    measuring: Measuring,
 ) -> list[BodyRecord]:
-    """Run estimators on targets of an image; ``starts`` by target."""
+    """Run estimators on targets of an image."""
     campaign, wanted = bench.campaign, set(work)
     if attitude is not None:
         image = image.with_attitude(
@@ -87,7 +87,7 @@ def estimate_bodies(
             if isinstance(scene, Scene) and isinstance(geometry, TargetGeometry):
                 record = with_prediction(record, campaign.camera, geometry)
                 jobs[estimator.name] = partial(
-                    _run_estimator, record, estimator, image, campaign.camera, scene, starts.get(target.name)
+                    _run_estimator, record, estimator, image, campaign.camera, scene, measuring
                 )
             else:
                 problem = Problem.from_failure(geometry) if isinstance(geometry, Failure) else geometry
@@ -135,16 +135,18 @@ def _run_estimator(
     image: Image,
     camera: Camera,
     scene: Scene,
-    start: Start | None,
+    measuring: Measuring,
 ) -> ObservationRecord:
     """Record, which has the prediction, with the result of one estimator."""
-    began, made_from = time.perf_counter(), dict[str, str]()
+    began, of = time.perf_counter(), record.subject
     geometry = scene.geometry(image, record.target)
     assert isinstance(geometry, TargetGeometry)
+    start, by_hand = measuring.starts.get(record.target), measuring.provenance(*of)
     if start is not None:
         scene, geometry = move_target(scene, geometry, image, camera, start)
-        x, y = start.center_px
-        made_from["start"] = f"center ({x:.2f}, {y:.2f}) px, sigma {start.sigma_px:g} px, by {start.who}"
+    image = mask_areas(image, measuring.areas.get(of, ()))
+    if of in measuring.landmarks and isinstance(estimator, SurfaceFeatures):
+        estimator = estimator.exclude(measuring.landmarks[of])
     outcome = attempt(estimator.estimate, image, camera, scene, record.target)
     done = attempt(with_fix, record, camera, geometry, outcome) if isinstance(outcome, CenterFix) else outcome
     if not isinstance(done, ObservationRecord):
@@ -153,8 +155,8 @@ def _run_estimator(
             problem = _out_of_field(record, estimator, image, camera, geometry) or problem
         done = record.replace(problem=problem)
     changes: dict[str, object] = {"time_s": time.perf_counter() - began}
-    if made_from:
-        changes |= {"provenance": done.provenance | made_from, "predicted_px": record.predicted_px}
+    if by_hand:
+        changes |= {"provenance": done.provenance | by_hand, "predicted_px": record.predicted_px}
     return done.model_copy(update=changes)  # all else is checked already
 
 

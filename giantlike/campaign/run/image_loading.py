@@ -6,6 +6,7 @@ Sources, in order of precedence: the geometry table or ``[geometry]``, the image
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.file.inputs import SpiceSetup, TargetSetup
+from giantlike.campaign.store.edits import Area, mask_of
 from giantlike.core.arrays import require, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import rotate
@@ -88,6 +90,13 @@ def open_image(campaign: Campaign, entry: ImageEntry, frames: CalibrationFrames 
         axes = "camera axes" if turn is None else "axes of the body"
         notes += (f"no a priori attitude: {axes} are used as inertial axes",)
     return PreparedImage(image, notes)
+
+
+def mask_areas(image: Image, areas: Sequence[Area]) -> Image:
+    """Return an image without the pixels in polygons."""
+    if not areas:
+        return image
+    return dataclasses.replace(image, mask=image.mask | mask_of(areas, (image.rows, image.columns)))
 
 
 def _attitude_by_body(campaign: Campaign, image: Image, known: ImageGeometry) -> Rotation | None:

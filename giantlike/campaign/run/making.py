@@ -126,7 +126,7 @@ class RunExecutor:
         steps = Steps(self.bench)
 
         def key_of(entry: ImageEntry) -> str:
-            stars = self._measuring(entry).rejected_stars
+            stars = self._measuring(entry).of_stars
             limits = (setup.scale_error, None if self.campaign.stars is None else self.campaign.stars.long_exposure_s)
             return steps.first_stars(entry, self.identities.find_hash(entry), limits, stars)
 
@@ -283,12 +283,12 @@ class RunExecutor:
             self.folder.set_places(kind, of_kind)
 
     def _attitude_key(self, plan: _Plan, entry: ImageEntry, record: AttitudeRecord) -> str:
-        stars = self._measuring(entry).rejected_stars
+        stars = self._measuring(entry).of_stars
         return plan.steps.attitude(entry, self.identities.find_hash(entry), stars, star_image=record.star_image)
 
     def _key(self, plan: _Plan, entry: ImageEntry, target: str, estimator: str, attitude: Attitude | None) -> str:
         sha256 = self.identities.find_hash(entry)
-        decided = self._measuring(entry).of_target(target) if estimator else []
+        decided = self._measuring(entry).of_fix(target, estimator) if estimator else []
         return plan.steps.observation(entry, sha256, target, estimator, attitude, decided) if sha256 else ""
 
     def _say_first(self, counts: dict[str, StepCount]) -> None:

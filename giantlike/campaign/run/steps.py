@@ -6,7 +6,7 @@ import dataclasses
 import enum
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -65,14 +65,14 @@ class Steps:
             for estimator in target.estimators
         }
 
-    def first_stars(self, entry: ImageEntry, sha256: str, limits: object, rejected: Iterable[int]) -> str:
+    def first_stars(self, entry: ImageEntry, sha256: str, limits: object, decided: Sequence[object]) -> str:
         """Hash of the first identification of the stars of an image, for calibration."""
-        return digest(self._stars, sha256, self._pose(entry), limits, sorted(rejected))
+        return digest(self._stars, sha256, self._pose(entry), limits, decided)
 
-    def attitude(self, entry: ImageEntry, sha256: str, rejected: Iterable[int], *, star_image: bool) -> str:
+    def attitude(self, entry: ImageEntry, sha256: str, decided: Sequence[object], *, star_image: bool) -> str:
         """Hash of the attitude of an image, before attitudes of its neighbors are propagated to it."""
         if star_image and self._stars:
-            return digest(self._stars, sha256, self._pose(entry), sorted(rejected))
+            return digest(self._stars, sha256, self._pose(entry), decided)
         return digest(self._apriori, sha256, self._pose(entry))
 
     def observation(

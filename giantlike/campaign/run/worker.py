@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from giantlike.calibration import identify_first
 from giantlike.camera import Camera
@@ -13,7 +13,7 @@ from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.run.attitude_transfer import attitude_to_use
 from giantlike.campaign.run.bodies import BodyRecord, Work, estimate_bodies, failed_bodies
 from giantlike.campaign.run.border import attempt, reading
-from giantlike.campaign.run.image_loading import PreparedImage, open_image
+from giantlike.campaign.run.image_loading import PreparedImage, mask_areas, open_image
 from giantlike.campaign.run.observables import attitude_of, with_attitude, with_observer, with_stars
 from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.edits import Measuring
@@ -85,7 +85,7 @@ def process_image(bench: Workbench, job: ImageJob) -> ImageAnswer:
         failed = [] if problem is None else failed_bodies(job.entry, work, problem, epoch_utc=epoch_utc)
         return ImageAnswer.from_records(record, failed)
     fitted, prepared = opened
-    bodies = attempt(estimate_bodies, fitted, job.entry, prepared.image, attitude, work, job.measuring.starts)
+    bodies = attempt(estimate_bodies, fitted, job.entry, prepared.image, attitude, work, job.measuring)
     return ImageAnswer.from_records(
         record, failed_bodies(job.entry, work, bodies) if isinstance(bodies, Problem) else bodies
     )
@@ -117,7 +117,7 @@ def _first_stars(bench: Workbench, job: ImageJob) -> CalibrationRecord | Problem
     prepared = reading(open_image, campaign, entry, bench.frames)
     if isinstance(prepared, Problem):
         return prepared
-    image = prepared.image
+    image = _without_areas(prepared, job).image
     read = CalibrationRecord(index=entry.index, file=entry.key, sha256=image.sha256)
     if not campaign.is_star_image(image.exposure_s):
         return read.replace(problem=Problem(reason=Reason.NO_SIGNAL, detail=NO_STAR_IMAGE))
@@ -159,8 +159,14 @@ def _open_image(bench: Workbench, job: ImageJob) -> tuple[Workbench, PreparedIma
     prepared = reading(open_image, bench.campaign, job.entry, bench.frames)
     if isinstance(prepared, Problem):
         return prepared
+    prepared = _without_areas(prepared, job)
     fitted = reading(bench.for_image, prepared.image)
     return fitted if isinstance(fitted, Problem) else (fitted.without_stars(job.measuring.rejected_stars), prepared)
+
+
+def _without_areas(prepared: PreparedImage, job: ImageJob) -> PreparedImage:
+    """The image without the areas that users masked for all estimators."""
+    return replace(prepared, image=mask_areas(prepared.image, job.measuring.areas.get(("", ""), ())))
 
 
 def _solve_attitude(bench: Workbench, prepared: PreparedImage, entry: ImageEntry) -> AttitudeRecord:

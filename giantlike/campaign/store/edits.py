@@ -10,6 +10,7 @@ readers with double precision keep exactly.
 
 from __future__ import annotations
 
+import difflib
 import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,7 +29,7 @@ from giantlike.campaign.store.image_names import find_image
 from giantlike.campaign.store.record_values import FlagName, Pair, UnitQuaternion
 from giantlike.campaign.store.records import Acceptance, AttitudeRecord, ObservationRecord, ObservationsRecord, Problem
 from giantlike.campaign.store.run_folder import RunFolder
-from giantlike.core.arrays import require
+from giantlike.core.arrays import Mask, require
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Outcome, Quality, Reason
 
@@ -46,34 +47,53 @@ class Edited(StrEnum):
     FIX = "fix"
     REVIEW = "review"
     START = "start"
+    MASK = "mask"
+    LANDMARK = "landmark"
 
 
 _WHOLE = (Edited.IMAGE, Edited.ATTITUDE, Edited.REVIEW)
 """Things of which an image has one."""
 _DECIDED: Mapping[str, tuple[Edited, ...]] = MappingProxyType({
-    "reject": (Edited.IMAGE, Edited.STAR, Edited.FIX),
+    "reject": (Edited.IMAGE, Edited.STAR, Edited.FIX, Edited.LANDMARK),
     "accept": (Edited.ATTITUDE, Edited.FIX),
     "discuss": (Edited.REVIEW,),
     "start": (Edited.START,),
+    "mask": (Edited.MASK,),
 })  # fmt: skip
 """Things that each action is for."""
 _DECISIONS = MappingProxyType({
     "reject": "Rejected by hand", "accept": "Accepted by hand", "discuss": "To discuss", "start": "Started by hand",
+    "mask": "Masked by hand",
 })  # fmt: skip
+_PARTS = ("star", "target", "estimator", "landmark", "area_px")
+_GIVEN: Mapping[Edited, tuple[frozenset[str], ...]] = MappingProxyType({
+    Edited.STAR: (frozenset({"star"}),),
+    Edited.FIX: (frozenset({"target", "estimator"}),),
+    Edited.START: (frozenset({"target"}),),
+    Edited.LANDMARK: (frozenset({"target", "estimator", "landmark"}),),
+    Edited.MASK: (frozenset({"area_px"}), frozenset({"area_px", "target", "estimator"})),
+})  # fmt: skip
+"""Fields by which a thing is named; of others, none."""
 START_SIGMA_PX = 3.0
 """Standard deviation of a center that was dragged by hand, px."""
+_SHIFT, _FAR_PX = 4, 1e6
+"""Binary digits of fractions of corners, px; where areas end that reach farther out."""
 _ROUNDING_RAD = 1e-12
-Thing: TypeAlias = tuple[Edited, str, int | None, str | None, str | None]
+Area: TypeAlias = tuple[tuple[float, float], ...]
+"""Corners of a polygon, px."""
+Thing: TypeAlias = tuple[Edited, str, int | None, str | None, str | None, str | None, Area]
 Decided = TypeVar("Decided", AttitudeRecord, ObservationRecord)
 
 
 class Edit(BaseModel):
     """One edit.
 
-    action: ``reject``, ``accept``, ``discuss``, ``start`` or ``restore``.
+    action: ``reject``, ``accept``, ``discuss``, ``start``, ``mask`` or ``restore``.
     file: name of the image in the tables.
     star: number of the star in the catalog.
-    target, estimator: of the fix; the target alone of a start.
+    target, estimator: of the fix; the target alone of a start; of a mask, the estimator that it is for, if not for all.
+    landmark: name of a landmark of a fix.
+    area_px: (n, 2) list of float, px; corners of a mask.
     at_px: (2,) list of float, px; where the star was observed when it was rejected, so that it can still be shown;
         center of a fix that was accepted; where estimators are to start.
     sigma_px: of such a start.
@@ -83,12 +103,14 @@ class Edit(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    action: Literal["reject", "accept", "discuss", "start", "restore"]
+    action: Literal["reject", "accept", "discuss", "start", "mask", "restore"]
     what: Edited
     file: str
     star: int | None = None
     target: str | None = None
     estimator: str | None = None
+    landmark: str | None = None
+    area_px: list[Pair] | None = None
     who: str
     when_utc: str
     why: str
@@ -103,12 +125,12 @@ class Edit(BaseModel):
 
     @model_validator(mode="after")
     def _complete(self) -> Edit:
-        if (self.what is Edited.STAR) != (self.star is not None):
-            raise ValueError("a star, and nothing else, has a number")
-        if (self.what is Edited.FIX) != (self.estimator is not None):
-            raise ValueError("a fix, and nothing else, has an estimator")
-        if (self.what in (Edited.FIX, Edited.START)) != (self.target is not None):
-            raise ValueError("a fix and a start, and nothing else, have a target")
+        given = frozenset(name for name in _PARTS if getattr(self, name) is not None)
+        if given not in _GIVEN.get(self.what, (frozenset(),)):
+            needed = " or ".join(_words(each) for each in _GIVEN.get(self.what, (frozenset(),)))
+            raise ValueError(f"the kind {self.what} goes with {needed}, got {_words(given)}")
+        if self.area_px is not None and not (3 <= len(self.area_px) <= 500 and np.isfinite(self.area_px).all()):
+            raise ValueError("an area has 3 to 500 corners, px")
         if self.action == "start" and (self.at_px is None or not np.isfinite(self.at_px).all()):
             raise ValueError("a start needs a center, px")
         if self.action != "restore" and self.what not in _DECIDED[self.action]:
@@ -118,7 +140,12 @@ class Edit(BaseModel):
     @property
     def thing(self) -> Thing:
         """The thing that it is about."""
-        return self.what, self.file, self.star, self.target, self.estimator
+        return self.what, self.file, self.star, self.target, self.estimator, self.landmark, self.area
+
+    @property
+    def area(self) -> Area:
+        """Corners of the area; empty where there is none."""
+        return tuple((x, y) for x, y in self.area_px or ())
 
     @property
     def name(self) -> str:
@@ -127,6 +154,12 @@ class Edit(BaseModel):
             return f"the {self.what}"
         if self.what is Edited.START:
             return f"the start of {self.target}"
+        if self.what is Edited.MASK:
+            (left, top), (right, bottom) = np.min(self.area, axis=0), np.max(self.area, axis=0)
+            alone = "" if self.target is None else f", for {self.target} by {self.estimator}"
+            return f"the area from ({left:.4g}, {top:.4g}) to ({right:.4g}, {bottom:.4g}) px{alone}"
+        if self.what is Edited.LANDMARK:
+            return f"landmark {self.landmark} of {self.target} by {self.estimator}"
         return f"star {self.star}" if self.star is not None else f"{self.target} by {self.estimator}"
 
     @property
@@ -179,15 +212,42 @@ class Measuring:
 
     rejected_stars: numbers of stars that are not to be used.
     starts: by target.
+    areas: masks by target and estimator; by two empty names those of the image.
+    landmarks: names of those that are not to be used, by target and estimator.
     """
 
     rejected_stars: frozenset[int] = frozenset()
     starts: Mapping[str, Start] = field(default_factory=dict)
+    areas: Mapping[tuple[str, str], tuple[Area, ...]] = field(default_factory=dict)
+    landmarks: Mapping[tuple[str, str], frozenset[str]] = field(default_factory=dict)
 
-    def of_target(self, target: str) -> list[object]:
-        """Return what the results of a target depend on; empty where nobody decided."""
-        start = self.starts.get(target)
-        return [] if start is None else [start.center_px, start.sigma_px]
+    @property
+    def of_stars(self) -> list[object]:
+        """Everything that the stars of the image depend on; empty where nobody decided."""
+        return [*sorted(self.rejected_stars), *self.areas.get(("", ""), ())]
+
+    def of_fix(self, target: str, estimator: str) -> list[object]:
+        """Return what a fix depends on; empty where nobody decided."""
+        start, of = self.starts.get(target), (target, estimator)
+        started = [] if start is None else [start.center_px, start.sigma_px]
+        return [
+            *started,
+            *self.areas.get(("", ""), ()),
+            *self.areas.get(of, ()),
+            *sorted(self.landmarks.get(of, ())),
+        ]
+
+    def provenance(self, target: str, estimator: str) -> dict[str, str]:
+        """Return what users decided on a fix, in words, for its provenance."""
+        start, of, words = self.starts.get(target), (target, estimator), dict[str, str]()
+        if start is not None:
+            x, y = start.center_px
+            words["start"] = f"center ({x:.2f}, {y:.2f}) px, sigma {start.sigma_px:g} px, by {start.who}"
+        if (count := len(self.areas.get(("", ""), ())) + len(self.areas.get(of, ()))) > 0:
+            words["masked"] = f"{count} area{'s' * (count > 1)} drawn by hand"
+        if of in self.landmarks:
+            words["landmarks_rejected"] = ", ".join(sorted(self.landmarks[of]))
+        return words
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,6 +276,12 @@ class EditList:
                 x, y = edit.at_px
                 start = Start((x, y), edit.sigma_px or START_SIGMA_PX, edit.who)
                 known = replace(known, starts={**known.starts, edit.target: start})
+            elif edit.what is Edited.MASK:
+                of = (edit.target or "", edit.estimator or "")
+                known = replace(known, areas={**known.areas, of: (*known.areas.get(of, ()), edit.area)})
+            elif edit.what is Edited.LANDMARK and edit.target and edit.estimator and edit.landmark:
+                of, names = (edit.target, edit.estimator), frozenset({edit.landmark})
+                known = replace(known, landmarks={**known.landmarks, of: known.landmarks.get(of, frozenset()) | names})
             found[edit.file] = known
         return found
 
@@ -272,8 +338,12 @@ def new_edit(run: RunFolder, wanted: Mapping[str, Any]) -> Edit:
     known = read_edits(run.path)
     if edit.action == "restore":
         return _restore(run, edit, [each for each in known.standing if each.file == edit.file])
-    if edit.what in (Edited.FIX, Edited.START):
+    if edit.target is not None:
         _require_fix(run, edit)
+    if edit.landmark is not None:
+        _require_landmark(run, edit)
+    if edit.what is Edited.MASK:
+        _require_pixels(run, edit)
     if edit.action == "start":
         return _start(run, edit)
     edit = edit.model_copy(update={"at_px": None})
@@ -355,6 +425,41 @@ def _require_fix(run: RunFolder, edit: Edit) -> None:
         raise InputError(
             f"{run.path}: {edit.file} has no observation of {edit.target!r} by {edit.estimator!r}; there are: {names}"
         )
+
+
+def _require_landmark(run: RunFolder, edit: Edit) -> None:
+    """Refuse a landmark that a fix does not use."""
+    record = run.load(ObservationRecord, edit.file, (edit.target or "", edit.estimator or ""))
+    names = [] if record is None or record.landmarks is None else record.landmarks.names
+    if edit.landmark not in names:
+        near = difflib.get_close_matches(edit.landmark or "", names)
+        ending = f"; the nearest names are {', '.join(near)}" if near else ""
+        raise InputError(f"{run.path}: {edit.file}: {edit.name} is not one of its {len(names)}{ending}")
+
+
+def _require_pixels(run: RunFolder, edit: Edit) -> None:
+    """Refuse an area that has no pixel of the image in it, or all of them."""
+    record = run.load(AttitudeRecord, edit.file, light=True)
+    shape = (0, 0) if record is None else (record.rows, record.columns)
+    if not 0 < (count := int(mask_of([edit.area], shape).sum())) < shape[0] * shape[1]:
+        none = "none" if count == 0 else "all"
+        raise InputError(f"{run.path}: {edit.file}: {edit.name} has {none} of its {shape[1]} x {shape[0]} pixels in it")
+
+
+def mask_of(areas: Iterable[Area], shape: tuple[int, int]) -> Mask:
+    """Mask (rows, columns) of the pixels in polygons, whose corners are not farther out than a million px."""
+    import cv2
+
+    drawn = np.zeros(shape, dtype=np.uint8)
+    for area in areas if drawn.size else ():
+        corners = np.rint(np.clip(area, -_FAR_PX, _FAR_PX) * 2**_SHIFT).astype(np.int32)
+        cv2.fillPoly(drawn, [corners], (1,), shift=_SHIFT)
+    return drawn.astype(bool)
+
+
+def _words(names: Iterable[str]) -> str:
+    """Names of fields as words."""
+    return " and ".join(f"{name.removesuffix('_px')}" for name in _PARTS if name in names) or "nothing else"
 
 
 def _with_place(run: RunFolder, edit: Edit, known: EditList) -> Edit:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -203,6 +205,23 @@ class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
     name: ClassVar[str] = "surface_features"
     options_type = SurfaceFeaturesOptions
 
+    _excluded: frozenset[str] = frozenset()
+
+    def exclude(self, names: Iterable[str]) -> SurfaceFeatures:
+        """Return the estimator without some landmarks.
+
+        Parameters
+        ----------
+        names : iterable of str
+
+        Returns
+        -------
+        SurfaceFeatures
+        """
+        made = copy(self)
+        made._excluded = self._excluded | frozenset(names)
+        return made
+
     def _estimate(self, inputs: EstimatorInputs) -> LandmarkFix | Failure:
         """Find the body of gathered inputs."""
         catalog = self._landmarks(inputs)
@@ -211,13 +230,19 @@ class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
     def _landmarks(self, inputs: EstimatorInputs) -> LandmarkCatalog | Failure:
         """The landmarks of the file, read once, or those of the target's mesh."""
         if self.options.landmarks is not None:
-            return _read_once(self.options.landmarks.resolve())
+            return self._without_excluded(_read_once(self.options.landmarks.resolve()))
         shape = inputs.geometry.target.shape
         mesh = shape.finest if isinstance(shape, LevelsOfDetail) else shape
         if not isinstance(mesh, TriangleMesh):
             detail = f"landmarks need a mesh or a file of landmarks, the target is a {type(shape).__name__}"
             return Failure(Reason.WRONG_SHAPE, detail, not_applicable=True)
-        return landmarks_of(mesh)
+        return self._without_excluded(landmarks_of(mesh))
+
+    def _without_excluded(self, catalog: LandmarkCatalog) -> LandmarkCatalog | Failure:
+        left = [landmark for landmark in catalog.landmarks if landmark.name not in self._excluded]
+        if not left:
+            return Failure(Reason.TOO_FEW_MATCHES, f"all {len(catalog)} landmarks are excluded")
+        return catalog if len(left) == len(catalog) else replace(catalog, landmarks=tuple(left))
 
 
 def _move_body(body: Body, pose: PnpFix, share: float) -> Body:
