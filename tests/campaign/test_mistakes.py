@@ -157,10 +157,17 @@ def test_a_refusal_is_a_success_where_nothing_is_expected(flyby: Flyby, tmp_path
     ran = giantlike("run", path, "--workers", "1")
     assert ran.exit_code == DONE, said(ran)
     assert_says(ran, r"attitude │ 1 │ 0 │ 1 │")
+    page = path.with_name("run").joinpath("report.html").read_text()
+    assert "nothing found, as expected" in page
+    assert "Every failure" not in page
     path.write_text(path.read_text().replace("rhea0*", "rhea*"))
     again = giantlike("run", path, "--workers", "1")
     assert again.exit_code == SOME_FAILED, "a body was found where nothing was expected"
     assert_says(again, "1 image failed: rhea1.fits")
+    assert (
+        "a fix in an image that images.expect says to be empty"
+        in path.with_name("run").joinpath("report.html").read_text()
+    )
     path.write_text(path.read_text().replace("rhea*", "moon*"))
     assert_says(giantlike("check", path), "images.expect: no image has the name 'moon[*]'")
 

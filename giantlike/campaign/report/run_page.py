@@ -14,7 +14,7 @@ from giantlike.campaign.report.templates import render_page
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
 from giantlike.campaign.store.results import RunResult, StatusCounts, group_by
 from giantlike.campaign.store.run_folder import REPORT_PAGE
-from giantlike.core.outcomes import Outcome, Quality
+from giantlike.core.outcomes import Outcome, Quality, Reason
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.version import VERSION
 
@@ -22,6 +22,7 @@ _MAX_FAILURES = 300
 """Failures listed one by one; all are counted by reason, and the tables hold the rest."""
 _MAX_FIXES = 4000
 """Maximum lines of the table of fixes, about 300 bytes each; beyond it, good fixes are only in the tables."""
+_FOUND = "a fix in an image that images.expect says to be empty"
 _RANK = {"failed": 0, "suspect": 1, "accepted": 1, "ok": 2, "rejected": 3, "not_applicable": 3, "not_in_field": 3}
 
 
@@ -62,11 +63,7 @@ def write_report(result: RunResult) -> Path:
             for (target, estimator), records in result.by_estimator.items()
         ],
         reasons=Counter((failure["stage"], failure["reason"]) for failure in failures).most_common(),
-        untried=Counter(
-            (stage, record.outcome.words, str(record.problem.reason))
-            for stage, record in _steps(result)
-            if record.problem is not None and not record.outcome.is_attempt
-        ).most_common(),
+        untried=_no_failures(result).most_common(),
         failures=failures[:_MAX_FAILURES],
         n_failures=len(failures),
         warnings=[*result.warnings, *_notes(result)],
@@ -88,11 +85,37 @@ def write_report(result: RunResult) -> Path:
 
 
 def _failures(result: RunResult) -> list[dict[str, str]]:
-    return [
+    """Failures, and good fixes of bodies in images that are expected to hold nothing."""
+    failed = [
         {"file": record.file, "stage": stage, "reason": str(record.problem.reason), "detail": record.problem.detail}
         for stage, record in _steps(result)
-        if record.problem is not None and record.outcome is Outcome.FAILED
+        if record.problem is not None and record.outcome is Outcome.FAILED and not _is_expected(result, record)
     ]
+    return failed + [
+        {"file": record.file, "stage": f"{record.target}: {record.estimator}", "reason": "unexpected", "detail": _FOUND}
+        for record in result.observations
+        if record.file in result.empty_images and record.outcome is Outcome.OK
+    ]
+
+
+def _no_failures(result: RunResult) -> Counter[tuple[str, str, str]]:
+    """Number of results by step, outcome and reason that are neither fixes nor failures."""
+    return Counter(
+        (stage, "nothing found, as expected" if _is_expected(result, record) else record.outcome.words, str(reason))
+        for stage, record in _steps(result)
+        if record.problem is not None and (reason := record.problem.reason)
+        if not record.outcome.is_attempt or _is_expected(result, record)
+    )
+
+
+def _is_expected(result: RunResult, record: AttitudeRecord | ObservationRecord) -> bool:
+    """Whether a step failed on an image that is expected to hold nothing, other than by an internal error."""
+    return (
+        record.outcome is Outcome.FAILED
+        and record.file in result.empty_images
+        and record.problem is not None
+        and record.problem.reason not in {Reason.INTERNAL_ERROR, Reason.UNREADABLE_IMAGE}
+    )
 
 
 def _steps(result: RunResult) -> list[tuple[str, AttitudeRecord | ObservationRecord]]:
