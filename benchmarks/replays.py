@@ -30,7 +30,7 @@ def main() -> None:
             "disagree": [
                 {key: each[key] for key in ("reference", "what", "paper", "ours", "kind")}
                 for each in summary["comparisons"]
-                if not each["agrees"]
+                if each["agrees"] is False
             ],
         }
     print(json.dumps(report, indent=1))

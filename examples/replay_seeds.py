@@ -34,9 +34,9 @@ def main() -> None:
     given = parser.parse_args()
     runs = [comparisons(given.name, given.output, seed + 1, small=given.small) for seed in range(given.seeds)]
     for same in zip(*runs, strict=True):
-        agreed, first = sum(each.agrees for each in same), same[0]
+        agreed, first = sum(each.agrees is True for each in same), same[0]
         ours = ", ".join(told(each.ours) for each in same)
-        print(f"{first.reference:10} {agreed}/{len(same)}  {first.what}: {told(first.paper)}; {ours}")
+        print(f"{first.reference:10} {first.kind:12} {agreed}/{len(same)}  {first.what}: {told(first.paper)}; {ours}")
 
 
 if __name__ == "__main__":

@@ -29,6 +29,9 @@ def replay(
         Path | None,
         typer.Option(help="Folder with kernels and shapes of the mission, where you have them.", metavar="DATA"),
     ] = None,
+    change: Annotated[
+        str, typer.Option(help="Alter an assumption, to see what depends on it: docs/replays.md.", metavar="NAME")
+    ] = "",
     workers: Workers = None,
     overwrite: Overwrite = False,
     json: Json = False,
@@ -47,6 +50,7 @@ def replay(
             workers=process_count(workers, _MANY_JOBS),
             seed=seed,
             data=data,
+            change=change,
             progress=progress,
         )
         summary = save_replay(run_replay(name, settings), settings)
@@ -56,8 +60,8 @@ def replay(
 def _lines(summary: Mapping[str, Any], output: Path) -> Iterator[str]:
     """A line per comparison."""
     for each in summary["comparisons"]:
-        mark = "agrees" if each["agrees"] else "DIFFERS"
-        yield (f"{mark:<8}{each['kind']:<12}{each['reference']:<10} {each['what']}: {each['paper']} | {each['ours']}")
+        mark = {True: "agrees", False: "DIFFERS", None: "not compared"}[each["agrees"]]
+        yield (f"{mark:<13}{each['kind']:<12}{each['reference']:<10} {each['what']}: {each['paper']} | {each['ours']}")
     counts = summary["counts"]
     told = ", ".join(f"{count['agree']} of {count['comparisons']} {kind}" for kind, count in counts.items())
     yield f"agree: {told}; see {output / 'report.html'}"

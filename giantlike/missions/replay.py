@@ -1,6 +1,7 @@
 """Replay of a published flight system: numbers of the paper and of the package, as values, JSON and a page.
 
-A mission is a package in this folder with a function ``replay(settings) -> Replay``.
+A mission is a package in this folder with a function ``replay(settings) -> Replay`` and ``CHANGES``: assumptions that
+can be altered, by name, with what they then are: an independent comparison names the one with which it disagrees.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
@@ -40,14 +41,16 @@ class ComparisonKind(StrEnum):
     """Relation of our number to the paper's."""
 
     INPUT = "input"
-    """The paper's number is an input that is recovered: this is not an agreement."""
+    """The number follows from one that was put in, drawn with, or tuned to the paper's: this is not an agreement."""
     DERIVED = "derived"
-    """Follows from numbers of the paper by its own formulas."""
+    """Follows from numbers of the paper, or from published ones, by known formulas."""
+    SELF_CHECK = "self_check"
+    """Ours against ours, or against a truth or a limit of our own: the paper has no number that it could miss."""
     INDEPENDENT = "independent"
-    """Follows from geometry, images and errors that were not fitted to the paper's number."""
+    """A number or statement of the paper from which nothing in the replay was set."""
 
 
-INPUT, DERIVED, INDEPENDENT = ComparisonKind.INPUT, ComparisonKind.DERIVED, ComparisonKind.INDEPENDENT
+INPUT, DERIVED, SELF_CHECK, INDEPENDENT = ComparisonKind
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,26 +65,30 @@ class Comparison:
         As the paper states it.
     ours : str or float
     kind : ComparisonKind
-    agrees : bool
-        From a rule in the code of the replay.
+    agrees : bool or None
+        From a rule in the code of the replay; None where the size of a small replay decides.
     reason : str
         The rule and, where they differ, why.
     reference : str
         Place in the paper, such as "Fig. 7".
+    fails_with : str
+        The change, one of ``CHANGES`` of the mission, with which an independent comparison disagrees.
 
     Raises
     ------
     InputError
-        A number is not finite, or there is no reason.
+        A number is not finite, there is no reason, or an agreement is called independent without a change under
+        which it fails.
     """
 
     what: str
     paper: str | float
     ours: str | float
     kind: ComparisonKind
-    agrees: bool
+    agrees: bool | None
     reason: str
     reference: str = ""
+    fails_with: str = ""
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -90,6 +97,8 @@ class Comparison:
                 raise InputError(f"comparison {self.what!r}: {name} must be finite, got {value}")
         if not self.reason:
             raise InputError(f"comparison {self.what!r} needs a reason: the rule of agreement, or why the two differ")
+        if self.kind is INDEPENDENT and self.agrees and not self.fails_with:
+            raise InputError(f"comparison {self.what!r}: an independent agreement names the change with which it fails")
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,13 +110,14 @@ class Stated:
     paper: str | float
     ours: str | float
     kind: ComparisonKind
+    fails_with: str = ""
 
-    def agrees(self, holds: bool, reason: str) -> Comparison:
-        """Compare the two: they agree where the rule in ``reason`` is met."""
+    def agrees(self, holds: bool | None, reason: str) -> Comparison:
+        """Compare the two: they agree where the rule in ``reason`` is met; None does not compare them."""
         paper, ours = (value if isinstance(value, str) else float(value) for value in (self.paper, self.ours))
         return Comparison(
-            what=self.what, paper=paper, ours=ours, kind=self.kind,
-            agrees=bool(holds), reason=reason, reference=self.reference,
+            what=self.what, paper=paper, ours=ours, kind=self.kind, agrees=None if holds is None else bool(holds),
+            reason=reason, reference=self.reference, fails_with=self.fails_with,
         )  # fmt: skip
 
     def within(self, tolerance: float, reason: str) -> Comparison:
@@ -211,6 +221,8 @@ class ReplaySettings:
         Of all random numbers.
     data : Path or None
         Folder with kernels and shapes of the mission; without it, the paper's numbers are simulated.
+    change : str
+        One of ``CHANGES`` of the mission: an assumption to alter, to see which comparisons depend on it.
     progress : callable
         Takes the name of a step, the number done, and of all.
     """
@@ -220,6 +232,7 @@ class ReplaySettings:
     workers: int = 1
     seed: int = 1
     data: Path | None = None
+    change: str = ""
     progress: Callable[[str, int, int], None] = _no_progress
 
 
@@ -239,11 +252,14 @@ def run_replay(name: str, settings: ReplaySettings) -> Replay:
     Raises
     ------
     InputError
-        There is no such replay.
+        There is no such replay, or none of its assumptions has such a change.
     """
     require(name in REPLAYS, f"there is no replay {name!r}; there are {', '.join(REPLAYS)}")
-    replayed: Replay = import_module(f"giantlike.missions.{name}").replay(settings)
-    return replayed
+    mission, change = import_module(f"giantlike.missions.{name}"), settings.change
+    require(not change or change in mission.CHANGES, f"{name} has no change {change!r}: {', '.join(mission.CHANGES)}")
+    replayed: Replay = mission.replay(settings)
+    lines = (f"CHANGED: {mission.CHANGES[change]}",) if change else ()
+    return replace(replayed, assumptions=lines + replayed.assumptions)
 
 
 def summary_of(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
@@ -257,8 +273,9 @@ def summary_of(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``comparisons`` is a list of objects with ``what``, ``paper``, ``ours``, ``kind``, ``agrees``, ``reason`` and
-        ``reference``; ``counts`` has, for each kind, their number and how many agree.
+        ``comparisons`` is a list of objects with ``what``, ``paper``, ``ours``, ``kind``, ``agrees`` (null where they
+        are not compared), ``reason``, ``reference`` and ``fails_with``; ``counts`` has, for each kind, the number of
+        those compared and how many agree.
     """
     comparisons = replay.comparisons
     return {
@@ -267,10 +284,11 @@ def summary_of(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
         "version": VERSION,
         "small": settings.small,
         "seed": settings.seed,
+        "change": settings.change,
         "counts": {
             str(kind): {
-                "comparisons": sum(each.kind is kind for each in comparisons),
-                "agree": sum(each.kind is kind and each.agrees for each in comparisons),
+                "comparisons": sum(each.kind is kind and each.agrees is not None for each in comparisons),
+                "agree": sum(each.kind is kind and each.agrees is True for each in comparisons),
             }
             for kind in ComparisonKind
         },

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from giantlike.missions import ComparisonKind, Replay, ReplaySettings, run_replay, save_replay
+from giantlike.missions import Replay, ReplaySettings, run_replay, save_replay
 from giantlike.missions.artemis1.images import (
     detected_altitude_km,
     earth_shot,
@@ -37,12 +37,10 @@ def _told(tmp_path_factory: pytest.TempPathFactory) -> tuple[Replay, Path]:
 
 
 @pytest.mark.slow
-def test_the_replay_has_every_figure_and_mostly_independent_comparisons(told: tuple[Replay, Path]) -> None:
+def test_the_replay_has_every_figure(told: tuple[Replay, Path]) -> None:
     replay, output = told
     figures = [figure.reference for section in replay.sections for figure in section.figures]
     assert sorted(figures) == sorted(NAMED)
-    kinds = [each.kind for each in replay.comparisons]
-    assert kinds.count(ComparisonKind.INDEPENDENT) >= len(kinds) / 2
     assert (output / "report.html").stat().st_size > 50_000
     assert any("TUNED" in each for each in replay.assumptions)
 

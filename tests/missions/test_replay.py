@@ -1,6 +1,7 @@
 """What a replay leaves behind: a list of comparisons, and a page in the order of the paper."""
 
 import json
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,9 @@ from giantlike.missions import (
     run_replay,
     save_replay,
 )
+from giantlike.missions.replay import Stated
+
+_MISSIONS = "giantlike.missions"
 
 
 def _comparison(what: str, ours: float, kind: ComparisonKind = ComparisonKind.INDEPENDENT) -> Comparison:
@@ -29,6 +33,7 @@ def _comparison(what: str, ours: float, kind: ComparisonKind = ComparisonKind.IN
         agrees=abs(ours - 1.0) < 0.1,
         reason="within 10 %",
         reference="Fig. 1",
+        fails_with="twice_as_far",
     )
 
 
@@ -79,13 +84,43 @@ def test_a_comparison_needs_finite_numbers_and_a_reason() -> None:
         Comparison(what="x", paper=1.0, ours=1.0, kind=ComparisonKind.DERIVED, agrees=True, reason="")
 
 
+def test_an_independent_agreement_names_what_it_depends_on() -> None:
+    with pytest.raises(InputError, match="an independent agreement names the change"):
+        Comparison(what="x", paper=1.0, ours=1.0, kind=ComparisonKind.INDEPENDENT, agrees=True, reason="within 10 %")
+
+
+def test_a_number_decided_by_the_size_of_a_small_replay_is_not_compared(tmp_path: Path) -> None:
+    pairs = Stated("Fig. 2", "pairs", 36.0, 2.0, ComparisonKind.SELF_CHECK).agrees(None, "a small run takes fewer")
+    replay = Replay(name="made_up", title="x", sections=(Section(title="y", comparisons=(pairs,)),), assumptions=())
+    summary = save_replay(replay, ReplaySettings(output=tmp_path))
+    assert summary["comparisons"][0]["agrees"] is None
+    assert summary["counts"]["self_check"] == {"comparisons": 0, "agree": 0}
+    assert ">not compared<" in (tmp_path / "report.html").read_text("utf-8")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "change"), [(name, change) for name in REPLAYS for change in import_module(f"{_MISSIONS}.{name}").CHANGES]
+)
+def test_independent_comparisons_disagree_under_the_change_that_they_name(
+    name: str, change: str, tmp_path: Path
+) -> None:
+    replay = run_replay(name, ReplaySettings(output=tmp_path, small=True, change=change))
+    depending = [each for each in replay.comparisons if each.fails_with == change]
+    assert depending
+    assert not [each.what for each in depending if each.agrees]
+
+
+def test_an_unknown_change_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="artemis1 has no change 'warp': relief_doubled, "):
+        run_replay("artemis1", ReplaySettings(output=tmp_path, change="warp"))
+
+
 def test_an_unknown_replay_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no replay 'apollo'"):
         run_replay("apollo", ReplaySettings(output=tmp_path))
 
 
 def test_every_replay_is_a_package_that_says_how_it_is_run() -> None:
-    from importlib import import_module
-
     for name in REPLAYS:
         assert callable(import_module(f"giantlike.missions.{name}").replay), name

@@ -4,6 +4,14 @@ from __future__ import annotations
 
 from giantlike.missions.replay import Replay, ReplaySettings
 
+CHANGES = {
+    "relief_doubled": "The Moon has 4 km of relief, twice that of the models before flight.",
+    "ultraviolet": "The camera sees light of 300 nm, which air scatters up to about 35 km.",
+    "quiet_stars": "Centroids of stars have a tenth of their noise.",
+    "noisy_images": "Images of the Moon have five times their read noise.",
+}
+"""Assumptions that can be altered."""
+
 
 def replay(settings: ReplaySettings) -> Replay:
     """Replay "Artemis I Optical Navigation System Performance" (Inman, Holt, Christian, Smith and D'Souza)."""

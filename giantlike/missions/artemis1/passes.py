@@ -37,6 +37,13 @@ _PREFLIGHT = {
     "earth": BodyErrorModel(noise_px=np.array([0.065, 0.025, 0.058])),
 }
 """Errors expected before flight: Holt et al. (2018), eqs. 28 to 30 and 34 to 36, without their biases."""
+_CHANGED = {
+    "relief_doubled": ("moon", "relief_km", 2.0),
+    "ultraviolet": ("earth", "wavelength_nm", 300.0 / 550.0),
+    "quiet_stars": ("calibration", "sigma_px", 0.1),
+    "noisy_images": ("camera", "read_noise_e", 5.0),
+}
+"""Number that a change of the replay multiplies, and its factor."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,9 +101,12 @@ class Setting(Value):
         return known["range_kft"] * KM_PER_KFT, known["pointing_arcsec"] / ARCSEC_PER_RAD * self.model.fx_px
 
 
-def load() -> Setting:
-    """Read the published numbers."""
+def load(change: str = "") -> Setting:
+    """Read the published numbers, one of them changed."""
     data = tomllib.loads((files("giantlike.missions.artemis1") / "artemis1.toml").read_text(encoding="utf-8"))
+    if change:
+        section, key, factor = _CHANGED[change]
+        data[section][key] *= factor
     rows, camera = data["pass"], data["camera"]
     passes = []
     for row in rows:

@@ -14,7 +14,7 @@ from giantlike.missions.replay import DERIVED, Replay, ReplaySettings, Section, 
 
 def tell(settings: ReplaySettings) -> Replay:
     """Simulate, process and compare."""
-    setting = load()
+    setting = load(settings.change)
     ground = made_up_moon(setting, settings.seed)
     flown = {}
     for k, one in enumerate(setting.passes):

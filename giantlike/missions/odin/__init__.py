@@ -7,6 +7,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from giantlike.missions.replay import Replay, ReplaySettings
 
+CHANGES = {
+    "vacuum": "There is no air over the site, and none is taken out of stars and Moon.",
+    "albedos_exchanged": "The Earth reflects as the Moon does, and the Moon as the Earth.",
+}
+"""Assumptions that can be altered."""
+
 
 def replay(settings: ReplaySettings) -> Replay:
     """Replay Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation (ODIN)."""

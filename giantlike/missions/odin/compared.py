@@ -19,7 +19,7 @@ from giantlike.missions.odin.wide import (
     WideStudy,
     moon_phase_law,
 )
-from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, Comparison, Stated
+from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, SELF_CHECK, Comparison, Stated
 
 GOOD_SHARE = 0.9  # of the bodies that have a size: the paper says that the problem "may be solved"
 
@@ -66,6 +66,7 @@ def of_photometry(study: WideStudy) -> tuple[Comparison, ...]:
             "unique within its uncertainty",
             wrong,
             INDEPENDENT,
+            "albedos_exchanged",
         ).agrees(
             wrong == 0,
             f"none of {len(study.true)} bodies found ({told} with a name, {study.missed_px.size} not found,"
@@ -76,7 +77,7 @@ def of_photometry(study: WideStudy) -> tuple[Comparison, ...]:
             "largest error of the bearing, deg",
             "the target in frame of the narrow camera",
             round(worst, 2),
-            INDEPENDENT,
+            SELF_CHECK,
         ).agrees(
             bool(np.radians(worst) < half_field),
             f"below half of the narrow field, {np.degrees(half_field):.1f} deg; all {len(study.true)} bodies, "
@@ -94,6 +95,7 @@ def _share(name: str, counts: tuple[int, int, int], reason: str) -> Comparison:
         "told by disk-integrated photometry",
         f"{right}, {wrong}, {none}",
         INDEPENDENT,
+        "albedos_exchanged",
     ).agrees(
         named > 0 and right >= GOOD_SHARE * named and right >= 0.5 * (named + none),
         f"at least 90 % of the names right, and at least half of the bodies found named; {reason}",
@@ -122,9 +124,9 @@ def of_lens(study: LensStudy) -> tuple[Comparison, ...]:
             "images whose stars are identified with the camera's size alone",
             f"{table['images']} of {table['images']}",
             f"{study.identified} of {study.images}",
-            INDEPENDENT,
+            SELF_CHECK,
         ).agrees(
-            study.identified == study.images,
+            study.identified == study.images if study.images == table["images"] else None,
             "all; field of view told as 19 deg, 5 % uncertain, lens distortion unknown, nothing of the pointing",
         ),
         Stated("Table 3", "focal length, mm", table["focal_mm"], round(focal, 3), INPUT).agrees(
@@ -137,10 +139,10 @@ def of_lens(study: LensStudy) -> tuple[Comparison, ...]:
             "sigma of the focal length, mm, against the last digit printed",
             0.01,
             float(f"{sigma['fx_px'] * mm:.2g}"),
-            INDEPENDENT,
+            SELF_CHECK,
         ).agrees(sigma["fx_px"] * mm < 0.005, "below half of the last digit: the stars support the digits"),
         Stated(
-            "Table 3", "sigma of p1, against the last digit printed", 1e-7, float(f"{sigma['p1']:.2g}"), INDEPENDENT
+            "Table 3", "sigma of p1, against the last digit printed", 1e-7, float(f"{sigma['p1']:.2g}"), SELF_CHECK
         ).agrees(
             sigma["p1"] < 0.5e-7,
             "below half of the last digit. The stars support two digits of p1 and p2: they are correlated with "
@@ -167,6 +169,7 @@ def of_interlock(study: InterlockStudy, by_air: Float) -> tuple[Comparison, ...]
             sigma,
             f"{middle:.1f} ({low:.1f} to {high:.1f})",
             INDEPENDENT,
+            "vacuum",
         ).agrees(
             low <= sigma <= high,
             "the paper's value lies between the 16 and 84 % quantiles of random orientations above 25 deg. The "
@@ -178,11 +181,12 @@ def of_interlock(study: InterlockStudy, by_air: Float) -> tuple[Comparison, ...]
             sigma,
             round(seen, 2),
             INDEPENDENT,
+            "vacuum",
         ).agrees(
             sigma / 3.0 < seen < 3.0 * sigma,
             "within a factor of 3: a scatter of three orientations is known no better; refraction left in, rigid rig",
         ),
-        Stated("Fig. 16", "the same with refraction taken out, arcsec", sigma, round(clear, 2), INDEPENDENT).agrees(
+        Stated("Fig. 16", "the same with refraction taken out, arcsec", sigma, round(clear, 2), SELF_CHECK).agrees(
             sigma / 3.0 < clear < 3.0 * sigma,
             "within a factor of 3. Noise and image motion of stars are far below the paper's scatter: that is no noise",
         ),
@@ -193,8 +197,8 @@ def of_interlock(study: InterlockStudy, by_air: Float) -> tuple[Comparison, ...]
             round(pixels, 2),
             DERIVED,
         ).agrees(0.5 < pixels < 1.5, "around a pixel: between half and one and a half"),
-        Stated("Fig. 16", "pairs solved", paper()["interlock"]["pairs"], len(study.orientation), INDEPENDENT).agrees(
-            study.failed == 0,
+        Stated("Fig. 16", "pairs solved", paper()["interlock"]["pairs"], len(study.orientation), SELF_CHECK).agrees(
+            None if len(study.orientation) + study.failed < paper()["interlock"]["pairs"] else study.failed == 0,
             f"every pair of {len(study.orientation) + study.failed} taken, lost in space (a small run takes fewer)",
         ),
     )
@@ -220,6 +224,7 @@ def of_moon(pairs: Sequence[MoonPair], failed: int) -> tuple[Comparison, ...]:
             f"{low:g} to {high:g}",
             f"{offsets.min():.1f} to {offsets.max():.1f}",
             INDEPENDENT,
+            "vacuum",
         ).agrees(
             bool(inside.any() and offsets.max() <= 1.5 * high),
             f"ranges overlap, and no offset is half as large again; Moon {elevation.min():.0f} to "
@@ -232,7 +237,7 @@ def of_moon(pairs: Sequence[MoonPair], failed: int) -> tuple[Comparison, ...]:
             "expected to measured Moon with refraction taken out, px, most",
             "refraction is suspected",
             round(float(clear.max()), 2),
-            INDEPENDENT,
+            SELF_CHECK,
         ).agrees(
             bool(clear.max() < 1.0),
             "below a pixel: stars and Moon lowered by ERFA's constants, truth by Snell's law through shells",
@@ -242,13 +247,14 @@ def of_moon(pairs: Sequence[MoonPair], failed: int) -> tuple[Comparison, ...]:
             "residual along the boresight over that across it",
             "much larger",
             round(ratio, 1),
-            INDEPENDENT,
+            SELF_CHECK,
         ).agrees(ratio > 5.0, "more than five times, rms of all pairs"),
         Stated(
-            "Fig. 20", "bearing residual, arcsec, rms", "more accurate than range", round(bearing, 2), INDEPENDENT
+            "Fig. 20", "bearing residual, arcsec, rms", "more accurate than range", round(bearing, 2), SELF_CHECK
         ).agrees(bearing < paper()["narrow"]["ifov_arcsec"], "below one pixel (28 arcsec), refraction taken out"),
-        Stated("Figs. 17-20", "pairs processed", paper()["moon"]["pairs"], len(pairs), INDEPENDENT).agrees(
-            failed == 0, "every pair taken (a small run takes fewer)"
+        Stated("Figs. 17-20", "pairs processed", paper()["moon"]["pairs"], len(pairs), SELF_CHECK).agrees(
+            None if len(pairs) + failed < paper()["moon"]["pairs"] else failed == 0,
+            "every pair taken (a small run takes fewer)",
         ),
     )
 
@@ -268,7 +274,7 @@ def of_modes(flight: ModeRun, pairs: Sequence[MoonPair]) -> tuple[Comparison, ..
             "modes run from idle to a pose, on simulated cameras",
             "four modes",
             f"{len(steps)} steps done, {len(refused)} command refused",
-            INDEPENDENT,
+            SELF_CHECK,
         ).agrees(
             posed and len(refused) == 1,
             "all four, ending in a pose; processing before calibration is the one command that must be refused",
@@ -278,7 +284,7 @@ def of_modes(flight: ModeRun, pairs: Sequence[MoonPair]) -> tuple[Comparison, ..
             "error of that position, in sigmas (3 degrees of freedom)",
             "covariance given",
             round(float(sigmas), 2),
-            INDEPENDENT,
+            SELF_CHECK,
         ).agrees(bool(posed and sigmas < 3.76), "below the 99.7 % quantile, 3.76"),
         Stated(
             "Figs. 14, 15",
@@ -296,7 +302,7 @@ def of_modes(flight: ModeRun, pairs: Sequence[MoonPair]) -> tuple[Comparison, ..
             "processing of a pair, s of the processor, slowest",
             cycle_s(),
             round(slowest, 1),
-            INDEPENDENT,
+            SELF_CHECK,
         ).agrees(
             slowest < cycle_s(),
             "below the 30 s of a cycle of the flight code; on a workstation's core, lost in space, 5-megapixel "

@@ -18,7 +18,7 @@ from giantlike.missions.odin.optics import (
     shrinkage_along_radius,
 )
 from giantlike.missions.odin.paper import paper
-from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, Stated
+from giantlike.missions.replay import DERIVED, Comparison, Stated
 
 ROUNDING = 0.02  # relative: the paper gives two or three digits
 
@@ -64,7 +64,7 @@ def of_optics(choices: Sequence[SensorChoice], covered: float) -> tuple[Comparis
             "sky covered by two wide cameras, with frame and lens",
             wide["sky_coverage"],
             round(covered, 3),
-            INDEPENDENT,
+            DERIVED,
         ).agrees(
             abs(covered - wide["sky_coverage"]) < 0.01,
             "random directions through the lens of Table 2 onto the frame, to 82.5 deg; to 0.01",
@@ -123,7 +123,7 @@ def _trade(choices: Sequence[SensorChoice]) -> tuple[Comparison, ...]:
             "the sensor and lens chosen: is another better in range, field and pixels at once?",
             "chosen",
             "dominated" if is_dominated(taken, tuple(choices)) else "none is better",
-            INDEPENDENT,
+            DERIVED,
         ).agrees(
             not is_dominated(taken, tuple(choices)),
             f"{len(choices)} pairs of sensor and lens; sigma of the Moon's range from Earth by eqs. 14-20 with "

@@ -66,6 +66,11 @@ def calibrate_lens(count: int, rng: np.random.Generator) -> LensStudy | Failure:
     return LensStudy(result=calibration.result, identified=len(found), images=count)
 
 
+def site_air(*, air: bool) -> SiteAtmosphere:
+    """Atmosphere over the site, or none."""
+    return AIR if air else replace(AIR, pressure_hpa=0.0)
+
+
 def pointing_above(sky: GroundStates, rng: np.random.Generator, least_rad: float) -> Rotation:
     """Attitude of a camera that looks higher than an elevation."""
     while True:
@@ -89,7 +94,7 @@ def rig_above(sky: GroundStates, rng: np.random.Generator) -> Rotation:
             return turn
 
 
-def without_refraction(fix: AttitudeFix, camera: Camera, sky: GroundStates) -> Rotation:
+def without_refraction(fix: AttitudeFix, camera: Camera, sky: GroundStates, air: SiteAtmosphere = AIR) -> Rotation:
     """Attitude from the stars of a fix with refraction taken out of their measured directions."""
     stars = catalog().cone(rotate(fix.camera_from_inertial.inv(), [0.0, 0.0, 1.0]), np.radians(14.0))
     order = {int(key): k for k, key in enumerate(stars.ids)}
@@ -103,7 +108,7 @@ def without_refraction(fix: AttitudeFix, camera: Camera, sky: GroundStates) -> R
     for _ in range(3):  # the vertical in camera axes follows the attitude, which changes by an arcminute at first
         up = rotate(turn, sky.zenith)
         turn, _ = Rotation.align_vectors(
-            remove_refraction(seen, up, AIR), directions, weights=1.0 / fix.sigma_px[kept] ** 2
+            remove_refraction(seen, up, air), directions, weights=1.0 / fix.sigma_px[kept] ** 2
         )
     return turn
 
@@ -133,11 +138,11 @@ class InterlockStudy(Value):
 
 
 def interlock_study(
-    pairs: int, orientations: int, rng: np.random.Generator, progress: Callable[[int], None]
+    pairs: int, orientations: int, rng: np.random.Generator, progress: Callable[[int], None], *, air: bool = True
 ) -> InterlockStudy:
     """Photograph stars with both cameras, the rig turned a couple of times."""
     camera = narrow_camera()
-    seen, corrected, failed = [], [], 0
+    seen, corrected, failed, site = [], [], 0, site_air(air=air)
     which: list[int] = []
     turn = Rotation.identity()
     for k in range(pairs):
@@ -146,14 +151,16 @@ def interlock_study(
         if not which or which[-1] != group:
             turn = rig_above(sky, rng)
         first, second = (
-            solve_attitude(star_frame(sky, attitude, rng), camera) for attitude in (turn, true_interlock() * turn)
+            solve_attitude(star_frame(sky, attitude, rng, air=air), camera)
+            for attitude in (turn, true_interlock() * turn)
         )
         progress(k + 1)
         if isinstance(first, Failure) or isinstance(second, Failure):
             failed += 1
             continue
         seen.append(second.camera_from_inertial * first.camera_from_inertial.inv())
-        corrected.append(without_refraction(second, camera, sky) * without_refraction(first, camera, sky).inv())
+        first_turn, second_turn = (without_refraction(each, camera, sky, site) for each in (first, second))
+        corrected.append(second_turn * first_turn.inv())
         which.append(group)
     return InterlockStudy(
         seen=Rotation.concatenate(seen),
@@ -163,26 +170,26 @@ def interlock_study(
     )
 
 
-def turn_by_air(zenith_camera: Float) -> Rotation:
+def turn_by_air(zenith_camera: Float, air: SiteAtmosphere) -> Rotation:
     """Rotation by which an attitude from stars over the whole field is wrong when refraction is left in."""
     camera = narrow_camera()
     x, y = np.meshgrid(np.linspace(0.0, camera.columns - 1.0, 5), np.linspace(0.0, camera.rows - 1.0, 5))
     seen = unit(camera.model.unproject(np.stack([x.ravel(), y.ravel()], axis=-1)))
-    return Rotation.align_vectors(seen, remove_refraction(seen, zenith_camera, AIR))[0]
+    return Rotation.align_vectors(seen, remove_refraction(seen, zenith_camera, air))[0]
 
 
-def scatter_by_air(sets: int, orientations: int, rng: np.random.Generator) -> Float:
+def scatter_by_air(sets: int, orientations: int, rng: np.random.Generator, *, air: bool = True) -> Float:
     """Standard deviation of the angle between the cameras by refraction alone, for random orientations.
 
     Returns (sets,) arcsec.
     """
-    sky, between = sky_at(NIGHT_ET), true_interlock()
+    sky, between, site = sky_at(NIGHT_ET), true_interlock(), site_air(air=air)
     result = np.empty(sets)
     for k in range(sets):
         angles = []
         for _ in range(orientations):
             turn = rig_above(sky, rng)
-            first, second = (turn_by_air(rotate(each, sky.zenith)) for each in (turn, between * turn))
+            first, second = (turn_by_air(rotate(each, sky.zenith), site) for each in (turn, between * turn))
             angles.append(float((second * between * first.inv()).magnitude()))
         result[k] = np.degrees(np.std(angles)) * 3600.0
     return result
@@ -230,13 +237,13 @@ def moon_scene(sky: GroundStates, error_km: Float) -> Scene:
 
 
 def moon_pair(
-    sky: GroundStates, interlocks: tuple[Interlock, Interlock], rng: np.random.Generator
+    sky: GroundStates, interlocks: tuple[Interlock, Interlock], rng: np.random.Generator, *, air: bool = True
 ) -> MoonPair | Failure:
     """Photograph stars with the first camera and the Moon with the second, and find attitude and position."""
     camera = narrow_camera()
     second = _moon_attitude(sky, rng)
     first = true_interlock().inv() * second
-    stars, moon = star_frame(sky, first, rng), moon_frame(sky, second, rng)
+    stars, moon = star_frame(sky, first, rng, air=air), moon_frame(sky, second, rng, air=air)
     start = time.process_time()
     attitude = solve_attitude(stars, camera)
     if isinstance(attitude, Failure):
@@ -248,9 +255,9 @@ def moon_pair(
         return fix
     seen = pose_of_pair(fix, turn, spread)
     spent = time.process_time() - start
-    clear = without_refraction(attitude, camera, sky)
+    clear = without_refraction(attitude, camera, sky, site_air(air=air))
     better = interlocks[1].second_from_first * clear
-    lowered = remove_refraction(fix.position_camera_km, rotate(better, sky.zenith), AIR)
+    lowered = remove_refraction(fix.position_camera_km, rotate(better, sky.zenith), site_air(air=air))
     moved = Rotation.align_vectors(lowered[None], fix.position_camera_km[None])[0].as_matrix()
     # the scatter of pairs then has three parts: noise, image motion of two cameras, and the mean's own error
     corrected = pose_of_pair(_move_fix(fix, lowered, moved), better, interlocks[1].covariance_rad2)

@@ -33,18 +33,19 @@ ORIENTATIONS = 3  # "the test unit was reoriented a couple of times"
 def whole_replay(settings: ReplaySettings) -> Replay:
     """Run all studies."""
     streams = [np.random.default_rng([settings.seed, k]) for k in range(7)]
-    small, report = settings.small, settings.progress
+    small, report, air = settings.small, settings.progress, settings.change != "vacuum"
+    exchanged = settings.change == "albedos_exchanged"
     every = choices()
     covered = coverage(20_000 if small else 400_000, streams[0])
     scenes = 2 if small else 120
-    wide = wide_study(scenes, streams[1], lambda done: report("wide images", done, scenes))
+    wide = wide_study(scenes, streams[1], lambda done: report("wide images", done, scenes), exchanged=exchanged)
     lens = calibrate_lens(2 if small else int(paper()["calibration"]["images"]), streams[2])
     if isinstance(lens, Failure):
         raise EstimationError(f"calibration: {lens.detail}")
     count = 2 if small else int(paper()["interlock"]["pairs"])
     turns = 2 if small else ORIENTATIONS
-    locked = interlock_study(count, turns, streams[3], lambda done: report("star pairs", done, count))
-    by_air = scatter_by_air(40 if small else 1000, ORIENTATIONS, streams[4])
+    locked = interlock_study(count, turns, streams[3], lambda done: report("star pairs", done, count), air=air)
+    by_air = scatter_by_air(40 if small else 1000, ORIENTATIONS, streams[4], air=air)
     pairs, failed = moon_study(locked, settings, streams[5])
     flight = fly(streams[6], images=2 if small else 4)
     return Replay(
@@ -146,7 +147,7 @@ def moon_study(
     interlocks = (lines_of(locked, corrected=False), lines_of(locked, corrected=True))
     pairs, failed = [], 0
     for k, seconds in enumerate(np.linspace(0.0, 2.6 * 3600.0, count)):  # the Moon rises from 13 to 38 degrees
-        pair = moon_pair(sky_at(float(NIGHT_ET + seconds)), interlocks, rng)
+        pair = moon_pair(sky_at(float(NIGHT_ET + seconds)), interlocks, rng, air=settings.change != "vacuum")
         if isinstance(pair, Failure):
             failed += 1
         else:

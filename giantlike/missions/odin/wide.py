@@ -93,23 +93,27 @@ def electrons_of_spectrum(irradiance_of_sun: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CislunarScene:
-    """Places of bodies from the spacecraft, instrument axes, km, and the true albedos over the mean ones."""
+    """Places of bodies from the spacecraft, instrument axes, km, and their true geometric albedos."""
 
     bodies_km: dict[str, Float]
     albedo: dict[str, float]
 
 
-def random_scene(rng: np.random.Generator) -> CislunarScene:
-    """Spacecraft somewhere between low and twice lunar distance, attitude at random."""
+def random_scene(rng: np.random.Generator, *, exchanged: bool = False) -> CislunarScene:
+    """Spacecraft somewhere between low and twice lunar distance, attitude at random, albedos of Earth and Moon."""
     earth_from_moon = unit(rng.normal(size=3)) * 384_400.0
     far = rng.uniform(15_000.0, 500_000.0)
     earth = unit(rng.normal(size=3)) * far
     sun = unit(rng.normal(size=3)) * AU_KM
     turn = Rotation.random(rng=rng)
     places = {"EARTH": earth, "MOON": earth - earth_from_moon, "SUN": sun}
+    other = {"EARTH": "MOON", "MOON": "EARTH"}
     return CislunarScene(
         bodies_km={name: rotate(turn, place) for name, place in places.items()},
-        albedo={name: float(np.exp(rng.normal(0.0, sigma))) for name, sigma in ALBEDO_SIGMA.items()},
+        albedo={
+            name: GEOMETRIC_ALBEDO[other[name] if exchanged else name] * float(np.exp(rng.normal(0.0, sigma)))
+            for name, sigma in ALBEDO_SIGMA.items()
+        },
     )
 
 
@@ -203,8 +207,7 @@ def share_of_sun(name: str, place: Float, sun: Float, scene: CislunarScene) -> f
         return 1.0
     ratio = RADII_KM[name] / float(np.linalg.norm(place))
     phase = float(np.arccos(np.clip(-unit(place) @ sun, -1.0, 1.0)))
-    albedo = GEOMETRIC_ALBEDO[name] * scene.albedo[name]
-    return float(albedo * PHASE_OF_TRUTH[name](np.asarray(phase)) * ratio**2)
+    return float(scene.albedo[name] * PHASE_OF_TRUTH[name](np.asarray(phase)) * ratio**2)
 
 
 def models(*, measured: bool) -> tuple[BodyLight, BodyLight]:
@@ -336,13 +339,15 @@ class WideStudy(Value):
         return right, len(given) - right - none, none
 
 
-def wide_study(scenes: int, rng: np.random.Generator, progress: Callable[[int], None]) -> WideStudy:
+def wide_study(
+    scenes: int, rng: np.random.Generator, progress: Callable[[int], None], *, exchanged: bool = False
+) -> WideStudy:
     """Search simulated scenes; the direction of the Sun is from its ephemeris."""
     rows: list[tuple[str, str | None, str | None, str, float, float, float]] = []
     missed = []
     camera = wide_camera()
     for k in range(scenes):
-        scene = random_scene(rng)
+        scene = random_scene(rng, exchanged=exchanged)
         images = [wide_image(scene, index, rng, exposure) for exposure in EXPOSURES_S for index in (0, 1)]
         sun = unit(scene.bodies_km["SUN"])
         observed, sphere = (search(images, sun, measured=measured) for measured in (True, False))

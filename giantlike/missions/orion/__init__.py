@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from giantlike.missions.replay import Replay, ReplaySettings
 
-__all__ = ["replay"]
+__all__ = ["CHANGES", "replay"]
+
+CHANGES = {
+    "nearly_full": "Images of Moon and Earth are at phase angles of 5 degrees.",
+    "relief_doubled": "The Moon of the images has 4 km of relief.",
+    "lens_in_focus": "The lens is staked in focus.",
+}
+"""Assumptions that can be altered."""
 
 
 def replay(settings: ReplaySettings) -> Replay:

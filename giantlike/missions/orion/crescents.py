@@ -13,7 +13,7 @@ from giantlike.missions.orion.images import (
     measure_errors,
     photograph,
 )
-from giantlike.missions.replay import INDEPENDENT, Comparison, ReplaySettings, Stated
+from giantlike.missions.replay import DERIVED, SELF_CHECK, Comparison, ReplaySettings, Stated
 
 PHASES_DEG = (140.0, 150.0, 160.0, 166.0, 172.0)
 ESTIMATORS_TRIED = ("ellipsoid_cra", "sigmoid_limb", "limb_matching", "ellipse_fit")
@@ -52,7 +52,7 @@ def crescents(settings: ReplaySettings) -> list[EstimatorErrors]:
 
 def crescent_comparisons(found: list[EstimatorErrors]) -> list[Comparison]:
     """Errors on a thin crescent, of estimators of the flight software's kind and of the others."""
-    kind, sigmas = INDEPENDENT, moon_errors().sigmas_px(CRESCENT_KM)
+    kind, sigmas = SELF_CHECK, moon_errors().sigmas_px(CRESCENT_KM)
     rows = []
     for name in ESTIMATORS_TRIED:
         mine = [each for each in found if each.estimator == name]
@@ -101,7 +101,7 @@ def field_comparisons() -> list[Comparison]:
             "no passes very close to the Moon, for bias and field of view",
             f"beyond {nearest:,.0f} km; the pass left out is at some 25,000 km, {schedule['close_pass_h']:g} h "
             f"before entry",
-            INDEPENDENT,
+            DERIVED,
         ).agrees(
             nearest < 25_000.0,
             "Agrees where the field of 15.6 degrees lets all passes of the plan see the whole Moon: on this "
@@ -112,7 +112,7 @@ def field_comparisons() -> list[Comparison]:
             "Moon in the live-sky images",
             "Moon images were taken for measurements",
             f"{ground:.2f} deg, {pixels:.0f} px across",
-            INDEPENDENT,
+            DERIVED,
         ).agrees(
             pixels > 20.0 and abs(ground - LIVE_SKY_DEG) < 0.05,
             "Agrees where the disk is wider than 20 px, enough for a limb fit, and as wide as the Moon is.",

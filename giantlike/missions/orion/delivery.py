@@ -13,7 +13,7 @@ from giantlike.missions.orion.constants import earth_errors, table
 from giantlike.missions.orion.judging import ANALYSIS
 from giantlike.missions.orion.return_leg import Delivery, Flown, History, analyze_plan, flown
 from giantlike.missions.orion.return_plan import ReturnPlan, make_plan, with_earth, without_close_pass
-from giantlike.missions.replay import INDEPENDENT, INPUT, Comparison, ReplaySettings, Stated
+from giantlike.missions.replay import DERIVED, INPUT, SELF_CHECK, Comparison, ReplaySettings, Stated
 
 RUNS, SMALL_RUNS = 500, 40
 STEP_S, SMALL_STEP_S = 900.0, 3600.0
@@ -82,7 +82,7 @@ def architecture_comparisons(study: Study) -> list[Comparison]:
             "U D U^T factors beside full matrices over the whole leg",
             "chosen for numeric stability",
             f"covariances differ by {study.dense_difference:.1e} of the sigmas",
-            INDEPENDENT,
+            SELF_CHECK,
         ).agrees(
             study.dense_difference < 1e-6,
             "Agrees below 1e-6: the errors of a world as the filter believes it, followed in 42 dimensions by "
@@ -93,7 +93,7 @@ def architecture_comparisons(study: Study) -> list[Comparison]:
 
 def delivery_comparisons(study: Study) -> list[Comparison]:
     """II.C and Fig. 4."""
-    kind, half = INDEPENDENT, table("return_leg")["corridor"]["half_width_deg"]
+    kind, half = SELF_CHECK, table("return_leg")["corridor"]["half_width_deg"]
     reference_deg = -6.0
 
     def reach(of: Delivery) -> float:
@@ -119,7 +119,7 @@ def delivery_comparisons(study: Study) -> list[Comparison]:
             "passes very close to the Moon",
             "not performed, because of large bias errors",
             f"mean error of {close:.1f} of the filter's sigmas with one, {far:.1f} without",
-            kind,
+            DERIVED,
         ).agrees(
             close > max(SEVERE_SIGMAS, far),
             "Agrees where eqs. 31 and 33 give a mean error of more than three sigma, and more than the "
@@ -132,7 +132,7 @@ def delivery_comparisons(study: Study) -> list[Comparison]:
             "more conservative",
             f"entry angle {study.delivery.angle_sigma_deg:.4f} deg with it, {study.edge_earth.angle_sigma_deg:.4f} "
             "with eqs. 34 to 36",
-            kind,
+            DERIVED,
         ).agrees(
             study.edge_earth.angle_sigma_deg <= study.delivery.angle_sigma_deg,
             "Agrees where the delivery is not better with it.",
@@ -142,7 +142,7 @@ def delivery_comparisons(study: Study) -> list[Comparison]:
 
 def analysis_comparisons(study: Study) -> list[Comparison]:
     """II.C: linear covariance compared with flown runs."""
-    kind = INDEPENDENT
+    kind = SELF_CHECK
     marks = study.marks()
     ratios = {
         "error of position and velocity": study.runs.history.error_sigma[marks] / study.history.error_sigma[marks],

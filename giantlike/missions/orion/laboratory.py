@@ -16,7 +16,7 @@ from giantlike.missions.orion.gimbal import (
     pinhole_error_px,
 )
 from giantlike.missions.orion.judging import ROUNDING
-from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, ReplaySettings, Stated
+from giantlike.missions.replay import DERIVED, INDEPENDENT, SELF_CHECK, Comparison, ReplaySettings, Stated
 
 FIT_PX = 0.1
 """Best accuracy of real-time centroids of bodies: a lens calibrated better than this adds nothing."""
@@ -26,7 +26,7 @@ POINTS = {False: 20, True: 8}
 
 def grid_comparisons(grid: Grid) -> list[Comparison]:
     """Eq. 39, the grid and the fit."""
-    gimbal, kind = table("paper")["gimbal"], INDEPENDENT
+    gimbal, kind = table("paper")["gimbal"], DERIVED
     azimuth, elevation = gimbal_angles()
     outside = [
         math.degrees(float(each.max())) - field / 2.0
@@ -59,7 +59,7 @@ def grid_comparisons(grid: Grid) -> list[Comparison]:
             "azimuth is not that of the angle in the image: away from the axes eq. 39 takes geometry for distortion."
         ),
         Stated(
-            "III.A, Fig. 5", "eq. 39 with a made-up lens after the fit, rms per axis, px", FIT_PX, residual, kind
+            "III.A, Fig. 5", "eq. 39 with a made-up lens after the fit, rms per axis, px", FIT_PX, residual, SELF_CHECK
         ).at_most(
             "Distortions are mapped and eliminated, the paper says; a Brown model fitted to the centroids of "
             f"the grid leaves this. Before it eq. 39 finds up to {float(grid.eq39_px.max()):.1f} px."
@@ -69,10 +69,11 @@ def grid_comparisons(grid: Grid) -> list[Comparison]:
 
 def focus_comparisons(settings: ReplaySettings) -> list[Comparison]:
     """The collimator's point, and the focus of the lens as it is staked."""
-    gimbal, kind = table("paper")["gimbal"], INDEPENDENT
+    gimbal = table("paper")["gimbal"]
+    staked_px = FOCUSED_PX if settings.change == "lens_in_focus" else STAKED_PX
     spot_px = gimbal["pinhole_um"] * 1e-3 / gimbal["collimator_mm"] * focal_px()
     focused, staked = (
-        centroid_errors_px(blur, POINTS[settings.small], settings.seed) for blur in (FOCUSED_PX, STAKED_PX)
+        centroid_errors_px(blur, POINTS[settings.small], settings.seed) for blur in (FOCUSED_PX, staked_px)
     )
     return [
         Stated("III.A", "image of the pinhole of the collimator, px", 1.0, spot_px, DERIVED).at_most(
@@ -83,10 +84,11 @@ def focus_comparisons(settings: ReplaySettings) -> list[Comparison]:
             "centroids of the lens as it is staked against one in focus",
             "a slight defocus gives sub-pixel resolution",
             f"{staked:.3f} px against {focused:.3f} px",
-            kind,
+            INDEPENDENT,
+            "lens_in_focus",
         ).agrees(
             staked < 0.5 * focused,
-            f"Agrees where the error is less than half: blurs of {STAKED_PX:g} and {FOCUSED_PX:g} px, "
+            f"Agrees where the error is less than half: blurs of {staked_px:g} and {FOCUSED_PX:g} px, "
             f"points of 1,300 DN.",
         ),
     ]

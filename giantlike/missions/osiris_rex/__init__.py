@@ -11,6 +11,11 @@ from __future__ import annotations
 from giantlike.missions.replay import Replay, ReplaySettings
 
 NAME = "osiris_rex"
+CHANGES = {
+    "poor_shape": "Heights and scale of the shape models err by twenty times as much.",
+    "nearly_full": "The body of the study of range errors is at a phase angle of 1 degree.",
+}
+"""Assumptions that can be altered."""
 _SMALL_CAMERAS, _SMALL_IMAGES = ("mapcam",), 4
 """Cameras that a small replay calibrates, and the number of their images."""
 _SMALL_CAMPAIGNS = {("approach", "mapcam"): (2, 7), ("preliminary_survey", "navcam1"): (0,)}
@@ -29,9 +34,7 @@ def replay(settings: ReplaySettings) -> Replay:
 
     orex, inputs = mission(), user_inputs(settings.data)
     cameras = _SMALL_CAMERAS if settings.small else tuple(orex.cameras)
-    sections = [
-        range_error_section(study_range_errors(small=settings.small, seed=settings.seed, progress=settings.progress))
-    ]
+    sections = [range_error_section(study_range_errors(settings))]
     calibrations = [
         calibrate_camera(
             orex,
@@ -47,7 +50,7 @@ def replay(settings: ReplaySettings) -> Replay:
     truth = true_body(orex.body, inputs.shape, seed=settings.seed, facets=facets)
     calibrated = {each.key: each.camera for each in calibrations}
     stage = PhaseInputs(mission=orex, truth=truth, calibrated=calibrated, kernels=inputs.kernels, settings=settings)
-    for phase in orex.phases:
+    for phase in (each.with_poor_shape() if settings.change == "poor_shape" else each for each in orex.phases):
         results = stage.run(phase, _SMALL_CAMPAIGNS if settings.small else None)
         if results:
             sections.append(phase_section(orex, phase, results))

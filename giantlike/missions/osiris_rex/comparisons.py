@@ -12,7 +12,7 @@ from giantlike.missions.osiris_rex.calibrations import CameraCalibration
 from giantlike.missions.osiris_rex.campaigns import CampaignResult
 from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
 from giantlike.missions.osiris_rex.setup import MissionSetup, PhaseSetup
-from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, Comparison, Stated
+from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, SELF_CHECK, Comparison, Stated
 from giantlike.simulation.compare import ObservationError
 
 AROUND = 2.0
@@ -129,20 +129,20 @@ def star_comparison(result: CampaignResult, phase: PhaseSetup, reference: str) -
     deviation = float(np.std(stars.residuals_px))
     if phase.key != "orbital_a":
         return _around(what, deviation, "around 0.1", basis, reference)
-    return Stated(reference, what, "less than 0.1", deviation, INDEPENDENT).agrees(
+    return Stated(reference, what, "less than 0.1", deviation, INPUT).agrees(
         deviation < STAR_PX, f"{basis}; agrees below {STAR_PX} px. {_WHY_STARS}"
     )
 
 
 _WHY_STARS = (
-    "It follows from signal to noise: detections reach down to 8 sigma, where a place is good to a tenth of a pixel, "
-    "and the catalog is deeper than that, as the paper's is. The paper's centroids are unweighted fits to thresholded "
-    "pixels, ours are weighted by the noise."
+    "It follows from signal to noise: detections reach down to the paper's 8 sigma, where a place is good to a tenth of "
+    "a pixel, and from the depth of the catalog, which was set after a first result. The paper's centroids are "
+    "unweighted fits to thresholded pixels, ours are weighted by the noise."
 )
 
 
 def _around(what: str, ours: float, paper: str, basis: str, reference: str) -> Comparison:
-    return Stated(reference, what, paper, ours, INDEPENDENT).agrees(
+    return Stated(reference, what, paper, ours, INPUT).agrees(
         STAR_PX / AROUND <= ours <= STAR_PX * AROUND, f"{basis}; agrees within a factor of {AROUND:g}. {_WHY_STARS}"
     )
 
@@ -156,6 +156,8 @@ def center_comparison(
 ) -> Comparison:
     """Residuals of centers; ``words`` are our name of the technique and the paper's judgement."""
     technique, judgement = words
+    rendered = technique != "limb centers"  # images and templates then are of one renderer
+    kind, change = (SELF_CHECK, "") if rendered else (INDEPENDENT, "poor_shape")
     what = f"{phase.title}, {result.label}: residuals of {technique}, px"
     if not errors:
         return _nothing(what, judgement, reference)
@@ -168,7 +170,7 @@ def center_comparison(
             f" They are {_rms_m(errors, result.diameter_km):.2f} m rms on Bennu; the heights of the shape model err by "
             f"{phase.model.error_m:g} m."
         )
-    return Stated(reference, what, judgement, f"rms {_rms(residuals):.3f}, {share:.0%} below 1", INDEPENDENT).agrees(
+    return Stated(reference, what, judgement, f"rms {_rms(residuals):.3f}, {share:.0%} below 1", kind, change).agrees(
         share >= TYPICAL_SHARE, reason
     )
 
@@ -195,7 +197,12 @@ def range_comparison(
             "Orbit determination that estimates the scale takes out the mean only."
         )
     return Stated(
-        reference, what, paper, f"rms {_rms(percent):.3f}, {share:.0%} below {limit_percent:g}", INDEPENDENT
+        reference,
+        what,
+        paper,
+        f"rms {_rms(percent):.3f}, {share:.0%} below {limit_percent:g}",
+        INDEPENDENT,
+        "poor_shape",
     ).agrees(share >= TYPICAL_SHARE, reason)
 
 
@@ -216,6 +223,7 @@ def range_error_comparisons(study: RangeErrorStudy) -> tuple[Comparison, Compari
             "can begin to become biased",
             worst,
             INDEPENDENT,
+            "nearly_full",
         ).agrees(
             worst > own,
             f"agrees where the shift exceeds the error without a range error, {own:.2f} px, which unlisted relief "
@@ -226,7 +234,7 @@ def range_error_comparisons(study: RangeErrorStudy) -> tuple[Comparison, Compari
             f"shift of the template fitted in range too, at the same errors up to {largest:.0f} %, px",
             "an alternative template matching technique",
             held,
-            INDEPENDENT,
+            SELF_CHECK,
         ).agrees(
             held < 0.1 * worst and not lost,
             f"agrees where it is less than a tenth of the other and none is lost ({lost} of {kept.size} are). The "
@@ -245,7 +253,7 @@ def approach_size_comparison(mission: MissionSetup, results: Sequence[CampaignRe
         "Approach: apparent diameter of Bennu in PolyCam at the end, px",
         "greater than 1000",
         largest,
-        INDEPENDENT if last.from_kernels else INPUT,
+        DERIVED if last.from_kernels else INPUT,
     ).agrees(
         largest > 1000.0,
         f"mean diameter of 0.490 km at {last.range_km:.1f} km, {_whence(last.from_kernels)}; agrees above 1,000.",
@@ -261,7 +269,7 @@ def survey_size_comparison(result: CampaignResult, phase: PhaseSetup, limits: tu
         f"{phase.title}, {result.label}: apparent diameter of Bennu, px",
         f"approximately {limits[0]:.0f}-{limits[1]:.0f}",
         f"{low:.0f}-{high:.0f}",
-        INDEPENDENT if known else INPUT,
+        DERIVED if known else INPUT,
     ).agrees(
         limits[0] * (1.0 - SIZE_SHARE) <= low and high <= limits[1] * (1.0 + SIZE_SHARE),
         f"{_whence(known)}; agrees where both ends lie within {SIZE_SHARE:.0%} of the paper's.",

@@ -8,7 +8,6 @@ template that is fitted in range too.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +24,7 @@ from giantlike.gauntlet.bodies import relief, rock
 from giantlike.image import Image
 from giantlike.independent import PinholeView, Pose, Psf, record, render_body
 from giantlike.independent.record import Recorder
+from giantlike.missions.replay import ReplaySettings
 from giantlike.processing.correlate import CorrelationOptions, locate_template
 from giantlike.ray_tracing import RenderOptions, Template, render
 from giantlike.relative import CrossCorrelation
@@ -64,15 +64,17 @@ class RangeErrorStudy(Value):
     fitted_px: Float
 
 
-def study_range_errors(*, small: bool, seed: int, progress: Callable[[str, int, int], None]) -> RangeErrorStudy:
+def study_range_errors(settings: ReplaySettings) -> RangeErrorStudy:
     """Match templates of a body at wrong ranges."""
-    errors = _SMALL_RANGE_ERRORS if small else _RANGE_ERRORS
-    phases = _PHASES_DEG[1:2] if small else _PHASES_DEG
+    errors = _SMALL_RANGE_ERRORS if settings.small else _RANGE_ERRORS
+    phases = _PHASES_DEG[1:2] if settings.small else _PHASES_DEG
+    if settings.change == "nearly_full":
+        phases = (1.0,)
     rows = []
     for number, phase_deg in enumerate(phases):
-        case = _Case.from_phase(phase_deg, seed)
+        case = _Case.from_phase(phase_deg, settings.seed)
         rows.append([case.find_errors(error) for error in errors])
-        progress("errors of the range", number + 1, len(phases))
+        settings.progress("errors of the range", number + 1, len(phases))
     table = np.array(rows)
     return RangeErrorStudy(
         range_errors=np.array(errors),

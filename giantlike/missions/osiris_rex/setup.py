@@ -125,6 +125,11 @@ class PhaseSetup:
     range_error: float
     campaigns: tuple[CampaignSetup, ...]
 
+    def with_poor_shape(self) -> PhaseSetup:
+        """Return the phase with a shape model whose heights and scale err by twenty times as much."""
+        poor = replace(self.model, error_m=20.0 * self.model.error_m, scale=20.0 * self.model.scale)
+        return replace(self, model=poor)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MissionSetup(Value):
