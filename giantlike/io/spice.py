@@ -355,7 +355,7 @@ def _list_kernels(path: Path, depth: int = 0) -> list[Path]:
     for name in listed:
         full = path.parent / name
         if not full.is_file():
-            raise DataError(path, f"the meta-kernel lists {name!r}, but {full} does not exist")
+            raise DataError(path, f"the meta-kernel lists {name!r}, which does not exist in {path.parent}")
         paths += _list_kernels(full, depth + 1)
     return paths
 

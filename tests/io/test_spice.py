@@ -138,6 +138,7 @@ def test_a_meta_kernel_is_relative_to_its_own_folder(tmp_path: Path, monkeypatch
     ("lines", "word"),
     [
         ("KERNELS_TO_LOAD = ( 'gone.bsp' )", "gone.bsp"),
+        ("KERNELS_TO_LOAD = ( 'a )\nKERNELS_TO_LOAD = (b' )", "which does not exist"),
         ("KERNELS_TO_LOAD = ( 'a.tm' )", "loop"),
         ("KERNELS_TO_LOAD = ( '$X/a.tpc' )\nPATH_SYMBOLS = ( 'X' )", "PATH_VALUES"),
         ("KERNELS_TO_LOAD = ( 'a.tm' )\nBODY1_RADII = ( 1 2 3 )", "BODY1_RADII"),
@@ -145,7 +146,9 @@ def test_a_meta_kernel_is_relative_to_its_own_folder(tmp_path: Path, monkeypatch
 )
 def test_a_meta_kernel_that_leads_nowhere_is_refused(tmp_path: Path, lines: str, word: str) -> None:
     (tmp_path / "a.tm").write_text(f"KPL/MK\n\\begindata\n{lines}\n\\begintext\n")
-    assert word in refusal(["a.tm"], tmp_path)
+    said = refusal(["a.tm"], tmp_path)
+    assert word in said
+    assert "\n" not in said
 
 
 # ----------------------------------------------------------------------------- answers, no real data
