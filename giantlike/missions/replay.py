@@ -186,6 +186,10 @@ class Replay:
     title : str
     sections : tuple of Section
         In the order of the paper.
+    flown : str
+        What was simulated and processed, in two or three sentences, for the first page.
+    pictures : tuple of str
+        References of figures for the first page, such as "Fig. 7".
     assumptions : tuple of str
         Assumptions where the paper gives no values; a value tuned to meet a table is named as tuned.
     """
@@ -193,12 +197,20 @@ class Replay:
     name: str
     title: str
     sections: tuple[Section, ...]
+    flown: str
+    pictures: tuple[str, ...]
     assumptions: tuple[str, ...]
 
     @property
     def comparisons(self) -> tuple[Comparison, ...]:
         """Comparisons of all sections."""
         return tuple(each for section in self.sections for each in section.comparisons)
+
+    @property
+    def shown_first(self) -> tuple[ReplayFigure, ...]:
+        """Figures of the first page, one to a reference."""
+        figures = {figure.reference: figure for section in self.sections for figure in section.figures}
+        return tuple(figures[name] for name in self.pictures if name in figures)
 
 
 def _no_progress(stage: str, done: int, total: int) -> None:
@@ -328,5 +340,5 @@ def _page_of(replay: Replay, summary: Mapping[str, Any]) -> str:
         replay=replay,
         summary=summary,
         shown=lambda value: value if isinstance(value, str) else f"{value:.4g}",
-        svg=lambda figure, number: svg_text(figure.figure, f"{replay.name}-{number}"),
+        svg=lambda figure, place: svg_text(figure.figure, f"{replay.name}-{place}"),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import threading
 import weakref
@@ -40,6 +41,9 @@ _PLATEAU_SIGMAS, _PLATEAU_STEPS = 3.0, 3.0
 """Width of the band below the largest value, in standard deviations of the noise, and minimum, DN: without clipping the
 noise distributes the brightest pixels over it."""
 
+_IMPOSSIBLE_SIGMAS, _MOST_MISSING = 8.0, 0.5
+"""Standard deviations of the noise below the bias at which a value was not received: normal noise is at 6e-16 a
+pixel so low; and the fraction of the frame from which rather the declared bias is wrong."""
 _SPARSE = 16
 """Step along rows and columns between the pixels examined first."""
 
@@ -74,7 +78,8 @@ class EstimatorInputs(Value):
     usable: pixels that are neither bad nor saturated.
     saturated: at or above the saturation level of the detector, the largest value that the pixel type holds, or the
         value at which clipping is detected in the image.
-    masked: (rows, columns); bad pixels, and detected lines without signal or with charge that is not light.
+    masked: (rows, columns); bad pixels, detected lines without signal or with charge that is not light, and values
+        that were not received.
     flags: flags known before the measurement: the source of the attitude, and deficiencies of its star field.
     corrections: known effects in the image.
     place_alone: True where only the position of the body is needed, for its derivative by declared values; the
@@ -272,11 +277,20 @@ def _readout(image: Image, detector: Detector) -> _Readout:
 
 
 def _bad_pixels(image: Image, frame: FrameLines, detector: Detector) -> Mask:
-    """Mask of an image, with detected dead and hot rows and columns."""
+    """Mask of an image, with detected dead and hot rows and columns and with values that were not received."""
     noise_dn = math.sqrt(float(detector.variance_dn2(np.zeros(1))[0]))
-    dead, hot = dead_lines(frame, noise_dn=noise_dn), hot_lines(frame, noise_dn=noise_dn)
-    mask = image.mask if dead is None else image.mask | dead
-    return mask if hot is None else mask | hot
+    found = [
+        dead_lines(frame, noise_dn=noise_dn),
+        hot_lines(frame, noise_dn=noise_dn),
+        _not_received(frame.light_dn, noise_dn),
+    ]
+    return functools.reduce(np.logical_or, (one for one in found if one is not None), image.mask)
+
+
+def _not_received(light_dn: Float, noise_dn: float) -> Mask | None:
+    """Pixels that are darker than without light, beyond any noise; None where there are none, or the bias is wrong."""
+    missing = light_dn < -_IMPOSSIBLE_SIGMAS * noise_dn
+    return missing if 0 < np.count_nonzero(missing) < _MOST_MISSING * missing.size else None
 
 
 def _problem(inputs: EstimatorInputs) -> tuple[Reason, str] | None:

@@ -53,6 +53,8 @@ def _replay() -> Replay:
             ),
             Section(title="Orbit", comparisons=(_comparison("orbits", 1.0, ComparisonKind.INPUT),)),
         ),
+        flown="A body & stars.",
+        pictures=("Fig. 1",),
         assumptions=("The exposure is not stated: 0.1 s.",),
     )
 
@@ -71,10 +73,24 @@ def test_the_page_has_figures_and_differences_in_the_papers_order(replay: Replay
 
     page = (tmp_path / "report.html").read_text("utf-8")
     places = [
-        page.index(text) for text in ("Stars &amp; a body.", "bias, km", "<svg", "It rises.", ">orbits<", "0.1 s.")
+        page.index(text, page.index('id="s1"'))
+        for text in ("Stars &amp; a body.", "bias, km", "<svg", "It rises.", ">orbits<", "0.1 s.")
     ]
     assert places == sorted(places)
     assert page.count('class="failed">no') == 1
+
+
+def test_the_page_opens_with_what_was_flown_what_agrees_and_what_does_not(replay: Replay, tmp_path: Path) -> None:
+    save_replay(replay, ReplaySettings(output=tmp_path))
+
+    page = (tmp_path / "report.html").read_text("utf-8")
+    first = page[page.index('id="page"') : page.index('id="s1"')]
+    places = [
+        first.index(text)
+        for text in ("A body &amp; stars.", "agrees, independent", "range error, km", ">disagrees<", "bias, km", "<svg")
+    ]
+    assert places == sorted(places)
+    assert ">orbits<" not in first  # an input, found again
 
 
 def test_a_comparison_needs_finite_numbers_and_a_reason() -> None:
@@ -91,7 +107,14 @@ def test_an_independent_agreement_names_what_it_depends_on() -> None:
 
 def test_a_number_decided_by_the_size_of_a_small_replay_is_not_compared(tmp_path: Path) -> None:
     pairs = Stated("Fig. 2", "pairs", 36.0, 2.0, ComparisonKind.SELF_CHECK).agrees(None, "a small run takes fewer")
-    replay = Replay(name="made_up", title="x", sections=(Section(title="y", comparisons=(pairs,)),), assumptions=())
+    replay = Replay(
+        name="made_up",
+        title="x",
+        sections=(Section(title="y", comparisons=(pairs,)),),
+        flown="",
+        pictures=(),
+        assumptions=(),
+    )
     summary = save_replay(replay, ReplaySettings(output=tmp_path))
     assert summary["comparisons"][0]["agrees"] is None
     assert summary["counts"]["self_check"] == {"comparisons": 0, "agree": 0}
@@ -112,7 +135,7 @@ def test_independent_comparisons_disagree_under_the_change_that_they_name(
 
 
 def test_an_unknown_change_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="artemis1 has no change 'warp': relief_doubled, "):
+    with pytest.raises(InputError, match="artemis1 has no change 'warp': relief_tripled, "):
         run_replay("artemis1", ReplaySettings(output=tmp_path, change="warp"))
 
 

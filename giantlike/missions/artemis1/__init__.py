@@ -5,10 +5,10 @@ from __future__ import annotations
 from giantlike.missions.replay import Replay, ReplaySettings
 
 CHANGES = {
-    "relief_doubled": "The Moon has 4 km of relief, twice that of the models before flight.",
+    "relief_tripled": "The Moon has 6 km of relief, three times that of the models before flight.",
     "ultraviolet": "The camera sees light of 300 nm, which air scatters up to about 35 km.",
     "quiet_stars": "Centroids of stars have a tenth of their noise.",
-    "noisy_images": "Images of the Moon have five times their read noise.",
+    "noisy_images": "The full images of pass 3 have thirty times their read noise.",
 }
 """Assumptions that can be altered."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from scipy import stats
@@ -42,6 +43,10 @@ def both(setting: Setting, flown: FlownPass, settings: ReplaySettings) -> tuple[
     count = 16 if settings.small else IMAGES
     rng = np.random.default_rng([settings.seed, 102])
     one, track = flown.one, flown.track
+    if settings.change == "noisy_images":
+        setting = replace(
+            setting, detector=replace(setting.detector, read_noise_e=30.0 * setting.detector.read_noise_e)
+        )
     sun, figure = sun_direction(one.phase_deg), setting.figure(one.target)
     found: list[tuple[Float, Float, Float]] = []
     failed = 0
@@ -137,7 +142,7 @@ def _means(name: str, first: Float, second: Float, sigma_px: float) -> list[Comp
             f"{one[0]:.3f}",
             f"{mean:.3f}",
             INDEPENDENT if name == "radius" else INPUT,
-            "relief_doubled" if name == "radius" else "",
+            "relief_tripled" if name == "radius" else "",
         ).agrees(
             abs(mean - one[0]) <= 3.0 * math.sqrt(2.0) * sigma_px,
             f"agrees where both can be draws of one normal distribution of {sigma_px:.2g} px, of "
@@ -151,7 +156,7 @@ def _means(name: str, first: Float, second: Float, sigma_px: float) -> list[Comp
             two[0] - one[0],
             float((second - first).mean()),
             INDEPENDENT,
-            "noisy_images",
+            "relief_tripled",
         ).within(
             3.0 * math.hypot(theirs, own),
             f"three standard errors of both means, {theirs:.2g} px by the deviations and the correlation of the table "

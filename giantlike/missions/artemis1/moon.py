@@ -122,7 +122,7 @@ def _all_passes(setting: Setting, flown: dict[int, FlownPass]) -> list[Compariso
             "in good agreement with the pre-flight expected models",
             round(float(shares[2]), 4),
             INDEPENDENT,
-            "relief_doubled",
+            "relief_tripled",
         ).agrees(
             shares[2] >= 0.95,
             "agrees where at least 95 % are inside. The relief of the simulated limbs is 2 km, as in the model, but "

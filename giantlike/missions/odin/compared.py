@@ -65,8 +65,7 @@ def of_photometry(study: WideStudy) -> tuple[Comparison, ...]:
             "bodies with a wrong name",
             "unique within its uncertainty",
             wrong,
-            INDEPENDENT,
-            "albedos_exchanged",
+            SELF_CHECK,
         ).agrees(
             wrong == 0,
             f"none of {len(study.true)} bodies found ({told} with a name, {study.missed_px.size} not found,"

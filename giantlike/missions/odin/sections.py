@@ -63,6 +63,11 @@ def whole_replay(settings: ReplaySettings) -> Replay:
             _interlock(locked, by_air),
             _positions(pairs, failed),
         ),
+        flown="Images of Earth, Moon and Sun by two wide fisheye cameras, searched and named by brightness; "
+        "images of stars and of the Moon by two narrow cameras under refracting air, by the independent "
+        "renderer: calibration lost in space, the angle between the cameras, pairs of stars and Moon for "
+        "attitude and position; the four modes.",
+        pictures=("Fig. 6", "Fig. 16", "Fig. 17", "Fig. 18", "Fig. 20"),
         assumptions=tuple(paper()["assumptions"]),
     )
 

@@ -37,7 +37,7 @@ RELIEF_KM = 2.0
 def images_of_bodies(settings: ReplaySettings) -> dict[str, list[EstimatorErrors]]:
     """Errors of centers and radii of a smooth Moon, of one with relief, and of the Earth."""
     phases = NEARLY_FULL_DEG if settings.change == "nearly_full" else PHASES_DEG
-    relief_km = RELIEF_KM * (2.0 if settings.change == "relief_doubled" else 1.0)
+    relief_km = 0.0 if settings.change == "smooth_moon" else RELIEF_KM
     plan = {
         "smooth Moon": ("Moon", MOON_RANGES_KM[2:] if settings.small else MOON_RANGES_KM, 0.0),
         "Moon with relief": ("Moon", RELIEF_RANGES_KM[2:] if settings.small else RELIEF_RANGES_KM, relief_km),
@@ -186,7 +186,7 @@ def image_comparisons(found: dict[str, list[EstimatorErrors]]) -> list[Compariso
                 paper[body]["noise_px"][k],
                 ours[k],
                 kind,
-                "relief_doubled",
+                "smooth_moon",
             ).near(
                 MODEL,
                 "Root mean square of a limb fit of the same family over made-up images of a smooth sphere. The "
@@ -211,7 +211,7 @@ def image_comparisons(found: dict[str, list[EstimatorErrors]]) -> list[Compariso
                 stated_px[k],
                 ours[k],
                 kind,
-                "relief_doubled",
+                "smooth_moon",
             ).near(
                 MODEL,
                 "Bumps of 2 km rms, estimator told a sphere. A limb averages over many bumps where the model "

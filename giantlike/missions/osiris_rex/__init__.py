@@ -13,7 +13,7 @@ from giantlike.missions.replay import Replay, ReplaySettings
 NAME = "osiris_rex"
 CHANGES = {
     "poor_shape": "Heights and scale of the shape models err by twenty times as much.",
-    "nearly_full": "The body of the study of range errors is at a phase angle of 1 degree.",
+    "range_known": "Predicted ranges of the study of range errors err by a twentieth as much.",
 }
 """Assumptions that can be altered."""
 _SMALL_CAMERAS, _SMALL_IMAGES = ("mapcam",), 4
@@ -58,5 +58,9 @@ def replay(settings: ReplaySettings) -> Replay:
         name=NAME,
         title="OSIRIS-REx at Bennu: independent optical navigation",
         sections=tuple(sections),
+        flown="Star images of each camera, calibrated; then the phases as campaigns on simulated images of a "
+        "made-up Bennu: attitude from stars, centers by template, limb and center of light, ranges from limbs, "
+        "against the truth. A body of the independent renderer for template matching at wrong ranges.",
+        pictures=("ref. 22", "Fig. 3", "Fig. 10", "Fig. 12", "Fig. 14"),
         assumptions=assumptions_of(orex, inputs, settings),
     )

@@ -135,8 +135,8 @@ def star_comparison(result: CampaignResult, phase: PhaseSetup, reference: str) -
 
 
 _WHY_STARS = (
-    "It follows from signal to noise: detections reach down to the paper's 8 sigma, where a place is good to a tenth of "
-    "a pixel, and from the depth of the catalog, which was set after a first result. The paper's centroids are "
+    "It follows from signal to noise: detections reach down to the paper's 8 sigma, where a place is good to a tenth "
+    "of a pixel, and from the depth of the catalog, which was set after a first result. The paper's centroids are "
     "unweighted fits to thresholded pixels, ours are weighted by the noise."
 )
 
@@ -223,7 +223,7 @@ def range_error_comparisons(study: RangeErrorStudy) -> tuple[Comparison, Compari
             "can begin to become biased",
             worst,
             INDEPENDENT,
-            "nearly_full",
+            "range_known",
         ).agrees(
             worst > own,
             f"agrees where the shift exceeds the error without a range error, {own:.2f} px, which unlisted relief "

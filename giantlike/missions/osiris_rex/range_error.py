@@ -66,10 +66,10 @@ class RangeErrorStudy(Value):
 
 def study_range_errors(settings: ReplaySettings) -> RangeErrorStudy:
     """Match templates of a body at wrong ranges."""
-    errors = _SMALL_RANGE_ERRORS if settings.small else _RANGE_ERRORS
+    errors: tuple[float, ...] = _SMALL_RANGE_ERRORS if settings.small else _RANGE_ERRORS
     phases = _PHASES_DEG[1:2] if settings.small else _PHASES_DEG
-    if settings.change == "nearly_full":
-        phases = (1.0,)
+    if settings.change == "range_known":
+        errors = tuple(0.05 * error for error in errors)
     rows = []
     for number, phase_deg in enumerate(phases):
         case = _Case.from_phase(phase_deg, settings.seed)

@@ -308,6 +308,27 @@ def test_a_dead_column_across_a_small_body_is_left_out_though_nobody_told_of_it(
     assert np.sum(each.nees(fix)) < float(chi2.ppf(1.0 - RARE, 2))
 
 
+@pytest.mark.parametrize(("estimator", "limit_px"), [(Moment(), 0.15), (CrossCorrelation(), 0.05)])
+def test_blocks_that_were_not_received_are_left_out_without_a_mask(estimator: Estimator, limit_px: float) -> None:
+    each, block, bias_dn = shot(6, phase_deg=40.0, diameter_px=60.0), 8, 100.0
+    lost = np.random.default_rng(6).uniform(size=(-(-SIZE // block),) * 2) < 0.1
+    where = np.kron(lost, np.ones((block, block), bool))[:SIZE, :SIZE]
+    image = replace(each.image, pixels=np.where(where, 0.0, each.image.pixels + bias_dn))
+    camera = replace(each.camera, detector=replace(KNOWN, bias_dn=bias_dn))
+    fix = replace(each, image=image, camera=camera).fix(estimator)
+    assert Quality.MASKED in fix.flags
+    assert np.sum(each.nees(fix)) < float(chi2.ppf(1.0 - RARE, 2))
+    assert np.linalg.norm(fix.center_px - each.center_px) < limit_px  # 1.0 and 0.36 px where the blocks count as dark
+
+
+def test_a_bias_declared_too_high_does_not_mask_the_sky() -> None:
+    each = shot(6, phase_deg=40.0, diameter_px=60.0)
+    camera = replace(each.camera, detector=replace(KNOWN, bias_dn=200.0))
+    inputs = gather(each.image, camera, each.scene, None, estimator="test", options=None)
+    assert not isinstance(inputs, Failure)
+    assert inputs.usable.mean() > 0.9
+
+
 @pytest.mark.parametrize("turn_deg", [60.0, 90.0])
 def test_light_where_the_template_has_none_makes_the_moment_suspect(turn_deg: float) -> None:
     each = shot(4, phase_deg=130.0, diameter_px=60.0)
