@@ -142,7 +142,7 @@ def _means(name: str, first: Float, second: Float, sigma_px: float) -> list[Comp
             f"{one[0]:.3f}",
             f"{mean:.3f}",
             INDEPENDENT if name == "radius" else INPUT,
-            "relief_tripled" if name == "radius" else "",
+            "noisy_images" if name == "radius" else "",
         ).agrees(
             abs(mean - one[0]) <= 3.0 * math.sqrt(2.0) * sigma_px,
             f"agrees where both can be draws of one normal distribution of {sigma_px:.2g} px, of "
@@ -167,10 +167,9 @@ def _means(name: str, first: Float, second: Float, sigma_px: float) -> list[Comp
 
 def _scatters(name: str, first: Float, second: Float) -> list[Comparison]:
     """Deviations and correlation of one coordinate."""
-    (_, theirs), two, correlation, _ = PAPER[name]
+    (_, theirs), _, correlation, _ = PAPER[name]
     ours, deviation = float(np.corrcoef(first, second)[0, 1]), float(first.std(ddof=1))
     share = 0.5 / IMAGES + 0.5 / len(first)  # squared relative error of two standard deviations
-    apart = math.sqrt(1.0 - correlation**2)
     of_images = name == "radius"
     kind, change = (INDEPENDENT, "noisy_images") if of_images else (INPUT, "")
     why = (
@@ -180,22 +179,11 @@ def _scatters(name: str, first: Float, second: Float) -> list[Comparison]:
     )
     fisher = math.hypot((IMAGES - 3) ** -0.5, (len(first) - 3) ** -0.5)
     return [
-        Stated(
-            "Table 2",
-            f"standard deviation of iterative less that of not iterative, {name}, px",
-            two[1] - theirs,
-            float(second.std(ddof=1) - first.std(ddof=1)),
-            INDEPENDENT,
-            "noisy_images",
-        ).within(
-            3.0 * theirs * apart * math.sqrt(2.0 * share),
-            "three standard errors of the difference of two deviations with the correlation of the table",
-        ),
         Stated("Table 2", f"standard deviation, {name}, px, not iterative", theirs, deviation, kind, change).within(
             3.0 * theirs * math.sqrt(share), f"three standard errors of both deviations; {why}"
         ),
         Stated("Table 2", f"correlation of both algorithms, {name}", correlation, ours, kind, change).agrees(
-            abs(math.atanh(ours) - math.atanh(correlation)) <= 3.0 * fisher,
+            abs(math.atanh(ours) - math.atanh(correlation)) <= 3.0 * fisher if len(first) > 0.9 * IMAGES else None,
             f"agrees within three standard errors of both by Fisher's transform; {why}",
         ),
     ]
