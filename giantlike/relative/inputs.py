@@ -42,8 +42,8 @@ _PLATEAU_SIGMAS, _PLATEAU_STEPS = 3.0, 3.0
 noise distributes the brightest pixels over it."""
 
 _IMPOSSIBLE_SIGMAS, _MOST_MISSING = 8.0, 0.5
-"""Standard deviations of the noise below the bias at which a value was not received: normal noise is at 6e-16 a
-pixel so low; and the fraction of the frame from which rather the declared bias is wrong."""
+"""Standard deviations of the noise below the bias from which a value common to many pixels was not received, and the
+fraction of the frame from which rather the declared bias is wrong."""
 _SPARSE = 16
 """Step along rows and columns between the pixels examined first."""
 
@@ -288,9 +288,14 @@ def _bad_pixels(image: Image, frame: FrameLines, detector: Detector) -> Mask:
 
 
 def _not_received(light_dn: Float, noise_dn: float) -> Mask | None:
-    """Pixels that are darker than without light, beyond any noise; None where there are none, or the bias is wrong."""
-    missing = light_dn < -_IMPOSSIBLE_SIGMAS * noise_dn
-    return missing if 0 < np.count_nonzero(missing) < _MOST_MISSING * missing.size else None
+    """Pixels that hold one value far below the bias, and none a value near it; None where there are none."""
+    least_dn = float(light_dn.min())
+    if least_dn >= -_IMPOSSIBLE_SIGMAS * noise_dn:
+        return None
+    missing = light_dn == least_dn
+    count = np.count_nonzero(missing)
+    alone = count == np.count_nonzero(light_dn <= least_dn + max(_PLATEAU_SIGMAS * noise_dn, _PLATEAU_STEPS))
+    return missing if alone and _PLATEAU_PIXELS <= count < _MOST_MISSING * missing.size else None
 
 
 def _problem(inputs: EstimatorInputs) -> tuple[Reason, str] | None:
