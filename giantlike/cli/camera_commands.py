@@ -23,7 +23,10 @@ from giantlike.io.camera_opencv import write_opencv_camera
 from giantlike.io.mission_frame import Boresight
 
 File = Annotated[
-    Path, typer.Argument(metavar="FILE", help="TOML; OpenCV YAML or XML; GIANT XML; SPICE IK (.ti); FITS with TAN-SIP.")
+    Path,
+    typer.Argument(
+        metavar="FILE", help="TOML; OpenCV YAML or XML; GIANT XML; SPICE IK (.ti); FITS with TAN-SIP; SUMFILE."
+    ),
 ]
 Name = Annotated[str | None, typer.Option(help="Name of the camera in a GIANT file.")]
 Instrument = Annotated[int | None, typer.Option(metavar="ID", help="NAIF code, for an instrument kernel.")]

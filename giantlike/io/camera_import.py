@@ -11,8 +11,9 @@ from giantlike.io.camera_ik import read_ik_camera
 from giantlike.io.camera_opencv import read_opencv_camera
 from giantlike.io.camera_sip import read_sip_camera
 from giantlike.io.mission_frame import Boresight, ImportedCamera
+from giantlike.io.spc_geometry import read_sumfile_camera
 
-FOREIGN_SUFFIXES = (".xml", ".yml", ".yaml", ".ti", ".fits", ".fit", ".fts")
+FOREIGN_SUFFIXES = (".xml", ".yml", ".yaml", ".ti", ".fits", ".fit", ".fts", ".sum")
 """File name extensions that :func:`read_foreign_camera` knows."""
 
 
@@ -24,7 +25,7 @@ def read_foreign_camera(
     first_pixel: float | None = None,
     boresight: Boresight | None = None,
 ) -> ImportedCamera:
-    """Read a camera from an OpenCV, GIANT, SPICE instrument-kernel or FITS file."""
+    """Read a camera from an OpenCV, GIANT, SPICE instrument-kernel, FITS or SUMFILE."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix == ".ti":
@@ -36,6 +37,8 @@ def read_foreign_camera(
         return read_ik_camera(path, instrument_id, first_pixel=first_pixel, boresight=boresight or "+z")
     if suffix in (".fits", ".fit", ".fts"):
         return read_sip_camera(path).camera
+    if suffix == ".sum":
+        return read_sumfile_camera(path)
     if suffix in (".xml", ".yml", ".yaml"):
         if suffix == ".xml" and _is_giant(path):
             return read_giant_camera(path, name, boresight=boresight)

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError
 from giantlike.core.frames import rotate
 from giantlike.io.geometry_table import GeometryTable, ImageGeometry
+from giantlike.io.mission_frame import ImportedCamera, from_mission_frame
 from giantlike.io.spc_sumfile import Sumfile, read_sumfile
 from giantlike.io.viewing_geometry import StatedGeometry
-
-_HALF_TURN = Rotation.from_quat([0.0, 0.0, 1.0, 0.0])
 
 
 def read_sumfiles(
@@ -64,7 +64,10 @@ def _target(path: Path, targets: Sequence[str]) -> str:
 
 def _geometry(path: Path, content: Sumfile, target: str, known: ImageGeometry | None) -> ImageGeometry:
     """Geometry of an image with that of another of its targets."""
-    turn = _camera_from_plane(path, content.pixels_per_mm)
+    camera = _camera(path, content)
+    if camera.rows_reversed:
+        raise DataError(path, "line 10: K is of a mirrored image: its first and fifth number must have the same sign")
+    turn = camera.camera_from_mission
     camera_from_body = turn * content.camera_from_body
     stated = StatedGeometry(
         target=target,
@@ -85,12 +88,28 @@ def _geometry(path: Path, content: Sumfile, target: str, known: ImageGeometry | 
     )
 
 
-def _camera_from_plane(path: Path, pixels_per_mm: Float) -> Rotation:
-    """Rotation to camera axes, +x along columns and +y along rows, from the axes of a SUMFILE."""
-    across, down = np.diag(pixels_per_mm[:, :2])
-    if across * down <= 0.0:
-        raise DataError(path, "line 10: K has a mirrored image: its first and fifth number must have the same sign")
-    return Rotation.identity() if across > 0.0 else _HALF_TURN
+def read_sumfile_camera(path: Path) -> ImportedCamera:
+    """Read the camera of a SUMFILE: focal length, center and K, without distortion."""
+    content = read_sumfile(path)
+    if np.any(content.pixels_per_mm[:, 2]) or content.pixels_per_mm[1, 0]:
+        raise DataError(path, "line 10: K has distortion, by its third, fourth or sixth number: give a camera file")
+    return _camera(path, content)
+
+
+def _camera(path: Path, content: Sumfile) -> ImportedCamera:
+    """Camera of a SUMFILE that was read; its third axis is the optical axis."""
+    k = content.focal_length_mm * content.pixels_per_mm
+    if k[0, 0] * k[1, 1] == 0.0:
+        raise DataError(path, "line 10: the first and the fifth number of K must not be 0")
+    center_x, center_y = content.center_px.tolist()
+    return from_mission_frame(
+        PinholeModel,
+        {"fx_px": k[0, 0], "skew_px": k[0, 1], "fy_px": k[1, 1], "cx_px": center_x, "cy_px": center_y},
+        name=path.stem,
+        columns=content.columns,
+        rows=content.rows,
+        boresight="+z",
+    )
 
 
 def _covariance(turn: Rotation, sigmas: Float) -> Float | None:

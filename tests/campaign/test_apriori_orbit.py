@@ -20,6 +20,7 @@ from giantlike.core.errors import DataError
 from giantlike.core.time import time_from_utc
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 from giantlike.image import Image
+from giantlike.io.camera_import import read_foreign_camera
 from giantlike.io.observables_file import read_observables
 from giantlike.io.spc_sumfile import Sumfile, write_sumfile
 from giantlike.io.spice import load_kernels
@@ -132,6 +133,10 @@ def test_axes_of_a_sumfile_that_point_against_columns_and_rows_are_turned(tmp_pa
         camera_from_body=half * BODY_TURN,
     )
     assert_as_declared(predicted(campaign_of(tmp_path, picture))[1])
+    imported = read_foreign_camera(tmp_path / "SUMFILES" / "PEBBLE.SUM")
+    assert_allclose(imported.model.project(POSITION_KM), CAMERA.model.project(POSITION_KM), rtol=0, atol=1e-9)
+    assert (imported.columns, imported.rows, imported.rows_reversed) == (320, 280, False)
+    assert (imported.camera_from_mission * half.inv()).magnitude() < 1e-12
 
 
 def test_sumfiles_that_fit_no_image_or_no_body_are_refused(tmp_path: Path, picture: bytes) -> None:
@@ -140,6 +145,12 @@ def test_sumfiles_that_fit_no_image_or_no_body_are_refused(tmp_path: Path, pictu
         Campaign.load(path)
     sumfile(tmp_path, pixels_per_mm=np.array([[10.0, 0.0, 0.0], [0.0, -10.0, 0.0]]))
     with pytest.raises(DataError, match="mirrored"):
+        Campaign.load(path)
+    sumfile(tmp_path, pixels_per_mm=np.array([[10.0, 0.0, 1e-3], [0.0, 10.0, 0.0]]))
+    with pytest.raises(DataError, match="K has distortion"):
+        read_foreign_camera(tmp_path / "SUMFILES" / "PEBBLE.SUM")
+    sumfile(tmp_path, pixels_per_mm=np.zeros((2, 3)))
+    with pytest.raises(DataError, match="must not be 0"):
         Campaign.load(path)
     sumfile(tmp_path, columns=640)
     with pytest.raises(DataError, match="640 x 280 pixels"):
