@@ -16,8 +16,8 @@ import time
 import numpy as np
 from scipy.stats import chi2, kstest
 
+from giantlike.calibration.options import Treatment
 from giantlike.passes import PassFix, PassOptions, PassTerm, estimate_pass
-from giantlike.passes.terms import Treatment
 from tests.passes.simulated_pass import TRUE_ALTITUDE_KM, Truth, as_positions, simulated_pass
 
 TRAJECTORY_SIGMAS = np.array([4.0, 4.0, 8.0, 1e-3, 1e-3, 1e-3])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,18 +23,12 @@ from giantlike.core.errors import InputError
 from giantlike.core.frames import skew
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
+from giantlike.processing import levenberg_marquardt
 
 TEMPERATURE_TERMS = frozenset({"a1_per_c", "a2_per_c2", "a3_per_c3"})
 """Names of the parameters whose effect depends on the temperature of an image."""
 MAX_CONDITION = 1e13
 """Condition number of a scaled normal matrix above which a parameter is undetermined: float64 has 16 digits."""
-_FIRST_DAMPING = 1e-3  # relative to the diagonal of the normal matrix: nearly Gauss-Newton
-_SMALLEST_DAMPING, _LARGEST_DAMPING = 1e-15, 1e12  # below the rounding of float64; steps of 1e-12 of a gradient step
-_FACTOR = 10.0  # of the damping after a step, as in step 4 of the paper
-_CONVERGED, _ROUGHLY = 1e-8, 1e-2
-"""Predicted decrease of chi-square at which a fit, and a rough fit, has converged: its root is the largest remaining
-step in units of sigma."""
-_ROUNDING = 1e-12  # relative increase of the cost that is rounding and does not refuse a step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -277,55 +272,20 @@ def normal_equations(state: State, data: Data, used: Mask, loss: Loss) -> Normal
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Minimum(Value):
-    """Minimum of the cost: state, normal equations there without damping, and the number of steps."""
-
-    state: State
-    normal: NormalEquations
-    steps: int
+Minimum: TypeAlias = levenberg_marquardt.Minimum[State, NormalEquations]
+"""Minimum of the cost: state, normal equations there without damping, and the number of steps."""
 
 
 def minimize(
     state: State, data: Data, used: Mask, loss: Loss, *, max_steps: int, rough: bool = False
 ) -> Minimum | Failure:
-    r"""Levenberg-Marquardt: steps of :math:`(H^T W H + \lambda\,\mathrm{diag}(H^T W H))^{-1} H^T W r`.
-
-    ``used`` (n,).
-
-    The update of the paper lacks the weight on its right-hand side, without which a weighted fit converges to another
-    point. Damping grows tenfold after a step that increases the cost and shrinks tenfold after one that decreases it
-    (step 4 of the paper). The fit has converged when the predicted decrease of chi-square is below 1e-8.
-
-    References
-    ----------
-    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Camera Calibration,
-       steps 1-5.
-    """
-    normal = normal_equations(state, data, used, loss)
-    if normal is None:
-        return Failure(Reason.NOT_CONVERGED, "the starting model cannot project a target that was observed")
-    damping, enough = _FIRST_DAMPING, _ROUGHLY if rough else _CONVERGED
-    for count in range(max_steps):
-        step = normal.solve(damping)
-        if step is None and damping > _FIRST_DAMPING:
-            return Failure(Reason.DEGENERATE_GEOMETRY, "the normal equations are singular")
-        if step is not None and step.decrement <= enough and damping <= _FIRST_DAMPING:
-            return Minimum(state, normal, count)
-        moved = None if step is None else state.apply_step(step, data)
-        ahead = None if moved is None else normal_equations(moved, data, used, loss)
-        if moved is not None and ahead is not None and ahead.cost <= normal.cost * (1.0 + _ROUNDING):
-            state, normal = moved, ahead
-            damping = max(damping / _FACTOR, _SMALLEST_DAMPING)
-        elif damping < _LARGEST_DAMPING:
-            damping *= _FACTOR
-        else:
-            break
-    if rough:
-        return Minimum(state, normal, max_steps)
-    return Failure(
-        Reason.NOT_CONVERGED,
-        f"no convergence in {max_steps} steps (chi-square {normal.cost:.4g} of {int(used.sum())} observations)",
+    """Fit camera and poses to the observations in use (n,)."""
+    return levenberg_marquardt.minimize(
+        state,
+        lambda at: normal_equations(at, data, used, loss),
+        lambda at, step: at.apply_step(step, data),
+        max_steps=max_steps,
+        rough=rough,
     )
 
 

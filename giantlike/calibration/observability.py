@@ -1,8 +1,9 @@
-"""Observability of the parameters of a calibration: classification of each of them."""
+"""Observability of parameters: classification of each of them, and combinations that are hardly determined."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -13,8 +14,14 @@ from giantlike.calibration.field_map import FieldSensitivity
 from giantlike.core.arrays import Float
 
 _SIGNIFICANT = 3.0  # sigma from zero: p-value 1/370
-_MOSTLY_PRIOR = 0.9  # ratio of sigma to a priori sigma: the observations contribute a fifth of the information or less
-_ENTANGLED = 0.99  # correlation: the sigma of the parameter alone is 7 times smaller
+MOSTLY_PRIOR = 0.9  # ratio of sigma to a priori sigma: the observations contribute a fifth of the information or less
+ENTANGLED = 0.99  # correlation: the sigma of the parameter alone is 7 times smaller
+
+SINGULAR = 1e-12
+"""Eigenvalue of a scaled information matrix below which it is zero but for rounding of sums of about ten thousand
+terms."""
+_SMALL_WEIGHT = 0.1
+"""Weights in a combination that are not named."""
 
 
 class ParameterVerdict(StrEnum):
@@ -70,11 +77,11 @@ def parameter_support(
         shared = float(correlation[k, partner]) if partner >= 0 else 0.0
         is_scale = name.endswith("_px")
         change = values[k] - start[k] if is_scale else values[k]
-        if sigma[k] > _MOSTLY_PRIOR * data.prior_sigma[k]:
+        if sigma[k] > MOSTLY_PRIOR * data.prior_sigma[k]:
             verdict = ParameterVerdict.PRIOR_ONLY
         elif not is_scale and abs(values[k]) < _SIGNIFICANT * sigma[k]:
             verdict = ParameterVerdict.NOT_SIGNIFICANT
-        elif abs(shared) > _ENTANGLED:
+        elif abs(shared) > ENTANGLED:
             verdict = ParameterVerdict.ENTANGLED
         else:
             verdict = ParameterVerdict.SUPPORTED
@@ -91,4 +98,48 @@ def parameter_support(
                 verdict=verdict,
             )
         )
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WeakCombination:
+    """A combination of parameters that the measurements of a pass hardly determine.
+
+    weights: fraction of each parameter, in units of the standard deviation that it would have were all others known;
+        the largest first, small ones left out.
+    inflation: ratio of the standard deviation of the combination by the measurements alone to the standard deviation of
+        one of its parameters with all others known; infinite where the measurements do not determine it.
+    """
+
+    weights: Mapping[str, float]
+    inflation: float
+
+    def __str__(self) -> str:
+        terms = " ".join(f"{weight:+.2f} {name}" for name, weight in self.weights.items())
+        if math.isinf(self.inflation):
+            return f"{terms} at all"
+        return f"{terms} (known {self.inflation:.3g} times worse than its parts alone)"
+
+
+def weak_combinations(names: tuple[str, ...], information: Float, *, above: float) -> tuple[WeakCombination, ...]:
+    """Find combinations of parameters that measurements determine much worse than their parts.
+
+    ``information`` (k, k).
+    """
+    scale = np.sqrt(np.diagonal(information))
+    told = scale > 0.0
+    found = [
+        WeakCombination(weights={name: 1.0}, inflation=np.inf)
+        for name, known in zip(names, told, strict=True)
+        if not known
+    ]
+    if not told.any():
+        return tuple(found)
+    kept = [name for name, known in zip(names, told, strict=True) if known]
+    values, vectors = np.linalg.eigh(information[np.ix_(told, told)] / np.outer(scale[told], scale[told]))
+    for value, vector in zip(values, vectors.T, strict=True):
+        inflation = np.inf if value <= SINGULAR else float(1.0 / np.sqrt(value))
+        if inflation > above:
+            order = [k for k in np.argsort(-np.abs(vector)) if abs(vector[k]) > _SMALL_WEIGHT]
+            found.append(WeakCombination(weights={kept[k]: float(vector[k]) for k in order}, inflation=inflation))
     return tuple(found)

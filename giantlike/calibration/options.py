@@ -42,6 +42,16 @@ class Loss(StrEnum):
         return np.ones_like(squares)
 
 
+class Treatment(StrEnum):
+    """Treatment of parameters of which an a priori covariance may be known."""
+
+    ESTIMATE = "estimate"
+    CONSIDER = "consider"
+    """Kept at their values, while their covariance enters that of the others."""
+    FIXED = "fixed"
+    """Kept at their values as if these were exact."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationOptions:
     """Options of a calibration.

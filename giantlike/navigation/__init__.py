@@ -28,6 +28,8 @@ __getattr__ = forward_names(
         "giantlike.cislunar.covariance": (
             "Dispersed after_coast after_correction after_image after_steps reference_steps"
         ),
+        "giantlike.calibration.observability": "WeakCombination",
+        "giantlike.calibration.options": "Treatment",
         "giantlike.cislunar.filter": "Innovations Transition coast maneuver predicted:predict_measurement",
         "giantlike.cislunar.linear_covariance": (
             "JointDispersion dispersed_correction dispersed_measurement dispersed_step"
@@ -39,11 +41,10 @@ __getattr__ = forward_names(
         "giantlike.passes": (
             "LimbPoints NavigationPass PassFix PassImage PassOptions PassTerm RunPass estimate_pass pass_from_run"
         ),
-        "giantlike.passes.fix": "TermTest TimetagJitter WeakCombination",
+        "giantlike.passes.fix": "TermTest TimetagJitter",
         "giantlike.passes.images": "MeasuredPosition",
         "giantlike.passes.limb_modes": "limb_waves wave_amplitudes",
         "giantlike.passes.run": "pass_from_rows",
-        "giantlike.passes.terms": "Treatment",
         "giantlike.triangulation": (
             "Sightline StarEphemeris TriangulatedPosition TriangulationOptions locate sightline_of_fix "
             "sightline_of_pixel triangulate"

@@ -10,10 +10,11 @@ from scipy import optimize, stats
 from scipy.spatial.transform import Rotation
 
 from giantlike._system.processes import one_thread
+from giantlike.calibration.observability import WeakCombination, weak_combinations
 from giantlike.core.arrays import Float, Mask, symmetric
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
-from giantlike.passes.fix import PassFix, TimetagJitter, WeakCombination, term_test, weak_combinations
+from giantlike.passes.fix import PassFix, TimetagJitter, term_test
 from giantlike.passes.images import DISPLACEMENT, ROTATION, NavigationPass
 from giantlike.passes.layout import PassLayout
 from giantlike.passes.normal import (

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
+from giantlike.calibration.observability import WeakCombination
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
-
-SINGULAR = 1e-12
-"""Eigenvalue of a scaled information matrix below which it is zero but for rounding of sums of about ten thousand
-terms."""
-_SMALL_WEIGHT = 0.1
-"""Weights in a combination that are not named."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,26 +35,6 @@ class TermTest:
     def significant(self, level: float = 0.05) -> bool:
         """True if the hypothesis is rejected at a level."""
         return self.p_value < level
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WeakCombination:
-    """A combination of parameters that the measurements of a pass hardly determine.
-
-    weights: fraction of each parameter, in units of the standard deviation that it would have were all others known;
-        the largest first, small ones left out.
-    inflation: ratio of the standard deviation of the combination by the measurements alone to the standard deviation of
-        one of its parameters with all others known; infinite where the measurements do not determine it.
-    """
-
-    weights: Mapping[str, float]
-    inflation: float
-
-    def __str__(self) -> str:
-        terms = " ".join(f"{weight:+.2f} {name}" for name, weight in self.weights.items())
-        if math.isinf(self.inflation):
-            return f"{terms} at all"
-        return f"{terms} (known {self.inflation:.3g} times worse than its parts alone)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -233,27 +207,3 @@ def term_test(term: str, departure: Float, covariance: Float, freedom: int | Non
         freedom=freedom,
         p_value=float(stats.f.sf(squared / count, count, freedom)),
     )
-
-
-def weak_combinations(names: tuple[str, ...], information: Float, *, above: float) -> tuple[WeakCombination, ...]:
-    """Find combinations of parameters that measurements determine much worse than their parts.
-
-    ``information`` (k, k).
-    """
-    scale = np.sqrt(np.diagonal(information))
-    told = scale > 0.0
-    found = [
-        WeakCombination(weights={name: 1.0}, inflation=np.inf)
-        for name, known in zip(names, told, strict=True)
-        if not known
-    ]
-    if not told.any():
-        return tuple(found)
-    kept = [name for name, known in zip(names, told, strict=True) if known]
-    values, vectors = np.linalg.eigh(information[np.ix_(told, told)] / np.outer(scale[told], scale[told]))
-    for value, vector in zip(values, vectors.T, strict=True):
-        inflation = np.inf if value <= SINGULAR else float(1.0 / np.sqrt(value))
-        if inflation > above:
-            order = [k for k in np.argsort(-np.abs(vector)) if abs(vector[k]) > _SMALL_WEIGHT]
-            found.append(WeakCombination(weights={kept[k]: float(vector[k]) for k in order}, inflation=inflation))
-    return tuple(found)

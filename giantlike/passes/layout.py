@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike.calibration.options import Treatment
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.values import Value
 from giantlike.passes.images import (
@@ -20,7 +21,7 @@ from giantlike.passes.images import (
     PassImage,
     shared_names,
 )
-from giantlike.passes.terms import TRAJECTORY, PassOptions, PassTerm, Treatment
+from giantlike.passes.terms import TRAJECTORY, PassOptions, PassTerm
 
 _AXES = ("x", "y", "z")
 _UNITS = {
@@ -72,11 +73,12 @@ class PassLayout(Value):
                 ]
         trajectory, limbs = options.trajectory is Treatment.ESTIMATE, options.limb_errors is Treatment.ESTIMATE
         base = len(columns)
-        for k in range(len(given.covariance_trajectory)):
+        count = len(given.covariance_trajectory) if options.trajectory is not Treatment.FIXED else 0
+        for k in range(count):
             name = given.trajectory_names[k] if given.trajectory_names else str(k)
             moves = tuple(_effect(image, DISPLACEMENT, image.by_trajectory[:, k]) for image in given.images)
             columns.append(_Column(f"{TRAJECTORY}_{name}", "", TRAJECTORY, 1.0, trajectory, moves))
-        for key, count in shared_names(given.images):
+        for key, several in shared_names(given.images) if options.limb_errors is not Treatment.FIXED else []:
             columns += [
                 _Column(
                     f"{key} {k}",
@@ -86,14 +88,13 @@ class PassLayout(Value):
                     limbs,
                     tuple(_shared_error(i, key, k) for i in given.images),
                 )
-                for k in range(count)
+                for k in range(several)
             ]
         require(any(column.estimated for column in columns), "options.estimate names no term: nothing to solve for")
         sigmas = np.array([column.sigma for column in columns])
         free = np.isinf(sigmas)
         own = np.diag(np.where(free, 0.0, np.where(free, 0.0, sigmas) ** 2))
-        count = len(given.covariance_trajectory)
-        own[base : base + count, base : base + count] = given.covariance_trajectory
+        own[base : base + count, base : base + count] = given.covariance_trajectory[:count, :count]
         altitude = [column.term == PassTerm.LIMB_ALTITUDE for column in columns]
         return cls(
             names=tuple(column.name for column in columns),

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from giantlike.calibration.options import Treatment
 from giantlike.core.arrays import require, require_number
 
 
@@ -35,13 +36,6 @@ class PassTerm(StrEnum):
 
 TRAJECTORY = "trajectory"
 """Name of the term whose parameters and covariance come with the pass."""
-
-
-class Treatment(StrEnum):
-    """Treatment of an error that all images share and whose covariance is known before."""
-
-    CONSIDER = "consider"
-    ESTIMATE = "estimate"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
 
+from giantlike.calibration.options import Treatment
 from giantlike.camera import ModelUncertainty
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
@@ -25,7 +26,6 @@ from giantlike.passes import (
     estimate_pass,
 )
 from giantlike.passes.images import MeasuredPosition, covariance_root
-from giantlike.passes.terms import Treatment
 from giantlike.processing.limb.measurement import LimbMeasurement
 from tests.numerical import numerical_jacobian
 from tests.passes.simulated_pass import (
