@@ -38,6 +38,7 @@ from giantlike.io.camera_import import read_foreign_camera
 from giantlike.io.camera_opencv import write_opencv_camera
 from giantlike.io.epic_metadata import read_epic
 from giantlike.io.image_files import read_image_file
+from giantlike.io.isis_network import read_control_network, read_image_support
 from giantlike.io.observables_file import read_observables, write_observables
 from giantlike.io.orbit_covariance import COLUMNS, read_orbit_covariance
 from giantlike.io.spc_lmk import read_lmk, write_lmk
@@ -63,6 +64,7 @@ from tests.io import test_spc_lmk
 from tests.io import test_spice as kernel_files
 from tests.io.height_map_files import heights_km, write_geotiff, write_pds3
 from tests.io.test_epic_metadata import RECORDS
+from tests.io.test_isis_network import CONTROL_NETWORK, IMAGE_SUPPORT
 from tests.observables import test_rows as exchange
 from tests.shapes.test_local_maps import _map
 
@@ -392,6 +394,8 @@ KINDS: dict[str, Kind] = {
     "observables": Kind("o.parquet", _observables, read_observables),
     "star index": Kind("i.npz", _index, _read_index),
     "sumfile": Kind("a.SUM", _sumfile, read_sumfile),
+    "control network": Kind("n.pvl", _with(CONTROL_NETWORK), read_control_network),
+    "image support data": Kind("i.isd", _with(json.dumps(IMAGE_SUPPORT)), read_image_support),
     "lmk": Kind("a.LMK", _lmk, read_lmk),
     "orbit covariance": Kind("arc.csv", _with(_table(",".join(COLUMNS[:6]), "4,0.1,1,0,0,9")), read_orbit_covariance),
     "attitude table": Kind(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -67,17 +67,36 @@ def parameter_support(
 
     ``values`` (k,), estimates, each in the unit of its parameter; ``covariance`` (k, k).
     """
-    start = data.prior
-    sigma = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(sigma, sigma) - np.eye(len(names))
     reach = np.linalg.norm(sensitivity.by_parameter[..., data.estimated], axis=1).max(axis=0)
+    scales = frozenset(name for name in names if name.endswith("_px"))
+    return support_of(names, values, data.prior, data.prior_sigma, covariance, reach, scales)
+
+
+def support_of(
+    names: Sequence[str],
+    values: Float,
+    start: Float,
+    prior_sigma: Float,
+    covariance: Float,
+    reach: Float,
+    scales: Set[str],
+) -> tuple[ParameterSupport, ...]:
+    """Judge the first k of n parameters, which may be entangled with the others.
+
+    ``values``, ``start``, ``prior_sigma``, ``reach`` (k,): the latter the largest derivative of a pixel; ``covariance``
+    (n, n); ``scales``: names for which zero is no meaningful value.
+    """
+    sigma = np.sqrt(np.diag(covariance))
+    units = np.where(sigma > 0.0, sigma, 1.0)
+    correlation = covariance / np.outer(units, units)
+    np.fill_diagonal(correlation, 0.0)
     found = []
-    for k, name in enumerate(names):
+    for k, name in enumerate(names[: len(values)]):
         partner = int(np.argmax(np.abs(correlation[k]))) if len(names) > 1 else -1
         shared = float(correlation[k, partner]) if partner >= 0 else 0.0
-        is_scale = name.endswith("_px")
+        is_scale = name in scales
         change = values[k] - start[k] if is_scale else values[k]
-        if sigma[k] > MOSTLY_PRIOR * data.prior_sigma[k]:
+        if sigma[k] > MOSTLY_PRIOR * prior_sigma[k]:
             verdict = ParameterVerdict.PRIOR_ONLY
         elif not is_scale and abs(values[k]) < _SIGNIFICANT * sigma[k]:
             verdict = ParameterVerdict.NOT_SIGNIFICANT

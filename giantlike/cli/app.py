@@ -45,6 +45,10 @@ _SHAPE = {
     "render": Entry("Make a picture of a shape.", "shape_picture", "render_shape"),
     "landmarks": Entry("Choose landmarks for surface_features.", "shape_landmarks", "landmarks"),
 }
+_NETWORK = {
+    "adjust": Entry("Adjust points and poses of a control network.", "network_command", "adjust_network"),
+    "read": Entry("Show what a control network holds.", "network_command", "read"),
+}
 _COMMANDS = {
     "init": Entry("Write a commented campaign file for a folder of images.", "check_commands", "init"),
     "check": Entry("Show all mistakes of a campaign file and its files.", "check_commands", "check"),
@@ -69,6 +73,7 @@ _COMMANDS = {
     "demo": Entry("Simulate an approach, run it, and compare with the truth.", "campaign_commands", "demo"),
     "gauntlet": Entry("Put off-nominal images with known truth to every estimator.", "gauntlet_command", "gauntlet"),
     "replay": Entry("Replay a paper on a flight system, its numbers beside ours.", "replay_command", "replay"),
+    "network": Entry("Adjust control networks: points and poses from many images.", commands=_NETWORK),
     "shape": Entry("Measure, convert, decimate and draw shape models.", commands=_SHAPE),
     "camera": Entry("Show camera files, and convert from and to other programs.", commands=_CAMERA),
     "catalog": Entry("Build, join, query and show star catalogs.", commands=_CATALOG),

@@ -11,9 +11,8 @@ from giantlike.core.outcomes import Failure, Reason
 _FIRST_DAMPING = 1e-3  # relative to the diagonal of the normal matrix: nearly Gauss-Newton
 _SMALLEST_DAMPING, _LARGEST_DAMPING = 1e-15, 1e12  # below the rounding of float64; steps of 1e-12 of a gradient step
 _FACTOR = 10.0  # of the damping after a step, as in step 4 of the paper
-_CONVERGED, _ROUGHLY = 1e-8, 1e-2
-"""Predicted decrease of chi-square at which a fit, and a rough fit, has converged: its root is the largest remaining
-step in units of sigma."""
+_CONVERGED, ROUGHLY = 1e-8, 1e-2
+"""Predicted decrease of chi-square at which a fit, and a rough fit, has converged."""
 _ROUNDING = 1e-12  # relative increase of the cost that is rounding and does not refuse a step
 
 
@@ -50,15 +49,17 @@ def minimize(
     *,
     max_steps: int,
     rough: bool = False,
+    tolerance: float | None = None,
 ) -> Minimum[AnyState, AnyNormal] | Failure:
     r"""Levenberg-Marquardt: steps of :math:`(H^T W H + \lambda\,\mathrm{diag}(H^T W H))^{-1} H^T W r`.
 
-    ``linearize`` and ``apply_step`` return None for states that cannot be observed. A rough fit ends after
-    ``max_steps`` without a failure.
+    ``tolerance``: predicted decrease of the cost at convergence, by default 1e-8, 1e-2 for a rough fit; its root is the
+    largest remaining step in units of sigma. ``linearize`` and ``apply_step`` return None for states that cannot be
+    observed. A rough fit ends after ``max_steps`` without a failure.
 
     The update of the paper lacks the weight on its right-hand side, without which a weighted fit converges to another
     point. Damping grows tenfold after a step that increases the cost and shrinks tenfold after one that decreases it
-    (step 4 of the paper). The fit has converged when the predicted decrease of chi-square is below 1e-8.
+    (step 4 of the paper).
 
     References
     ----------
@@ -68,7 +69,7 @@ def minimize(
     normal = linearize(state)
     if normal is None:
         return Failure(Reason.NOT_CONVERGED, "the starting model cannot project a target that was observed")
-    damping, enough = _FIRST_DAMPING, _ROUGHLY if rough else _CONVERGED
+    damping, enough = _FIRST_DAMPING, tolerance or (ROUGHLY if rough else _CONVERGED)
     for count in range(max_steps):
         step = normal.solve(damping)
         if step is None and damping > _FIRST_DAMPING:
