@@ -61,7 +61,7 @@ def adjust(
 
     Notes
     -----
-    Points are eliminate block by block (Schur complement); the reduced system of poses and shared parameters is dense.
+    Points are eliminated block by block (Schur complement); the reduced system of poses and shared parameters is dense.
     Light time and aberration are those of the center of the body, in the a priori poses; what light time across a
     rotating body adds is refused above 0.1 standard deviations of a measure.
 

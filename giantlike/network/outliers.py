@@ -34,7 +34,7 @@ def find_agreeing(problem: Problem, state: State, used: Mask) -> NDArray[np.bool
 
 
 def find_alternatives(problem: Problem, state: State, used: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], Float]:
-    """Pairs of a rejected and a used measure of a point, and how much worse it fits with their roles exchange.
+    """Pairs of a rejected and a used measure of a point, and how much worse it fits with their roles exchanged.
 
     Poses stay as they are. Returns indices of measures (q,) and (q,), and differences of chi-square (q,).
     """

@@ -1,4 +1,4 @@
-"""Unknowns of a network, and its normal equations with the points eliminate block by block."""
+"""Unknowns of a network, and its normal equations with the points eliminated block by block."""
 
 from __future__ import annotations
 
@@ -435,7 +435,7 @@ class NormalEquations:
         return POSE * len(self.problem.photos) + -(-len(self.problem.names) // POSE) * POSE
 
     def without_points(self, damping: float = 0.0) -> tuple[Float, Float, Float]:
-        """Reduced matrix (r, r) and gradient (r,) with the points eliminate, and inverse blocks (p, 3, 3) of these."""
+        """Reduced matrix (r, r) and gradient (r,) with the points eliminated, and inverse blocks (p, 3, 3) of these."""
         inverse: Float = np.asarray(np.linalg.inv(self.points * (1.0 + damping * np.eye(3))))
         if self.problem.options.points is not Treatment.ESTIMATE:
             inverse = np.zeros_like(inverse)
