@@ -197,5 +197,9 @@ def test_a_covariance_by_epoch_is_that_of_each_image(tmp_path: Path, picture: by
     (tmp_path / "arc.csv").write_text((tmp_path / "arc.csv").read_text().replace(repr(ET - 500.0), repr(ET + 100.0)))
     found = [str(one) for one in check_campaign(path, all_images=True)]
     assert any("covers" in text and "is needed" in text for text in found), found
+    starry = path.read_text() + "\n[stars]\nlong_exposure_s = 1e-4\n"
+    path.write_text(starry.replace(f'epoch_utc = "{EPOCH}"', f'epoch_utc = "{EPOCH}"\nexposure_s = 1.0'))
+    found = [str(one) for one in check_campaign(path, all_images=True)]
+    assert not any("is needed" in text and "covers" in text for text in found), found  # no body is looked for in it
     (tmp_path / "arc.csv").unlink()
     assert any("ephemeris_table: there is no file 'arc.csv'" in str(one) for one in check_campaign(path))

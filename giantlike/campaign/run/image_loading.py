@@ -210,7 +210,7 @@ def _uncertainty_in(campaign: Campaign, image: Image, target: TargetSetup) -> Ta
     """Uncertainty of a target with the covariance of its position in an image: of the arc, or of its SUMFILE."""
     known, et, attitude = campaign.geometry.get(image.name), image.et, image.camera_from_inertial
     stated = None if known is None else known.seen.get(target.name)
-    if target.orbit is not None:
+    if target.orbit is not None and campaign.is_body_image(image.exposure_s):
         require(et is not None, f"{target.name}: its covariance by epoch needs the epoch of the image")
         return dataclasses.replace(target.uncertainty, ephemeris_icrf_km2=target.orbit.at(et or 0.0))
     covariance = None if stated is None else stated.covariance_camera_km2
