@@ -19,12 +19,13 @@ from giantlike.campaign.store.fix_differences import difference_of
 from giantlike.campaign.store.records import ObservationRecord
 from giantlike.campaign.store.results import group_by
 from giantlike.campaign.store.run_folder import RunFolder
-from giantlike.core.arrays import require
+from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError, OpNavError
+from giantlike.core.frames import radec_from_direction, rotate
 from giantlike.plotting.overlays import stretch_image
 from giantlike.plotting.style import dark_svg
 from giantlike.ray_tracing import Backplanes
-from giantlike.viewer.charts import correlation_chart, limb_chart, residual_chart, star_chart
+from giantlike.viewer.charts import correlation_chart, limb_chart, profile_chart, residual_chart, star_chart
 from giantlike.viewer.comparison import match_of
 from giantlike.viewer.explain import explain
 from giantlike.viewer.layers import MarkLayer, layers_of
@@ -161,12 +162,17 @@ class Answers:
             pixels = self._session.pixels(self._file(index)).pixels
         return _encode(stretch_image(pixels, longest_px=_THUMBNAIL_PX), ".jpg")
 
-    def chart(self, index: int, which: str, target: str = "", estimator: str = "", theme: str = "light") -> bytes:
-        """Residuals of stars, along the limb or of a template, or the correlation surface, as SVG."""
+    def chart(
+        self, index: int, which: str, target: str = "", estimator: str = "", theme: str = "light", line: str = ""
+    ) -> bytes:
+        """Residuals of stars, along the limb or of a template, the correlation surface, or values on a line, as SVG."""
         charts: Mapping[str, Callable[[str], str]] = {
             "stars": lambda file: star_chart(self._session, file),
             "limb": lambda file: limb_chart(self._session, file, target),
             "map": lambda file: residual_chart(self._session, file, target, estimator),
+            "profile": lambda file: profile_chart(
+                self._session, file, [_number("line", each) for each in line.split(",")]
+            ),
             "correlation": lambda file: correlation_chart(self._session, file, target, estimator or None),
         }
         require(which in charts, f"there is no chart {which!r}; there are {', '.join(charts)}")
@@ -176,20 +182,29 @@ class Answers:
         return (dark_svg(text) if theme == "dark" else text).encode()
 
     def pixel(self, index: int, x: str, y: str) -> dict[str, Any]:
-        """Value of a pixel, and the backplanes of a body there."""
+        """Value of a pixel, its direction in the sky, and the backplanes of a body there."""
         with self._lock:
             file = self._file(index)
             pixels = self._session.pixels(file).pixels
             column, row = round(_number("x", x)), round(_number("y", y))
             if not (0 <= column < pixels.shape[1] and 0 <= row < pixels.shape[0]):
                 return {}
-            values = {"dn": float(pixels[row, column])}
+            values = {"dn": float(pixels[row, column])} | self._sky(file, np.array([float(x), float(y)]))
             try:
                 planes = self._backplanes(index, file)
             except OpNavError:
                 return values
             seen = {name: float(value) for name, value in values_at(planes, (row, column)).items()}
             return values | {name: value for name, value in seen.items() if np.isfinite(value) and seen["body"] >= 0}
+
+    def _sky(self, file: str, point_px: Float) -> dict[str, float]:
+        """Right ascension and declination of a point (2,) of an image, deg; nothing where they are not known."""
+        attitude = next(each for each in self._session.result.attitudes if each.file == file).attitude
+        direction = self._session.camera.model.unproject(point_px)
+        if attitude is None or not np.isfinite(direction).all():
+            return {}
+        ra_deg, dec_deg = radec_from_direction(rotate(attitude.rotation.inv(), direction))
+        return {"ra": float(ra_deg), "dec": float(dec_deg)}
 
     def edit(self, wanted: dict[str, Any]) -> list[dict[str, Any]]:
         """Append edits of one user for one reason to the edit list of the run, all of ``things`` or none."""
@@ -274,6 +289,7 @@ def _layer(each: MarkLayer) -> dict[str, Any]:
         "star_ids": [str(number) for number in each.star_ids],  # they exceed the integers of JavaScript
         "rejected": each.rejected,
         "subject": list(each.subject),
+        "sigmas": np.round(each.sigmas, 3).tolist(),
     }
 
 

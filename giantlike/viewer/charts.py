@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
 
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
 from giantlike.plotting import star_residual_charts
 from giantlike.plotting.charts import Axis, Chart, ChartSheet, charts_svg
@@ -61,6 +65,28 @@ def limb_chart(session: Session, file: str, target: str) -> str:
         layers=[zero, *crosses, *layers],
     )
     return charts_svg(ChartSheet(charts=[chart], width_in=3.6, height_in=2.2), f"limb-{target}")
+
+
+def profile_chart(session: Session, file: str, line_px: Sequence[float]) -> str:
+    """Values of an image along a line from (x, y) to (x, y), px, between pixels linearly."""
+    require(len(line_px) == 4, f"a line is x,y,x,y, got {len(line_px)} numbers")
+    pixels = session.pixels(file).pixels
+    (begin, end), size = np.reshape(line_px, (2, 2)), np.array(pixels.shape[::-1])
+    require(
+        bool(((begin >= 0) & (end >= 0) & (begin < size) & (end < size)).all()), f"{file}: the line leaves the image"
+    )
+    length_px = float(np.hypot(*(end - begin)))
+    along = np.linspace(0.0, length_px, 2 + int(2 * length_px))
+    at = begin + (end - begin) * (along / max(length_px, 1e-9))[:, None]
+    values = map_coordinates(pixels.astype(np.float64), at.T[::-1], order=1, mode="nearest")
+    layer = Layer(points=np.column_stack([along, values]), shape=MarkShape.LINE, color=SERIES[0], width=1.0)
+    chart = Chart(
+        title=f"from ({begin[0]:.1f}, {begin[1]:.1f}) to ({end[0]:.1f}, {end[1]:.1f})",
+        x=Axis(label="along the line, px", low=0.0, high=max(length_px, 1.0)),
+        y=Axis.around("DN", values),
+        layers=[layer],
+    )
+    return charts_svg(ChartSheet(charts=[chart], width_in=3.6, height_in=2.2), "profile")
 
 
 def residual_chart(session: Session, file: str, target: str, estimator: str) -> str:

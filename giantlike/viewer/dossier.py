@@ -213,7 +213,10 @@ def _content(
         "inputs": [asdict(each) for each in inputs],
         "campaign": provenance["inputs"].get("campaign", {}),
         "options": provenance["inputs"].get("options", {}),
-        "edits": [edit.model_dump(mode="json", exclude_none=True) for edit in read_edits(session.folder).edits],
+        "edits": [
+            edit.model_dump(mode="json", exclude_none=True) | {"name": edit.name}
+            for edit in read_edits(session.folder).edits
+        ],
         "verdicts": {
             "attitudes": asdict(StatusCounts.from_records(result.attitudes)),
             **{

@@ -42,6 +42,7 @@ class MarkLayer(Value):
     star_ids: number of each point in the catalog; empty where points are not stars.
     rejected: True for what a user rejected.
     subject: target and estimator of limb points.
+    sigmas: residual of each point in its sigma, of limb points in the RMS of all; empty where there is none.
     """
 
     name: str
@@ -52,6 +53,7 @@ class MarkLayer(Value):
     star_ids: Sequence[int] = field(default=())
     rejected: bool = False
     subject: tuple[str, str] = ("", "")
+    sigmas: Sequence[float] = ()
 
 
 def layers_of(seen: SeenImage, names: Sequence[str] | None = None) -> list[MarkLayer]:
@@ -153,6 +155,7 @@ def _matches(seen: SeenImage) -> list[MarkLayer]:
             layer=replace(layer, points=layer.points[kept]),
             labels=[labels[place] for place in kept],
             star_ids=[numbers[place] for place in kept],
+            sigmas=[(residuals / np.asarray(stars["sigma_px"], dtype=float)).tolist()[place] for place in kept],
         )
     ]
 
@@ -273,6 +276,7 @@ def _limb_points(seen: SeenImage, *, name: str, kept_as: str, meaning: str) -> l
             name=name,
             title=f"{fix.target}: {meaning} by {fix.estimator}",
             subject=fix.subject,
+            sigmas=_limb_sigmas(seen, fix) if kept_as == "limb_px" else (),
             layer=Layer(
                 points=_points(seen.points.get(fix.subject, {}).get(kept_as, [])),
                 shape=MarkShape.DOT,
@@ -283,6 +287,15 @@ def _limb_points(seen: SeenImage, *, name: str, kept_as: str, meaning: str) -> l
         )
         for fix in _fixes(seen)
     ]
+
+
+def _limb_sigmas(seen: SeenImage, fix: ObservationRecord) -> list[float]:
+    residuals = seen.points.get(fix.subject, {}).get("residuals")
+    if residuals is None or residuals["cell_px"]:
+        return []
+    values = np.asarray(residuals["values"], dtype=float)
+    sigmas: list[float] = (np.abs(values) / max(float(np.sqrt(np.mean(values**2))), 1e-12)).tolist()
+    return sigmas
 
 
 def _terminator(seen: SeenImage) -> list[MarkLayer]:
@@ -311,9 +324,14 @@ def _landmarks(seen: SeenImage) -> list[MarkLayer]:
                     f"{name}: {off:.3f} px off its place by the fix" for name, off in zip(names, off_px, strict=True)
                 ],
                 names=names,
+                sigmas=(off_px / np.sqrt(np.trace(_covariances(marks), axis1=1, axis2=2) / 2)).tolist(),
             )
         )
     return made
+
+
+def _covariances(marks: Mapping[str, Any]) -> Float:
+    return np.asarray(marks["covariance_px2"], dtype=float).reshape(-1, 2, 2)
 
 
 def _landmarks_rejected(seen: SeenImage) -> list[MarkLayer]:

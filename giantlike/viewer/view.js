@@ -87,6 +87,7 @@ function filterFilm() {  // by verdict or review, and by name
   const shown = state.run.images.filter(image => (kind === "all" || image.verdict === kind || image.review === kind) && image.file.toLowerCase().includes(name));
   for (const button of $("frames").children) button.hidden = true;
   for (const image of shown) $("frames").children[image.index].hidden = false;
+  $("frames").children[state.index]?.scrollIntoView({ block: "nearest" });
 }
 $("show").onchange = $("find").oninput = filterFilm;
 const listed = test => state.run.images.filter(image => !$("frames").children[image.index].hidden && test(image)).map(image => image.index);
@@ -140,7 +141,7 @@ function drawPicture(kind = $("kind").value) {
 }
 $("picture").addEventListener("load", () => { pictureDone(); $("picture").style.visibility = ""; });
 $("picture").addEventListener("error", guarded(async () => { pictureDone(); await get($("picture").getAttribute("href")); }));
-for (const id of ["kind", "stretch", "colors"]) $(id).onchange = () => { stopBlink(); drawPicture(); };
+for (const id of ["kind", "stretch", "colors"]) $(id).onchange = () => { stopBlink(); relook(1, 1); drawPicture(); };
 function stopBlink() { clearInterval(state.blink); state.blink = 0; $("blink").classList.remove("on"); }
 $("blink").onclick = () => {
   if ($("blink").classList.contains("on")) { stopBlink(); drawPicture(); return; }
@@ -187,11 +188,15 @@ function drawLayer(layer) {
     const label = layer.labels[place], star = layer.star_ids[place];
     if (label) { const title = drawn("title"); title.textContent = label; mark.append(title); }
     if (layer.names[place]) mark.append(written(layer.names[place], 6, 3));
+    if ($("by-residual").checked && layer.sigmas.length) mark.style.stroke = mark.style.fill = colorOf(layer.sigmas[place]);
     if (star !== undefined) { mark.dataset.star = star; mark.onclick = () => rejectStar(star); }
     group.append(mark);
   });
   return group;
 }
+const colorOf = sigmas => `hsl(${120 - 40 * Math.min(sigmas, 3)} 100% 60%)`;  // green, yellow, orange, red at three sigma
+$("by-residual").onchange = () => drawLayers();
+$("opacity").oninput = () => { $("marks").style.opacity = $("opacity").value; };
 function layerSwitch(name) {
   const layers = state.image.layers.filter(layer => layer.name === name), marked = layers.filter(layer => !isLine(layer));
   const label = document.createElement("label"), box = document.createElement("input"), dot = document.createElement("i");
@@ -251,7 +256,7 @@ function fit() { state.box = { x: -0.5, y: -0.5, w: state.image.columns, h: stat
 function zoomed() {
   const { x, y, w, h } = state.box, scale = scaleOf();
   $("view").setAttribute("viewBox", `${x} ${y} ${w} ${h}`);
-  $("view").style.setProperty("--k", 1 / scale);
+  $("view").style.setProperty("--k", 1 / scale); $("zoom").textContent = `${scale.toPrecision(3)} x`;
   $("picture").style.imageRendering = scale > 3 ? "pixelated" : "auto";
   nameMarks();
 }
@@ -267,11 +272,19 @@ function imagePoint(event) {
 }
 $("view").addEventListener("wheel", event => { event.preventDefault(); zoom(Math.exp(event.deltaY * 0.0015), ...imagePoint(event)); }, { passive: false });
 let drag = null, asked = 0;
-$("view").addEventListener("pointerdown", event => { drag = imagePoint(event); if ($("draw").classList.contains("on")) drawArea(null); });
+let look = [1, 1];  // brightness and contrast, by dragging with the right button; the stretch of the menu sets them back
+$("view").addEventListener("contextmenu", event => event.preventDefault());
+function relook(brightness, contrast) { look = [brightness, contrast]; $("picture").style.filter = look.every(value => value === 1) ? "" : `brightness(${brightness}) contrast(${contrast})`; }
+$("view").addEventListener("pointerdown", event => { if (event.button === 2) return; drag = imagePoint(event); if ($("draw").classList.contains("on")) drawArea(null); });
 window.addEventListener("pointerup", () => { if (drag && state.area) areaDrawn(); drag = null; });
 $("view").addEventListener("pointermove", event => {
   if (!state.image) return;
   const [x, y] = imagePoint(event);
+  if (event.buttons & 2) {
+    const factor = move => Math.exp(move / 200);
+    relook(look[0] * factor(-event.movementY), look[1] * factor(event.movementX));
+    return;
+  }
   if (drag && $("draw").classList.contains("on")) {
     const points = state.area ?? [[drag[0], drag[1]]], [a, b] = points[0];
     if (event.shiftKey) drawArea([...points, [x, y]]); else drawArea([[a, b], [x, b], [x, y], [a, y]]);
@@ -289,9 +302,10 @@ $("view").addEventListener("pointermove", event => {
     if (number !== asked || x < -0.5 || y < -0.5 || x > state.image.columns - 0.5 || y > state.image.rows - 0.5) return;
     const seen = await (await get(`/api/pixel/${state.index}?x=${x}&y=${y}`, "tracing the body")).json();
     if (number === asked) $("readout").textContent = place + Object.entries(seen).filter(([name]) => name !== "body")
-      .map(([name, value]) => `   ${name === "dn" ? "DN" : name} ${name === "shadowed" ? (value ? "yes" : "no") : +value.toPrecision(7)}${/phase|cidence|emission|tude/.test(name) ? " deg" : name === "range" ? " km" : ""}`).join("");
+      .map(([name, value]) => `   ${name === "dn" ? "DN" : name} ${name === "shadowed" ? (value ? "yes" : "no") : +value.toPrecision(7)}${/phase|cidence|emission|tude|^slope|^ra$|^dec$/.test(name) ? " deg" : name === "range" ? " km" : ""}`).join("");
   }), 120);
 });
+$("view").addEventListener("pointerleave", () => { asked += 1; if (!state.selected && !state.moved) $("readout").textContent = ""; });
 $("fit").onclick = fit;
 new ResizeObserver(() => state.box && zoomed()).observe($("stage"));
 
@@ -344,6 +358,9 @@ function areaDrawn() {
   const limbs = state.image.layers.filter(layer => layer.name === "limb" && !layer.rejected).map(layer => [layer.subject, layer.points.filter(inArea)]).filter(([, points]) => points.length);
   $("drawn").replaceChildren(act("mask it", [{ area_px }]), ...limbs.map(([[target, estimator], points]) =>
     act(`reject ${counted(points.length, "limb point")} of ${estimator}`, points.map(point => ({ target, estimator, area_px: around(point) })))));
+  const profile = cell("button", "profile from corner to corner");
+  profile.onclick = () => showChart({ which: "profile", line: [...area_px[0], ...area_px[area_px.length >> 1]].join(",") });
+  $("drawn").append(profile);
 }
 const around = ([x, y]) => [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([dx, dy]) => [+(x + dx).toFixed(2), +(y + dy).toFixed(2)]);  // as far as the profile of a limb point needs
 
@@ -376,7 +393,7 @@ function step(sense) {
 // --- charts of the image
 
 const showChart = guarded(async chart => {
-  const index = state.index, ask = { which: chart.which, target: chart.target ?? "", estimator: chart.estimator ?? "", theme: "dark" };
+  const index = state.index, ask = { which: chart.which, target: chart.target ?? "", estimator: chart.estimator ?? "", line: chart.line ?? "", theme: "dark" };
   $("chart").textContent = "drawing";
   try {
     const picture = await (await get(`/chart/${index}.svg?` + new URLSearchParams(ask), "drawing a chart")).text();

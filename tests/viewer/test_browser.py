@@ -604,7 +604,7 @@ def test_an_outline_is_dragged_onto_the_body_and_the_image_solved_from_there(
         assert page.locator("#marks > g[data-layer=start] path.line").count() == 1
         found = page.evaluate("state.image.fixes.map(fix => [fix.x, fix.y])")
         np.testing.assert_allclose(found, [truth, truth], rtol=0, atol=0.1)
-        assert "the start of PEBBLE: it is over there" in page.locator("#decisions").inner_text()
+        assert "set: the start of PEBBLE at (" in page.locator("#decisions").inner_text()
 
 
 def test_limb_points_in_a_drawn_area_and_points_selected_in_the_table_are_rejected(page: Page, run: Path) -> None:
@@ -622,9 +622,8 @@ def test_limb_points_in_a_drawn_area_and_points_selected_in_the_table_are_reject
         page.mouse.down()
         page.mouse.move(*_place_of(page, *corners[1]), steps=4)
         page.mouse.up()
-        assert page.locator("#drawn button").all_inner_texts() == [
-            *("mask it", f"reject {inside} limb points of limb_matching"),
-        ]
+        texts = page.locator("#drawn button").all_inner_texts()
+        assert texts[:2] == ["mask it", f"reject {inside} limb points of limb_matching"]
         page.locator("#drawn button >> nth=1").click()
         _said(page, "mask drawn")
         assert len(read_edits(run).measuring()[file].areas["PEBBLE", "limb_matching"]) == inside
@@ -650,3 +649,46 @@ def test_limb_points_in_a_drawn_area_and_points_selected_in_the_table_are_reject
         _show(page, file)
         used = np.array(page.evaluate("state.image.layers.find(layer => layer.name === 'limb').points"))
         assert not ((used > corners[0]) & (used < corners[1])).all(axis=1).any()
+
+
+def test_the_page_shows_sky_zoom_profile_and_residuals_by_color(page: Page, run: Path) -> None:
+    with served(run) as address:
+        open_page(page, address)
+        _show(page, "visit0_a_long.fits")
+        before = float(page.inner_text("#zoom").split()[0])
+        page.mouse.move(*_place_of(page, 100.0, 80.0))
+        sky = "() => /ra [0-9.]+ deg +dec [-0-9.]+ deg/.test(document.getElementById('readout').textContent)"
+        page.wait_for_function(sky)
+        page.mouse.wheel(0, -400)
+        zoomed = "before => parseFloat(document.getElementById('zoom').textContent) > 1.5 * before"
+        page.wait_for_function(zoomed, arg=before)
+        page.keyboard.press("0")
+        page.locator("#opacity").fill("0.4")
+        assert page.evaluate("getComputedStyle(document.getElementById('marks')).opacity") == "0.4"
+        page.check("#by-residual")
+        hues = page.evaluate(
+            """() => [...document.querySelectorAll('#marks > g[data-layer=matches] g.mark')].map((mark, place) =>
+                [state.image.layers.find(layer => layer.name === 'matches').sigmas[place], mark.style.stroke])"""
+        )
+        colors = {color for sigmas, color in hues if sigmas < 0.3} | {color for sigmas, color in hues if sigmas > 1.5}
+        assert len(colors) > 1
+
+        page.mouse.move(*_place_of(page, 100.0, 80.0))
+        page.mouse.down(button="right")
+        page.mouse.move(*_place_of(page, 160.0, 50.0), steps=4)
+        page.mouse.up(button="right")
+        look = page.evaluate("document.getElementById('picture').style.filter")
+        factors = [float(number) for number in re.findall(r"[\d.]+", look)]
+        assert len(factors) == 2
+        assert min(factors) > 1.05
+        page.select_option("#stretch", "log")
+        assert page.evaluate("document.getElementById('picture').style.filter") == ""
+
+        page.click("#draw")
+        page.mouse.move(*_place_of(page, 40.0, 60.0))
+        page.mouse.down()
+        page.mouse.move(*_place_of(page, 140.0, 160.0), steps=4)
+        page.mouse.up()
+        page.get_by_text("profile from corner to corner").click()
+        page.wait_for_selector("#chart svg")
+        assert "along the line, px" in page.locator("#chart svg").inner_html()

@@ -209,7 +209,7 @@ def test_an_image_whose_prediction_is_too_far_off_is_solved_from_a_start(made: M
     center = [str(round(each)) for each in truth + 4.0]  # as well as a hand drags
     done = giantlike("edit", run, "start", SHORT, "--target", TARGET, "--center", *center, *BY_ANN)
     assert done.exit_code == 0, done.stderr
-    assert f"start {SHORT} ({TARGET} at {center[0]}.00, {center[1]}.00 px)" in done.stdout
+    assert f"start {SHORT} (the start of {TARGET} at ({center[0]}.00, {center[1]}.00) px)" in done.stdout
 
     again = run_campaign(Campaign.load(campaign), workers=1)
     assert sum(count.redone for count in again.steps.values()) == 2  # not the attitudes, nor the outline
@@ -223,7 +223,7 @@ def test_an_image_whose_prediction_is_too_far_off_is_solved_from_a_start(made: M
     assert f"Started by hand: center ({center[0]}.00" in giantlike("explain", run, SHORT).stdout
     assert "start" in {layer.name for layer in layers_of(Session(run).seen(SHORT))}
     dossier = write_dossier(run, run / "dossier", campaign)
-    assert f"at {center[0]}.00, {center[1]}.00 px" in (dossier / "dossier.html").read_text()
+    assert f"at ({center[0]}.00, {center[1]}.00) px" in (dossier / "dossier.html").read_text()
     assert sum(count.redone for count in run_campaign(Campaign.load(campaign), workers=1).steps.values()) == 0
 
     assert giantlike("edit", run, "restore", SHORT, "--target", TARGET, "--why", "no").exit_code == 0

@@ -13,6 +13,7 @@ from giantlike.campaign.store.edits import read_edits
 from giantlike.campaign.store.fix_differences import difference_of
 from giantlike.viewer import Session
 from giantlike.viewer.server import application
+from tests.viewer.conftest import Made
 
 TOKEN = "secret"
 
@@ -86,7 +87,7 @@ def test_charts_and_the_readout_of_a_pixel(client: TestClient) -> None:
     seen = client.get(f"/api/pixel/{index}", params={"x": fix["x"], "y": fix["y"]}).json()
     assert {"dn", "range", "phase", "incidence", "emission", "latitude", "longitude"} <= seen.keys()
     sky = client.get(f"/api/pixel/{index}", params={"x": 2, "y": 2}).json()
-    assert set(sky) == {"dn"}
+    assert set(sky) == {"dn", "ra", "dec"}
 
 
 def test_mistakes_are_told_in_words(client: TestClient) -> None:
@@ -139,3 +140,21 @@ def test_the_terminator_and_the_residual_map_are_drawn_when_they_are_asked_for(c
     assert "data:image/png" in picture.text
     refused = client.get(f"/chart/{index}.svg", params={"which": "map", "target": "PEBBLE", "estimator": "astrology"})
     assert refused.status_code == 400
+
+
+def test_the_sky_under_the_pointer_and_a_profile_are_those_of_the_image(made: Made, client: TestClient) -> None:
+    files = [image["file"] for image in client.get("/api/run").json()["images"]]
+    index = files.index("visit0_a_long.fits")
+    x, y = 30.5, 220.25
+    seen = client.get(f"/api/pixel/{index}?x={x}&y={y}").json()
+    ray = np.array([(x - 160.3) / 900.0, (y - 139.6) / 900.0, 1.0])  # the camera of the test, by hand
+    east, north, up = made[1][files[index]].camera_from_inertial.as_matrix().T @ ray / np.linalg.norm(ray)
+    assert seen["ra"] == pytest.approx(np.degrees(np.arctan2(north, east)) % 360.0, abs=1e-3)
+    assert seen["dec"] == pytest.approx(np.degrees(np.arcsin(up)), abs=1e-3)
+    answer = client.get(f"/chart/{index}.svg?which=profile&line=3,4,60,70")
+    assert answer.status_code == 200
+    assert "from (3.0, 4.0) to (60.0, 70.0)" in answer.text
+    for line, words in (("1,2,3", "a line is x,y,x,y"), ("1,2,3,x", "line must be a number"), ("0,0,9,900", "leaves")):
+        refused = client.get(f"/chart/{index}.svg?which=profile&line={line}")
+        assert refused.status_code == 400
+        assert words in refused.text

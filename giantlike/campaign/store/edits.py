@@ -153,7 +153,8 @@ class Edit(BaseModel):
         if self.what in _WHOLE:
             return f"the {self.what}"
         if self.what is Edited.START:
-            return f"the start of {self.target}"
+            place = "" if self.at_px is None else f" at ({self.at_px[0]:.2f}, {self.at_px[1]:.2f}) px"
+            return f"the start of {self.target}{place}"
         if self.what is Edited.MASK:
             (left, top), (right, bottom) = np.min(self.area, axis=0), np.max(self.area, axis=0)
             alone = "" if self.target is None else f", for {self.target} by {self.estimator}"
@@ -166,8 +167,6 @@ class Edit(BaseModel):
     def line(self) -> str:
         """The edit in one line."""
         which = "" if self.what in _WHOLE else f" ({self.name})"
-        if self.action == "start" and self.at_px is not None:
-            which = f" ({self.target} at {self.at_px[0]:.2f}, {self.at_px[1]:.2f} px)"
         what = "" if self.what == self.action else f" {self.what}"
         return _printable(f"{self.when_utc} {self.who}: {self.action}{what} {self.file}{which}: {self.why}")
 
