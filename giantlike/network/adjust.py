@@ -198,7 +198,7 @@ def _fit(problem: Problem, used: Mask, body: Rotating | None) -> NetworkFix | Fa
             problem.apply_step,
             max_steps=options.max_steps,
             rough=True,
-            tolerance=1.0 if rounds == 1 else None,
+            tolerance=1.0 if rounds == 1 else 0.1,
         )
         if isinstance(found, Failure):
             return found

@@ -26,6 +26,7 @@ from giantlike.network.problem import (
     State,
     find_undetermined,
     frame_directions,
+    mirror,
 )
 from giantlike.network.result import CovariancePart, FrameDirection, NetworkFix, PointStatus
 from giantlike.network.rotation import Rotating
@@ -168,15 +169,16 @@ def _reduced_covariances(
     The last of what is returned are the covariances (p, 3, 3) of the points with all else known.
     """
     try:
-        matrix, _, inverse = normal.without_points()
+        upper, _, inverse = normal.without_points()
+        matrix = mirror(upper)
         present = np.diagonal(normal.reduced) > 0.0
         which, held = np.flatnonzero(problem.estimated & present), np.flatnonzero(~problem.estimated & present)
         total = np.zeros((problem.size, problem.size))
         if len(which):
             kept, units = normal.scale(matrix, which)
             factor = scipy.linalg.cho_factor(kept, overwrite_a=True, check_finite=False)
-            found = scipy.linalg.cho_solve(factor, np.eye(len(which)), overwrite_b=True) * np.outer(units, units)
-            total[np.ix_(which, which)] = symmetric(found)
+            found, _ = scipy.linalg.lapack.dpotri(factor[0])
+            total[np.ix_(which, which)] = mirror(found) * np.outer(units, units)
     except np.linalg.LinAlgError:
         return Failure(
             Reason.DEGENERATE_GEOMETRY,
@@ -194,11 +196,11 @@ def _reduced_covariances(
         parts[Cause(cause)] = own @ own.T + moved @ moved.T
     weights = np.where(problem.points.known, 1.0, 0.0)[:, :, None] * np.eye(3)
     if problem.options.points is Treatment.CONSIDER:
-        inverse, relief = weights, -total @ normal.eliminate(weights) @ total
+        inverse, relief = weights, total @ mirror(-normal.eliminate(weights)) @ total
         parts[Cause.RELIEF] = relief
         total = total + relief
     elif problem.points.known.any():
-        parts[Cause.RELIEF] = -total @ normal.eliminate(inverse @ weights @ inverse) @ total
+        parts[Cause.RELIEF] = total @ mirror(-normal.eliminate(inverse @ weights @ inverse)) @ total
     return total + considered @ considered.T, parts, inverse
 
 

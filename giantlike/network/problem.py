@@ -110,7 +110,9 @@ class Problem(Value):
     sigma_shared: Float
     estimated: Mask
     first: Index
+    ets: Float
     et: float
+    declared: Rotation
     inertial_from_node: Float
     models: tuple[int, ...]
     datum: Float
@@ -132,7 +134,8 @@ class Problem(Value):
             "poses consider: all images need an a priori covariance",
         )
         first = np.concatenate([[0], np.cumsum(tracks.views)]).astype(np.int64)
-        et = float(np.mean([photo.et for photo in photos]))
+        ets = np.array([photo.et for photo in photos])
+        et = float(ets.mean())
         models: list[CameraModel] = []
         for photo in photos:
             if photo.model not in models:
@@ -171,7 +174,9 @@ class Problem(Value):
             sigma_shared=np.array([sigma for _, sigma, _ in shared]),
             estimated=np.array([poses_estimated] * (POSE * len(photos)) + estimated),
             first=first,
+            ets=ets,
             et=et,
+            declared=Rotation.concatenate([photo.inertial_from_body for photo in photos]),
             inertial_from_node=node,
             models=tuple(models.index(photo.model) for photo in photos),
             datum=np.zeros((POSE * len(photos) + len(names), 0)),
@@ -189,10 +194,9 @@ class Problem(Value):
 
     def inertial_from_body(self, state: State) -> Float:
         """Orientation (m, 3, 3) of the body in each image."""
-        declared = Rotation.concatenate([photo.inertial_from_body for photo in self.photos])
-        angle = self.value(state, "rate") * (np.array([photo.et for photo in self.photos]) - self.et)
-        matrix: Float = (state.turn * declared * Rotation.from_rotvec(angle[:, None] * [0.0, 0.0, 1.0])).as_matrix()
-        return matrix
+        angle = self.value(state, "rate") * (self.ets - self.et)
+        late = Rotation.from_rotvec(angle[:, None] * [0.0, 0.0, 1.0])
+        return np.asarray((state.turn * self.declared * late).as_matrix())
 
     def value(self, state: State, name: str) -> float:
         """Departure of a shared parameter; zero for one that is fixed."""
@@ -244,7 +248,7 @@ class Problem(Value):
             if name in columns:
                 by_shared[:, :, k] = by_turn @ columns[name]
             elif name == "rate":
-                late = np.array([photo.et for photo in self.photos])[self.tracks.photo] - self.et
+                late = self.ets[self.tracks.photo] - self.et
                 by_shared[:, :, k] = np.einsum("nij,nj->ni", by_turn, bodies[:, :, 2] * late[:, None])
             elif name == "size":
                 by_shared[:, :, k] = np.einsum("nij,nj->ni", by_inertial, inertial / scale)
@@ -435,24 +439,23 @@ class NormalEquations:
         return POSE * len(self.problem.photos) + -(-len(self.problem.names) // POSE) * POSE
 
     def without_points(self, damping: float = 0.0) -> tuple[Float, Float, Float]:
-        """Reduced matrix (r, r) and gradient (r,) with the points eliminated, and inverse blocks (p, 3, 3) of these."""
+        """Upper triangle (r, r) and gradient (r,) with the points eliminated, and inverse blocks (p, 3, 3) of these."""
         inverse: Float = np.asarray(np.linalg.inv(self.points * (1.0 + damping * np.eye(3))))
         if self.problem.options.points is not Treatment.ESTIMATE:
             inverse = np.zeros_like(inverse)
-        matrix = self.reduced + self.eliminate(inverse)
+        matrix = self.eliminate(inverse, self.reduced)
         size = np.arange(len(matrix))
         matrix[size, size] += damping * np.diagonal(self.reduced)
         alone = (inverse @ self.point_gradient[..., None])[..., 0]
         return matrix, self.gradient - self.carry(alone), inverse
 
-    def eliminate(self, inverse: Float) -> Float:
-        """Minus the sum (r, r) of ``W V W^T`` over the points, for matrices ``V`` (p, 3, 3)."""
-        rows, first, blocks = self.blocks
+    def eliminate(self, inverse: Float, matrix: Float | float = 0.0) -> Float:
+        """Upper triangle of a matrix (r, r) minus the sum of ``W V W^T`` over points with matrices ``V`` (p, 3, 3)."""
+        size = self.problem.size
         total = np.zeros((self.padded_size, self.padded_size))
-        eliminate_points(total, rows, first, blocks, inverse)
-        upper = np.triu(total[: self.problem.size, : self.problem.size])
-        result: Float = upper + np.triu(upper, 1).T
-        return result
+        total[:size, :size] = matrix
+        eliminate_points(total, *self.blocks, inverse)
+        return total[:size, :size]
 
     def carry(self, points: Float) -> Float:
         """Product of the coupling with values (p, 3) of the points: (r,)."""
@@ -496,6 +499,12 @@ class NormalEquations:
             axes = np.linalg.qr(held)[0]
             kept = kept + axes @ axes.T
         return kept, units
+
+
+def mirror(upper: Float) -> Float:
+    """Symmetric matrix (r, r) of its upper triangle."""
+    triangle = np.triu(upper)
+    return np.asarray(triangle + np.triu(triangle, 1).T)
 
 
 def frame_directions(problem: Problem) -> tuple[Float, Float, Float]:

@@ -1,0 +1,127 @@
+"""Control networks: CPU time and memory of large ones; consistency (NEES) with outliers, with and without rejection.
+
+``python benchmarks/network.py [--scenes N]`` prints one JSON object. Scenes are drawn here, with numpy alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import resource
+import time
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from giantlike.calibration.options import Loss
+from giantlike.camera_models import PinholeModel
+from giantlike.core.arrays import Float
+from giantlike.network import NetworkFix, NetworkOptions, Photo, Tracks, adjust
+
+CAMERA = PinholeModel(fx_px=4000.0, fy_px=4000.0, cx_px=511.5, cy_px=511.5)
+SIGMA_PX = 0.5
+PIXEL_KM = 20.0 / 4000.0
+SIGMAS = np.array([2e-4] * 3 + [0.02] * 3)  # rad, km: of a priori poses
+REJECT_NONE = NetworkOptions(loss=Loss.LINEAR, outlier_sigmas=math.inf)
+
+
+def scene(
+    seed: int, *, images: int, points: int, measures: int, outliers: float = 0.0
+) -> tuple[list[Photo], Tracks, Float, Float]:
+    """Points on a sphere of 1 km, cameras all around at 20 km, each measure of a visible point.
+
+    Returns photos, tracks, points (p, 3), and errors (m, 6) of the a priori poses: true minus a priori.
+    """
+    rng = np.random.default_rng(seed)
+    truth = rng.normal(size=(points, 3))
+    truth /= np.linalg.norm(truth, axis=1)[:, None]
+    angle = 2.0 * np.pi * np.arange(images) / images + 0.3
+    positions = 20.0 * np.stack([np.cos(angle), np.sin(angle), 0.4 * np.sin(3.0 * angle)], axis=1)
+    seen = [(i, k) for k in range(images) for i in np.flatnonzero(truth @ positions[k] > 6.0)]
+    chosen = [seen[j] for j in rng.choice(len(seen), min(measures, len(seen)), replace=False)]
+    point, photo = np.array(chosen).T
+    photos, pixels = [], np.empty((len(chosen), 2))
+    errors = rng.normal(size=(images, 6)) * SIGMAS
+    for k in range(images):
+        z = -positions[k] / np.linalg.norm(positions[k])
+        x = np.cross([0.0, 0.0, 1.0], z)
+        x /= np.linalg.norm(x)
+        attitude = Rotation.from_matrix(np.stack([x, np.cross(z, x), z]))
+        mine = photo == k
+        look = (truth[point[mine]] - positions[k]) @ attitude.as_matrix().T
+        pixels[mine] = 4000.0 * look[:, :2] / look[:, 2:] + 511.5
+        photos.append(
+            Photo(
+                name=str(k),
+                model=CAMERA,
+                camera_from_inertial=Rotation.from_rotvec(-errors[k, :3]) * attitude,
+                position_km=positions[k] - errors[k, 3:],
+                covariance_pose=np.diag(SIGMAS**2),
+            )
+        )
+    pixels += rng.normal(0.0, SIGMA_PX, pixels.shape)
+    bad = rng.random(len(pixels)) < outliers
+    turn = rng.uniform(0.0, 2.0 * np.pi, len(pixels))
+    length = np.where(bad, rng.uniform(0.0, 30.0, len(pixels)), 0.0)
+    tracks = Tracks(
+        names=tuple(str(number) for number in range(points)),
+        point=point,
+        photo=photo,
+        points_px=pixels + length[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1),
+        sigma_px=np.array(SIGMA_PX),
+    )
+    return photos, tracks, truth, errors
+
+
+def nees(seed: int, options: NetworkOptions | None = None, outliers: float = 0.03) -> tuple[float, float] | None:
+    """NEES per degree of freedom of checked points and of poses of one scene; None where the fit fails."""
+    photos, tracks, truth, errors = scene(seed, images=12, points=80, measures=400, outliers=outliers)
+    fix = adjust(photos, tracks, options=options)
+    if not isinstance(fix, NetworkFix):
+        return None
+    good = fix.point_status == "checked"
+    error = (fix.points_km - truth)[good]
+    of_points = np.einsum("pi,pij,pj->p", error, np.linalg.inv(fix.covariance_points_km2[good]), error)
+    total = 0.0
+    for k, photo in enumerate(fix.photos):
+        attitude = Rotation.from_rotvec(errors[k, :3]) * photos[k].camera_from_inertial
+        turn = (attitude * photo.camera_from_inertial.inv()).as_rotvec()
+        pose = np.concatenate([turn, photos[k].position_km + errors[k, 3:] - photo.position_km])
+        total += float(pose @ np.linalg.solve(fix.covariance_poses[k], pose))
+    return float(of_points.mean()) / 3.0, total / (6.0 * len(photos))
+
+
+def consistency(scenes: int) -> dict[str, Any]:
+    """Mean NEES of many scenes, with and without rejection."""
+    found = {}
+    for name, options in (("rejection", None), ("no rejection", REJECT_NONE)):
+        values = [each for each in (nees(seed, options) for seed in range(scenes)) if each is not None]
+        points, poses = np.mean(values, axis=0)
+        found[name] = {"scenes": len(values), "points": round(float(points), 3), "poses": round(float(poses), 3)}
+    return found
+
+
+def timing(measures: int) -> dict[str, Any]:
+    """CPU time of an adjustment with the covariances of 500 images and 2,000 points."""
+    photos, tracks, *_ = scene(1, images=500, points=2000, measures=measures)
+    start = time.process_time()
+    fix = adjust(photos, tracks)
+    seconds = time.process_time() - start
+    assert isinstance(fix, NetworkFix), fix
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    return {"measures": len(tracks.point), "cpu_s": round(seconds, 1), "steps": fix.steps, "peak_gb": round(memory, 2)}
+
+
+def main() -> None:
+    """Print all figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=int, default=200)
+    scenes = parser.parse_args().scenes
+    adjust(*scene(0, images=4, points=30, measures=100)[:2])  # loops are compiled
+    print(json.dumps({"timing": [timing(count) for count in (10_000, 50_000)], "nees": consistency(scenes)}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
