@@ -52,7 +52,7 @@ def adjust(
     -------
     NetworkFix or Failure
         Failure reasons: degenerate_geometry (poses with too few points, parts without common points, points behind
-        their cameras), not_converged.
+        their cameras), too_few_matches, not_converged.
 
     Raises
     ------
@@ -142,6 +142,10 @@ def _keep_supported(problem: Problem, used: Mask) -> Mask:
 def _find_refusal(problem: Problem, used: Mask) -> Failure | None:
     """Failure where poses are not determined, or parts of the network share no point."""
     tracks, photos = problem.tracks, problem.photos
+    if not used.any():
+        return Failure(
+            Reason.TOO_FEW_MATCHES, f"none of {len(used)} measures agrees with another: check poses and points"
+        )
     counts = np.bincount(tracks.photo, used, len(photos))
     loose = ~(problem.poses.known | problem.poses.held).all(axis=1)
     poor = np.flatnonzero(loose & (counts < _MIN_POINTS))
@@ -204,6 +208,9 @@ def _fit(problem: Problem, used: Mask, body: Rotating | None) -> NetworkFix | Fa
             return found
         before, state, steps = used, found.state, steps + found.steps
         used = _keep_supported(problem, find_agreeing(problem, state, used))
+        refused = _find_refusal(problem, used)
+        if refused is not None:
+            return refused
         if rounds > 1 and np.array_equal(used, before):
             used = exchange(problem, state, used)
             if np.array_equal(used, before) or used.tobytes() in tried:

@@ -103,6 +103,7 @@ class Tracks(Value):
     def __post_init__(self) -> None:
         count, number = len(self.names), len(self.point)
         require(0 < count <= MAX_POINTS, f"a network has 1 to {MAX_POINTS} points, got {count}: thin them out")
+        require(number > 0, "a network needs at least one measure")
         point, photo = np.asarray(self.point, dtype=np.int64), np.asarray(self.photo, dtype=np.int64)
         require(point.shape == photo.shape == (number,), f"photo must have shape ({number},), got {photo.shape}")
         require(bool((point >= 0).all() and (point < count).all()), f"point must hold indices from 0 to {count - 1}")

@@ -224,6 +224,14 @@ def test_poses_of_few_points_and_parts_without_common_points_are_named() -> None
     assert isinstance(adjust(truth.photos, parts), NetworkFix)
 
 
+def test_measures_of_which_none_agrees_are_a_failure() -> None:
+    truth = world(12, points=8)
+    tracks = kept(truth.tracks, np.flatnonzero(truth.tracks.photo == truth.tracks.point % 6))
+    outcome = adjust(truth.photos, tracks)
+    assert isinstance(outcome, Failure)
+    assert outcome.reason is Reason.TOO_FEW_MATCHES
+
+
 def test_misuse_is_refused_in_one_line() -> None:
     truth = world(10, points=4, images=2)
     tracks = truth.tracks
