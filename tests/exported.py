@@ -32,6 +32,7 @@ PACKAGES = (
     "giantlike.core.detector",
     "giantlike.stars.rates",
     "giantlike.triangulation",
+    "giantlike.network",
     "giantlike.passes",
     "giantlike.cislunar",
     "giantlike.autonomy",
