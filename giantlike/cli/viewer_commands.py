@@ -122,6 +122,9 @@ def view(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; default: a free one.")] = 0,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in your browser.")] = True,
     campaign: CampaignFile = None,
+    other: Annotated[
+        Path | None, typer.Option("--with", help="Another run, to blink against image by image.", metavar="RUN")
+    ] = None,
 ) -> ExitCode:
     """Look into a run in a browser: images, layers, templates, residuals, fixes; reject, restore and solve again.
 
@@ -138,5 +141,5 @@ def view(
 
             webbrowser.open(address)
 
-    serve(folder, campaign=campaign, port=port, announce=announce)
+    serve(folder, campaign=campaign, port=port, announce=announce, other=other)
     return ExitCode.DONE

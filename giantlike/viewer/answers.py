@@ -81,6 +81,12 @@ class Answers:
                 "who": getpass.getuser(),
             }
 
+    def places(self) -> dict[str, Any]:
+        """The name of the run, and the numbers of its images by file."""
+        with self._lock:
+            result = self._session.result
+            return {"name": result.name, "images": {one.file: number for number, one in enumerate(result.attitudes)}}
+
     def image(self, index: int) -> dict[str, Any]:
         """One image: layers, words, fixes and edits."""
         with self._lock:

@@ -36,9 +36,12 @@ _MAX_BODY = 400_000
 """Maximum size of a request, bytes: two thousand edits of points, or one with a reason and a drawn area."""
 
 
-def application(session: Session, token: str) -> Starlette:
-    """Make the web application of a run."""
-    answers = Answers(session)
+def application(session: Session, token: str, other: Session | None = None) -> Starlette:
+    """Make the web application of a run, and of another one to blink against."""
+    answers, beside = Answers(session), None if other is None else Answers(other)
+
+    def run() -> dict[str, Any]:
+        return answers.run() | {"other": None if beside is None else beside.places()}
 
     async def page(request: Request) -> Response:
         answer = HTMLResponse(_part("view.html").replace("{{ token }}", html.escape(token)))
@@ -74,7 +77,7 @@ def application(session: Session, token: str) -> Starlette:
     routes = [
         Route("/", page),
         *(Route(f"/{name}", part) for name in _PARTS),
-        Route("/api/run", reading(answers.run)),
+        Route("/api/run", reading(run)),
         Route("/api/image/{index:int}", reading(answers.image)),
         Route("/api/terminator/{index:int}", reading(answers.terminator)),
         Route("/api/compare", reading(answers.compare)),
@@ -87,6 +90,9 @@ def application(session: Session, token: str) -> Starlette:
         Route("/thumbnail/{index:int}.jpg", reading(answers.thumbnail, "image/jpeg")),
         Route("/chart/{index:int}.svg", reading(answers.chart, "image/svg+xml")),
     ]
+    if beside is not None:
+        routes.append(Route("/other/image/{index:int}", reading(beside.image)))
+        routes.append(Route("/other/picture/{index:int}.png", reading(beside.picture, "image/png")))
 
     async def refuse(request: Request, error: Exception) -> Response:
         text = " ".join(str(error).split()).encode("utf-8", "backslashreplace")
@@ -152,14 +158,16 @@ class _Gate(BaseHTTPMiddleware):
         return answer
 
 
-def serve(run: Path, *, campaign: Path | None, port: int, announce: Callable[[str], None]) -> None:
-    """Serve the viewer of a run until it is interrupted."""
+def serve(
+    run: Path, *, campaign: Path | None, port: int, announce: Callable[[str], None], other: Path | None = None
+) -> None:
+    """Serve the viewer of a run, and of another one to blink against, until it is interrupted."""
     import socket
 
     import uvicorn
 
     token = secrets.token_urlsafe(24)
-    app = application(Session(run, campaign), token)
+    app = application(Session(run, campaign), token, None if other is None else Session(other))
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((LOOPBACK, port))

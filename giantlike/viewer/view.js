@@ -3,7 +3,7 @@
 
 const TOKEN = document.querySelector("meta[name=token]").content, NS = "http://www.w3.org/2000/svg", $ = id => document.getElementById(id);
 const state = { run: null, image: null, index: -1, off: new Set(["detections", "fitted"]), box: null, selected: null, sort: ["index", 1], pairs: null, pairSort: ["", 1], points: null, pointSort: ["sigmas", -1], area: null,
-  tab: "fixes", blink: 0, moved: null };
+  tab: "fixes", blink: 0, moved: null, other: null, side: false };
 const COLUMNS = [["file", "image"], ["target", "target"], ["estimator", "estimator"], ["words", "status"], ["x", "x, px"], ["y", "y, px"], ["sigma_x", "sigma x"],
   ["sigma_y", "sigma y"], ["dx", "o-c x, px"], ["dy", "o-c y, px"], ["range_km", "range, km"], ["sigma_range_km", "sigma range"], ["d_range_percent", "o-c range, %"],
   ["reason", "reason or flags"]];
@@ -78,6 +78,7 @@ async function loadRun() {
   for (const [id, values] of [["stretch", state.run.stretches], ["colors", state.run.color_maps]])
     if (!$(id).children.length) $(id).replaceChildren(...values.map(value => new Option(value)));
   $("who").value ||= state.run.who;
+  $("other").hidden = $("blink-runs").hidden = !state.run.other;
   filterFilm(); drawRows();
 }
 const SHOWN = ["all", "ok", "accepted", "suspect", "failed", "rejected", "unseen", "to discuss"];
@@ -106,7 +107,7 @@ const choose = guarded(async index => {
   const number = ++wanted, same = index === state.index;
   const image = await (await get(`/api/image/${index}`, "reading the image")).json();
   if (number !== wanted) return;
-  state.image = image; state.index = index;
+  state.image = image; state.index = index; state.other = null; turnTo(false);
   for (const button of $("frames").children) button.classList.toggle("chosen", +button.dataset.index === index);
   if (!same) {
     $("frames").children[index].scrollIntoView({ block: "nearest" });
@@ -129,8 +130,8 @@ const choose = guarded(async index => {
 
 // --- the picture
 
-const address = kind => { const [name, target = ""] = kind.split("|");
-  return `/picture/${state.index}.png?` + new URLSearchParams({ kind: name, target, stretch: $("stretch").value, colors: $("colors").value }); };
+const address = (kind, side = state.side) => { const [name, target = ""] = kind.split("|");
+  return `${side ? `/other/picture/${state.other.index}` : `/picture/${state.index}`}.png?` + new URLSearchParams({ kind: name, target, stretch: $("stretch").value, colors: $("colors").value }); };
 let pictureDone = () => {};
 function drawPicture(kind = $("kind").value) {
   const picture = $("picture"), image = state.image;
@@ -142,7 +143,33 @@ function drawPicture(kind = $("kind").value) {
 $("picture").addEventListener("load", () => { pictureDone(); $("picture").style.visibility = ""; });
 $("picture").addEventListener("error", guarded(async () => { pictureDone(); await get($("picture").getAttribute("href")); }));
 for (const id of ["kind", "stretch", "colors"]) $(id).onchange = () => { stopBlink(); relook(1, 1); drawPicture(); };
-function stopBlink() { clearInterval(state.blink); state.blink = 0; $("blink").classList.remove("on"); }
+function stopBlink() { clearInterval(state.blink); state.blink = 0; for (const id of ["blink", "blink-runs"]) $(id).classList.remove("on"); }
+
+// --- another run, image by image: the part in view stays
+
+const ofSide = () => state.side ? state.other : state.image;
+function turnTo(side) { state.side = side; $("other").classList.toggle("on", side); $("name").textContent = side ? state.run.other.name : state.run.name; }
+async function readOther() {  // false where the other run has no image of this name
+  const { name, images } = state.run.other, index = state.index;
+  if (images[state.image.file] === undefined) { say(`${name} has no image ${state.image.file}`); return false; }
+  const other = state.other ?? await (await get(`/other/image/${images[state.image.file]}`, "reading the other run")).json();
+  if (index !== state.index) return false;
+  state.other = other;
+  return true;
+}
+function drawSide(side) { turnTo(side); drawLayers(); $("words").textContent = ofSide().words; }
+$("other").onclick = guarded(async () => {
+  stopBlink();
+  if (state.side || await readOther()) { drawSide(!state.side); drawPicture(); }
+});
+$("blink-runs").onclick = guarded(async () => {
+  if ($("blink-runs").classList.contains("on")) { stopBlink(); drawSide(false); drawPicture(); return; }
+  if (!await readOther()) return;
+  stopBlink(); $("blink-runs").classList.add("on");
+  const index = state.index, pictures = await Promise.all([false, true].map(side => asData(address($("kind").value, side))));
+  if (index !== state.index || !$("blink-runs").classList.contains("on")) return;
+  state.blink = setInterval(() => { drawSide(!state.side); $("picture").setAttribute("href", pictures[+state.side]); }, 600);
+});
 $("blink").onclick = () => {
   if ($("blink").classList.contains("on")) { stopBlink(); drawPicture(); return; }
   const target = state.image.targets[0];
@@ -164,8 +191,8 @@ async function asData(path) {  // fetched once: a template takes longer to rende
 
 const isLine = layer => layer.shape === "line" || layer.shape === "dashes";
 function drawLayers() {
-  $("marks").replaceChildren(...state.image.layers.map(drawLayer));
-  const kinds = [...new Set(state.image.layers.map(layer => layer.name))];
+  $("marks").replaceChildren(...ofSide().layers.map(drawLayer));
+  const kinds = [...new Set(ofSide().layers.map(layer => layer.name))];
   const late = state.image.targets.length && !kinds.includes("terminator") ? [lateLayer()] : [];
   $("layers").replaceChildren(...kinds.map(layerSwitch), ...late);
   zoomed();
@@ -189,7 +216,7 @@ function drawLayer(layer) {
     if (label) { const title = drawn("title"); title.textContent = label; mark.append(title); }
     if (layer.names[place]) mark.append(written(layer.names[place], 6, 3));
     if ($("by-residual").checked && layer.sigmas.length) mark.style.stroke = mark.style.fill = colorOf(layer.sigmas[place]);
-    if (star !== undefined) { mark.dataset.star = star; mark.onclick = () => rejectStar(star); }
+    if (star !== undefined) { mark.dataset.star = star; mark.onclick = () => state.side ? say("decisions are of the first run: press o") : rejectStar(star); }
     group.append(mark);
   });
   return group;
@@ -198,7 +225,7 @@ const colorOf = sigmas => `hsl(${120 - 40 * Math.min(sigmas, 3)} 100% 60%)`;  //
 $("by-residual").onchange = () => drawLayers();
 $("opacity").oninput = () => { $("marks").style.opacity = $("opacity").value; };
 function layerSwitch(name) {
-  const layers = state.image.layers.filter(layer => layer.name === name), marked = layers.filter(layer => !isLine(layer));
+  const layers = ofSide().layers.filter(layer => layer.name === name), marked = layers.filter(layer => !isLine(layer));
   const label = document.createElement("label"), box = document.createElement("input"), dot = document.createElement("i");
   box.type = "checkbox"; box.checked = !state.off.has(name); box.dataset.layer = name; dot.style.background = layers[0].color;
   const count = marked.length ? marked.reduce((sum, each) => sum + each.points.length, 0) : layers.length;
@@ -233,7 +260,7 @@ function nameMarks() {  // the first in view, which are those that matter most, 
   const { x, y, w, h } = state.box, scale = scaleOf(), taken = [];
   const free = box => taken.every(each => box[0] > each[2] || box[2] < each[0] || box[1] > each[3] || box[3] < each[1]);
   [...$("marks").children].forEach((group, number) => {
-    const layer = state.image.layers[number], shown = !state.off.has(layer.name);
+    const layer = ofSide().layers[number], shown = !state.off.has(layer.name);
     if (!layer.names.length) return;
     let left = MOST_NAMES;
     [...group.children].forEach((mark, place) => {
@@ -383,7 +410,7 @@ function select(mark) {
     + `   x ${mark.point[0].toFixed(2)}  y ${mark.point[1].toFixed(2)} px`;
 }
 function step(sense) {
-  const marks = state.image.layers.filter(layer => !isLine(layer) && !state.off.has(layer.name)).flatMap(layer => layer.points.map((point, place) => ({ layer, place, point })));
+  const marks = ofSide().layers.filter(layer => !isLine(layer) && !state.off.has(layer.name)).flatMap(layer => layer.points.map((point, place) => ({ layer, place, point })));
   if (!marks.length) { say("the layers shown have no marks"); return; }
   $("stage").focus({ preventScroll: true });  // Enter is for the mark, not for a button that was pressed before
   const now = marks.findIndex(mark => mark.layer === state.selected?.layer && mark.place === state.selected?.place);
@@ -640,7 +667,9 @@ window.addEventListener("keydown", event => {
   else if (event.key === "0") fit();
   else if (event.key === "n" || event.key === "p") step(event.key === "n" ? 1 : -1);
   else if (event.key === "b") $("blink").click();
-  else if (event.key === "Enter" && state.selected?.layer.star_ids.length && !event.target.closest("button")) rejectStar(state.selected.layer.star_ids[state.selected.place]);
+  else if (event.key === "o" && state.run.other) $("other").click();
+  else if (event.key === "r" && state.run.other) $("blink-runs").click();
+  else if (event.key === "Enter" && !state.side && state.selected?.layer.star_ids.length && !event.target.closest("button")) rejectStar(state.selected.layer.star_ids[state.selected.place]);
   else return;
   event.preventDefault();
 });

@@ -25,9 +25,9 @@ _TOKEN = "secret"
 
 
 @contextmanager
-def served(run: Path) -> Iterator[str]:
-    """Address of a server of the run."""
-    app = application(Session(run), _TOKEN)
+def served(run: Path, other: Path | None = None) -> Iterator[str]:
+    """Address of a server of the run, and of another one beside it."""
+    app = application(Session(run), _TOKEN, None if other is None else Session(other))
     server = uvicorn.Server(uvicorn.Config(app, host=LOOPBACK, port=0, log_level="error"))
     thread = threading.Thread(target=server.run)
     thread.start()

@@ -1,6 +1,7 @@
 """The bench in a headless Chromium: marks on their places, layers, rejection and solution, a thousand images."""
 
 import re
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -105,6 +106,35 @@ def test_every_mark_of_every_layer_is_drawn_on_its_place(page: Page, run: Path, 
                 _assert_drawn(page)
     others = {"limb-rejected", "rejected-stars", "start", "mask"}  # with the code of layers that are drawn
     assert drawn == set(LAYERS) - others
+
+
+def test_two_runs_are_shown_in_turn_at_the_same_place(page: Page, run: Path) -> None:
+    file, place, other = "visit0_a_long.fits", [37.25, 211.5], run.with_name("other")
+    shutil.copytree(run, other)
+    with_rejected_match(other, file, place)
+    has_mark = (
+        f"() => ofSide().layers.some(layer => '{place}' === '[' + String(layer.points[0]).replace(',', ', ') + ']')"
+    )
+    with served(run, other) as address:
+        open_page(page, address)
+        _show(page, file)
+        page.mouse.move(*_place_of(page, 100.0, 80.0))
+        page.mouse.wheel(0, -400)
+        page.wait_for_function("() => state.box.w < 0.8 * state.image.columns")
+        box = page.evaluate("state.box")
+        assert not page.evaluate(has_mark)
+        page.click("#other")
+        page.wait_for_function("() => state.side")
+        assert page.evaluate(has_mark)
+        assert page.evaluate("document.querySelectorAll('#marks > g').length === state.other.layers.length")
+        assert page.get_attribute("#picture", "href").startswith("/other/picture/")  # type: ignore[union-attr]
+        assert page.evaluate("state.box") == box
+        page.click("#blink-runs")
+        for side in ("!state.side", "state.side", "!state.side"):
+            page.wait_for_function(f"() => {side}")
+        page.click("#blink-runs")
+        assert not page.evaluate("state.side")
+        assert page.evaluate("state.box") == box
 
 
 def test_names_are_written_beside_stars_and_landmarks_and_used_ones_are_told_from_rejected(
