@@ -120,7 +120,8 @@ def _lines(fix: NetworkFix, summary: dict[str, Any]) -> list[str]:
             f"position sigma {sigma:.3g} km, attitude {max(one['sigma_attitude_deg']):.3g} deg"
         )
     for each in fix.frame:
-        sigma_text = "not known a priori: held" if math.isinf(each.sigma) else f"sigma {each.sigma:.3g}"
+        unit = {"shift": " km", "rotation": " rad"}.get(each.name.split()[0], "")
+        sigma_text = "not known a priori: held" if math.isinf(each.sigma) else f"sigma {each.sigma:.3g}{unit}"
         lines.append(f"  {each.name}: {sigma_text}, {100.0 * each.share:.0f} % of the variance of the points")
     lines += [
         f"  {one['name']}: {one['departure']:.4g} +- {one['sigma']:.2g}, {one['verdict']}" for one in summary["shared"]
