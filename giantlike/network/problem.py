@@ -395,7 +395,7 @@ def sums_by(values: Float, index: NDArray[np.int64], count: int) -> Float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NormalEquations:
+class NormalEquations(Value):
     """Blocks at a state, all unknowns as ``z``.
 
     reduced (r, r): of poses and shared parameters (upper triangle of blocks); gradient (r,).

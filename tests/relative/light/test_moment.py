@@ -241,7 +241,12 @@ def test_a_body_of_which_more_is_lost_than_it_has_light_has_no_signal() -> None:
     bright = case.image.pixels > 0.5 * case.image.pixels.max()
     lost = np.zeros_like(bright)
     lost[y - 16 : y + 16, x - 16 : x + 16] = True
-    pixels[lost & ~bright] = 0.0  # as blocks that never arrived
+    lost &= ~bright
+    received = Moment().estimate(replace(case.image, pixels=np.where(lost, 0.0, pixels)), case.camera, case.scene)
+    assert isinstance(received, CenterFix)  # blocks of one value that never arrived are masked
+    off_px = received.center_px - case.center_px
+    assert off_px @ np.linalg.solve(received.covariance_px2, off_px) < float(chi2.ppf(1.0 - RARE, 2))
+    pixels[lost] = np.random.default_rng(1).uniform(0.0, 200.0, int(lost.sum()))  # as they never are
     failure = Moment().estimate(replace(case.image, pixels=pixels), case.camera, case.scene)
     assert isinstance(failure, Failure)
     assert failure.reason is Reason.NO_SIGNAL
