@@ -64,6 +64,8 @@ def with_budget(
     camera: Camera,
     geometry: TargetGeometry,
     motion: Callable[[TargetGeometry], Float | Failure],
+    *,
+    by_outline: bool = False,
 ) -> AnyFix | Failure:
     """Add the causes of error that an estimator cannot see in its image to a fix.
 
@@ -71,7 +73,9 @@ def with_budget(
     that the direction of a body in inertial axes is less affected than in camera axes: the part ``CAMERA`` is the
     former, ``covariance_camera_km2`` contains the latter. A poorly known attitude also rotates body and Sun in camera
     axes, which moves the fix: the part ``ORIENTATION``. The sigmas are ``camera.uncertainty``,
-    ``image.attitude_covariance_rad2`` and ``geometry.target.uncertainty``; one that is not given adds nothing.
+    ``image.attitude_covariance_rad2`` and ``geometry.target.uncertainty``; one that is not given adds nothing. An
+    outline does not move with the Sun, which only says where it is lit: other points of the limb would scatter with
+    any Sun.
     """
     size = 3 if isinstance(fix, PositionFix) else 2
     model = camera.model
@@ -82,7 +86,7 @@ def with_budget(
     parts = dict(fix.parts) or {Cause.NOISE: _own_covariance(fix, place_per_km)}
     radius_px = apparent_radius_px(camera, fix.center_px, geometry.target.shape.mean_radius_km, geometry.range_km)
     least_rad = _least_step_rad(radius_px)
-    by_body = _body_partials(fix, geometry, motion, least_rad, missing=set(Cause) - set(parts))
+    by_body = _body_partials(fix, geometry, motion, least_rad, missing=set(Cause) - set(parts), by_outline=by_outline)
     if isinstance(by_body, Failure):
         return by_body
     body = _body_parts(by_body, geometry)
@@ -277,6 +281,7 @@ def _body_partials(
     least_rad: float,
     *,
     missing: set[Cause],
+    by_outline: bool,
 ) -> dict[Cause, Float] | Failure:
     """Derivatives (k, m) of the position by the true scale, pole, spin and Sun of the body, where missing.
 
@@ -291,7 +296,7 @@ def _body_partials(
     for cause, step, moved in _moved_bodies(geometry, least_rad):
         if cause not in missing or (cause is Cause.SHAPE_SCALE and size == 3):
             continue
-        shift = _response(moved, motion)
+        shift = np.zeros(size) if by_outline and cause is Cause.SUN else _response(moved, motion)
         if isinstance(shift, Failure):
             return Failure(shift.reason, f"no fix with the {cause} of the body off by one sigma: {shift.detail}")
         columns.setdefault(cause, []).append(-shift / step)

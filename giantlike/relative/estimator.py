@@ -97,6 +97,8 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
     """True for an estimator of fixes of others, which have been checked already."""
     by_light: ClassVar[bool] = False
     """True for an estimator of the center of all light, which moves with any error of the shape."""
+    by_outline: ClassVar[bool] = False
+    """True for an estimator of the lit outline alone, which does not move with the Sun."""
     finds_response: ClassVar[bool] = False
     """True for an estimator that detects a nonlinear response by itself."""
 
@@ -184,7 +186,7 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
                 return Failure(Reason.NOT_CONVERGED, "the range was not estimated")
             return place_difference(other, result)
 
-        budgeted = with_budget(result, inputs.image, inputs.camera, inputs.geometry, motion)
+        budgeted = with_budget(result, inputs.image, inputs.camera, inputs.geometry, motion, by_outline=self.by_outline)
         if self.of_fixes or isinstance(budgeted, Failure):
             return budgeted
         strain, model = budgeted.findings.checks.get(STRAIN_TENSION, 1.0), inputs.camera.model

@@ -19,7 +19,7 @@ from giantlike.missions.odin.wide import (
     WideStudy,
     moon_phase_law,
 )
-from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, SELF_CHECK, Comparison, Stated
+from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, SELF_CHECK, Comparison, ComparisonKind, Stated
 
 GOOD_SHARE = 0.9  # of the bodies that have a size: the paper says that the problem "may be solved"
 
@@ -58,7 +58,10 @@ def of_photometry(study: WideStudy) -> tuple[Comparison, ...]:
         _share("Earth", counts["EARTH"], "by a Lambert model, the Earth's albedo scattered by 15 %"),
         _share("Moon", counts["MOON"], "by the observed curve of the Moon; none or ambiguous: small and thin ones"),
         _share(
-            "Moon, by the Chandrasekhar sphere", spheres, "the model of the paper, with the truth the observed Moon"
+            "Moon, by the Chandrasekhar sphere",
+            spheres,
+            "the model of the paper, with the truth the observed Moon",
+            kind=DERIVED,
         ),
         Stated(
             "text, Target Identification",
@@ -85,7 +88,7 @@ def of_photometry(study: WideStudy) -> tuple[Comparison, ...]:
     )
 
 
-def _share(name: str, counts: tuple[int, int, int], reason: str) -> Comparison:
+def _share(name: str, counts: tuple[int, int, int], reason: str, *, kind: ComparisonKind = INDEPENDENT) -> Comparison:
     right, wrong, none = counts
     named = right + wrong
     return Stated(
@@ -93,8 +96,8 @@ def _share(name: str, counts: tuple[int, int, int], reason: str) -> Comparison:
         f"{name}: named rightly, wrongly, not named",
         "told by disk-integrated photometry",
         f"{right}, {wrong}, {none}",
-        INDEPENDENT,
-        "albedos_exchanged",
+        kind,
+        "albedos_exchanged" if kind is INDEPENDENT else "",
     ).agrees(
         named > 0 and right >= GOOD_SHARE * named and right >= 0.5 * (named + none),
         f"at least 90 % of the names right, and at least half of the bodies found named; {reason}",

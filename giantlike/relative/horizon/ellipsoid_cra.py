@@ -107,6 +107,7 @@ class EllipsoidCRA(BodyEstimator[EllipsoidCRAOptions, PositionFix]):
     """
 
     name: ClassVar[str] = "ellipsoid_cra"
+    by_outline: ClassVar[bool] = True
     options_type = EllipsoidCRAOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> PositionFix | Failure:

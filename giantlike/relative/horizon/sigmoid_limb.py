@@ -82,6 +82,7 @@ class SigmoidLimb(BodyEstimator[SigmoidLimbOptions, PositionFix]):
     """
 
     name: ClassVar[str] = "sigmoid_limb"
+    by_outline: ClassVar[bool] = True
     options_type = SigmoidLimbOptions
 
     def _estimate(self, inputs: EstimatorInputs) -> PositionFix | Failure:
