@@ -89,12 +89,12 @@ def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]
 def review_of(verdict: str, edits: Sequence[Edit]) -> str:
     """Return the state of review of an image: ``unseen``, ``accepted``, ``rejected`` or ``to discuss``.
 
-    ``verdict``: of :func:`verdict_of`; ``edits``: decisions in effect on the image. It is unseen while nobody decided,
-    or something suspect is left.
+    ``verdict``: of :func:`verdict_of`; ``edits``: decisions in effect on the image. It is unseen while nobody accepted
+    or rejected it or one of its results, or something suspect is left.
     """
     if any(edit.action == "discuss" for edit in edits):
         return "to discuss"
-    decided = [edit for edit in edits if edit.action != "discuss" and edit.what is not Edited.STAR]
+    decided = [edit for edit in edits if edit.what in (Edited.IMAGE, Edited.ATTITUDE, Edited.FIX)]
     if not decided or verdict == Outcome.SUSPECT:
         return "unseen"
     return "accepted" if decided[-1].action == "accept" else "rejected"

@@ -182,6 +182,8 @@ def test_images_have_a_state_of_review(run: Path) -> None:
     assert decide("restore", estimator=TEMPLATE, **fix) == "accepted, accepted"
     assert decide("reject", what="image") == "rejected, rejected"
     assert decide("restore", what="image") == "accepted, accepted"
+    area = [[10.0, 10.0], [20.0, 10.0], [20.0, 20.0]]
+    assert decide("mask", what="mask", area_px=area) == "accepted, accepted"  # no verdict on a result
     assert decide("restore", estimator=LIMB, **fix) == "suspect, unseen"
 
 
