@@ -146,16 +146,18 @@ def weak_combinations(names: tuple[str, ...], information: Float, *, above: floa
     ``information`` (k, k).
     """
     scale = np.sqrt(np.diagonal(information))
-    told = scale > 0.0
+    measured = scale > 0.0
     found = [
         WeakCombination(weights={name: 1.0}, inflation=np.inf)
-        for name, known in zip(names, told, strict=True)
+        for name, known in zip(names, measured, strict=True)
         if not known
     ]
-    if not told.any():
+    if not measured.any():
         return tuple(found)
-    kept = [name for name, known in zip(names, told, strict=True) if known]
-    values, vectors = np.linalg.eigh(information[np.ix_(told, told)] / np.outer(scale[told], scale[told]))
+    kept = [name for name, known in zip(names, measured, strict=True) if known]
+    values, vectors = np.linalg.eigh(
+        information[np.ix_(measured, measured)] / np.outer(scale[measured], scale[measured])
+    )
     for value, vector in zip(values, vectors.T, strict=True):
         inflation = np.inf if value <= SINGULAR else float(1.0 / np.sqrt(value))
         if inflation > above:

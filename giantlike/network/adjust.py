@@ -15,7 +15,7 @@ from giantlike.calibration.options import Loss, Treatment
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
-from giantlike.network.covariance import result_of
+from giantlike.network.covariance import make_fix
 from giantlike.network.options import NetworkOptions
 from giantlike.network.outliers import exchange, find_agreeing, noise_of
 from giantlike.network.photos import Photo, Tracks, require_photos
@@ -228,7 +228,7 @@ def _fit(problem: Problem, used: Mask, body: Rotating | None) -> NetworkFix | Fa
     )
     if isinstance(minimum, Failure):
         return minimum
-    return result_of(
+    return make_fix(
         problem, minimum.state, minimum.normal, used, noise_of(problem, minimum.state, used),
         body=body, steps=steps + minimum.steps, rounds=rounds,
     )  # fmt: skip

@@ -63,7 +63,7 @@ class _Joint(Value):
         return symmetric(result)
 
 
-def result_of(
+def make_fix(
     problem: Problem,
     state: State,
     normal: NormalEquations,
@@ -74,7 +74,7 @@ def result_of(
     steps: int,
     rounds: int,
 ) -> NetworkFix | Failure:
-    """Make the result of a minimum."""
+    """Make the fix of a minimum, with covariances by cause, reliability and observability."""
     found = _reduced_covariances(problem, normal)
     if isinstance(found, Failure):
         return found
@@ -97,17 +97,11 @@ def result_of(
         result: Float = symmetric(scaled @ z @ np.swapaxes(scaled, 1, 2))
         return np.where(lost[:, None, None], np.nan, result)
 
-    def part(points: Float, reduced: Float) -> CovariancePart:
-        units = problem.sigma_shared * math.sqrt(scale)
-        shared = symmetric(reduced[POSE * len(problem.photos) :, POSE * len(problem.photos) :])
-        return CovariancePart(
-            points_km2=points_km2(points),
-            poses=_poses(problem, reduced) * scale,
-            shared=shared * np.outer(units, units),
-        )
-
-    parts = {cause: part(_part_points(problem, joint, cause, each), each) for cause, each in parts_reduced.items()}
-    whole = part(covariance, total)
+    parts = {
+        cause: _in_units(problem, points_km2(_part_points(problem, joint, cause, each)), each, scale)
+        for cause, each in parts_reduced.items()
+    }
+    whole = _in_units(problem, points_km2(covariance), total, scale)
     noise_part = CovariancePart(
         points_km2=whole.points_km2 - sum(each.points_km2 for each in parts.values()),
         poses=whole.poses - sum(each.poses for each in parts.values()),
@@ -150,6 +144,15 @@ def result_of(
         parts={Cause.NOISE: noise_part} | parts,
         steps=steps,
         rounds=rounds,
+    )
+
+
+def _in_units(problem: Problem, points_km2: Float, reduced: Float, scale: float) -> CovariancePart:
+    """A part of the covariances (p, 3, 3) and, as ``z``, (r, r), multiplied by ``scale`` and in units."""
+    units = problem.sigma_shared * math.sqrt(scale)
+    shared = symmetric(reduced[POSE * len(problem.photos) :, POSE * len(problem.photos) :])
+    return CovariancePart(
+        points_km2=points_km2, poses=_poses(problem, reduced) * scale, shared=shared * np.outer(units, units)
     )
 
 

@@ -183,7 +183,7 @@ def test_considered_points_widen_the_poses_by_their_covariance_and_fixed_ones_do
     assert_allclose(np.diagonal(fixes[1].covariance_points_km2, axis1=1, axis2=2), 4e-6)
 
 
-def test_a_direction_that_is_held_has_no_covariance_and_a_free_frame_is_told() -> None:
+def test_a_direction_that_is_held_has_no_covariance_and_a_free_frame_is_named() -> None:
     truth = world(7)
     covariance = np.diag([1e-6] * 3 + [2.5e-3] * 3)
     axis = np.array([0.0, 0.0, 0.0, 1.0, 2.0, 2.0]) / 3.0

@@ -28,7 +28,6 @@ from tests.network.networks import dense_covariance
 REDUCTION = 4
 JIGSAW = NetworkOptions(loss=Loss.LINEAR, outlier_sigmas=math.inf, scale_by_residuals=True)
 ERROR_SIGMAS, SIGMA_RELATIVE, RESIDUAL_PX = 0.002, 1e-3, 1e-4
-CPU_S = 1.0
 
 
 @pytest.fixture(scope="module")

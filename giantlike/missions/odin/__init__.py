@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from giantlike.missions.replay import Replay, ReplaySettings
 
 CHANGES = {
-    "vacuum": "There is no air over the site, and none is taken out of stars and Moon.",
+    "vacuum": "There is no air over the site, and stars and Moon are not corrected for refraction.",
     "albedos_exchanged": "The Earth reflects as the Moon does, and the Moon as the Earth.",
 }
 """Assumptions that can be altered."""
