@@ -2,9 +2,23 @@
 
 from giantlike.network.adjust import adjust
 from giantlike.network.isis import read_isis
+from giantlike.network.landmarks import FoundTracks, LandmarkMeasures, TrackOptions, find_tracks, photo_of
 from giantlike.network.options import NetworkOptions
 from giantlike.network.photos import Photo, Tracks
 from giantlike.network.result import NetworkFix
 from giantlike.network.rotation import Rotating
 
-__all__ = ["NetworkFix", "NetworkOptions", "Photo", "Rotating", "Tracks", "adjust", "read_isis"]
+__all__ = [
+    "FoundTracks",
+    "LandmarkMeasures",
+    "NetworkFix",
+    "NetworkOptions",
+    "Photo",
+    "Rotating",
+    "TrackOptions",
+    "Tracks",
+    "adjust",
+    "find_tracks",
+    "photo_of",
+    "read_isis",
+]

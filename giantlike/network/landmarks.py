@@ -1,0 +1,426 @@
+"""Tracks by a shape: landmarks of a body, rendered in the pose of each image and found there one by one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from giantlike.camera import Camera
+from giantlike.core.arrays import Float, require, require_number
+from giantlike.core.frames import rotate
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.units import SPEED_OF_LIGHT_KM_S
+from giantlike.core.values import Value
+from giantlike.ephemeris import ApparentGeometry
+from giantlike.image import Image
+from giantlike.network.adjust import adjust
+from giantlike.network.photos import Photo, Tracks
+from giantlike.network.result import NetworkFix, PointStatus
+from giantlike.ray_tracing import Body
+from giantlike.relative.inputs import EstimatorInputs, gather
+from giantlike.relative.landmarks.matching import LandmarkMatch, common_shift, correlation_surface, fit_patch, peak_near
+from giantlike.relative.landmarks.rendering import LandmarkRenderer, rays_for
+from giantlike.relative.landmarks.selection import landmarks_of
+from giantlike.relative.landmarks.visibility import VisibilityOptions, viewer_for
+from giantlike.scene import Scene, Target
+from giantlike.shapes import LevelsOfDetail, TriangleMesh
+from giantlike.shapes.landmarks import LandmarkCatalog
+
+_NEAR_PX = 6
+"""Search around the common shift, px: errors of attitude and range on a body of some hundred pixels, and relief."""
+_FIRST_SIGMA = 0.02  # of the mean radius: a priori sigma of points before their spread about the shape is known
+_FLOOR_PX = (0.3, 0.02)  # px: error of templates before it is estimated, and the least that it is taken for
+
+_MOVED_PX = 0.5  # px: motion of landmarks by which their templates are rendered again
+_ROUNDS = 8  # of adjustments that find the errors of templates and shape: the last change is some percent
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackOptions:
+    """Options of :func:`~giantlike.network.find_tracks`.
+
+    Parameters
+    ----------
+    search_px : int, px
+        Largest error of the predicted center, along each axis.
+    min_score : float
+        Minimum correlation of a landmark that counts as found.
+    min_landmarks : int
+        Minimum number of landmarks of an image.
+    sigma_points_km : float, km, optional
+        A priori standard deviation of landmarks along each axis, by errors of the shape; by default their spread about
+        it, as found from the images.
+    visibility : VisibilityOptions
+
+    Raises
+    ------
+    InputError
+        A value is out of range.
+    """
+
+    search_px: int = 40
+    min_score: float = 0.5
+    min_landmarks: int = 4
+    sigma_points_km: float | None = None
+    visibility: VisibilityOptions = field(default_factory=lambda: VisibilityOptions(max_landmarks=150))
+
+    def __post_init__(self) -> None:
+        require(isinstance(self.search_px, int) and 1 <= self.search_px <= 1000,
+                f"search_px must be a whole number in [1, 1000], got {self.search_px}")  # fmt: skip
+        require(0.0 < self.min_score < 1.0, f"min_score must be in (0, 1), got {self.min_score}")
+        require_number(self.min_landmarks, "min_landmarks", least=4)
+        if self.sigma_points_km is not None:
+            require_number(self.sigma_points_km, "sigma_points_km", above=0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LandmarkMeasures(Value):
+    """Landmarks found in an image.
+
+    Parameters
+    ----------
+    numbers : (k,) int64
+        In the catalog of the shape.
+    points_px : (k, 2) float64, px
+    covariance_px2 : (k, 2, 2) float64, px^2
+        By the noise of the pixels alone.
+    scores : (k,) float64
+        Correlations with the templates.
+    rendered : Photo
+        Pose of the templates.
+    """
+
+    numbers: NDArray[np.int64]
+    points_px: Float
+    covariance_px2: Float
+    scores: Float
+    rendered: Photo
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FoundTracks(Value):
+    """Tracks by a shape.
+
+    Parameters
+    ----------
+    photos : tuple of Photo
+        Images with tracks, in their a priori poses.
+    tracks : Tracks
+    failures : mapping of str to Failure
+        By the names of the other images.
+    floor_px : float, px
+        Error of templates, per axis, that the sigmas of the measures hold beside the noise.
+    sigma_points_km : float, km
+        A priori sigma of the landmarks.
+    """
+
+    photos: tuple[Photo, ...]
+    tracks: Tracks
+    failures: Mapping[str, Failure]
+    floor_px: float
+    sigma_points_km: float
+
+
+def photo_of(image: Image, camera: Camera, scene: Scene, target: str | None = None) -> Photo | Failure:
+    """Return the a priori pose of an image, in the frame of the body.
+
+    Parameters
+    ----------
+    image : Image
+        With an attitude.
+    camera : Camera
+    scene : Scene
+    target : str, optional
+        May be left out where the scene has one.
+
+    Returns
+    -------
+    Photo or Failure
+        Light time and aberration, both of the center of the body, are removed: the camera as it stands in the rest
+        frame of the body, at the range by which the size of the body goes (:func:`~giantlike.core.light.boosted`).
+        What is not declared (a covariance of the attitude, an error of the ephemeris) is free.
+
+    Raises
+    ------
+    InputError
+        There is no such target.
+    """
+    geometry = scene.geometry(image, target)
+    if isinstance(geometry, Failure):
+        return geometry
+    states, ephemeris = scene.circumstances(image, geometry.target.name), geometry.target.ephemeris
+    light_time_s = geometry.range_km / SPEED_OF_LIGHT_KM_S if states is None else states.light_time_s
+    et = (0.0 if image.et is None else image.et) - light_time_s
+    if isinstance(ephemeris, ApparentGeometry):
+        oriented = ephemeris.inertial_from_body
+    else:
+        oriented = ephemeris.inertial_from_body(et)
+    camera_from_inertial = geometry.camera_from_body * oriented.inv()
+    covariance = np.diag([np.inf] * 6)
+    if image.attitude_covariance_rad2 is not None:
+        covariance[:3, :3] = image.attitude_covariance_rad2
+    if geometry.covariance_ephemeris_km2.any():
+        turn = camera_from_inertial.as_matrix()
+        covariance[3:, 3:] = turn.T @ geometry.covariance_ephemeris_km2 @ turn
+    return Photo(
+        name=image.name,
+        model=camera.model,
+        camera_from_inertial=camera_from_inertial,
+        position_km=-rotate(camera_from_inertial.inv(), geometry.position_camera_km),
+        covariance_pose=(covariance + covariance.T) / 2.0,
+        inertial_from_body=oriented,
+        et=et,
+        columns=camera.columns,
+        rows=camera.rows,
+    )
+
+
+def catalog_of(target: Target) -> LandmarkCatalog | Failure:
+    """Return the landmarks of the mesh of a target."""
+    shape = target.shape.finest if isinstance(target.shape, LevelsOfDetail) else target.shape
+    if isinstance(shape, TriangleMesh):
+        return landmarks_of(shape)
+    return Failure(Reason.WRONG_SHAPE, f"{target.name}: landmarks need a mesh, the shape is a {type(shape).__name__}")
+
+
+def measure_landmarks(
+    image: Image,
+    camera: Camera,
+    scene: Scene,
+    target: str | None = None,
+    *,
+    pose: Photo | None = None,
+    options: TrackOptions | None = None,
+) -> LandmarkMeasures | Failure:
+    """Find the landmarks of the shape of a target in an image.
+
+    Parameters
+    ----------
+    image : Image
+    camera : Camera
+    scene : Scene
+    target : str, optional
+        May be left out where the scene has one.
+    pose : Photo, optional
+        Adjusted pose, for which no common shift of the landmarks is searched; by default the a priori one.
+    options : TrackOptions, optional
+
+    Returns
+    -------
+    LandmarkMeasures or Failure
+        Failures: those of :meth:`Scene.geometry`, wrong_shape, too_few_matches, peak_at_edge.
+
+    Raises
+    ------
+    InputError
+        There is no such target, or the image is of another size than the camera.
+    """
+    options = TrackOptions() if options is None else options
+    inputs = gather(image, camera, scene, target, estimator="network", options=options)
+    if isinstance(inputs, Failure):
+        return inputs
+    catalog, apriori = catalog_of(inputs.geometry.target), photo_of(image, camera, scene, target)
+    if isinstance(catalog, Failure) or isinstance(apriori, Failure):
+        return catalog if isinstance(catalog, Failure) else apriori  # type: ignore[return-value]
+    rendered = apriori if pose is None else pose
+    body = _body(inputs, rendered)
+    sun = rotate(rendered.camera_from_inertial * apriori.camera_from_inertial.inv(),
+                 inputs.geometry.sun_direction_camera)  # fmt: skip
+    viewer, plane = viewer_for(catalog, body.shape), inputs.focal_plane()
+    renderer = LandmarkRenderer(
+        catalog,
+        plane,
+        sun_direction_camera=sun,
+        max_size_px=options.visibility.max_size_px,
+        rays_per_pixel_side=rays_for(plane.psf_sigma_px),
+        other_law=True,
+    )
+    seen = viewer.find_visible(body, plane, sun_direction_camera=sun, options=options.visibility)
+    if pose is None and seen.numbers.size:
+        rough, _ = renderer.roughly().patches(body, seen)
+        surfaces = [correlation_surface(inputs.pixels_dn, ~inputs.masked, one, options.search_px) for one in rough]
+        shift = common_shift(surfaces, np.full(len(surfaces), float(_NEAR_PX))) if surfaces else np.zeros(2, np.int64)
+        if int(np.abs(shift).max()) >= options.search_px:
+            detail = f"best match at the edge of the search region, {shift.tolist()} px off: increase search_px"
+            return inputs.fail(Reason.PEAK_AT_EDGE, detail)
+        ahead = camera.model.unproject(camera.model.project(body.position_camera_km) + shift)
+        body = replace(body, position_camera_km=inputs.geometry.range_km * ahead / np.linalg.norm(ahead))
+        rendered = replace(rendered, position_km=-rotate(rendered.camera_from_inertial.inv(), body.position_camera_km))
+        seen = viewer.find_visible(body, plane, sun_direction_camera=sun, options=options.visibility)
+    patches = renderer.patches(body, seen)[0] if seen.numbers.size else ()
+    matches: list[LandmarkMatch] = []
+    for patch in patches:
+        peak = peak_near(
+            correlation_surface(inputs.pixels_dn, ~inputs.masked, patch, _NEAR_PX), np.zeros(2, np.int64), _NEAR_PX
+        )
+        if peak is not None and peak[1] >= options.min_score:
+            match = fit_patch(inputs.pixels, patch, np.rint(peak[0]).astype(np.int64), peak[1])
+            matches += [] if match is None else [match]
+    if len(matches) < options.min_landmarks:
+        detail = f"{len(matches)} of {len(patches)} landmarks found, needed {options.min_landmarks}; {seen}"
+        return inputs.fail(Reason.TOO_FEW_MATCHES, detail)
+    numbers = np.array([match.number for match in matches])
+    predicted = camera.model.project(body.to_camera(viewer.points_body_km[numbers]) + body.position_camera_km)
+    return LandmarkMeasures(
+        numbers=numbers,
+        points_px=predicted + np.array([match.offset_px for match in matches]),
+        covariance_px2=np.array([match.covariance_px2 for match in matches]),
+        scores=np.array([match.score for match in matches]),
+        rendered=rendered,
+    )
+
+
+def _body(inputs: EstimatorInputs, photo: Photo) -> Body:
+    """Body of an image in a pose."""
+    return replace(
+        inputs.geometry.body(-rotate(photo.camera_from_inertial, photo.position_km)),
+        camera_from_body=photo.camera_from_inertial * photo.inertial_from_body,
+    )
+
+
+def tracks_of(
+    measures: Sequence[LandmarkMeasures], catalog: LandmarkCatalog, *, floor_px: float, sigma_points_km: float
+) -> Tracks:
+    """Join the measures of images to tracks; landmarks seen once are left out.
+
+    Parameters
+    ----------
+    measures : sequence of LandmarkMeasures
+        By image.
+    catalog : LandmarkCatalog
+    floor_px : float, px
+        Error of templates, per axis, beside the noise.
+    sigma_points_km : float, km
+        A priori standard deviation of the landmarks, along each axis.
+
+    Returns
+    -------
+    Tracks
+
+    Raises
+    ------
+    InputError
+        No landmark is in two images.
+    """
+    photo = np.repeat(np.arange(len(measures)), [len(one.numbers) for one in measures])
+    numbers = np.concatenate([one.numbers for one in measures])
+    kept = np.bincount(numbers)[numbers] >= 2
+    require(bool(kept.any()), "no landmark is found in two images")
+    chosen, point = np.unique(numbers[kept], return_inverse=True)
+    variance = np.concatenate([np.trace(one.covariance_px2, axis1=1, axis2=2) for one in measures]) / 2.0
+    landmarks = [catalog.landmarks[number] for number in chosen]
+    return Tracks(
+        names=tuple(landmark.name for landmark in landmarks),
+        point=point,
+        photo=photo[kept],
+        points_px=np.concatenate([one.points_px for one in measures])[kept],
+        sigma_px=np.sqrt(variance + floor_px**2)[kept],
+        points_km=np.array([landmark.point_body_km for landmark in landmarks]),
+        covariance_points_km2=np.tile(sigma_points_km**2 * np.eye(3), (len(landmarks), 1, 1)),
+    )
+
+
+def settle_tracks(
+    photos: Sequence[Photo], measures: Sequence[LandmarkMeasures], catalog: LandmarkCatalog, options: TrackOptions
+) -> tuple[FoundTracks, NetworkFix] | Failure:
+    """Join measures to tracks, with the errors of templates and shape that their residuals show, and adjust them.
+
+    The error of templates makes the noise of the adjustment one, both of most measures and of all in use.
+    That of the shape is the most likely spread of the points about it: expectation and maximization, from a wide start.
+    """
+    radius_km = float(np.mean([np.linalg.norm(landmark.point_body_km) for landmark in catalog.landmarks]))
+    floor_px, sigma_km = _FLOOR_PX[0], options.sigma_points_km or _FIRST_SIGMA * radius_km
+    for _ in range(_ROUNDS):
+        tracks = tracks_of(measures, catalog, floor_px=floor_px, sigma_points_km=sigma_km)
+        fix = adjust(photos, tracks)
+        if isinstance(fix, Failure):
+            return fix
+        tracked = FoundTracks(photos=tuple(photos), tracks=tracks, failures={}, floor_px=floor_px,
+                              sigma_points_km=sigma_km)  # fmt: skip
+        settled = tracked, fix
+        noise = float(np.median(tracks.sigma_px**2)) - floor_px**2
+        found = max(fix.noise**2, fix.chi2 / max(fix.freedom, 1)) * (noise + floor_px**2)
+        floor_px = math.sqrt(max(found - noise, _FLOOR_PX[1] ** 2))
+        good = fix.point_status == PointStatus.CHECKED
+        if options.sigma_points_km is None and good.any():
+            squares = np.sum((fix.points_km - np.asarray(tracks.points_km)) ** 2, axis=1)[good]
+            squares += np.trace(fix.covariance_points_km2[good], axis1=1, axis2=2)
+            sigma_km = max(math.sqrt(float(np.mean(squares)) / 3.0), 1e-4 * radius_km)
+    return settled
+
+
+def has_moved(measures: LandmarkMeasures, pose: Photo, catalog: LandmarkCatalog) -> bool:
+    """Tell whether the landmarks found lie elsewhere by a pose than where they were rendered, so that they change."""
+    points = np.array([catalog.landmarks[number].point_body_km for number in measures.numbers])
+    pixels = [
+        each.model.project(
+            rotate(each.camera_from_inertial, rotate(each.inertial_from_body, points) - each.position_km)
+        )
+        for each in (measures.rendered, pose)
+    ]
+    return not float(np.abs(pixels[1] - pixels[0]).max()) < _MOVED_PX
+
+
+def find_tracks(
+    images: Sequence[Image],
+    camera: Camera,
+    scene: Scene,
+    target: str | None = None,
+    *,
+    options: TrackOptions | None = None,
+) -> FoundTracks | Failure:
+    """Find landmarks of the shape of a target in images, first at the a priori poses, then at adjusted ones.
+
+    Parameters
+    ----------
+    images : sequence of Image
+        With attitudes; read twice, so that a sequence may load them when asked.
+    camera : Camera
+    scene : Scene
+    target : str, optional
+        May be left out where the scene has one; its shape has to be a mesh.
+    options : TrackOptions, optional
+
+    Returns
+    -------
+    FoundTracks or Failure
+        For :func:`~giantlike.network.adjust`: a priori poses, measures, and landmarks where the shape has them.
+
+    Raises
+    ------
+    InputError
+        There is no such target, an image is of another size than the camera, or no landmark is in two images.
+    """
+    options = TrackOptions() if options is None else options
+    catalog = catalog_of(scene.target(target))
+    if isinstance(catalog, Failure):
+        return catalog
+    failures, kept = dict[str, Failure](), list[tuple[int, Photo, LandmarkMeasures]]()
+    for number, image in enumerate(images):
+        photo = photo_of(image, camera, scene, target)
+        found = (
+            photo if isinstance(photo, Failure) else measure_landmarks(image, camera, scene, target, options=options)
+        )
+        if isinstance(found, Failure) or isinstance(photo, Failure):
+            failures[image.name] = found  # type: ignore[assignment]
+        else:
+            kept.append((number, photo, found))
+    if len(kept) < 2:
+        why = "; ".join(failure.detail for failure in failures.values())
+        return Failure(Reason.TOO_FEW_MATCHES, f"landmarks are found in {len(kept)} images, needed 2: {why}")
+    photos, measures = [photo for _, photo, _ in kept], [one for *_, one in kept]
+    settled = settle_tracks(photos, measures, catalog, options)
+    if isinstance(settled, Failure):
+        return settled
+    for place, (number, *_) in enumerate(kept):
+        pose = settled[1].photos[place]
+        if not has_moved(measures[place], pose, catalog):
+            continue
+        again = measure_landmarks(images[number], camera, scene, target, pose=pose, options=options)
+        measures[place] = measures[place] if isinstance(again, Failure) else again
+    settled = settle_tracks(photos, measures, catalog, options)
+    return settled if isinstance(settled, Failure) else replace(settled[0], failures=failures)
