@@ -125,6 +125,13 @@ def copied(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return fresh
 
 
+@pytest.fixture
+def ran(finished: Run, tmp_path: Path) -> Path:
+    """The campaign file of a copy of the small campaign with its run, for tests of what follows a run."""
+    shutil.copytree(finished.path.parent, tmp_path / "ran")
+    return tmp_path / "ran" / "campaign.toml"
+
+
 def table(folder: Path, name: str) -> list[dict[str, str]]:
     with (folder / f"{name}.csv").open(newline="") as stream:
         return list(csv.DictReader(stream))
@@ -278,6 +285,7 @@ def test_provenance_names_versions_options_and_hashes(finished: Run) -> None:
 def test_a_run_without_stars_keeps_the_a_priori_attitudes(copied: Path) -> None:
     table_without = campaign_table()
     del table_without["stars"]
+    table_without["targets"][0]["estimators"] = ["limb_matching", "moment"]
     copied.write_text(tomli_w.dumps(table_without))
     result = run_campaign(Campaign.load(copied), workers=1)
     assert {row["source"] for row in table(result.folder, "attitudes")} == {"a_priori"}
@@ -442,14 +450,14 @@ def test_a_run_continued_after_a_kill_gives_the_tables_of_an_uninterrupted_one(
     assert len(repeated) == len(result.attitudes) - min(done_before, len(result.attitudes))
 
 
-def test_damaged_results_are_made_again(finished: Run, copied: Path) -> None:
-    result = run_campaign(Campaign.load(copied), workers=1)
+def test_damaged_results_are_made_again(ran: Path) -> None:
+    result = load_result(ran.parent / "run")
     before = without_times(result.folder)
     with contextlib.closing(sqlite3.connect(result.folder / RESULTS_FILE)) as connection, connection:
         connection.execute("UPDATE records SET light = substr(light, 1, 100) WHERE file = 'visit0_a_long.fits'")
         connection.execute("DELETE FROM records WHERE file = 'visit0_b_short.fits'")
     (result.folder / "attitudes.csv").unlink()
-    again = run_campaign(Campaign.load(copied), workers=1)
+    again = run_campaign(Campaign.load(ran), workers=1)
     assert without_times(again.folder) == before
     assert (again.steps["attitudes"].redone, again.steps["attitudes"].kept) == (2, 4)
 
@@ -461,27 +469,27 @@ def redone(folder: Path) -> set[tuple[str, str]]:
     return {(line["event"], line["file"]) for line in log[last:] if "file" in line}
 
 
-def test_a_continued_run_does_changed_images_again_and_what_rests_on_them(copied: Path) -> None:
-    images = copied.parent / "images"
+def test_a_continued_run_does_changed_images_again_and_what_rests_on_them(ran: Path) -> None:
+    images = ran.parent / "images"
     whole = (images / "visit0_a_long.fits").read_bytes()
     (images / "visit0_a_long.fits").write_bytes(whole[: len(whole) // 2])
-    run_campaign(Campaign.load(copied), workers=1)
+    run_campaign(Campaign.load(ran), workers=1)
     (images / "visit0_a_long.fits").write_bytes(whole)
     write_fits(images / "visit1_b_short.fits", np.zeros((CAMERA.rows, CAMERA.columns), np.uint16))
-    result = run_campaign(Campaign.load(copied), workers=1, resume=True)
+    result = run_campaign(Campaign.load(ran), workers=1, resume=True)
     done = redone(result.folder)
     assert {file for event, file in done if event == "image"} == {"visit0_a_long.fits", "visit1_b_short.fits"}
     observed = {record.file: record for record in result.observations}
     assert ("attitude_carried", "visit0_b_short.fits") in done, "its neighbor became a star image"
     for record in result.attitudes:
         if record.file in observed:
-            assert observed[record.file].attitude == attitude_to_use(Campaign.load(copied), record)
+            assert observed[record.file].attitude == attitude_to_use(Campaign.load(ran), record)
         if record.file != "visit1_b_short.fits":
             assert record.attitude is not None
     problem = observed["visit1_b_short.fits"].problem
     assert problem is not None
     assert problem.reason == "no_signal"
-    assert redone(run_campaign(Campaign.load(copied), workers=1, resume=True).folder) == set()
+    assert redone(run_campaign(Campaign.load(ran), workers=1, resume=True).folder) == set()
 
 
 def test_a_continued_run_tries_again_where_a_programming_error_was(
@@ -505,6 +513,9 @@ def test_an_output_folder_with_other_things_is_refused_and_an_empty_one_taken(co
     with pytest.raises(InputError, match=r"not empty and is not a run folder \(it holds 'notes.txt'\)"):
         run_campaign(Campaign.load(copied), workers=1)
     (run / "notes.txt").unlink()
+    quick = campaign_table()
+    quick["targets"][0]["estimators"] = ["moment"]
+    copied.write_text(tomli_w.dumps(quick))
     assert run_campaign(Campaign.load(copied), workers=1, resume=True).folder == run
 
 
@@ -591,13 +602,13 @@ def test_processes_that_cannot_start_end_the_run_with_advice_instead_of_failing_
 # --- report ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_report_is_one_file_that_names_failures_and_needs_no_network(fresh: Path) -> None:
-    (fresh.parent / "images" / "broken<i>.fits").write_text("no image")
+def test_the_report_is_one_file_that_names_failures_and_needs_no_network(ran: Path) -> None:
+    (ran.parent / "images" / "broken<i>.fits").write_text("no image")
     changed = campaign_table()
     changed["campaign"]["name"] = "<script>alert(1)</script>"
     changed["report"] = {"max_overlays": 3}
-    fresh.write_text(tomli_w.dumps(changed))
-    result = run_campaign(Campaign.load(fresh), workers=1)
+    ran.write_text(tomli_w.dumps(changed))
+    result = run_campaign(Campaign.load(ran), workers=1)
     html = (result.folder / "report.html").read_text()
     assert "<script" not in html
     assert "&lt;script&gt;alert(1)" in html
@@ -609,11 +620,11 @@ def test_the_report_is_one_file_that_names_failures_and_needs_no_network(fresh: 
     assert outside == []
 
 
-def test_cards_of_the_report_hold_numbers_words_and_residuals(finished: Run, fresh: Path) -> None:
+def test_cards_of_the_report_hold_numbers_words_and_residuals(ran: Path) -> None:
     changed = campaign_table()
     changed["report"] = {"max_overlays": 24}
-    fresh.write_text(tomli_w.dumps(changed))
-    result = run_campaign(Campaign.load(fresh), workers=1)
+    ran.write_text(tomli_w.dumps(changed))
+    result = run_campaign(Campaign.load(ran), workers=1)
     html = (result.folder / "report.html").read_text()
     cards = {
         text.split("<code>")[1].split("</code>")[0]: text
@@ -700,9 +711,9 @@ def test_stretching_keeps_single_bright_pixels_of_large_images_and_the_order_of_
     assert (np.diff(ramp[0].astype(int)) >= 0).all()
 
 
-def test_a_report_can_be_made_again_from_the_run_folder_even_when_images_are_gone(finished: Run, fresh: Path) -> None:
-    result = run_campaign(Campaign.load(fresh), workers=1)
-    shutil.rmtree(fresh.parent / "images")
+def test_a_report_can_be_made_again_from_the_run_folder_even_when_images_are_gone(ran: Path) -> None:
+    result = run_campaign(Campaign.load(ran), workers=1)
+    shutil.rmtree(ran.parent / "images")
     (result.folder / "report.html").unlink()
     again = load_result(result.folder)
     assert again.attitudes == result.attitudes

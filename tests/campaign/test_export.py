@@ -13,8 +13,6 @@ import pytest
 import spiceypy
 from astropy.io import fits
 from astropy.wcs import WCS
-from ccsds_ndm.kvn_parser import dispatch_document
-from ccsds_ndm.kvn_tokenizer import KvLine, PackedDataLine, tokenize
 from scipy.spatial.transform import Rotation, Slerp
 from typer.testing import CliRunner
 
@@ -157,6 +155,9 @@ def test_a_discrete_ck_holds_the_attitudes_and_nothing_between_them(tmp_path: Pa
 
 
 def test_an_aem_is_read_by_a_reader_of_the_standard(tmp_path: Path) -> None:
+    from ccsds_ndm.kvn_parser import dispatch_document  # here, as importing it takes two seconds
+    from ccsds_ndm.kvn_tokenizer import KvLine, PackedDataLine, tokenize
+
     write_aem(
         tmp_path / "att.aem", _series(), AemNames(object_name="PROBE", object_id="2024-001A", frame="INSTRUMENT_7")
     )

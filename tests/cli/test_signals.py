@@ -18,11 +18,14 @@ from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.cli.app import app
 from giantlike.cli.outcome import ExitCode
 from tests.campaign_files import write_campaign
+from tests.sizes import slow
 
 START_S = 60.0
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, ExitCode.TERMINATED), (signal.SIGHUP, ExitCode.HUNG_UP)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGTERM, ExitCode.TERMINATED), slow(signal.SIGHUP, ExitCode.HUNG_UP)]
+)
 def test_a_signal_ends_a_command_with_one_line(number: signal.Signals, code: ExitCode, tmp_path: Path) -> None:
     write_campaign(tmp_path, visits=1)
     command = [sys.executable, "-m", "giantlike", "run", str(tmp_path / "campaign.toml"), "--workers", "2", "--watch"]

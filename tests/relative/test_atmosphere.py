@@ -87,7 +87,7 @@ def radius_error_km(
     return error * RADIUS_KM / RANGE_KM, sigma * RADIUS_KM / RANGE_KM, found
 
 
-@pytest.mark.parametrize("name", LIMB)
+@pytest.mark.parametrize("name", [slow("limb_matching"), *LIMB[1:]])
 def test_a_limb_in_haze_gives_the_range_within_its_sigma_when_the_atmosphere_is_told(name: str) -> None:
     before, _, _ = radius_error_km(name, None)
     error, sigma, found = radius_error_km(name, AIR)
@@ -133,7 +133,7 @@ def test_light_beyond_the_terminator_does_not_pull_a_center_away_from_the_sun(na
     assert 4.0 * abs(off_px[0]) < true_px[0] - unlit.center_px[0]
 
 
-@pytest.mark.parametrize("told", [False, True])
+@pytest.mark.parametrize("told", [slow(False), True])
 def test_a_template_of_a_body_in_thin_haze_is_within_its_sigma_told_of_it_or_not(told: bool) -> None:
     """A template without haze is off by 0.3 px toward the Sun and 0.7 % of the range, 15 sigma."""
     air, phase_rad = Atmosphere(scale_height_km=32.0, optical_depth=0.05, sigma_km=16.0), math.radians(120.0)  # 0.3 px

@@ -30,6 +30,7 @@ from giantlike.scene import Scene
 from giantlike.shapes import Ellipsoid, TriangleMesh
 from giantlike.shapes.generate import irregular_body
 from tests.limb_images import NEES_LIMIT, body_image
+from tests.sizes import slow
 from tests.tolerances import FLOAT64_SUM
 
 MOON = Ellipsoid(radii_km=np.array([1.1, 1.0, 0.95]))
@@ -103,7 +104,7 @@ def test_an_ellipsoid_is_found_by_its_horizon_and_by_its_light_which_its_limb_ch
     assert case.nees(fix) < NEES_LIMIT
 
 
-@pytest.mark.parametrize("shape", ["rock", "moon"])
+@pytest.mark.parametrize("shape", ["rock", slow("moon")])
 def test_a_fix_is_the_same_to_the_last_bit_by_any_number_of_threads(rock: TriangleMesh, shape: str) -> None:
     case = body_image(rock if shape == "rock" else MOON, 3, phase_deg=50.0).believed(off_px=(6.0, -4.0))
     fixes = list[CenterFix]()

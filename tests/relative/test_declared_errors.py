@@ -103,12 +103,9 @@ def sigmas(estimator: str, markings: float, name: str, levels: Sequence[float]) 
 
 
 FAST = (
-    ("cross_correlation", "pole_rad"),
     ("cross_correlation", "albedo"),
     ("limb_matching", "scale"),
-    ("limb_matching", "spin_rad"),
     ("ellipsoid_cra", "pole_rad"),
-    ("ellipsoid_cra", "attitude_rad"),
 )
 
 
@@ -155,7 +152,7 @@ def test_a_template_moves_with_the_true_body_as_its_gain_says() -> None:
     assert np.linalg.norm(np.subtract(moved_px, by_gain_px)) < 0.2 * np.linalg.norm(moved_px)
 
 
-@pytest.mark.parametrize("estimator", ["moment", "cross_correlation"])
+@pytest.mark.parametrize("estimator", ["moment", slow("cross_correlation")])
 def test_a_fix_moves_with_the_true_sun_as_its_partial_says(estimator: str) -> None:
     """Pictures of another renderer under a Sun that is turned about two axes; what is declared stays."""
     sigma_rad, moved_px, by_partial_px = 0.02, [], []

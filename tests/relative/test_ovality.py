@@ -15,6 +15,7 @@ from giantlike.core.outcomes import PositionFix
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, render_body
 from giantlike.relative import ESTIMATORS
 from giantlike.shapes import Ellipsoid
+from tests.sizes import slow
 
 RADII_KM = (10.0, 9.2, 8.6)
 FOCAL_PX, SIZE, RANGE_KM, PSF_PX = 3600.0, 180, 560.0, 0.7
@@ -50,7 +51,7 @@ def found(estimator: str, oval: float) -> PositionFix:
     return fix
 
 
-@pytest.mark.parametrize("estimator", ["limb_matching", "ellipsoid_cra", "sigmoid_limb"])
+@pytest.mark.parametrize("estimator", [slow("limb_matching"), "ellipsoid_cra", slow("sigmoid_limb")])
 def test_an_oval_point_spread_function_moves_no_limb(estimator: str) -> None:
     """Without ovality in the model they are 0.19 px (``limb_matching``) and 1.2 px (horizons) off."""
     fix = found(estimator, 1.4)

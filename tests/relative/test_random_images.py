@@ -11,6 +11,7 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.relative import ESTIMATORS
 from giantlike.relative.limb.limb_matching import LimbMatching
 from tests.relative.random_images import LENSES, broken_down, random_image
+from tests.sizes import slow
 
 FAST = ("moment", "limb_matching")
 
@@ -26,15 +27,15 @@ def test_no_estimator_at_all_breaks_down_on_many_random_images(seed: int) -> Non
     assert broken_down(seed) == []
 
 
-@pytest.mark.parametrize(
-    "error",
-    [
-        np.linalg.LinAlgError("Singular matrix"),
-        ZeroDivisionError("division by zero"),
-        ValueError("covariance must be symmetric, mirrored elements differ by 1.5e-09"),
-        IndexError("index 0 is out of bounds"),
-    ],
+ERRORS = (
+    np.linalg.LinAlgError("Singular matrix"),
+    ZeroDivisionError("division by zero"),
+    ValueError("covariance must be symmetric, mirrored elements differ by 1.5e-09"),
+    IndexError("index 0 is out of bounds"),
 )
+
+
+@pytest.mark.parametrize("error", ERRORS)
 def test_a_computation_that_breaks_down_is_a_failure_with_its_place_and_reason(
     error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -48,7 +49,18 @@ def test_a_computation_that_breaks_down_is_a_failure_with_its_place_and_reason(
     assert outcome.reason is Reason.INTERNAL_ERROR
     assert type(error).__name__ in outcome.detail
     assert str(error) in outcome.detail
-    auto = ESTIMATORS["auto"]().estimate(case.image, case.camera, case.scene)  # goes on with its other estimators
+
+
+@pytest.mark.parametrize("error", [ERRORS[0], *map(slow, ERRORS[1:])])
+def test_auto_goes_on_with_its_other_estimators_where_one_breaks_down(
+    error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise error
+
+    case = random_image(0)
+    monkeypatch.setattr(LimbMatching, "_solve", broken)
+    auto = ESTIMATORS["auto"]().estimate(case.image, case.camera, case.scene)
     assert not isinstance(auto, Failure) or auto.reason is not Reason.INTERNAL_ERROR or "limb_matching" in auto.detail
 
 

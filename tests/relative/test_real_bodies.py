@@ -85,6 +85,7 @@ def test_a_corner_of_europa_gives_its_position_as_uncertain_as_it_is(cases: Any,
     assert error @ np.linalg.solve(edges.covariance_px2 + case.sigma_px**2 * np.eye(2), error) < SIGMAS**2
 
 
+@pytest.mark.slow
 def test_jupiter_on_approach_is_as_large_as_its_range_says(cases: Any, data_dir: Path) -> None:
     case = next(cases.jupiter(data_dir))
     for estimator in limb_estimators(60.0):

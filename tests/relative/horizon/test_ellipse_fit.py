@@ -38,7 +38,7 @@ def seen(seed: int) -> tuple[BodyImage, PositionFix]:
     return case, found(case)
 
 
-@pytest.mark.monte_carlo(few=6, full=15)
+@pytest.mark.monte_carlo(few=4, full=15)
 def test_positions_under_any_law_are_as_good_as_they_say(draws: int) -> None:
     cases = [seen(seed) for seed in range(draws)]
     nees = [case.nees(fix) for case, fix in cases]
@@ -51,7 +51,7 @@ def test_positions_under_any_law_are_as_good_as_they_say(draws: int) -> None:
         assert not fix.flags.suspect
 
 
-@pytest.mark.monte_carlo(few=6, full=15)
+@pytest.mark.monte_carlo(few=4, full=15)
 def test_the_errors_themselves_are_parts_of_a_pixel(draws: int) -> None:
     errors: Float = np.array([case.error_px(fix) for case, fix in map(seen, range(draws))])
     ranges = [case.range_error(fix) for case, fix in map(seen, range(draws))]
@@ -114,7 +114,7 @@ def test_it_is_among_the_estimators() -> None:
     assert isinstance(estimator, EllipseFit)
 
 
-@pytest.mark.monte_carlo(few=4, full=10)
+@pytest.mark.monte_carlo(few=2, full=10)
 def test_relief_is_in_the_covariance_of_a_mesh(draws: int) -> None:
     squares = []
     for seed in range(draws):

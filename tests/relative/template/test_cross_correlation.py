@@ -137,7 +137,7 @@ def test_the_fit_finds_the_width_of_the_point_spread_function() -> None:
     assert_allclose(errors(fit), 0.0, rtol=0, atol=EXACT_PX)
 
 
-@pytest.mark.monte_carlo(few=40, full=300)
+@pytest.mark.monte_carlo(few=25, full=300)
 def test_errors_under_pure_noise_are_consistent_with_the_covariance(draws: int) -> None:
     random = np.random.default_rng(11)
     signal = 1500.0 * blobs()(TRUE, True).light + 20.0
@@ -147,7 +147,7 @@ def test_errors_under_pure_noise_are_consistent_with_the_covariance(draws: int) 
     assert low / MISSED_FOR_NOISE < mean_nees(fits, lambda fit: fit.covariance) < high
 
 
-@pytest.mark.monte_carlo(few=40, full=200)
+@pytest.mark.monte_carlo(few=25, full=200)
 def test_correlated_model_errors_are_in_the_covariance(draws: int) -> None:
     random = np.random.default_rng(12)
     fits = []
@@ -370,7 +370,7 @@ def test_center_and_range_of_resolved_bodies(diameter_px: float, phase_deg: floa
     assert len(fix.residuals) == fix.n_used
 
 
-@pytest.mark.parametrize("law", [Lambert(), LommelSeeliger()], ids=["lambert", "lommel_seeliger"])
+@pytest.mark.parametrize("law", [Lambert(), slow(LommelSeeliger())])
 def test_a_wrong_reflectance_law_does_not_pull_center_or_range(law: Reflectance) -> None:
     case = Case(diameter_px=80.0, phase_deg=40.0, law=law)
     free = positioned(case, case.image(), case.scene())
@@ -378,7 +378,7 @@ def test_a_wrong_reflectance_law_does_not_pull_center_or_range(law: Reflectance)
     assert abs(math.log(free.range_km / case.range_km)) < LOG_RANGE
 
 
-@pytest.mark.parametrize("range_factor", [0.95, 1.05])
+@pytest.mark.parametrize("range_factor", [0.95, slow(1.05)])
 def test_an_error_of_the_range_does_not_pull_the_center(range_factor: float) -> None:
     case = Case(diameter_px=110.0, phase_deg=80.0)
     fix = positioned(case, case.image(), case.scene(range_factor=range_factor))
@@ -386,7 +386,7 @@ def test_an_error_of_the_range_does_not_pull_the_center(range_factor: float) -> 
     assert abs(math.log(fix.range_km / case.range_km)) < LOG_RANGE
 
 
-@pytest.mark.monte_carlo(few=6, full=30)
+@pytest.mark.monte_carlo(few=4, full=30)
 def test_errors_on_rendered_bodies_are_consistent_with_the_covariance(draws: int) -> None:
     nees = []
     for seed in range(draws):

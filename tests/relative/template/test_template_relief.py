@@ -78,7 +78,7 @@ def mean_nees(found: list[TemplateFit], *, relief: bool) -> float:
     return float(np.mean([squared_error(*pair) for pair in zip(found, covariances, strict=True)]))
 
 
-@pytest.mark.monte_carlo(few=12, full=DRAWS)
+@pytest.mark.monte_carlo(few=8, full=DRAWS)
 def test_what_a_crescent_took_up_of_relief_is_in_its_covariance(draws: int) -> None:
     found = fits(0.01, draws)
     high = float(chi2.ppf(1.0 - RARE, 3 * draws)) / (3 * draws)

@@ -58,9 +58,10 @@ def assert_honest(results: list[tuple[Float, Float]]) -> None:
     assert total < chi2.ppf(1.0 - RARE, 3 * len(results)), [error for error, _ in results]
 
 
+@pytest.mark.monte_carlo(few=1, full=3)
 @pytest.mark.parametrize("phase_deg", [15.0, slow(90.0)])
-def test_a_sloping_background_pulls_neither_center_nor_range(phase_deg: float) -> None:
-    results = [errors(seed, "mcewen", phase_deg, PLANE_DN) for seed in SEEDS]
+def test_a_sloping_background_pulls_neither_center_nor_range(phase_deg: float, draws: int) -> None:
+    results = [errors(seed, "mcewen", phase_deg, PLANE_DN) for seed in SEEDS[:draws]]
     assert max(float(np.abs(error[:2]).max()) for error, _ in results) < PLANE_PX
     assert_honest(results)
 
@@ -87,20 +88,23 @@ def test_a_law_within_the_mixture_is_found_as_if_it_were_told(law: str, phase_de
     assert_honest(results)
 
 
-def test_how_brightness_changes_with_the_phase_angle_over_the_disk_is_found() -> None:
+@pytest.mark.monte_carlo(few=1, full=3)
+def test_how_brightness_changes_with_the_phase_angle_over_the_disk_is_found(draws: int) -> None:
     """McEwen's law is told: over a disk of 1.3 degrees it changes by half a percent, and the true law does not."""
-    results = [errors(seed, "lommel_seeliger", 15.0) for seed in SEEDS]
+    results = [errors(seed, "lommel_seeliger", 15.0) for seed in SEEDS[:draws]]
     assert np.abs([error[:2] for error, _ in results]).max() < PHASED_PX
     assert_honest(results)
 
 
+@pytest.mark.monte_carlo(few=1, full=3)
 @pytest.mark.parametrize(("law", "phase_deg"), [("hapke", 110.0), slow("minnaert", 60.0)])
-def test_the_covariance_counts_a_law_beyond_the_mixture(law: str, phase_deg: float) -> None:
-    assert_honest([errors(seed, law, phase_deg) for seed in SEEDS])
+def test_the_covariance_counts_a_law_beyond_the_mixture(law: str, phase_deg: float, draws: int) -> None:
+    assert_honest([errors(seed, law, phase_deg) for seed in SEEDS[:draws]])
 
 
-def test_wings_of_the_point_spread_function_are_estimated() -> None:
-    shots = [shot(seed, phase_deg=20.0 + 35.0 * seed, diameter_px=DIAMETER_PX, wings=0.1) for seed in SEEDS]
+@pytest.mark.monte_carlo(few=1, full=3)
+def test_wings_of_the_point_spread_function_are_estimated(draws: int) -> None:
+    shots = [shot(seed, phase_deg=20.0 + 35.0 * seed, diameter_px=DIAMETER_PX, wings=0.1) for seed in SEEDS[:draws]]
     for one in shots:
         fix = one.fix(CrossCorrelation())
         error = fix.center_px - one.center_px
@@ -128,8 +132,9 @@ def test_strong_markings_are_explained_and_a_limb_that_is_elsewhere_is_in_the_co
     assert rugged.flags.suspect or one.nees(rugged).sum() < chi2.ppf(1.0 - RARE, 2)
 
 
-def test_the_sampling_of_renders_does_not_limit_crescents() -> None:
-    results = [errors(seed, "mcewen", 125.0) for seed in SEEDS]
+@pytest.mark.monte_carlo(few=1, full=3)
+def test_the_sampling_of_renders_does_not_limit_crescents(draws: int) -> None:
+    results = [errors(seed, "mcewen", 125.0) for seed in SEEDS[:draws]]
     assert max(float(np.hypot(*error[:2])) for error, _ in results) < CRESCENT_PX
     assert_honest(results)
 

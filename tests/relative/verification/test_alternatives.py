@@ -123,7 +123,7 @@ def test_another_law_is_no_alternative(law: str, phase_deg: float) -> None:
 @pytest.mark.parametrize(
     ("phase_deg", "seed"),
     [
-        (phase_deg, seed) if (phase_deg, seed) in ((20.0, 1), (100.0, 2)) else slow(phase_deg, seed)
+        (phase_deg, seed) if (phase_deg, seed) in ((20.0, 1),) else slow(phase_deg, seed)
         for phase_deg in (20.0, 60.0, 100.0)
         for seed in (1, 2, 3)
     ],

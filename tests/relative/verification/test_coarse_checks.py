@@ -23,6 +23,7 @@ from giantlike.relative.verification import coarse_fit, light_side
 from giantlike.relative.verification.cells import Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells
 from giantlike.shapes import Ellipsoid
+from tests.sizes import slow
 
 RADII_KM = np.array([1.1, 1.0, 0.95])
 SIZE, FOCAL_PX, MIDDLE = 300, 4000.0, 149.5
@@ -103,7 +104,7 @@ def left_at_the_best_shift(image: Float, model: Float, room: int) -> float:
     return left
 
 
-@pytest.mark.parametrize("phase_deg", [30.0, 90.0, 130.0])
+@pytest.mark.parametrize("phase_deg", [30.0, slow(90.0), slow(130.0)])
 @pytest.mark.parametrize("masked", [False, True])
 def test_blocks_of_cells_say_of_each_side_what_all_light_says(phase_deg: float, masked: bool) -> None:
     sun = sun_at(phase_deg)
@@ -128,7 +129,7 @@ def test_blocks_of_cells_say_of_each_side_what_all_light_says(phase_deg: float, 
     assert abs(rough[1] - min(left[1:])) < LEFT
 
 
-@pytest.mark.parametrize("phase_deg", [5.0, 40.0, 90.0, 130.0])
+@pytest.mark.parametrize("phase_deg", [slow(5.0), 40.0, slow(90.0), 130.0])
 def test_a_side_that_blocks_tell_is_the_one_that_cells_tell(phase_deg: float, monkeypatch: pytest.MonkeyPatch) -> None:
     sides = {}
     for told_deg in (20.0, 110.0, 200.0):

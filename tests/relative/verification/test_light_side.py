@@ -26,6 +26,7 @@ from giantlike.relative.verification.cells import cells_around
 from giantlike.relative.verification.light_side import light_side
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
+from tests.sizes import slow
 from tests.sphere_fields import bumps
 
 LIGHT_LOG_ODDS = math.log(len(Alternative) / FALSE_ALARM)
@@ -111,7 +112,7 @@ def test_at_full_phase_there_is_no_side() -> None:
     assert abs(odds(picture(20.0), sun_at(0.0))) < LIGHT_LOG_ODDS
 
 
-@pytest.mark.parametrize("estimator", [CrossCorrelation(), LimbMatching(), EllipsoidCRA()])
+@pytest.mark.parametrize("estimator", [slow(CrossCorrelation()), slow(LimbMatching()), EllipsoidCRA()])
 def test_an_image_read_upside_down_gives_no_fix_that_is_ok(
     estimator: CrossCorrelation | LimbMatching | EllipsoidCRA,
 ) -> None:

@@ -27,6 +27,7 @@ from giantlike.relative.place import place_covariance
 from giantlike.relative.verification import verify
 from giantlike.scene import Scene, Target, TargetUncertainty
 from giantlike.shapes import Ellipsoid, TriangleMesh
+from tests.sizes import slow
 from tests.sphere_fields import bumps
 
 RADII_KM = np.array([10.0, 8.8, 8.2])
@@ -123,13 +124,13 @@ def test_a_right_fix_raises_no_flag_whatever_law_and_markings_the_body_has(law: 
     assert verify(fix, inputs, SEARCH_PX) is fix
 
 
-@pytest.mark.parametrize("phase_deg", [20.0, 100.0])
+@pytest.mark.parametrize("phase_deg", [20.0, slow(100.0)])
 def test_a_second_exposure_is_light_that_the_body_does_not_explain(phase_deg: float) -> None:
     twice = 0.5 * light(phase_deg) + 0.5 * np.roll(light(phase_deg), (13, -15), axis=(0, 1))
     assert Quality.UNEXPLAINED_LIGHT in flags(inputs_of(twice, phase_deg))
 
 
-@pytest.mark.parametrize("factor", [0.6, 1.4])
+@pytest.mark.parametrize("factor", [slow(0.6), 1.4])
 def test_a_body_of_another_size_has_another_figure(factor: float) -> None:
     other = tuple((factor * RADII_KM).tolist())
     assert Quality.WRONG_FIGURE in flags(inputs_of(light(40.0, radii_km=other), 40.0))
@@ -146,7 +147,7 @@ def squared_error(fix: PositionFix) -> float:
     return float(error_km @ np.linalg.solve(fix.covariance_camera_km2, error_km))
 
 
-@pytest.mark.parametrize("shift", [(5, 0), (4, -4)])
+@pytest.mark.parametrize("shift", [(5, 0), slow((4, -4))])
 def test_two_exposures_a_few_pixels_apart_are_a_blur_that_makes_the_fix_less_certain(shift: tuple[int, int]) -> None:
     twice = 0.5 * light(60.0) + 0.5 * np.roll(light(60.0), shift, axis=(0, 1))
     inputs = inputs_of(twice, 60.0)
@@ -158,7 +159,7 @@ def test_two_exposures_a_few_pixels_apart_are_a_blur_that_makes_the_fix_less_cer
     assert np.trace(untold.covariance_px2) < 0.1 * np.trace(told.covariance_px2)  # a blur is no error there
 
 
-@pytest.mark.parametrize("law", ["mcewen", "lambert"])
+@pytest.mark.parametrize("law", [slow("mcewen"), "lambert"])
 def test_rows_that_slip_each_by_their_own_leave_a_right_fix_as_it_is(law: str) -> None:
     rng, whole = np.random.default_rng(4), light(60.0, law, True)
     torn = np.stack([np.roll(row, shift) for row, shift in zip(whole, rng.integers(-2, 3, SIZE), strict=True)])
@@ -250,7 +251,8 @@ def test_a_limb_that_a_told_range_leaves_elsewhere_is_no_blur() -> None:
 
 
 @pytest.mark.parametrize(
-    ("phase_deg", "first", "shift"), [(60.0, 105, 2), (100.0, 105, 3), (120.0, 100, 2), (20.0, 80, 1), (60.0, 80, 2)]
+    ("phase_deg", "first", "shift"),
+    [(60.0, 105, 2), slow(100.0, 105, 3), slow(120.0, 100, 2), (20.0, 80, 1), slow(60.0, 80, 2)],
 )
 def test_rows_that_are_shifted_from_one_on_leave_the_place_of_the_others_within_the_errors(
     phase_deg: float, first: int, shift: int
@@ -263,7 +265,7 @@ def test_rows_that_are_shifted_from_one_on_leave_the_place_of_the_others_within_
 
 
 @pytest.mark.xfail(strict=True, reason="laws, blur and strain of the coarse fit take up what shifted rows leave")
-@pytest.mark.parametrize(("phase_deg", "shift"), [(60.0, 4), (20.0, 4)])
+@pytest.mark.parametrize(("phase_deg", "shift"), [slow(60.0, 4), (20.0, 4)])
 def test_half_of_the_rows_shifted_by_an_eighth_of_the_radius_are_found(phase_deg: float, shift: int) -> None:
     rows = light(phase_deg).copy()
     rows[80:] = np.roll(rows[80:], shift, axis=1)
@@ -299,7 +301,7 @@ def test_a_roll_makes_a_fix_less_certain_unless_its_part_of_the_covariance_cover
     assert grown[0] < 1.001 * grown[1] < grown[2]
 
 
-@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+@pytest.mark.parametrize("axis", [slow((1.0, 0.0, 0.0)), (0.0, 1.0, 0.0), slow((0.0, 0.0, 1.0))])
 def test_a_pole_told_10_degrees_off_makes_a_fix_less_certain(axis: tuple[float, ...]) -> None:
     turned = Rotation.from_rotvec(math.radians(10.0) * np.array(axis)) * TURN
     inputs = inputs_of(light(60.0), 60.0, turn=turned)
@@ -371,7 +373,7 @@ def without_range(inputs: EstimatorInputs, sigma_km: float) -> CenterFix:
 
 
 @pytest.mark.parametrize(
-    ("off_km", "scale", "far"), [(9.0, 0.0, False), (60.0, 0.0, True), (60.0, 0.05, False), (-60.0, 0.0, True)]
+    ("off_km", "scale", "far"), [(9.0, 0.0, False), slow(60.0, 0.0, True), (60.0, 0.05, False), (-60.0, 0.0, True)]
 )
 def test_a_body_of_another_size_than_predicted_is_far_from_it_though_its_range_is_not_estimated(
     off_km: float, scale: float, far: bool
