@@ -14,16 +14,18 @@ if TYPE_CHECKING:
     from giantlike.campaign.report.run_page import write_report
     from giantlike.campaign.run.runner import run_campaign
     from giantlike.campaign.store.results import RunResult, load_result
+    from giantlike.campaign.store.run_photos import photos_of_run
 
 _HOME_OF = {
     "Campaign": "file.config",
     "RunResult": "store.results",
     "load_result": "store.results",
+    "photos_of_run": "store.run_photos",
     "run_campaign": "run.runner",
     "write_report": "report.run_page",
 }
 
-__all__ = ["Campaign", "RunResult", "load_result", "run_campaign", "write_report"]
+__all__ = ["Campaign", "RunResult", "load_result", "photos_of_run", "run_campaign", "write_report"]
 
 
 def __getattr__(name: str) -> Any:

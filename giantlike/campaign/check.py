@@ -57,7 +57,7 @@ from giantlike.shapes import Shape
 from giantlike.stars.matching import predicted_in_frame
 from giantlike.stars.navigation import sky_of
 
-_SECTIONS = "campaign|mission|images|camera|spice|stars|calibration|calibration_frames|geometry|targets|report"
+_SECTIONS = "campaign|mission|images|camera|spice|stars|calibration|calibration_frames|geometry|targets|network|report"
 _KEY = re.compile(rf"\[?((?:{_SECTIONS})\b(?:[\w.]|\[\d+\])*)\]?:? ")
 _ALONE: dict[str, Any] = {
     "shape": (1.0, 1.0, 1.0),

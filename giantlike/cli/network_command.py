@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-import json as json_text
-import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
-from giantlike._system.atomic import write_text_atomic
 from giantlike.calibration.options import Loss
+from giantlike.campaign import Campaign, run_campaign
+from giantlike.campaign.file.schema import NetworkSection
+from giantlike.campaign.store.run_folder import NETWORK_FILE, RunFolder
 from giantlike.cli.arguments import Json
 from giantlike.cli.outcome import ExitCode, show_result
+from giantlike.cli.progress import progress_bar
+from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
 from giantlike.io.isis_network import read_control_network
-from giantlike.network import NetworkFix, NetworkOptions, adjust, read_isis
+from giantlike.network import NetworkFix, NetworkOptions, adjust, read_isis, write_network
 
 Network = Annotated[Path, typer.Argument(metavar="NET.pvl", help="ISIS control network in PVL.")]
 
@@ -53,10 +56,15 @@ def read(network: Network, json: Json = False) -> ExitCode:
 
 
 def adjust_network(
-    network: Network,
+    network: Annotated[Path, typer.Argument(metavar="RUN|NET.pvl", help="Run folder, or ISIS control network in PVL.")],
     images: Annotated[
-        list[Path], typer.Option("--images", help="ISD of an image, or a folder of *.isd and *.json.", metavar="ISD")
-    ],
+        list[Path] | None,
+        typer.Option("--images", help="ISD of an image, or a folder of *.isd and *.json.", metavar="ISD"),
+    ] = None,
+    shape: Annotated[
+        Path | None, typer.Option(help="Of a run: mesh of the landmarks; default: that of the target.", metavar="FILE")
+    ] = None,
+    target: Annotated[str | None, typer.Option(help="Of a run: target, where it has several.")] = None,
     reduction: Annotated[float, typer.Option(help="Detector pixels along a pixel of the measured images.")] = 1.0,
     sigma_px: Annotated[float, typer.Option(help="Sigma of measures, detector pixels per axis.")] = 1.4,
     sigma_position_km: Annotated[float, typer.Option(help="A priori sigma of positions per axis.")] = 1.0,
@@ -71,8 +79,14 @@ def adjust_network(
 ) -> ExitCode:
     """Adjust the points and poses of a control network, and show what its images do not determine.
 
-    The folder gets result.json, points.csv (body axes, with covariance) and poses.csv (ICRF, with covariance).
+    The folder gets result.json, points.csv (body axes, with covariance) and poses.csv (ICRF, with covariance). A run
+    goes on with the step network: landmarks of a shape are found in its images and adjusted, in its folder network.
     """
+    if RunFolder(network).has_results():
+        return _adjust_run(network, NetworkSection(shape=None if shape is None else str(shape.absolute()),
+                                                   target=target, loss=loss), output, json=json)  # fmt: skip
+    require(images is not None, f"{network}: an ISIS network needs the support data of its images: give --images ISD")
+    assert images is not None
     files = [file for path in images for file in (_isds(path) if path.is_dir() else [path])]
     photos, tracks = read_isis(
         network,
@@ -89,11 +103,32 @@ def adjust_network(
         return show_result(failed, f"failed: {fix.reason}: {fix.detail}", json=json, failed=True)
     summary = {"status": "ok", **fix.summary()}
     if output is not None:
+        write_network(output, fix)
+    return show_result(summary, _lines(summary), json=json)
+
+
+def _adjust_run(folder: Path, section: NetworkSection, output: Path | None, *, json: bool) -> ExitCode:
+    """Go on with a run, with the step ``network``."""
+    named = RunFolder.open(folder).provenance().get("environment", {}).get("campaign_file")
+    path = None if named is None else (folder / named).resolve()
+    require(path is not None and path.is_file(), f"{folder}: its campaign file is not at {path}")
+    assert path is not None
+    campaign = Campaign.load(path)
+    known = campaign.network
+    if known is not None:
+        told = {name: getattr(section, name) for name in section.model_fields_set if getattr(section, name) is not None}
+        section = known.section.model_copy(update=told)
+    with progress_bar(lines=True) as progress:
+        result = run_campaign(replace(campaign.with_network(section), output=folder), progress=progress)
+    summary = result.network or {}
+    if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-        write_text_atomic(output / "result.json", json_text.dumps(summary, indent=1) + "\n")
-        write_text_atomic(output / "points.csv", "\n".join(_point_rows(fix)) + "\n")
-        write_text_atomic(output / "poses.csv", "\n".join(_pose_rows(fix)) + "\n")
-    return show_result(summary, _lines(fix, summary), json=json)
+        for file in sorted((folder / NETWORK_FILE).parent.iterdir()):
+            (output / file.name).write_bytes(file.read_bytes())
+    if summary.get("status") != "ok":
+        text = f"failed: {summary.get('reason')}: {summary.get('detail')}"
+        return show_result(summary, text, json=json, failed=True)
+    return show_result(summary, _lines(summary), json=json)
 
 
 def _isds(folder: Path) -> list[Path]:
@@ -103,14 +138,14 @@ def _isds(folder: Path) -> list[Path]:
     return found
 
 
-def _lines(fix: NetworkFix, summary: dict[str, Any]) -> list[str]:
-    status = summary["point_status"]
+def _lines(summary: dict[str, Any]) -> list[str]:
+    status, scaled = summary["point_status"], summary["covariance_scale"] != 1.0
     lines = [
         f"{summary['points']} points ({', '.join(f'{count} {name}' for name, count in status.items())}), "
         f"{len(summary['images'])} images, {summary['measures']} measures, {len(summary['rejected'])} rejected",
-        f"noise {fix.noise:.3g} of the stated sigma (robust), sigma0 {summary['sigma0']:.4g} with {fix.freedom} "
-        f"degrees of freedom{'; covariances are scaled by it' if fix.covariance_scale != 1.0 else ''}",
-        f"frame: {fix.datum}",
+        f"noise {summary['noise_over_stated']:.3g} of the stated sigma (robust), sigma0 {summary['sigma0']:.4g} with "
+        f"{summary['freedom']} degrees of freedom{'; covariances are scaled by it' if scaled else ''}",
+        f"frame: {summary['datum']}",
     ]
     for one in summary["images"]:
         sigma = max(one["sigma_position_km"])
@@ -119,35 +154,11 @@ def _lines(fix: NetworkFix, summary: dict[str, Any]) -> list[str]:
             f"  {one['name']}: {one['measures']} measures, {one['rejected']} rejected, rms {rms}, "
             f"position sigma {sigma:.3g} km, attitude {max(one['sigma_attitude_deg']):.3g} deg"
         )
-    for each in fix.frame:
-        unit = {"shift": " km", "rotation": " rad"}.get(each.name.split()[0], "")
-        sigma_text = "not known a priori: held" if math.isinf(each.sigma) else f"sigma {each.sigma:.3g}{unit}"
-        lines.append(f"  {each.name}: {sigma_text}, {100.0 * each.share:.0f} % of the variance of the points")
+    for each in summary["frame"]:
+        unit = {"shift": " km", "rotation": " rad"}.get(each["name"].split()[0], "")
+        sigma_text = "not known a priori: held" if each["sigma"] is None else f"sigma {each['sigma']:.3g}{unit}"
+        lines.append(f"  {each['name']}: {sigma_text}, {100.0 * each['share']:.0f} % of the variance of the points")
     lines += [
         f"  {one['name']}: {one['departure']:.4g} +- {one['sigma']:.2g}, {one['verdict']}" for one in summary["shared"]
     ]
     return lines + [f"not determined: {each}" for each in summary["weak"]]
-
-
-def _point_rows(fix: NetworkFix) -> list[str]:
-    rows = ["point,status,views,used,x_km,y_km,z_km,xx_km2,xy_km2,xz_km2,yy_km2,yz_km2,zz_km2"]
-    used = np.bincount(fix.tracks.point, fix.used, len(fix.tracks.names)).astype(int)
-    upper = np.triu_indices(3)
-    for k, name in enumerate(fix.tracks.names):
-        numbers = [*fix.points_km[k], *fix.covariance_points_km2[k][upper]]
-        rows.append(f"{name},{fix.point_status[k]},{fix.tracks.views[k]},{used[k]}," + _csv(numbers))
-    return rows
-
-
-def _pose_rows(fix: NetworkFix) -> list[str]:
-    upper = [f"c{i}{j}" for i, j in zip(*np.triu_indices(6), strict=True)]
-    rows = ["image,et,qx,qy,qz,qw,x_km,y_km,z_km," + ",".join(upper)]
-    for photo, covariance in zip(fix.photos, fix.covariance_poses, strict=True):
-        quaternion = photo.camera_from_inertial.as_quat(canonical=True)
-        numbers = [photo.et, *quaternion, *photo.position_km, *covariance[np.triu_indices(6)]]
-        rows.append(f"{photo.name}," + _csv(numbers))
-    return rows
-
-
-def _csv(numbers: list[float]) -> str:
-    return ",".join("" if math.isnan(value) else f"{value:.15g}" for value in numbers)

@@ -257,6 +257,22 @@ def ellipsoid_from_pck(body: str | int, kernels: Sequence[str | Path] = (), base
     return Ellipsoid(radii_km=radii_km, name=str(body))
 
 
+def rotation_coefficients(body: str) -> tuple[Float, Float, Float] | None:
+    """Coefficients of right ascension and declination of the pole and of the prime meridian of a body, deg.
+
+    Those of the loaded planetary constants kernels; None where they have none.
+    """
+    import spiceypy
+
+    code, found = body_id(body), list[Float]()
+    for item in ("POLE_RA", "POLE_DEC", "PM"):
+        name = f"BODY{code}_{item}"
+        if code is None or not spiceypy.expool(name):
+            return None
+        found.append(np.asarray(spiceypy.gdpool(name, 0, 3), dtype=np.float64))
+    return found[0], found[1], found[2]
+
+
 def body_id(name: str) -> int | None:
     """NAIF code of a body by its name or code; None for a name that the loaded kernels do not define."""
     import spiceypy

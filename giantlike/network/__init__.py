@@ -1,6 +1,7 @@
 """Control networks: points, poses, and the rotation and size of a body, adjusted to measures in many images."""
 
 from giantlike.network.adjust import adjust
+from giantlike.network.files import write_network
 from giantlike.network.isis import read_isis
 from giantlike.network.landmarks import FoundTracks, LandmarkMeasures, TrackOptions, find_tracks, photo_of
 from giantlike.network.options import NetworkOptions
@@ -21,4 +22,5 @@ __all__ = [
     "find_tracks",
     "photo_of",
     "read_isis",
+    "write_network",
 ]

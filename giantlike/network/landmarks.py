@@ -26,8 +26,8 @@ from giantlike.relative.landmarks.matching import LandmarkMatch, common_shift, c
 from giantlike.relative.landmarks.rendering import LandmarkRenderer, rays_for
 from giantlike.relative.landmarks.selection import landmarks_of
 from giantlike.relative.landmarks.visibility import VisibilityOptions, viewer_for
-from giantlike.scene import Scene, Target
-from giantlike.shapes import LevelsOfDetail, TriangleMesh
+from giantlike.scene import Scene
+from giantlike.shapes import LevelsOfDetail, Shape, TriangleMesh
 from giantlike.shapes.landmarks import LandmarkCatalog
 
 _NEAR_PX = 6
@@ -179,12 +179,12 @@ def photo_of(image: Image, camera: Camera, scene: Scene, target: str | None = No
     )
 
 
-def catalog_of(target: Target) -> LandmarkCatalog | Failure:
+def catalog_of(name: str, shape: Shape) -> LandmarkCatalog | Failure:
     """Return the landmarks of the mesh of a target."""
-    shape = target.shape.finest if isinstance(target.shape, LevelsOfDetail) else target.shape
-    if isinstance(shape, TriangleMesh):
-        return landmarks_of(shape)
-    return Failure(Reason.WRONG_SHAPE, f"{target.name}: landmarks need a mesh, the shape is a {type(shape).__name__}")
+    mesh = shape.finest if isinstance(shape, LevelsOfDetail) else shape
+    if isinstance(mesh, TriangleMesh):
+        return landmarks_of(mesh)
+    return Failure(Reason.WRONG_SHAPE, f"{name}: landmarks need a mesh, the shape is a {type(mesh).__name__}")
 
 
 def measure_landmarks(
@@ -223,7 +223,8 @@ def measure_landmarks(
     inputs = gather(image, camera, scene, target, estimator="network", options=options)
     if isinstance(inputs, Failure):
         return inputs
-    catalog, apriori = catalog_of(inputs.geometry.target), photo_of(image, camera, scene, target)
+    body_shape = inputs.geometry.target.shape
+    catalog, apriori = catalog_of(inputs.target_name, body_shape), photo_of(image, camera, scene, target)
     if isinstance(catalog, Failure) or isinstance(apriori, Failure):
         return catalog if isinstance(catalog, Failure) else apriori  # type: ignore[return-value]
     rendered = apriori if pose is None else pose
@@ -396,7 +397,8 @@ def find_tracks(
         There is no such target, an image is of another size than the camera, or no landmark is in two images.
     """
     options = TrackOptions() if options is None else options
-    catalog = catalog_of(scene.target(target))
+    known = scene.target(target)
+    catalog = catalog_of(known.name, known.shape)
     if isinstance(catalog, Failure):
         return catalog
     failures, kept = dict[str, Failure](), list[tuple[int, Photo, LandmarkMeasures]]()

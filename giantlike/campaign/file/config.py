@@ -29,7 +29,7 @@ from giantlike.campaign.file.inputs import (
     targets_of,
 )
 from giantlike.campaign.file.mission_defaults import with_mission
-from giantlike.campaign.file.schema import CalibrationSection, CampaignFile, StarsSection
+from giantlike.campaign.file.schema import CalibrationSection, CampaignFile, NetworkSection, StarsSection
 from giantlike.campaign.file.toml_file import prefix_errors, read_toml
 from giantlike.campaign.file.viewing import viewing_of
 from giantlike.core.arrays import Float, require
@@ -74,6 +74,14 @@ class StarsSetup:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class NetworkSetup:
+    """The step ``network``: the target with the shape of the landmarks, and the section."""
+
+    target: TargetSetup
+    section: NetworkSection
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Campaign:
     """A campaign whose file has been checked: every path exists, every name and option is known.
 
@@ -103,6 +111,7 @@ class Campaign:
     stars : StarsSetup or None
     calibration : CalibrationSection or None
     targets : tuple of TargetSetup
+    network : NetworkSetup or None
     max_overlays : int
         Number of images shown in the report.
     warnings : tuple of str
@@ -132,6 +141,7 @@ class Campaign:
     calibration: CalibrationSection | None
     targets: tuple[TargetSetup, ...]
     max_overlays: int
+    network: NetworkSetup | None = None
     warnings: tuple[str, ...] = field(default=())
     apriori_sigma_rad: float | None = None
     frames: FrameFiles | None = None
@@ -158,6 +168,36 @@ class Campaign:
         content, table = read_toml(path, CampaignFile, "campaign file", complete=with_mission)
         with resolving(path, "a campaign file"):
             return _resolve(path, content, table)
+
+    def with_network(self, section: NetworkSection) -> Campaign:
+        """Return the campaign with the step ``network``.
+
+        Parameters
+        ----------
+        section : NetworkSection
+
+        Returns
+        -------
+        Campaign
+
+        Raises
+        ------
+        InputError
+            There is no such target, its shape is no mesh, or fewer than two images may show it.
+        """
+        anywhere = self.spice is not None or self.label_geometry
+        seen = Counter(name for known in self.geometry.values() for name in {*known.targets, *known.seen})
+        names = ", ".join(target.name for target in self.targets)
+        require(bool(self.targets), "network: the campaign has no target")
+        require(section.target is not None or len(self.targets) == 1, f"network.target: name one of {names}")
+        found = [target for target in self.targets if section.target in (None, target.name)]
+        require(bool(found), f"network.target: there is no target {section.target!r}; there is {names}")
+        target, count = found[0], len(self.images) if anywhere else seen[found[0].name]
+        require(count >= 2, f"network: needs at least two images of {target.name}, the campaign has {count}")
+        if section.shape is not None:
+            target = replace(target, shape=existing_file(self.path, "network.shape", section.shape))
+        require(isinstance(target.shape, Path), f"network.shape: landmarks need a mesh, {target.name} is an ellipsoid")
+        return replace(self, network=NetworkSetup(target=target, section=section))
 
     def apriori_covariance_rad2(self, key: str) -> Float | None:
         """Return the covariance of the a priori attitude of an image, as declared, else as in its SUMFILE.
@@ -250,7 +290,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         start = start_model(camera.model, calibration.estimate, calibration.model, 1.0)
         for name in calibration.options.prior_sigma:
             require(name in start.parameter_names, f"calibration.options.prior_sigma: the model has no {name!r}")
-    return Campaign(
+    campaign = Campaign(
         path=path,
         table=table,
         name=content.campaign.name,
@@ -273,6 +313,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         frames=frames_of(path, content.calibration_frames, bottom_up=bottom_up),
         empty_images=_empty_images(images, content.images.expect),
     )
+    return campaign if content.network is None else campaign.with_network(content.network)
 
 
 def _empty_images(images: Sequence[ImageEntry], expect: str | Mapping[str, str] | None) -> frozenset[str]:

@@ -15,6 +15,7 @@ from pydantic import BeforeValidator, Field, PlainValidator
 from giantlike.atmosphere import Atmosphere
 from giantlike.calibration import CalibrationOptions
 from giantlike.calibration.criteria import CalibrationCriteria
+from giantlike.calibration.options import Loss, Treatment
 from giantlike.calibration.star_images import DEFAULT_MIN_SNR
 from giantlike.campaign.file.options import options_validator
 from giantlike.campaign.file.toml_file import TomlSection
@@ -322,6 +323,31 @@ class TargetSection(BodySection):
     `{ inner_km, outer_km }` ([terrain](terrain.md))."""
 
 
+class NetworkSection(TomlSection):
+    """``[network]``: landmarks of a shape, found in all images and adjusted together ([networks](network.md)).
+
+    The step follows all others and writes the folder `network` of the run.
+    """
+
+    target: str | None = None
+    """Name of the target; may be left out where the campaign has one."""
+    shape: str | None = None
+    """Mesh file of the landmarks; default: the shape of the target."""
+    pose: Treatment = Treatment.ESTIMATE
+    """`estimate`, `consider` (kept, while its covariance enters that of the points) or `fixed`."""
+    sigma_pole_deg: float = Field(default=2.0, ge=0, le=25)
+    """A priori sigma of pole and prime meridian, deg; 0 keeps them. They are estimated only where a planetary constants
+    kernel gives the orientation of the target by pole, prime meridian and rate alone."""
+    sigma_rate: float = Field(default=1e-4, ge=0, le=1)
+    """That of the rate of rotation, relative; 0 keeps it."""
+    sigma_size: float = Field(default=0.01, ge=0, le=1)
+    """That of the size of the shape, relative; 0 keeps it."""
+    camera: Treatment = Treatment.CONSIDER
+    """Treatment of the parameters of the camera whose uncertainty its file has."""
+    loss: Loss = Loss.CAUCHY
+    """Loss of the fit that finds outliers: `cauchy`, `huber` or `linear`."""
+
+
 class ReportSection(TomlSection):
     """``[report]``: the contents of ``report.html``."""
 
@@ -429,5 +455,6 @@ class CampaignFile(TomlSection):
     calibration_frames: CalibrationFramesSection | None = None
     geometry: Annotated[list[GeometrySection], BeforeValidator(_as_list)] = Field(default_factory=list)
     targets: list[TargetSection] = Field(default_factory=list)
+    network: NetworkSection | None = None
     report: ReportSection = ReportSection()
     ades: AdesSection | None = None

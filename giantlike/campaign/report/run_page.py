@@ -78,6 +78,7 @@ def write_report(result: RunResult) -> Path:
         n_readable=sum(record.readable for record in result.attitudes),
         time_s=result.time_s,
         calibration=result.calibration,
+        network=result.network,
     )
     path = result.folder / REPORT_PAGE
     write_text_atomic(path, page)

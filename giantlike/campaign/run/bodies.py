@@ -65,14 +65,7 @@ def estimate_bodies(
     measuring: Measuring,
 ) -> list[BodyRecord]:
     """Run estimators on targets of an image."""
-    campaign, wanted = bench.campaign, set(work)
-    if attitude is not None:
-        image = image.with_attitude(
-            attitude.rotation,
-            source=AttitudeSource(attitude.source),
-            covariance_rad2=attitude.covariance_rad2,
-            errors=attitude.errors,
-        )
+    campaign, wanted, image = bench.campaign, set(work), with_attitude_used(image, attitude)
     epoch_utc = None if image.epoch is None else utc_text(image.epoch)
     records: list[BodyRecord] = []
     for target in targets_in(campaign, entry.key):
@@ -101,6 +94,18 @@ def estimate_bodies(
                 known = _add_outline(known, campaign, geometry) if campaign.max_overlays > 0 else known
             records.append(known)
     return records
+
+
+def with_attitude_used(image: Image, attitude: Attitude | None) -> Image:
+    """Image with the attitude of its record, where there is one."""
+    if attitude is None:
+        return image
+    return image.with_attitude(
+        attitude.rotation,
+        source=AttitudeSource(attitude.source),
+        covariance_rad2=attitude.covariance_rad2,
+        errors=attitude.errors,
+    )
 
 
 def failed_bodies(

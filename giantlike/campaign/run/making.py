@@ -155,7 +155,7 @@ class RunExecutor:
         plan = _Plan.from_run(self)
         transfers = self.campaign.stars is not None and self.campaign.stars.long_exposure_s is not None
         if transfers or not bodies:
-            jobs = [self._job(entry, solve=True) for entry in plan.unsolved]
+            jobs = [self.job(entry, solve=True) for entry in plan.unsolved]
             self._say_first({_ATTITUDES: StepCount(redone=len(jobs), kept=len(plan.solved))})
             self._process(pool, plan, jobs, "reading images" if self.campaign.stars is None else "solving stars")
             self._transfer(plan)
@@ -175,7 +175,7 @@ class RunExecutor:
                 record is not None and entry.key not in unsolved and not record.body_image
             ):
                 if entry.key in unsolved:
-                    jobs.append(self._job(entry, solve=True))
+                    jobs.append(self.job(entry, solve=True))
                 continue
             work = work_in(self.campaign, entry.key)
             attitude = None if record is None else attitude_to_use(self.campaign, record)
@@ -190,16 +190,17 @@ class RunExecutor:
                 failed = failed_bodies(entry, todo, record.problem, epoch_utc=record.epoch_utc)
                 self._save_bodies(plan, entry, None, map(PackedRecord.from_record, failed))
             elif entry.key in unsolved:
-                job = self._job(entry, solve=True)
+                job = self.job(entry, solve=True)
                 jobs.append(replace(job, attitude=attitude, bodies=todo, bodies_if_turned=tuple(known)))
             elif todo:
-                jobs.append(replace(self._job(entry, solve=False), attitude=attitude, bodies=todo))
+                jobs.append(replace(self.job(entry, solve=False), attitude=attitude, bodies=todo))
         if unsolved or _ATTITUDES not in self.counts:
             counts = {_ATTITUDES: StepCount(redone=len(unsolved), kept=len(plan.solved))} | counts
         self._say_first(counts)
         return jobs
 
-    def _job(self, entry: ImageEntry, *, solve: bool) -> ImageJob:
+    def job(self, entry: ImageEntry, *, solve: bool) -> ImageJob:
+        """Work on an image, with the calibrated camera and what users decided."""
         return ImageJob(entry=entry, camera=self.camera, measuring=self._measuring(entry), solve=solve)
 
     def _measuring(self, entry: ImageEntry) -> Measuring:

@@ -13,6 +13,7 @@ from giantlike.campaign.report.run_page import write_report
 from giantlike.campaign.run.common_errors import find_common_errors
 from giantlike.campaign.run.identities import Identities
 from giantlike.campaign.run.making import Announce, Progress, RunExecutor
+from giantlike.campaign.run.network import make_network
 from giantlike.campaign.run.pool import Pool, WorkerPool
 from giantlike.campaign.run.provenance import environment_of, inputs_of
 from giantlike.campaign.run.steps import digest
@@ -135,6 +136,7 @@ def run_campaign(
                     attitudes = tuple(run.edits.attitudes(folder.attitudes()))
                     found = tuple(run.edits.bodies(folder.bodies()))
                     observations = [record for image in found for record in image.observations]
+                    network = make_network(run, workforce, attitudes) if bodies else None
                     common = find_common_errors(run.bench.campaign, attitudes, observations)
                     result = RunResult(
                         folder=folder.path,
@@ -149,6 +151,7 @@ def run_campaign(
                         calibration=calibration,
                         empty_images=campaign.empty_images,
                         steps=run.counts,
+                        network=network,
                     )
                     if not _as_before(before, inputs, folder, run):
                         _write_results(folder, result, workforce)

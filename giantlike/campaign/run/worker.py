@@ -68,7 +68,7 @@ class ImageAnswer:
 def process_image(bench: Workbench, job: ImageJob) -> ImageAnswer:
     """Read an image, solve its stars if requested, and run the estimators on it."""
     start = time.perf_counter()
-    opened = attempt(_open_image, bench, job)
+    opened = attempt(open_image_of_job, bench, job)
     record, attitude, work = None, job.attitude, job.bodies
     if job.solve:
         solved = opened if isinstance(opened, Problem) else attempt(_solve_attitude, *opened, job.entry)
@@ -152,7 +152,7 @@ def _make_unsolved_record(campaign: Campaign, entry: ImageEntry, known: Image | 
     )
 
 
-def _open_image(bench: Workbench, job: ImageJob) -> tuple[Workbench, PreparedImage] | Problem:
+def open_image_of_job(bench: Workbench, job: ImageJob) -> tuple[Workbench, PreparedImage] | Problem:
     """Image, and the workbench for it: with the calibrated camera, at its temperature, without rejected stars."""
     if job.camera is not None:
         bench = bench.with_camera(job.camera)

@@ -21,6 +21,9 @@ from giantlike.processing.calibration_frames import CalibrationFrames
 from giantlike.shapes import Shape
 from giantlike.stars import StarNavigation
 
+NETWORK_SHAPE = "[network]"
+"""Name of the shape of the landmarks of a network among those of the targets."""
+
 
 class WithoutStars:
     """A catalog of which some stars are left out of every field.
@@ -62,7 +65,7 @@ class WithoutStars:
 class Workbench(Value):
     """Campaign with catalog, shapes and kernels loaded, once per process.
 
-    shapes: by target name.
+    shapes: by target name, and that of the landmarks of a network.
     frames: applied to every image.
     """
 
@@ -84,6 +87,10 @@ class Workbench(Value):
                 detection=campaign.stars.detection,
             )
         shapes = {target.name: target.load_shape() for target in campaign.targets}
+        if campaign.network is not None:
+            known = next(one for one in campaign.targets if one.name == campaign.network.target.name)
+            same = known == campaign.network.target
+            shapes[NETWORK_SHAPE] = shapes[known.name] if same else campaign.network.target.load_shape()
         for target in campaign.targets:
             target.limb.height_map()
         kernels = None if campaign.spice is None else load_kernels(campaign.spice.kernels, ".", trusted=trusted)

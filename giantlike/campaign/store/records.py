@@ -318,6 +318,30 @@ class CalibrationRecord(_TriedRecord):
     sigma_px: Vector = Field(default_factory=list)
 
 
+class NetworkRecord(_TriedRecord):
+    """Landmarks of a shape in an image, for the step ``network``.
+
+    pose, rendered: a priori, and of the templates: quaternion of ``camera_from_inertial`` (4), position (3), km,
+        quaternion of ``inertial_from_body`` (4), epoch.
+    camera: parameters of the camera model.
+    covariance_attitude_rad2, covariance_position_km2: of the a priori pose; None where nothing is declared.
+    numbers, points_px, covariance_px2, scores: of the k landmarks; covariances as rows of four.
+    """
+
+    part: ClassVar[str] = "network"
+
+    target: str
+    pose: Vector = Field(default_factory=list)
+    rendered: Vector = Field(default_factory=list)
+    camera: Vector = Field(default_factory=list)
+    covariance_attitude_rad2: Covariance | None = None
+    covariance_position_km2: Covariance | None = None
+    numbers: list[int] = Field(default_factory=list)
+    points_px: list[Pair] = Field(default_factory=list)
+    covariance_px2: list[Vector] = Field(default_factory=list)
+    scores: Vector = Field(default_factory=list)
+
+
 class ObservationRecord(_StatusRecord):
     """Result of one estimator for one target in one image; units and frames as in the tables.
 

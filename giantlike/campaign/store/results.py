@@ -17,7 +17,7 @@ from giantlike.camera import Camera
 from giantlike.campaign.store.edits import read_edits
 from giantlike.campaign.store.lock import at_work_text, is_locked
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, ObservationsRecord, RunSummary
-from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CAMERA_FILE, RunFolder
+from giantlike.campaign.store.run_folder import CALIBRATION_FILE, CAMERA_FILE, NETWORK_FILE, RunFolder
 from giantlike.core.arrays import require
 from giantlike.core.display import Pictured
 from giantlike.core.errors import DataError
@@ -100,6 +100,8 @@ class RunResult(Pictured, Value):
         Content of ``calibration.json``, if the campaign calibrates.
     empty_images : frozenset of str
         Images that are expected to hold nothing.
+    network : dict, optional
+        Content of ``network/result.json``, if the campaign adjusts a network.
     steps : mapping of str to StepCount
         Results computed and kept by this run, by step; empty for a run that was read back.
     """
@@ -115,6 +117,7 @@ class RunResult(Pictured, Value):
     time_s: float
     calibration: dict[str, Any] | None = None
     empty_images: frozenset[str] = frozenset()
+    network: dict[str, Any] | None = None
     steps: Mapping[str, StepCount] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -241,6 +244,7 @@ def load_result(path: Path) -> RunResult:
         bodies=tuple(edits.bodies(folder.bodies())),
         **dict(summary) | {"warnings": tuple(summary.warnings), "empty_images": frozenset(summary.empty_images)},
         calibration=_calibration(path / CALIBRATION_FILE),
+        network=_calibration(path / NETWORK_FILE),
     )
 
 

@@ -33,6 +33,7 @@ CAMERA_FILE, CALIBRATION_FILE, RESIDUALS_FILE = "camera.toml", "calibration.json
 """Files that a calibration writes into the run folder: the camera, the summary, every residual."""
 CALIBRATION_PAGE, REPORT_PAGE = "calibration.html", "report.html"
 RESULTS_FILE = "results.sqlite"
+NETWORK_FILE = "network/result.json"
 TRANSFER = "transfer"
 """Step whose records, attitudes from neighbors in time, replace those of the step ``attitude``."""
 _PROVENANCE = "provenance.json"
