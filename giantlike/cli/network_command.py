@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from shutil import copytree
 from typing import Annotated, Any
 
 import numpy as np
@@ -19,7 +20,16 @@ from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
 from giantlike.io.isis_network import read_control_network
-from giantlike.network import NetworkFix, NetworkOptions, adjust, read_isis, write_network
+from giantlike.network import (
+    NetworkFix,
+    NetworkOptions,
+    Photo,
+    Tracks,
+    adjust,
+    read_isis,
+    read_spc,
+    write_network,
+)
 
 Network = Annotated[Path, typer.Argument(metavar="NET.pvl", help="ISIS control network in PVL.")]
 
@@ -56,7 +66,10 @@ def read(network: Network, json: Json = False) -> ExitCode:
 
 
 def adjust_network(
-    network: Annotated[Path, typer.Argument(metavar="RUN|NET.pvl", help="Run folder, or ISIS control network in PVL.")],
+    network: Annotated[
+        Path,
+        typer.Argument(metavar="RUN|NET.pvl|SUMFILES", help="Run folder, ISIS control network, or folder of SUMFILEs."),
+    ],
     images: Annotated[
         list[Path] | None,
         typer.Option("--images", help="ISD of an image, or a folder of *.isd and *.json.", metavar="ISD"),
@@ -64,9 +77,14 @@ def adjust_network(
     shape: Annotated[
         Path | None, typer.Option(help="Of a run: mesh of the landmarks; default: that of the target.", metavar="FILE")
     ] = None,
+    lmkfiles: Annotated[
+        Path | None, typer.Option(help="Folder of LMK files; default: LMKFILES beside the SUMFILEs.", metavar="DIR")
+    ] = None,
     target: Annotated[str | None, typer.Option(help="Of a run: target, where it has several.")] = None,
     reduction: Annotated[float, typer.Option(help="Detector pixels along a pixel of the measured images.")] = 1.0,
-    sigma_px: Annotated[float, typer.Option(help="Sigma of measures, detector pixels per axis.")] = 1.4,
+    sigma_px: Annotated[
+        float | None, typer.Option(help="Sigma of measures, px per axis; default 1.4 of the detector, of SUMFILEs 0.5.")
+    ] = None,
     sigma_position_km: Annotated[float, typer.Option(help="A priori sigma of positions per axis.")] = 1.0,
     sigma_angles_deg: Annotated[float, typer.Option(help="A priori sigma of RA, DEC and TWIST.")] = 2.0,
     loss: Annotated[Loss, typer.Option(help="Loss of the fit that finds outliers.")] = Loss.CAUCHY,
@@ -85,6 +103,10 @@ def adjust_network(
     if RunFolder(network).has_results():
         return _adjust_run(network, NetworkSection(shape=None if shape is None else str(shape.absolute()),
                                                    target=target, loss=loss), output, json=json)  # fmt: skip
+    options = NetworkOptions(loss=loss, outlier_sigmas=outlier_sigmas, scale_by_residuals=scale_by_residuals)
+    if network.is_dir():
+        photos, tracks = read_spc(network, _lmkfiles(network, lmkfiles), sigma_px=0.5 if sigma_px is None else sigma_px)
+        return _adjust(photos, tracks, options, output, json=json)
     require(images is not None, f"{network}: an ISIS network needs the support data of its images: give --images ISD")
     assert images is not None
     files = [file for path in images for file in (_isds(path) if path.is_dir() else [path])]
@@ -92,11 +114,23 @@ def adjust_network(
         network,
         files,
         reduction=reduction,
-        sigma_px=sigma_px,
+        sigma_px=1.4 if sigma_px is None else sigma_px,
         sigma_position_km=sigma_position_km,
         sigma_angles_deg=sigma_angles_deg,
     )
-    options = NetworkOptions(loss=loss, outlier_sigmas=outlier_sigmas, scale_by_residuals=scale_by_residuals)
+    return _adjust(photos, tracks, options, output, json=json)
+
+
+def _lmkfiles(sumfiles: Path, given: Path | None) -> Path | None:
+    """Folder of LMK files: the one given, one beside the SUMFILEs, or theirs."""
+    near = (sumfiles.parent / "LMKFILES", sumfiles)
+    return given or next((folder for folder in near if any(folder.glob("*.LMK"))), None)
+
+
+def _adjust(
+    photos: list[Photo], tracks: Tracks, options: NetworkOptions, output: Path | None, *, json: bool
+) -> ExitCode:
+    """Adjust a network that was read, write it and show it."""
     fix = adjust(photos, tracks, options=options)
     if not isinstance(fix, NetworkFix):
         failed = {"status": "failed", "reason": str(fix.reason), "detail": fix.detail}
@@ -122,9 +156,7 @@ def _adjust_run(folder: Path, section: NetworkSection, output: Path | None, *, j
         result = run_campaign(replace(campaign.with_network(section), output=folder), progress=progress)
     summary = result.network or {}
     if output is not None:
-        output.mkdir(parents=True, exist_ok=True)
-        for file in sorted((folder / NETWORK_FILE).parent.iterdir()):
-            (output / file.name).write_bytes(file.read_bytes())
+        copytree((folder / NETWORK_FILE).parent, output, dirs_exist_ok=True)
     if summary.get("status") != "ok":
         text = f"failed: {summary.get('reason')}: {summary.get('detail')}"
         return show_result(summary, text, json=json, failed=True)

@@ -148,6 +148,7 @@ class ObservableRow:
     shared_attitude: str | None = column("Rows with the same key have the same attitude and its error.")
     shared_camera: str = column("Rows with the same key have the same camera, its calibration and their errors.")
     shared_body: str | None = column("Rows with the same key have the same shape, pole, reflectance and their errors.")
+    shared_landmark: str | None = column("Rows with the same key show the same landmark and have its error.")
     attitude_source: str | None = column("`stars`, `interpolated` or `a_priori`.")
     attitude_images: Sequence[str] | None = column("Star images that the attitude is made of.")
     attitude_weights: Sequence[float] | None = column("Share of each in it.")
@@ -219,10 +220,17 @@ class ObservableRow:
         size=3,
     )
     partial_pole: Sequence[float] | None = column(
-        "By small rotations of the body about its x and y axes (3 x 2, by rows); null where no sigma is declared.",
+        "By small rotations of the body about its x and y axes (3 x 2, by rows); of landmarks always, of bodies null "
+        "where no sigma is declared.",
         "px/rad, px/rad, km/rad",
         "body",
         size=6,
+    )
+    partial_landmark: Sequence[float] | None = column(
+        "By the position of the landmark on the body (3 x 3, by rows; the range is not measured).",
+        "px/km, px/km, km/km",
+        "body",
+        size=9,
     )
     partial_spin: Sequence[float] | None = column(
         "By a small rotation of the body about its z axis; null where no sigma is declared.",

@@ -8,6 +8,7 @@ from giantlike.network.options import NetworkOptions
 from giantlike.network.photos import Photo, Tracks
 from giantlike.network.result import NetworkFix
 from giantlike.network.rotation import Rotating
+from giantlike.network.spc import pck_of, read_spc, write_spc
 
 __all__ = [
     "FoundTracks",
@@ -20,7 +21,10 @@ __all__ = [
     "Tracks",
     "adjust",
     "find_tracks",
+    "pck_of",
     "photo_of",
     "read_isis",
+    "read_spc",
     "write_network",
+    "write_spc",
 ]

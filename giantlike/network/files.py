@@ -11,13 +11,27 @@ from typing import Any
 import numpy as np
 
 from giantlike._system.atomic import make_folder, write_text_atomic
+from giantlike.core.errors import InputError
+from giantlike.network.landmarks import move_landmarks
 from giantlike.network.result import NetworkFix
+from giantlike.network.spc import pck_of, write_spc
+from giantlike.shapes.landmarks import LandmarkCatalog, save_landmarks
 
 RESULT_FILE = "result.json"
 
 
-def write_network(folder: str | Path, fix: NetworkFix, more: Mapping[str, Any] | None = None) -> None:
-    """Write ``result.json``, ``points.csv`` and ``poses.csv``.
+def write_network(
+    folder: str | Path,
+    fix: NetworkFix,
+    more: Mapping[str, Any] | None = None,
+    *,
+    naif_id: int | None = None,
+    catalog: LandmarkCatalog | None = None,
+) -> None:
+    """Write ``result.json``, ``points.csv`` and ``poses.csv``, and what else the network gives.
+
+    With the Sun of all images ``SUMFILES`` and ``LMKFILES`` (or ``result.json`` says why not); with a rotation and a
+    code ``rotation.tpc``; with the landmarks of a shape ``landmarks.npz``, moved to the adjusted points.
 
     Parameters
     ----------
@@ -26,6 +40,10 @@ def write_network(folder: str | Path, fix: NetworkFix, more: Mapping[str, Any] |
     fix : NetworkFix
     more : mapping, optional
         Further content of ``result.json``.
+    naif_id : int, optional
+        Code of the body.
+    catalog : LandmarkCatalog, optional
+        Landmarks whose names the points have.
 
     Raises
     ------
@@ -35,9 +53,18 @@ def write_network(folder: str | Path, fix: NetworkFix, more: Mapping[str, Any] |
     folder = Path(folder)
     make_folder(folder)
     summary = {"status": "ok", **fix.summary(), **(more or {})}
-    write_text_atomic(folder / RESULT_FILE, json.dumps(summary, indent=1) + "\n")
     write_text_atomic(folder / "points.csv", "\n".join(_point_rows(fix)) + "\n")
     write_text_atomic(folder / "poses.csv", "\n".join(_pose_rows(fix)) + "\n")
+    if naif_id is not None and fix.body is not None:
+        write_text_atomic(folder / "rotation.tpc", pck_of(fix, naif_id))
+    if catalog is not None:
+        save_landmarks(move_landmarks(catalog, fix), folder / "landmarks.npz", overwrite=True)
+    if all(photo.sun_direction is not None for photo in fix.photos):
+        try:
+            write_spc(folder, fix, catalog)
+        except InputError as error:
+            summary["not_written"] = f"SUMFILES, LMKFILES: {error}"
+    write_text_atomic(folder / RESULT_FILE, json.dumps(summary, indent=1) + "\n")
 
 
 def _point_rows(fix: NetworkFix) -> list[str]:

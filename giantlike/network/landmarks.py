@@ -176,6 +176,7 @@ def photo_of(image: Image, camera: Camera, scene: Scene, target: str | None = No
         et=et,
         columns=camera.columns,
         rows=camera.rows,
+        sun_direction=rotate(camera_from_inertial.inv(), geometry.sun_direction_camera),
     )
 
 
@@ -229,8 +230,7 @@ def measure_landmarks(
         return catalog if isinstance(catalog, Failure) else apriori  # type: ignore[return-value]
     rendered = apriori if pose is None else pose
     body = _body(inputs, rendered)
-    sun = rotate(rendered.camera_from_inertial * apriori.camera_from_inertial.inv(),
-                 inputs.geometry.sun_direction_camera)  # fmt: skip
+    sun = rotate(rendered.camera_from_inertial, np.asarray(apriori.sun_direction))
     viewer, plane = viewer_for(catalog, body.shape), inputs.focal_plane()
     renderer = LandmarkRenderer(
         catalog,
@@ -426,3 +426,33 @@ def find_tracks(
         measures[place] = measures[place] if isinstance(again, Failure) else again
     settled = settle_tracks(photos, measures, catalog, options)
     return settled if isinstance(settled, Failure) else replace(settled[0], failures=failures)
+
+
+def move_landmarks(catalog: LandmarkCatalog, fix: NetworkFix) -> LandmarkCatalog:
+    """Move the maps of landmarks to the points of an adjusted network, for ``surface_features``.
+
+    Parameters
+    ----------
+    catalog : LandmarkCatalog
+        Landmarks whose names the points have.
+    fix : NetworkFix
+
+    Returns
+    -------
+    LandmarkCatalog
+        Of the points that were determined; no longer of the shape.
+
+    Raises
+    ------
+    InputError
+        None of them was.
+    """
+    found = {
+        name: point for name, point in zip(fix.tracks.names, fix.points_km, strict=True) if np.isfinite(point).all()
+    }
+    moved = tuple(
+        replace(one, map=replace(one.map, center_body_km=one.map.center_body_km + found[one.name] - one.point_body_km))
+        for one in catalog.landmarks
+        if one.name in found
+    )
+    return LandmarkCatalog(moved, body_name=catalog.body_name)

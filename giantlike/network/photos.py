@@ -40,6 +40,8 @@ class Photo(Value):
         That time, TDB seconds past J2000.
     columns, rows : int
         Size of the image; 0 where it is not known.
+    sun_direction : (3,) float64, reference axes, optional
+        Unit vector from the body to the Sun; files of SPC hold it.
 
     Raises
     ------
@@ -56,6 +58,7 @@ class Photo(Value):
     et: float = 0.0
     columns: int = 0
     rows: int = 0
+    sun_direction: Float | None = None
 
     def __post_init__(self) -> None:
         position = as_finite(self.position_km, (3,), f"{self.name}: position_km")

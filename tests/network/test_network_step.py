@@ -23,6 +23,7 @@ from giantlike.io import navigation_header, write_fits, write_geometry
 from giantlike.io.geometry_table import GeometryRow
 from giantlike.network import Photo, photo_of
 from giantlike.shapes import TriangleMesh, save_shape
+from giantlike.shapes.landmarks import load_landmarks
 from tests.tolerances import FLOAT64
 
 
@@ -92,6 +93,10 @@ def test_a_run_adjusts_the_landmarks_of_its_images_and_redoes_those_of_an_edited
     assert "landmarks of ROCK" in (tmp_path / "run" / "report.html").read_text()
     assert (tmp_path / "run" / "network" / "points.csv").is_file()
     assert load_result(tmp_path / "run").network == summary
+    catalog = load_landmarks(tmp_path / "run" / "network" / "landmarks.npz")
+    assert len(catalog) <= summary["points"]
+    spc = CliRunner().invoke(app, ["network", "adjust", str(tmp_path / "run" / "network" / "SUMFILES"), "--json"])
+    assert spc.exit_code == 0, spc.output
 
     photos = photos_of_run(first)
     assert [photo.name for photo in photos] == [f"image{k}.fits" for k in range(5)]

@@ -222,6 +222,20 @@ def test_the_partial_by_the_time_tag_is_that_of_a_later_exposure() -> None:
     assert_allclose(vector(mark.partial_time_tag)[:2], moved[:2], rtol=1e-12)
 
 
+def test_the_partial_by_the_place_of_a_landmark_is_that_of_differences_and_rows_of_it_share_a_key() -> None:
+    mark = row_of_landmark(CONTEXT, replace(SIGHTING, uncertainty=TargetUncertainty()), position_fix(), LANDMARK)
+
+    def seen(step: Float) -> Float:
+        turned = rotate(SIGHTING.camera_from_body, LANDMARK.body_km + step)
+        return np.asarray(MODEL.project(position_fix().position_camera_km + turned))
+
+    assert_same(matrix(mark.partial_landmark)[:2], differences(seen, 1e-4))
+    assert mark.shared_landmark == "ROCK L7"
+    for partial in (mark.partial_pole, mark.partial_spin, mark.partial_shape_scale):
+        assert partial is not None  # though no sigma is declared
+    assert row_of_body(CONTEXT, SIGHTING, position_fix()).shared_landmark is None
+
+
 def test_a_rate_is_given_where_the_attitudes_before_and_after_agree() -> None:
     et = np.array([0.0, 30.0, 50.0, 100.0, 130.0, 160.0, 900.0])
     rate = np.array([1e-4, -3e-4, 2e-3])

@@ -27,7 +27,7 @@ from giantlike.campaign.store.results import StepCount
 from giantlike.campaign.store.run_folder import NETWORK_FILE
 from giantlike.core.frames import quaternion_xyzw, rotation_from_xyzw
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.io.spice import rotation_coefficients
+from giantlike.io.spice import body_id, rotation_coefficients
 from giantlike.network import (
     FoundTracks,
     LandmarkMeasures,
@@ -42,6 +42,7 @@ from giantlike.network import (
 )
 from giantlike.network.landmarks import catalog_of, has_moved, measure_landmarks, settle_tracks
 from giantlike.scene import Scene
+from giantlike.shapes.landmarks import LandmarkCatalog
 
 if TYPE_CHECKING:
     from giantlike.campaign.run.making import RunExecutor
@@ -62,10 +63,12 @@ class NetworkJob:
 def find_landmarks(bench: Workbench, job: NetworkJob) -> PackedRecord[NetworkRecord]:
     """Find the landmarks of the network in an image."""
     found = attempt(_find, bench, job)
-    return PackedRecord.from_record(_failed(bench.campaign, job, found) if isinstance(found, Problem) else found)
+    return PackedRecord.from_record(
+        _make_failed_record(bench.campaign, job, found) if isinstance(found, Problem) else found
+    )
 
 
-def _failed(campaign: Campaign, job: NetworkJob, problem: Problem) -> NetworkRecord:
+def _make_failed_record(campaign: Campaign, job: NetworkJob, problem: Problem) -> NetworkRecord:
     assert campaign.network is not None
     entry = job.image.entry
     return NetworkRecord(index=entry.index, file=entry.key, target=campaign.network.target.name, problem=problem)
@@ -106,7 +109,7 @@ def _find(bench: Workbench, job: NetworkJob) -> NetworkRecord | Problem:
 
 def _numbers(photo: Photo) -> list[float]:
     turns = [quaternion_xyzw(each).tolist() for each in (photo.camera_from_inertial, photo.inertial_from_body)]
-    return [*turns[0], *photo.position_km.tolist(), *turns[1], photo.et]
+    return [*turns[0], *photo.position_km.tolist(), *turns[1], photo.et, *np.asarray(photo.sun_direction).tolist()]
 
 
 def _photo(record: NetworkRecord, numbers: Sequence[float], camera: Camera) -> Photo:
@@ -124,6 +127,7 @@ def _photo(record: NetworkRecord, numbers: Sequence[float], camera: Camera) -> P
         et=numbers[11],
         columns=camera.columns,
         rows=camera.rows,
+        sun_direction=np.array(numbers[12:15]),
     )
 
 
@@ -156,7 +160,7 @@ def make_network(run: RunExecutor, pool: Pool, attitudes: Sequence[AttitudeRecor
         for done, (position, answer) in enumerate(pool.run(find_landmarks, list(todo.values())), start=1):
             job = todo[names[position]]
             lost = Problem(reason=Reason.INTERNAL_ERROR, detail="the worker process died on this image")
-            run.folder.save(answer or _failed(run.campaign, job, lost), jobs[names[position]][1])
+            run.folder.save(answer or _make_failed_record(run.campaign, job, lost), jobs[names[position]][1])
             run.progress("finding landmarks", done, len(todo))
         records = [record for file in jobs if (record := run.folder.load(NetworkRecord, file)) is not None]
         failures = {one.file: one.problem.detail for one in records if one.problem is not None}
@@ -177,7 +181,7 @@ def make_network(run: RunExecutor, pool: Pool, attitudes: Sequence[AttitudeRecor
         if not todo:
             break
     run.counts["network"] = count
-    return _finish(run, setup, settled, failures)
+    return _finish(run, setup, None if isinstance(catalog, Failure) else catalog, settled, failures)
 
 
 def _jobs(
@@ -202,6 +206,7 @@ def _jobs(
 def _finish(
     run: RunExecutor,
     setup: NetworkSetup,
+    catalog: LandmarkCatalog | None,
     settled: tuple[FoundTracks, NetworkFix] | Failure,
     failures: dict[str, str],
 ) -> dict[str, Any]:
@@ -246,7 +251,7 @@ def _finish(
             ),
         )
     if isinstance(fix, NetworkFix):
-        write_network(path.parent, fix, more)
+        write_network(path.parent, fix, more, naif_id=body_id(setup.target.spice_body), catalog=catalog)
     else:
         make_folder(path.parent)
         failed = {"status": "failed", "reason": str(fix.reason), "detail": fix.detail, **more}

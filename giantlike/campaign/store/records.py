@@ -322,7 +322,7 @@ class NetworkRecord(_TriedRecord):
     """Landmarks of a shape in an image, for the step ``network``.
 
     pose, rendered: a priori, and of the templates: quaternion of ``camera_from_inertial`` (4), position (3), km,
-        quaternion of ``inertial_from_body`` (4), epoch.
+        quaternion of ``inertial_from_body`` (4), epoch, direction to the Sun (3).
     camera: parameters of the camera model.
     covariance_attitude_rad2, covariance_position_km2: of the a priori pose; None where nothing is declared.
     numbers, points_px, covariance_px2, scores: of the k landmarks; covariances as rows of four.
