@@ -18,6 +18,7 @@ print(sum(solve_symmetric.stats.cache_misses.values()))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="each process compiles there")
 def test_of_processes_that_need_a_function_at_once_one_compiles_it_and_the_others_load_its_code(tmp_path: Path) -> None:
     variables = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}

@@ -22,7 +22,7 @@ from giantlike.cislunar import (
 from giantlike.cislunar.filter import coast, maneuver, predict_measurement, step_ends
 from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
-from giantlike.core.outcomes import Failure
+from giantlike.core.outcomes import Failure, Reason
 from giantlike.independent.flight import apply_burn
 from tests.cislunar.cislunar_case import (
     MODEL,
@@ -36,6 +36,7 @@ from tests.cislunar.cislunar_case import (
     started,
 )
 from tests.numerical import numerical_jacobian
+from tests.sizes import slow
 from tests.tolerances import FLOAT64, FLOAT64_SUM, RARE
 
 
@@ -102,7 +103,7 @@ def dense_joseph(state: FilterState, seen: list[BodyObservation], model: FilterM
     return mean, covariance
 
 
-@pytest.mark.parametrize("considered", [np.zeros(21, dtype=bool), CONSIDERED], ids=["estimated", "considered"])
+@pytest.mark.parametrize("considered", [slow(np.zeros(21, dtype=bool)), CONSIDERED], ids=["estimated", "considered"])
 def test_the_filter_is_that_of_dense_matrices(considered: np.ndarray) -> None:
     model = replace(QUICK, considered=considered)
     state, seen = correlated_start(), images(np.random.default_rng(5), model=QUICK)
@@ -188,6 +189,7 @@ def test_a_burn_is_told_by_the_accelerometer() -> None:
     assert low < squared < high
 
 
+@pytest.mark.slow
 def test_the_batch_agrees_with_the_filter() -> None:
     rng = np.random.default_rng(11)
     state, seen = correlated_start(), images(rng, model=QUICK)
@@ -200,6 +202,13 @@ def test_the_batch_agrees_with_the_filter() -> None:
     assert np.abs((batch.last_mean - state.mean) / sigma).max() < 0.05  # what linearizing elsewhere may change
     low, high = chi2_band(3 * len(seen))
     assert low < batch.squared_residual < high + 21.0  # the start is half a sigma off in all states
+
+
+def test_a_batch_that_still_moves_after_its_iterations_is_a_failure() -> None:
+    seen = images(np.random.default_rng(11), model=QUICK)[:2]
+    batch = estimate_batch(correlated_start(), seen, QUICK, most_iterations=1)
+    assert isinstance(batch, Failure)
+    assert batch.reason is Reason.NOT_CONVERGED
 
 
 def test_the_batch_is_the_filter_where_the_problem_is_linear() -> None:

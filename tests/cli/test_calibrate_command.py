@@ -262,6 +262,7 @@ def test_a_camera_file_keeps_the_covariance_and_refuses_a_wrong_one(tmp_path: Pa
             Camera.load(path)
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_real_frames_of_one_camera_are_fitted_to_their_centroid_noise(data_dir: Path, tmp_path: Path) -> None:
     frames = sorted((data_dir / "stars" / "tetra3").glob("*.tiff"))

@@ -272,7 +272,7 @@ def test_a_run_killed_without_warning_leaves_no_process_behind_and_can_be_contin
 
 @pytest.mark.skipif(os.name != "posix", reason="sends signals")
 def test_an_interrupted_run_ends_with_one_line_and_exit_code_130(tmp_path: Path) -> None:
-    path, _ = write_campaign(tmp_path / "interrupted", visits=4)
+    path, _ = write_campaign(tmp_path / "interrupted", visits=2)
     process = start(path, "--workers", "1")
     wait_for_images(path.parent / "run", 1, process)
     process.send_signal(signal.SIGINT)

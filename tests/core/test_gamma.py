@@ -21,6 +21,7 @@ from giantlike.relative import ESTIMATORS
 from giantlike.shapes import Ellipsoid
 from giantlike.simulation.detector import convert_charge
 from tests.limb_images import CAMERA, NEES_LIMIT, body_image
+from tests.sizes import slow
 
 CURVES = pytest.mark.parametrize("gamma", ["srgb", 1.0, 1.8, 2.2])
 POLYNOMIAL = 1.5  # of sigma: a polynomial with three terms that are not negative, over all of the range
@@ -87,7 +88,7 @@ def test_an_image_without_a_declared_gamma_is_its_own_linear_one() -> None:
     assert linear.linearized(Detector(gamma=2.0, saturation_dn=100.0)) is linear
 
 
-@pytest.mark.parametrize("name", ["cross_correlation", "limb_matching", "ellipsoid_cra", "auto"])
+@pytest.mark.parametrize("name", ["cross_correlation", "limb_matching", "ellipsoid_cra", slow("auto")])
 def test_a_body_on_coded_values_is_found_where_it_is_when_the_gamma_is_declared(name: str) -> None:
     linear = dataclasses.replace(
         CAMERA, detector=Detector(gain_e_per_dn=50.0, read_noise_e=40.0, saturation_dn=255.0, bias_dn=0.0)
@@ -112,7 +113,7 @@ def test_a_simulated_detector_codes_what_is_linearized() -> None:
     assert_allclose(image.pixels, charge_e / 10.0, rtol=0, atol=float(rounding) + ROUND)
 
 
-@pytest.mark.parametrize("name", ["limb_matching", "ellipsoid_cra", "sigmoid_limb"])
+@pytest.mark.parametrize("name", [slow("limb_matching"), slow("ellipsoid_cra"), "sigmoid_limb"])
 def test_an_undeclared_coding_of_a_display_file_is_an_error_of_the_fix(name: str) -> None:
     linear = dataclasses.replace(
         CAMERA, detector=Detector(gain_e_per_dn=50.0, read_noise_e=40.0, saturation_dn=255.0, bias_dn=0.0)

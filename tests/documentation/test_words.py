@@ -18,6 +18,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ("giantlike", "ray_tracing", "shapes", "catalogs")
 GLOSSARY = "docs/glossary.md"
+pytestmark = pytest.mark.slow  # `make test` runs it before all others, as a part of `make check`
+
 DIALECT = {
     r"\bnobody (told|tells|declared|declares)\b": 0,
     r"\btold\b(?! ?:)": 4,
@@ -42,6 +44,12 @@ def modules() -> Iterator[Path]:
 
 
 @cache
+def syntax(path: Path) -> ast.Module:
+    """Syntax tree of a module."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
 def prose(path: Path) -> list[tuple[int, str]]:
     """Line and text of each comment and docstring, without words in backticks."""
     text = path.read_text(encoding="utf-8")
@@ -49,7 +57,7 @@ def prose(path: Path) -> list[tuple[int, str]]:
         fenced = re.sub(r"^```.*?^```", lambda match: "\n" * match[0].count("\n"), text, flags=re.M | re.S)
         found = list(enumerate(fenced.splitlines(), 1))
     else:
-        nodes = (node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Expr))
+        nodes = (node for node in ast.walk(syntax(path)) if isinstance(node, ast.Expr))
         values = (node.value for node in nodes if isinstance(node.value, ast.Constant))
         found = [(value.lineno, value.value) for value in values if isinstance(value.value, str)]
         tokens = tokenize.generate_tokens(io.StringIO(text).readline)
@@ -80,7 +88,7 @@ def participles() -> list[str]:
     return [
         f"{path.relative_to(ROOT)}:{node.lineno}: {node.name}"
         for path in modules()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(syntax(path))
         if isinstance(node, ast.FunctionDef) and PARTICIPLE.fullmatch(node.name)
     ]
 

@@ -75,12 +75,13 @@ def convert(module: str, source: str, target: str) -> None:
     getattr(loaded, module)(source, target)
 
 
-def test_two_hundred_random_files_are_valid_and_come_back_equal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.monte_carlo(few=20, full=200)
+def test_random_files_are_valid_and_come_back_equal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, draws: int
 ) -> None:
     monkeypatch.chdir(tmp_path)  # the validator writes its verdict there
     rng = np.random.default_rng(1)
-    for _ in range(200):
+    for _ in range(draws):
         observations = [drawn(rng) for _ in range(rng.integers(1, 6))]
         write_ades("a.xml", CONTEXT, observations)
         write_ades("a.psv", CONTEXT, observations)

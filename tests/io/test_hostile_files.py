@@ -24,8 +24,9 @@ from giantlike.shapes import load_shape
 from tests.child_functions import doubles, ends, fails, fills, leaves, spins
 from tests.hostile import attack, damaged
 from tests.hostile_seeds import KINDS
+from tests.sizes import slow
 
-FILES, MANY_FILES = 12, 100  # of each kind
+FILES, MANY_FILES = 3, 110  # of each kind
 SEED = 20261122
 
 
@@ -83,13 +84,14 @@ def test_what_ends_hangs_or_fills_a_child_is_an_error_here(tmp_path: Path) -> No
         in_child(fails, [path])
 
 
-def test_calls_in_a_child_survive_a_fork_and_the_end_of_their_template(tmp_path: Path) -> None:
+@pytest.mark.parametrize("processes", [1, slow(2)])
+def test_calls_in_a_child_survive_a_fork_and_the_end_of_their_template(processes: int, tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"\x03")
     in_child(doubles, [path])
     end_template()
     assert in_child(doubles, [path])["bytes"].tolist() == [6.0]
-    with multiprocessing.get_context("fork").Pool(2) as pool:
+    with multiprocessing.get_context("fork").Pool(processes) as pool:
         answers = [pool.apply_async(_double, (path,)) for _ in range(4)]
         assert in_child(doubles, [path])["bytes"].tolist() == [6.0]
         assert [answer.get(60.0) for answer in answers] == [6.0] * 4

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import spiceypy
 from astropy.time import Time
-from ccsds_ndm.ndm_io import NdmIo
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -76,6 +75,8 @@ def rows() -> list[ObservableRow]:
 
 
 def test_a_reader_of_the_standard_finds_angles_and_range_in_the_tdm(tmp_path: Path) -> None:
+    from ccsds_ndm.ndm_io import NdmIo  # here, as importing it takes two seconds
+
     tracked = tracking_segments(rows(), angles=Angles.ASTROMETRIC, spacecraft="PROBE")
     assert tracked.left_out == {"velocity of the spacecraft unknown": 1}
     write_tdm(tmp_path / "o.tdm", tracked.segments, originator="TEST")

@@ -34,9 +34,10 @@ def truth(gm: float) -> Arc:
     return Arc(times=times, relative_km=lambda et: np.asarray(dense(et - START_ET)[:3] + offset), per_attitude=6)
 
 
-def test_errors_of_orbits_are_those_that_the_covariance_states(tmp_path: Path) -> None:
+@pytest.mark.monte_carlo(few=2, full=5)
+def test_errors_of_orbits_are_those_that_the_covariance_states(tmp_path: Path, draws: int) -> None:
     """A look at few draws; benchmarks/orbit_determination.py has 200, on a real trajectory."""
-    example, arc, draws = orbit_example(), truth(0.0), 5
+    example, arc = orbit_example(), truth(0.0)
     squared, fits = {False: 0.0, True: 0.0}, 0.0
     for seed in range(draws):
         write_arc(tmp_path / "o.parquet", arc, np.random.default_rng(seed))
@@ -117,13 +118,14 @@ def tour(places: Mapping[str, Callable[[float], Float]], start_et: float = START
     return arc, np.append(start, MANEUVER)
 
 
-def test_a_tour_of_three_moons_solves_for_its_maneuver(tmp_path: Path) -> None:
+@pytest.mark.monte_carlo(few=1, full=4)
+def test_a_tour_of_three_moons_solves_for_its_maneuver(tmp_path: Path, draws: int) -> None:
     moons = {name: moon(name) for name in MOONS}
     example, (arc, true) = orbit_example(), tour(moons)
     places = {"SATURN": lambda _: np.zeros(3)} | moons
     maneuver = example.Maneuver(START_ET + TURN_S, 1e-2)
     flown = example.Dynamics("SATURN", GM, lambda name, et: places[name](et), (maneuver,))
-    squared, draws = 0.0, 4
+    squared = 0.0
     for seed in range(draws):
         write_arc(tmp_path / "o.parquet", arc, np.random.default_rng(seed))
         observations = example.read(str(tmp_path / "o.parquet"))
@@ -137,6 +139,7 @@ def test_a_tour_of_three_moons_solves_for_its_maneuver(tmp_path: Path) -> None:
         example.solve(observations, replace(flown, maneuvers=()), start=true[:9])
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_the_command_solves_about_saturn_by_kernels_and_refuses_what_is_not_determined(
     tmp_path: Path, data_dir: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -97,9 +97,10 @@ def _centroids(image: NDArray[np.generic], detector: Detector, mask: NDArray[np.
     return found
 
 
-def test_squared_errors_of_star_centroids_are_in_band_with_few_frames_and_only_with_their_noise() -> None:
+@pytest.mark.monte_carlo(few=2, full=4)
+def test_squared_errors_of_star_centroids_are_in_band_with_few_frames_and_only_with_their_noise(draws: int) -> None:
     told, untold = [], []
-    for seed in range(4):
+    for seed in range(draws):
         rng = np.random.default_rng(seed)
         sensor = Sensor.made_up(rng)
         light, places, _, _ = _stars(rng)
@@ -114,10 +115,11 @@ def test_squared_errors_of_star_centroids_are_in_band_with_few_frames_and_only_w
     assert np.concatenate(untold).mean() > high
 
 
-def test_attitudes_hold_in_calibrated_images_and_are_worse_in_raw_ones() -> None:
+@pytest.mark.monte_carlo(few=2, full=3)
+def test_attitudes_hold_in_calibrated_images_and_are_worse_in_raw_ones(draws: int) -> None:
     errors: dict[str, list[float]] = {"raw": [], "calibrated": []}
     squares = 0.0
-    for seed in range(3):
+    for seed in range(draws):
         rng = np.random.default_rng(100 + seed)
         sensor = Sensor.made_up(rng)
         light, _, field, attitude = _stars(rng)
@@ -143,7 +145,7 @@ def test_attitudes_hold_in_calibrated_images_and_are_worse_in_raw_ones() -> None
             errors[name].append(float(np.linalg.norm(error[:2])))
         squares += float(error @ np.linalg.solve(fix.covariance_rad2, error))
     assert np.mean(errors["calibrated"]) < 0.6 * np.mean(errors["raw"])
-    assert chi2.ppf(FALSE_ALARM / 2, 9) < squares < chi2.ppf(1 - FALSE_ALARM / 2, 9)
+    assert chi2.ppf(FALSE_ALARM / 2, 3 * draws) < squares < chi2.ppf(1 - FALSE_ALARM / 2, 3 * draws)
 
 
 def test_the_noise_of_even_light_is_what_the_detector_says_and_bad_pixels_are_masked() -> None:

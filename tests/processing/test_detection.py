@@ -30,6 +30,7 @@ from giantlike.processing.detection.patches import cut_patches, pixel_shares
 from giantlike.processing.psf.estimate import PsfEstimate, estimate_psf, remeasure
 from giantlike.simulation.cosmic_rays import CosmicRays, draw_tracks
 from tests.numerical import numerical_jacobian
+from tests.sizes import slow
 from tests.tolerances import FALSE_ALARM
 
 RAMP_DN_PX = 0.4  # moved every centroid by 0.4 sigma, 7 standard errors of 324 stars, when levels were thought even
@@ -127,14 +128,17 @@ def flagged(found: Detections, x: float, y: float) -> DetectionFlag:
     return DetectionFlag(int(found.flags[index[0]]))
 
 
-@pytest.mark.parametrize("snr", [20.0, 60.0])
-@pytest.mark.parametrize("sigma_px", [0.6, 1.0, 1.5])
+@pytest.mark.monte_carlo(few=80, full=160)
+@pytest.mark.parametrize(
+    ("sigma_px", "snr"),
+    [(0.6, 20.0), slow(0.6, 60.0), slow(1.0, 20.0), slow(1.0, 60.0), slow(1.5, 20.0), (1.5, 60.0)],
+)
 def test_centroids_reach_the_cramer_rao_bound_without_bias_and_with_honest_covariances(
-    sigma_px: float, snr: float
+    sigma_px: float, snr: float, draws: int
 ) -> None:
     shape, flux = (1200, 1200), flux_of_snr(snr, sigma_px)
     errors, nees = [], []
-    for seed in (11, 12, 13, 14):
+    for seed in (11, 12, 13, 14)[: draws // 40]:
         points = spread_points(shape, 40, seed)
         found = detected(
             exposed(star_image(points, np.full(len(points), flux), sigma_px, shape), seed), psf_sigma_px=sigma_px

@@ -33,6 +33,7 @@ from giantlike.ray_tracing import (
 from giantlike.ray_tracing.sampling import AxisCells, RayGrid, Tile
 from giantlike.ray_tracing.tracer import tracer_for
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, mesh_from_ellipsoid, sphere
+from tests.sizes import slow
 from tests.tolerances import FIVE_DIGITS, FLOAT32, FLOAT32_SUM, FLOAT64, FLOAT64_CHAIN, FLOAT64_SUM, SAMPLED
 
 SILHOUETTE_PX = 1e-4  # float32 rays from the bounding sphere: 6e-8 of the radius, and a bisection to 5e-7 px
@@ -594,7 +595,7 @@ def test_what_the_camera_cannot_image_is_marked_and_the_rest_is_traced() -> None
 
 
 @pytest.mark.real_data
-@pytest.mark.parametrize("name", ["00000000.png", "00000002.png"])
+@pytest.mark.parametrize("name", [slow("00000000.png"), "00000002.png"])
 def test_vesta_renders_as_dawn_saw_it(data_dir: Path, name: str) -> None:
     folder = data_dir / "bodies" / "dawn_vesta"
     poses = json.loads((folder / "poses.json").read_text())

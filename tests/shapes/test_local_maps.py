@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,7 @@ def _hills(directions: np.ndarray) -> np.ndarray:
     )
 
 
+@cache
 def _body(facets: int) -> TriangleMesh:
     directions, faces = geodesic_directions(facets)
     return TriangleMesh(directions * _hills(directions)[:, None], faces)
@@ -59,7 +61,8 @@ def _map(**changes: Any) -> LocalMap:
     return LocalMap(center_body_km=CENTER, body_from_map=BODY_FROM_MAP, **fields)
 
 
-FINE, COARSE, MAP = _body(200_000), _body(1000), _map()
+COARSE, MAP = _body(1000), _map()
+FINE_FACETS = 200_000
 LAID = overlaid(COARSE, [MAP])
 MAP_FACETS = 2 * 60 * 60
 
@@ -91,7 +94,7 @@ def test_a_map_alone_has_its_heights_at_its_places_and_faces_up() -> None:
 
 def test_within_the_map_nothing_of_the_global_body_is_seen_and_the_surface_is_the_fine_one() -> None:
     laid, rays = _look(LAID, 0.97 * HALF_KM)
-    fine, _ = _look(FINE, 0.97 * HALF_KM)
+    fine, _ = _look(_body(FINE_FACETS), 0.97 * HALF_KM)
     on_map = LAID.vertices_km[LAID.faces[laid.facets]].mean(axis=1)
     assert laid.hit.all()
     centroids = {tuple(row) for row in np.round(MAP.mesh().vertices_km[MAP.mesh().faces].mean(axis=1), 9)}
@@ -107,7 +110,7 @@ def test_within_the_map_nothing_of_the_global_body_is_seen_and_the_surface_is_th
 
 def test_the_map_has_the_shadows_of_the_fine_body_and_no_others() -> None:
     sun = rotate(BODY_FROM_MAP, [np.cos(0.12), 0.0, np.sin(0.12)])  # 7 deg over the horizon; slopes reach 11 deg
-    dark = [tracer_for(body).is_shadowed(_look(body, 0.8 * HALF_KM)[0], sun) for body in (LAID, FINE)]
+    dark = [tracer_for(body).is_shadowed(_look(body, 0.8 * HALF_KM)[0], sun) for body in (LAID, _body(FINE_FACETS))]
     assert 0.2 < np.mean(dark[1]) < 0.8
     assert np.mean(dark[0] != dark[1]) < 0.03  # along the edges of shadows, where facets differ
     high = rotate(BODY_FROM_MAP, [np.cos(1.0), 0.0, np.sin(1.0)])

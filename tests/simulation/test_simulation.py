@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import spiceypy
 from numpy.testing import assert_allclose
-from photutils.psf import CircularGaussianSigmaPRF
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
@@ -103,6 +102,8 @@ def test_hot_pixels_fill_with_time_and_not_with_light() -> None:
 
 
 def test_a_point_source_is_the_gaussian_integrated_over_each_pixel() -> None:
+    from photutils.psf import CircularGaussianSigmaPRF  # here, as importing it takes a second
+
     rng = np.random.default_rng(5)
     rows, columns = np.mgrid[0:24, 0:30]
     for sigma_px in (0.3, 0.8, 1.7):
