@@ -53,6 +53,7 @@ def test_a_line_runs_from_corner_to_corner_and_a_bar_stands_upright() -> None:
     assert "M0 220L110 0" in lines
 
 
+@pytest.mark.slow
 def test_a_million_points_are_as_many_marks_as_there_is_room_for() -> None:
     points = np.random.default_rng(1).uniform(size=(1_000_000, 2))
     axis = Axis(label="either", low=0.0, high=1.0)

@@ -11,9 +11,10 @@ from giantlike.core.outcomes import PositionFix
 from giantlike.relative import EllipsoidCRA, LimbMatching
 from giantlike.shapes import Ellipsoid
 from tests.limb_images import body_image
+from tests.sizes import slow
 
 
-@pytest.mark.parametrize("estimator", [LimbMatching(), EllipsoidCRA()])
+@pytest.mark.parametrize("estimator", [slow(LimbMatching()), EllipsoidCRA()])
 def test_estimators_on_limbs_say_how_they_settled(
     estimator: LimbMatching | EllipsoidCRA, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -35,6 +35,7 @@ def test_a_factor_and_a_floor_are_told_apart_by_stars_of_all_brightnesses(factor
     assert abs(np.sqrt(np.mean(found[:, 1] ** 2)) - floor) < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not FRAMES.is_dir(), reason="the real frames of ../shared/data are not here")
 def test_each_quarter_of_brightness_of_real_frames_has_the_residuals_that_its_sigmas_promise() -> None:
     images = [Image.open(path) for path in sorted(FRAMES.glob("*.tiff"))[1::2]]

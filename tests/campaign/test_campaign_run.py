@@ -285,7 +285,7 @@ def test_provenance_names_versions_options_and_hashes(finished: Run) -> None:
 def test_a_run_without_stars_keeps_the_a_priori_attitudes(copied: Path) -> None:
     table_without = campaign_table()
     del table_without["stars"]
-    table_without["targets"][0]["estimators"] = ["limb_matching", "moment"]
+    table_without["targets"][0]["estimators"] = ["moment"]
     copied.write_text(tomli_w.dumps(table_without))
     result = run_campaign(Campaign.load(copied), workers=1)
     assert {row["source"] for row in table(result.folder, "attitudes")} == {"a_priori"}

@@ -45,6 +45,7 @@ def _two(rng: np.random.Generator, folder: Path, count: int, *, scatter_rad: flo
     return folder / "first.csv", folder / "second.csv"
 
 
+@pytest.mark.slow
 def test_the_interlock_errs_as_its_covariance_says(tmp_path: Path) -> None:
     rng = np.random.default_rng(30)
     squares = []

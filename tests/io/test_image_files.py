@@ -775,6 +775,7 @@ def test_a_damaged_file_is_read_or_refused_but_never_a_traceback_or_a_warning(tm
 # ------------------------------------------------------------------------------------------ real data
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_every_real_image_is_read_without_a_warning(data_dir: Path) -> None:
     paths = [

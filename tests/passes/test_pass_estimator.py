@@ -233,6 +233,7 @@ def test_a_parameter_that_moves_nothing_is_named() -> None:
     assert not fix.test("timetag_bias").significant(0.5)
 
 
+@pytest.mark.slow
 def test_terms_that_are_not_there_are_called_significant_as_rarely_as_stated() -> None:
     rng = np.random.default_rng(8)
     level, hits, count = 0.1, 0, 40

@@ -18,6 +18,7 @@ from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing.geometry.p3p import poses_of_three_points
 from giantlike.processing.geometry.pnp import PnpFix, PnpOptions, solve_pnp
+from tests.sizes import slow
 from tests.tolerances import FLOAT64_SUM, RARE, SETTLED
 
 DISTANT_ROUNDING = 1e-6  # seen from 10,000 radii
@@ -107,7 +108,7 @@ def test_the_noisy_pose_is_that_of_opencvs_iteration() -> None:
     assert np.all(np.abs(change) < 0.02 * sigma[3:])
 
 
-@pytest.mark.parametrize("attitude_sigma_rad", [0.0, 2e-3, math.inf])
+@pytest.mark.parametrize("attitude_sigma_rad", [0.0, slow(2e-3), math.inf])
 def test_the_covariance_holds_with_a_third_of_the_points_wrong(attitude_sigma_rad: float) -> None:
     points, model = rocks(24, 11), camera(30.0)
     rotation, position = turned(12), np.array([0.5, -0.8, 30.0])

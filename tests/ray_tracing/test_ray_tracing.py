@@ -594,6 +594,7 @@ def test_what_the_camera_cannot_image_is_marked_and_the_rest_is_traced() -> None
 # --- a real body ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 @pytest.mark.parametrize("name", [slow("00000000.png"), "00000002.png"])
 def test_vesta_renders_as_dawn_saw_it(data_dir: Path, name: str) -> None:

@@ -104,7 +104,6 @@ def sigmas(estimator: str, markings: float, name: str, levels: Sequence[float]) 
 
 FAST = (
     ("cross_correlation", "albedo"),
-    ("limb_matching", "scale"),
     ("ellipsoid_cra", "pole_rad"),
 )
 

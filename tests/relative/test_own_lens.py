@@ -13,6 +13,7 @@ from giantlike.relative import ESTIMATORS
 from giantlike.shapes import Ellipsoid
 from tests.fixed_grid import FixedGrid
 from tests.limb_images import CAMERA, NEES_LIMIT, BodyImage, body_image
+from tests.sizes import slow
 
 LENS = FixedGrid(cx_px=199.5, cy_px=199.5)
 RADIUS_PX = 110.0  # as rendered at 2,500 px of focal length; 148 px here: averaged over blocks by templates and checks
@@ -33,7 +34,7 @@ def test_the_lens_has_no_more_than_the_protocol() -> None:
     assert not hasattr(LENS, "windowed")
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [slow(name) if name in ("auto", "sigmoid_limb") else name for name in NAMES])
 def test_every_estimator_of_ellipsoids_runs_on_it_and_is_within_its_sigma(case: BodyImage, name: str) -> None:
     fix = ESTIMATORS[name]().estimate(case.image, case.camera, case.scene)
     assert isinstance(fix, CenterFix), fix

@@ -46,6 +46,7 @@ def limb_estimators(search_px: float) -> tuple[Estimator, ...]:
     )
 
 
+@pytest.mark.slow
 def test_rings_before_and_behind_saturn_are_not_taken_for_its_limb(cases: Any, data_dir: Path) -> None:
     corrected, raw, rings = cases.voyager(data_dir)
     for case in (corrected, raw):

@@ -525,6 +525,7 @@ def test_the_moments_of_an_ellipsoid_mesh_are_those_of_the_ellipsoid() -> None:
     assert_allclose(found.best_fit_radii_km, [a, b, c], rtol=5e-4)  # facets of a sphere cut below its surface
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_every_real_shape_loads_and_its_numbers_agree_with_trimesh(data_dir: Path) -> None:
     files = sorted((data_dir / "shapes").iterdir())

@@ -50,7 +50,7 @@ def _squared(solution: AttitudeSolution, error: Float) -> float:
         slow(20, 300.0),
         slow(50, 300.0),
         slow(80, 300.0),
-        (50, 600.0),
+        slow(50, 600.0),
         slow(80, 600.0),
         slow(200, 600.0),
         (200, 100.0),
@@ -68,7 +68,7 @@ def test_errors_that_neighbors_share_are_in_the_covariance(n: int, length_px: fl
     )  # 40 and more without the shared part; at 600 px 2.3 to 3.5 without smooth fields
 
 
-@pytest.mark.parametrize("floor_px", [0.0, 0.15])
+@pytest.mark.parametrize("floor_px", [0.0, slow(0.15)])
 def test_errors_without_a_pattern_keep_their_covariance(floor_px: float) -> None:
     rng, squares, shared = np.random.default_rng(3), [], []
     for _ in range(DRAWS):
@@ -102,6 +102,7 @@ def test_noise_larger_than_told_is_in_the_covariance_of_few_stars() -> None:
     assert NEES[0] < np.mean(squares) < NEES[1]
 
 
+@pytest.mark.slow
 def test_a_focal_length_that_is_wrong_is_no_error_that_neighbors_share() -> None:
     rng, squares = np.random.default_rng(4), []
     for _ in range(DRAWS):

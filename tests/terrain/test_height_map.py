@@ -155,6 +155,7 @@ def test_only_what_is_high_is_seen_so_that_the_mean_limb_stands_above_the_mean_s
     assert profile.mean_km > 0.5  # half the root mean square of the heights
 
 
+@pytest.mark.slow
 def test_a_coarse_map_predicts_the_mean_limb_of_the_fine_one_within_its_sigma() -> None:
     rng = np.random.default_rng(8)
     latitude = 90.0 - 0.25 * (np.arange(720)[:, None] + 0.5)

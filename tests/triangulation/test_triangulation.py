@@ -374,6 +374,7 @@ PUBLISHED_ERROR_AU = 0.44
 """Of the position of New Horizons by its two stars (data README); header vectors of the spacecraft are the truth."""
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_new_horizons_finds_itself_by_two_stars_as_well_as_published(data_dir: Path) -> None:
     """Our centroids; attitude by the world coordinates of the headers, which are a fit to Gaia stars of the field."""

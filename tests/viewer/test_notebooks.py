@@ -16,6 +16,7 @@ from giantlike.campaign.store.results import RunResult
 from giantlike.core.errors import InputError
 from giantlike.viewer import Session
 from tests.campaign_files import CAMERA
+from tests.sizes import slow
 
 LONGEST = 250
 
@@ -59,7 +60,7 @@ def test_words_are_short_and_say_what_it_is(shown: dict[str, object], kind: str)
     assert text.startswith(type(shown[kind]).__name__ + "(")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [slow(kind) if kind in ("run", "camera", "scene") else kind for kind in KINDS])
 def test_a_notebook_shows_a_picture_with_the_words_below(shown: dict[str, object], kind: str) -> None:
     page = shown[kind]._repr_html_()  # type: ignore[attr-defined]
     found = re.search(r'src="data:image/png;base64,([^"]+)"', page)
@@ -70,7 +71,7 @@ def test_a_notebook_shows_a_picture_with_the_words_below(shown: dict[str, object
     assert f"<figcaption>{type(shown[kind]).__name__}(" in page
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [kind if kind == "attitude" else slow(kind) for kind in KINDS])
 def test_what_is_drawn_without_axes_is_shown_once(shown: dict[str, object], kind: str) -> None:
     pyplot.close("all")
     axes = shown[kind].plot()  # type: ignore[attr-defined]

@@ -245,6 +245,7 @@ def test_a_limb_farther_than_declared_is_found_and_suspect(name: str) -> None:
     assert case.square(fix) < float(chi2.ppf(1.0 - RARE, 3))
 
 
+@pytest.mark.slow
 def test_a_step_instead_of_a_law_states_its_errors() -> None:
     squares = []
     for number, law in enumerate(("lambert", "lommel_seeliger", "mcewen", "minnaert")):

@@ -107,6 +107,7 @@ def test_the_position_is_found_from_a_prediction_ten_pixels_and_a_percent_off(se
     assert fix.attitude_change_rad == pytest.approx(0.0, abs=FLOAT64)
 
 
+@pytest.mark.slow
 def test_a_law_that_is_told_wrong_costs_little_and_the_covariance_knows() -> None:
     one = case(2, 60.0, believes_other_law=True)
     assert_sound(one, estimated(one))
@@ -161,6 +162,7 @@ def test_landmarks_from_a_file_of_the_same_shape_give_the_same_answer(tmp_path: 
         refused(one, SurfaceFeaturesOptions(landmarks=tmp_path / "bad.npz"))
 
 
+@pytest.mark.slow
 def test_maps_alone_do_where_the_target_is_only_an_ellipsoid(tmp_path: Path) -> None:
     one = case(2, 60.0)
     built = build_landmarks(rock(), LandmarkBuildOptions(samples=61))

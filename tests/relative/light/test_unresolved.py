@@ -167,7 +167,7 @@ def test_the_center_of_a_small_body_is_found_at_any_phase(diameter_px: float, ph
     assert_allclose(fix.center_px, case.pixel, rtol=0, atol=NOISELESS_PX + range_error_px)
 
 
-@pytest.mark.monte_carlo(few=20, full=80)
+@pytest.mark.monte_carlo(few=12, full=80)
 def test_errors_are_consistent_with_the_covariance_of_the_noise(draws: int) -> None:
     case = Case(shape=sphere(0.5), diameter_px=1.0, phase_deg=30.0)
     light, rng = case.light(), np.random.default_rng(8)
@@ -180,7 +180,7 @@ def test_errors_are_consistent_with_the_covariance_of_the_noise(draws: int) -> N
     assert low < np.mean(nees) < high
 
 
-@pytest.mark.monte_carlo(few=10, full=40)
+@pytest.mark.monte_carlo(few=6, full=40)
 def test_errors_on_irregular_bodies_with_a_wrong_range_are_consistent_with_the_covariance(draws: int) -> None:
     nees, errors = [], []
     for seed in range(draws):
@@ -196,7 +196,7 @@ def test_errors_on_irregular_bodies_with_a_wrong_range_are_consistent_with_the_c
     assert np.sqrt(np.mean(np.square(errors), axis=0)).max() < SEVERAL_PIXELS_PX
 
 
-@pytest.mark.monte_carlo(few=10, full=30)
+@pytest.mark.monte_carlo(few=6, full=30)
 def test_errors_of_a_crescent_are_consistent_with_the_covariance(draws: int) -> None:
     """At 120 degrees shift, range, blur and law do nearly the same to an image of 4 px.
 

@@ -36,7 +36,7 @@ CAMERA = Camera(
     detector=Detector(gain_e_per_dn=1.0, read_noise_e=5.0),
 )
 FIVE_SIGMA = 25.0
-ESTIMATORS = pytest.mark.parametrize("estimator", [LimbMatching(), EllipsoidCRA(), SigmoidLimb()], ids=lambda e: e.name)
+ESTIMATORS = pytest.mark.parametrize("estimator", [slow(LimbMatching()), EllipsoidCRA(), slow(SigmoidLimb())])
 
 
 def sun_at(phase_deg: float) -> Float:

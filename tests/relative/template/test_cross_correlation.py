@@ -356,7 +356,7 @@ def failure(image: Image, scene: Scene, camera: Camera = CAMERA) -> Failure:
 
 @pytest.mark.parametrize(
     ("diameter_px", "phase_deg"),
-    [(20.0, 30.0), slow(20.0, 110.0), slow(50.0, 60.0), (50.0, 120.0), (130.0, 20.0), slow(130.0, 90.0)],
+    [(20.0, 30.0), slow(20.0, 110.0), slow(50.0, 60.0), slow(50.0, 120.0), (130.0, 20.0), slow(130.0, 90.0)],
 )
 def test_center_and_range_of_resolved_bodies(diameter_px: float, phase_deg: float) -> None:
     case = Case(diameter_px=diameter_px, phase_deg=phase_deg)
@@ -561,6 +561,7 @@ VESTA_PX = 4.0  # the mesh has facets of 20 px and the pose holds to half a pixe
 VESTA_LOG_RANGE = 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_vesta_larger_than_the_frame_agrees_with_its_pose(data_dir: Path) -> None:
     folder = data_dir / "bodies" / "dawn_vesta"
