@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,38 @@ if TYPE_CHECKING:
 
 BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 DATA = Path(os.environ.get("GIANTLIKE_TEST_DATA", BESIDE))
+
+
+TOOK = "giantlike/took_s"
+"""Key of pytest's cache: how long each test took when it last ran, s."""
+took_s: Counter[str] = Counter()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add an option for the time between two edits."""
+    parser.addoption("--longest", type=float, help="leave out tests that took longer, s, when they last ran")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out tests that took longer than ``--longest``."""
+    limit_s, cache = config.getoption("--longest"), getattr(config, "cache", None)
+    if limit_s is not None and cache is not None:
+        before = cache.get(TOOK, {})
+        longer = [item for item in items if before.get(item.nodeid, 0.0) > limit_s]
+        config.hook.pytest_deselected(items=longer)
+        items[:] = [item for item in items if before.get(item.nodeid, 0.0) <= limit_s]
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Add up what a test and its fixtures took."""
+    took_s[report.nodeid] += report.duration
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Remember how long each test took; of several workers the controlling process does."""
+    cache = getattr(session.config, "cache", None)
+    if cache is not None and not hasattr(session.config, "workerinput"):
+        cache.set(TOOK, cache.get(TOOK, {}) | took_s)
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

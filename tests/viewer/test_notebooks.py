@@ -60,7 +60,7 @@ def test_words_are_short_and_say_what_it_is(shown: dict[str, object], kind: str)
     assert text.startswith(type(shown[kind]).__name__ + "(")
 
 
-@pytest.mark.parametrize("kind", [slow(kind) if kind in ("run", "camera", "scene") else kind for kind in KINDS])
+@pytest.mark.parametrize("kind", [slow(kind) if kind in ("image", "camera", "scene") else kind for kind in KINDS])
 def test_a_notebook_shows_a_picture_with_the_words_below(shown: dict[str, object], kind: str) -> None:
     page = shown[kind]._repr_html_()  # type: ignore[attr-defined]
     found = re.search(r'src="data:image/png;base64,([^"]+)"', page)

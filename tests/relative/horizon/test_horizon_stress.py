@@ -222,6 +222,13 @@ def test_a_disk_that_is_clipped_along_its_limb_is_found(name: str) -> None:
     assert np.mean(squares) < float(chi2.ppf(1.0 - RARE, 3 * len(squares))) / len(squares), squares
 
 
+def test_a_disk_that_is_clipped_far_from_its_limb_keeps_the_edges_of_its_limb() -> None:
+    case = seen("mcewen", 65.0, 120.0, 91)
+    fix = case.fix(RELATIVE["ellipse_fit"](), McEwen(), 1, saturation_dn=BIAS_DN + 0.97 * PEAK_DN)
+    assert isinstance(fix, PositionFix), fix
+    assert case.square(fix) < float(chi2.ppf(1.0 - RARE, 3))
+
+
 @pytest.mark.slow
 def test_a_limb_that_is_clipped_little_is_as_sure_as_it_errs() -> None:
     """Clipped at two thirds of the peak, the half of the light that is the limb is seen; before, 0.2."""
