@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections import Counter
+from collections import defaultdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ DATA = Path(os.environ.get("GIANTLIKE_TEST_DATA", BESIDE))
 
 TOOK = "giantlike/took_s"
 """Key of pytest's cache: how long each test took when it last ran, s."""
-took_s: Counter[str] = Counter()
+took_s: defaultdict[str, float] = defaultdict(float)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
