@@ -85,6 +85,7 @@ def test_legends_stand_below_the_charts_and_cover_nothing(stacked: bool) -> None
     assert tops[True] < view[3]
 
 
+@pytest.mark.slow
 def test_stacked_charts_stand_above_each_other_in_matplotlib_too() -> None:
     above, below = (axis.get_position() for axis in charts_figure(_labeled(True)).axes)
     assert above.y0 > below.y1

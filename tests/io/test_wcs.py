@@ -126,6 +126,7 @@ def parallax() -> ModuleType:
     return module
 
 
+@pytest.mark.slow
 @pytest.mark.real_data
 def test_near_stars_are_measured_where_they_were_published_and_shifted_by_their_parallax(
     parallax: ModuleType, data_dir: Path

@@ -113,6 +113,7 @@ def test_a_focal_length_that_is_wrong_is_no_error_that_neighbors_share() -> None
     assert NEES[0] < np.mean(squares) < NEES[1]  # 0.03 as an error that neighbors share
 
 
+@pytest.mark.slow
 def test_the_error_of_a_star_that_dominates_is_in_the_covariance() -> None:
     rng, squares, exact = np.random.default_rng(5), [], []
     for _ in range(DRAWS):

@@ -139,6 +139,7 @@ def test_an_index_finds_what_brute_force_finds(pattern: Pattern) -> None:
 # --- identification ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_fields_of_10_to_20_degrees_are_found_among_false_and_missing_stars_and_never_wrongly(
     catalog: MemoryCatalog,
 ) -> None:

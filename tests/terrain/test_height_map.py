@@ -62,6 +62,7 @@ def test_a_map_with_holes_and_one_of_a_part_hold_no_heights_there(tmp_path: Path
     assert np.isnan(part.heights_km(direction(*np.array(outside).T))).all()
 
 
+@pytest.mark.slow
 def test_a_map_says_how_much_relief_it_does_not_resolve() -> None:
     """Fields of waves by Kaula's rule, sampled 4 and 16 times as coarsely as they are."""
     rng = np.random.default_rng(3)

@@ -146,6 +146,7 @@ def test_landmarks_that_something_else_covers_are_left_out() -> None:
     assert_sound(one, estimated(replace(covered, image=replace(covered.image, mask=mask))))
 
 
+@pytest.mark.slow
 def test_landmarks_from_a_file_of_the_same_shape_give_the_same_answer(tmp_path: Path) -> None:
     one = case(2, 60.0)
     save_landmarks(landmarks_of(rock()), tmp_path / "rock.npz")

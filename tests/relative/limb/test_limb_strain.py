@@ -89,7 +89,8 @@ def test_a_roll_that_only_the_limb_tells_makes_it_less_certain(estimator: Estima
     assert squared_error(declared) < FIVE_SIGMA
 
 
-@pytest.mark.parametrize("relief", [1, slow(2), slow(3)])
+@pytest.mark.slow
+@pytest.mark.parametrize("relief", [1, 2, 3])
 def test_relief_of_one_percent_is_no_other_figure(relief: int) -> None:
     fix = fix_of(LimbMatching(), light(40.0, relief=relief), 40.0)
     assert not fix.flags.suspect
