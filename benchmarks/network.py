@@ -1,6 +1,8 @@
 """Control networks: CPU time and memory of large ones; consistency (NEES) with outliers, with and without rejection.
 
 ``python benchmarks/network.py [--scenes N]`` prints one JSON object. Scenes are drawn here, with numpy alone.
+``--images N`` instead finds landmarks in images of ``network_truth.py`` of N rocks, and writes a row for each to
+``results/network_images.csv`` (``--first``: number of the first one; rows are added).
 """
 
 from __future__ import annotations
@@ -9,16 +11,21 @@ import argparse
 import json
 import math
 import resource
+import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from benchmarks.network_truth import Told, sequence
 from giantlike.calibration.options import Loss
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
-from giantlike.network import NetworkFix, NetworkOptions, Photo, Tracks, adjust
+from giantlike.core.frames import skew
+from giantlike.network import FoundTracks, NetworkFix, NetworkOptions, Photo, Tracks, adjust, find_tracks
 
 CAMERA = PinholeModel(fx_px=4000.0, fy_px=4000.0, cx_px=511.5, cy_px=511.5)
 SIGMA_PX = 0.5
@@ -114,11 +121,82 @@ def timing(measures: int) -> dict[str, Any]:
     return {"measures": len(tracks.point), "cpu_s": round(seconds, 1), "steps": fix.steps, "peak_gb": round(memory, 2)}
 
 
+def image_scene(seed: int) -> dict[str, float]:
+    """Landmarks of a rock in 16 images over 0.6 revolutions, under a wrong law, with relief and albedo not told."""
+    told = Told(relief=0.004, albedo=0.1, law="lommel_seeliger", timetag_s=0.1, focal=1e-4)
+    rock = sequence(seed, told=told, images=16, diameter_px=150.0, revolutions=0.6)
+    start = time.process_time()
+    found = find_tracks(rock.images, rock.camera, rock.scene)
+    assert isinstance(found, FoundTracks), found
+    fix = adjust(found.photos, found.tracks)
+    seconds = time.process_time() - start
+    assert isinstance(fix, NetworkFix), fix
+    tracks, names = found.tracks, [image.name for image in rock.images]
+    truth = rock.true_point(np.asarray(tracks.points_km))
+    known = [names.index(photo.name) for photo in found.photos]
+    off, poses = np.empty(len(tracks.point)), []
+    for number, (k, photo) in enumerate(zip(known, fix.photos, strict=True)):
+        mine = tracks.photo == number
+        inertial = rock.rotation.inertial_from_body(photo.et).apply(truth[tracks.point[mine]])
+        look = rock.attitudes[k].apply(inertial - rock.positions_km[k])
+        off[mine] = np.linalg.norm(tracks.points_px[mine] - rock.view.project(look), axis=1)
+        turn = (rock.attitudes[k] * photo.camera_from_inertial.inv()).as_rotvec()
+        error = np.concatenate([turn, rock.positions_km[k] - photo.position_km])
+        poses.append(float(error @ np.linalg.solve(fix.covariance_poses[number], error)) / 6.0)
+    sound = np.asarray(np.isfinite(fix.points_km).all(axis=1))
+    error = np.where(sound[:, None], fix.points_km - truth, 0.0)
+    squares = np.einsum("pi,pij,pj->p", error[sound], np.linalg.inv(fix.covariance_points_km2[sound]), error[sound])
+    sigmas, checked = np.sqrt(squares), np.asarray(fix.point_status == "checked")[sound]
+    views = np.bincount(tracks.point, fix.used, len(tracks.names))[sound]
+    design = np.concatenate([np.tile(np.eye(3), (len(truth), 1, 1)), -skew(truth), truth[:, :, None]], axis=2)[
+        sound
+    ]  # shift, rotation, scale
+    left = error[sound].ravel()
+    left = left - design.reshape(-1, 7) @ np.linalg.lstsq(design.reshape(-1, 7), left, rcond=None)[0]
+    px = rock.camera.model.focal_length_px / float(np.linalg.norm(rock.positions_km[0]))
+    aligned = np.linalg.norm(left.reshape(-1, 3), axis=1) * px
+    return {
+        "seed": seed,
+        "images": len(found.photos),
+        "landmarks": len(tracks.names),
+        "measures": len(off),
+        "within_1_px": float(np.mean(off < 1.0)),
+        "rejected": float(np.mean(~fix.used)),
+        "wrong_survive": float(np.mean(off[fix.used] > 1.0)),
+        "median_point_error_px": float(np.median(aligned)),
+        "of_6_views_px": float(np.median(aligned[np.flatnonzero(views >= 6)])) if np.any(views >= 6) else math.nan,
+        "nees_points": float(np.mean(squares[checked])) / 3.0,
+        "nees_poses": float(np.mean(poses)),
+        "worst_checked_sigma": float(sigmas[checked].max()),
+        "checked_of_within_3_sigma": float(np.mean(checked[sigmas < 3.0])),
+        "floor_px": found.floor_px,
+        "sigma_points_km": found.sigma_points_km,
+        "cpu_s": seconds,
+    }
+
+
+def image_scenes(first: int, count: int) -> None:
+    """Add rows of scenes to the table of results."""
+    path = Path(__file__).parent / "results" / "network_images.csv"
+    for seed in range(first, first + count):
+        row = image_scene(seed)
+        new = not path.exists()
+        with path.open("a") as file:
+            file.write((",".join(row) + "\n") if new else "")
+            file.write(",".join(f"{value:.4g}" for value in row.values()) + "\n")
+
+
 def main() -> None:
     """Print all figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=200)
-    scenes = parser.parse_args().scenes
+    parser.add_argument("--images", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0)
+    options = parser.parse_args()
+    scenes = options.scenes
+    if options.images:
+        image_scenes(options.first, options.images)
+        return
     adjust(*scene(0, images=4, points=30, measures=100)[:2])  # loops are compiled
     print(json.dumps({"timing": [timing(count) for count in (10_000, 50_000)], "nees": consistency(scenes)}, indent=1))
 

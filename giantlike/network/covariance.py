@@ -102,6 +102,12 @@ def make_fix(
         for cause, each in parts_reduced.items()
     }
     whole = _in_units(problem, points_km2(covariance), total, scale)
+    if tracks.common_sigma_km:
+        common = tracks.common_sigma_km**2 * np.eye(3)
+        whole = replace(whole, points_km2=whole.points_km2 + common)
+        none = CovariancePart(points_km2=0.0 * whole.points_km2, poses=0.0 * whole.poses, shared=0.0 * whole.shared)
+        relief = parts.get(Cause.RELIEF, none)
+        parts[Cause.RELIEF] = replace(relief, points_km2=relief.points_km2 + common)
     noise_part = CovariancePart(
         points_km2=whole.points_km2 - sum(each.points_km2 for each in parts.values()),
         poses=whole.poses - sum(each.poses for each in parts.values()),
@@ -181,7 +187,9 @@ def _reduced_covariances(
             kept, units = normal.scale(matrix, which)
             factor = scipy.linalg.cho_factor(kept, overwrite_a=True, check_finite=False)
             found, _ = scipy.linalg.lapack.dpotri(factor[0])
-            total[np.ix_(which, which)] = mirror(found) * np.outer(units, units)
+            found *= units
+            found *= units[:, None]
+            total[np.ix_(which, which)] = mirror(found)
     except np.linalg.LinAlgError:
         return Failure(
             Reason.DEGENERATE_GEOMETRY,

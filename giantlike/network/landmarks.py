@@ -36,6 +36,9 @@ _FIRST_SIGMA = 0.02  # of the mean radius: a priori sigma of points before their
 _FLOOR_PX = (0.3, 0.02)  # px: error of templates before it is estimated, and the least that it is taken for
 
 _MOVED_PX = 0.5  # px: motion of landmarks by which their templates are rendered again
+_COMMON = 0.65
+"""Error of a landmark that all images share, by the ground that the shape lacks, over the spread of points about the
+shape: of six rocks with relief, markings and law not told (seeds 0-2, 30-32 of ``benchmarks/network.py --images``)."""
 _ROUNDS = 8  # of adjustments that find the errors of templates and shape: the last change is some percent
 
 
@@ -351,7 +354,9 @@ def settle_tracks(
             squares = np.sum((fix.points_km - np.asarray(tracks.points_km)) ** 2, axis=1)[good]
             squares += np.trace(fix.covariance_points_km2[good], axis1=1, axis2=2)
             sigma_km = max(math.sqrt(float(np.mean(squares)) / 3.0), 1e-4 * radius_km)
-    return settled
+    found_tracks, fix = settled
+    told = replace(found_tracks.tracks, common_sigma_km=_COMMON * found_tracks.sigma_points_km)
+    return replace(found_tracks, tracks=told), fix
 
 
 def has_moved(measures: LandmarkMeasures, pose: Photo, catalog: LandmarkCatalog) -> bool:

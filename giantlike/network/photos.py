@@ -88,6 +88,8 @@ class Tracks(Value):
         A priori positions; NaN, or nothing, where they are to be intersected from the images.
     covariance_points_km2 : (p, 3, 3) float64, km^2, optional
         Of these; infinite variances for points that are only a start, zeros for points that are held.
+    common_sigma_km : float, km
+        Error of a point along each axis that all of its measures have alike, so that no residual shows it.
 
     Raises
     ------
@@ -102,8 +104,10 @@ class Tracks(Value):
     sigma_px: Float
     points_km: Float | None = None
     covariance_points_km2: Float | None = None
+    common_sigma_km: float = 0.0
 
     def __post_init__(self) -> None:
+        require_number(self.common_sigma_km, "common_sigma_km", least=0.0)
         count, number = len(self.names), len(self.point)
         require(0 < count <= MAX_POINTS, f"a network has 1 to {MAX_POINTS} points, got {count}: thin them out")
         require(number > 0, "a network needs at least one measure")

@@ -493,18 +493,21 @@ class NormalEquations(Value):
     def scale(self, matrix: Float, which: NDArray[np.intp]) -> tuple[Float, Float]:
         """Rows and columns of a reduced matrix in units (s,) of their diagonal, free directions of the frame held."""
         units = 1.0 / np.sqrt(np.diagonal(self.reduced)[which])
-        kept = matrix[np.ix_(which, which)] * np.outer(units, units)
+        kept = matrix.copy() if len(which) == len(matrix) else matrix[np.ix_(which, which)]
+        kept *= units
+        kept *= units[:, None]
         held = self.problem.datum[which] / units[:, None]
         if held.size:
             axes = np.linalg.qr(held)[0]
-            kept = kept + axes @ axes.T
+            kept += axes @ axes.T
         return kept, units
 
 
 def mirror(upper: Float) -> Float:
     """Symmetric matrix (r, r) of its upper triangle."""
-    triangle = np.triu(upper)
-    return np.asarray(triangle + np.triu(triangle, 1).T)
+    result: Float = np.triu(upper)
+    result += np.triu(upper, 1).T
+    return result
 
 
 def frame_directions(problem: Problem) -> tuple[Float, Float, Float]:

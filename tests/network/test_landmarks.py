@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.network_truth import MEAN_KM, PERIOD_S, Sequence, Told, sequence
 from giantlike.core.arrays import Float, unit
+from giantlike.core.causes import Cause
 from giantlike.core.errors import InputError
 from giantlike.core.light import aberrate, boosted
 from giantlike.core.outcomes import Failure, Reason
@@ -148,3 +149,19 @@ def test_a_pose_of_a_moving_body_has_light_time_and_aberration_removed() -> None
     assert_allclose(seen_km, geometry.position_camera_km, rtol=0, atol=1e-6)
     apparent = image.camera_from_inertial.inv().apply(seen_km / np.linalg.norm(seen_km))
     assert_allclose(apparent, aberrate(gone / np.linalg.norm(gone), camera.velocity_km_s), rtol=0, atol=FLOAT64 * 10)
+
+
+def test_an_error_that_all_images_share_is_in_the_covariance_of_points_alone() -> None:
+    _, found = seen()
+    assert found.tracks.common_sigma_km > 0.0
+    with_it = adjust(found.photos, found.tracks).unwrap()
+    without = adjust(found.photos, replace(found.tracks, common_sigma_km=0.0)).unwrap()
+    known = np.isfinite(with_it.points_km).all(axis=1)
+    added = (with_it.covariance_points_km2 - without.covariance_points_km2)[known]
+    common = np.broadcast_to(found.tracks.common_sigma_km**2 * np.eye(3), added.shape)
+    assert_allclose(added, common, rtol=0, atol=FLOAT64)
+    assert_allclose(with_it.covariance_poses, without.covariance_poses, rtol=0, atol=FLOAT64)
+    total = sum(part.points_km2 for part in with_it.parts.values())
+    assert_allclose(np.asarray(total)[known], with_it.covariance_points_km2[known], rtol=0, atol=FLOAT64)
+    assert_allclose((with_it.parts[Cause.RELIEF].points_km2 - without.parts[Cause.RELIEF].points_km2)[known], common,
+                    rtol=0, atol=FLOAT64)  # fmt: skip
