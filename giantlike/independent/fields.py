@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,6 +108,17 @@ def _relative(values: Float, gradients: Float, directions: Float, rms: float, ce
     gradients = gradients - found[1:]
     scale = rms / float(np.sqrt(np.average(values**2, weights=weights)))
     return _table(values * scale, gradients * scale, directions, cells)
+
+
+def tabulated(function: Callable[[Float], Float], *, cells: int = CELLS, step_rad: float = 1e-3) -> SphereField:
+    """Tabulate a function of unit vectors (n, 3), with its gradient by differences."""
+    directions = _grid_directions(cells)
+    gradients = np.zeros_like(directions)
+    for axis in np.eye(3) * step_rad:
+        ends = [(directions + sign * axis) for sign in (1.0, -1.0)]
+        high, low = (function(end / np.linalg.norm(end, axis=1, keepdims=True)) for end in ends)
+        gradients += (high - low)[:, None] * axis / (2.0 * step_rad**2)
+    return _table(function(directions), gradients, directions, cells)
 
 
 def bumps(

@@ -3,12 +3,13 @@
 The truth of a Monte Carlo of navigation filters. A spacecraft has 21 numbers: position and velocity from the Earth,
 km and km/s; rotation vector from the assumed to the true camera axes, rad; unmodeled acceleration, km/s^2; bias,
 km/s^2, and scale factor of the accelerometer; bias of the tangents of two angles and of the disk diameter. The last
-fifteen are Ornstein-Uhlenbeck processes, drawn anew at every step with their exact transition.
+fifteen are Ornstein-Uhlenbeck processes, drawn anew at every step with their exact transition. Beside them the flight
+near a small body, with zonal gravity and sunlight.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,3 +122,60 @@ def _rotate(rotations: Array, vectors: Array) -> Array:
         vectors * np.cos(angle) + np.cross(axis, vectors) * np.sin(angle) + axis * along * (1.0 - np.cos(angle))
     )
     return turned
+
+
+@dataclass(frozen=True)
+class SmallBodyField:
+    """What moves a spacecraft near a small body: its gravity, the tide of the Sun, and sunlight on the spacecraft.
+
+    gm, sun_gm: in km^3/s^2.
+    zonals: by degree, the zonal coefficient J times that power of its radius, km.
+    pole: unit vector (3,) of the spin axis.
+    sun_km: place (3,) of the Sun from the body, km, at a time in seconds.
+    sunlight: acceleration away from the Sun at 1 au, km/s^2.
+    """
+
+    gm: float
+    sun_gm: float
+    zonals: Mapping[int, float]
+    pole: Array
+    sun_km: Callable[[float], Array]
+    sunlight: float
+
+    def acceleration(self, time: float, places: Array) -> Array:
+        """Acceleration (runs, 3), km/s^2, at places (runs, 3) from the body, km; zonals by Legendre polynomials."""
+        distance = np.linalg.norm(places, axis=1, keepdims=True)
+        upward, sine = places / distance, places @ self.pole[:, None] / distance
+        radial, polar = np.ones_like(distance), np.zeros_like(distance)
+        for degree, strength in self.zonals.items():
+            legendre = np.polynomial.Legendre.basis(degree)
+            radial = radial - (degree + 1) * strength / distance**degree * legendre(sine)
+            polar = polar + strength / distance**degree * legendre.deriv()(sine)
+        total = -self.gm / distance**2 * (radial * upward + polar * (self.pole - sine * upward))
+        sun = self.sun_km(time)
+        toward, au = sun - places, 149_597_870.7
+        gap = np.linalg.norm(toward, axis=1, keepdims=True)
+        pressed = -self.sunlight * au**2 * toward / gap**3
+        tide: Array = self.sun_gm * (toward / gap**3 - sun / np.linalg.norm(sun) ** 3)
+        return total + tide + pressed
+
+    def coast(self, states: Array, start: float, end: float, step_s: float = 600.0) -> Array:
+        """States (runs, 6), km and km/s, at another time, by the classic Runge-Kutta method."""
+        count = max(int(np.ceil(abs(end - start) / step_s)), 1)
+        step = (end - start) / count
+        for number in range(count):
+            time, slopes = start + number * step, list[Array]()
+            for share in (0.0, 0.5, 0.5, 1.0):
+                at = states + share * step * slopes[-1] if slopes else states
+                slopes.append(np.hstack([at[:, 3:], self.acceleration(time + share * step, at[:, :3])]))
+            states = states + step / 6.0 * (slopes[0] + 2.0 * slopes[1] + 2.0 * slopes[2] + slopes[3])
+        return states
+
+    def aim(self, state: Array, start: float, end: float, target_km: Array) -> Array:
+        """Change of velocity (3,), km/s, with which a state (6,) gets to a place (3,) at the end."""
+        nudge, change = 1e-7, (target_km - state[:3]) / (end - start) - state[3:]
+        for _ in range(4):
+            tried = state + np.vstack([np.zeros(6), nudge * np.eye(6)[3:]]) + np.append(np.zeros(3), change)
+            ends = self.coast(tried, start, end)[:, :3]
+            change = change + np.linalg.solve((ends[1:] - ends[0]).T / nudge, target_km - ends[0])
+        return np.asarray(change)

@@ -17,8 +17,9 @@ class PinholeView:
     focal_px: focal length.
     center_px: pixel of the boresight: (column, row), (0, 0) the center of the first pixel.
     columns, rows: size of the detector.
-    k1, k2: radial terms: ``(1 + k1 r^2 + k2 r^4)``, r in units of the focal length.
+    k1, k2, k3: radial terms: ``(1 + k1 r^2 + k2 r^4 + k3 r^6)``, r in units of the focal length.
     p1, p2: tangential terms: ``x + 2 p1 x y + p2 (r^2 + 2 x^2)``, ``y + p1 (r^2 + 2 y^2) + 2 p2 x y``.
+    aspect: focal length along columns by that along rows.
     """
 
     focal_px: float
@@ -29,11 +30,13 @@ class PinholeView:
     k2: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
+    k3: float = 0.0
+    aspect: float = 1.0
 
     def _distort(self, plane: Float) -> Float:
         x, y = plane[..., 0], plane[..., 1]
         squared = x * x + y * y
-        radial = 1.0 + squared * (self.k1 + squared * self.k2)
+        radial = 1.0 + squared * (self.k1 + squared * (self.k2 + squared * self.k3))
         return np.stack(
             [
                 x * radial + 2.0 * self.p1 * x * y + self.p2 * (squared + 2.0 * x * x),
@@ -47,11 +50,11 @@ class PinholeView:
         vectors = np.asarray(vectors_camera, dtype=float)
         depth = np.where(vectors[..., 2] > 0.0, vectors[..., 2], np.nan)
         plane = self._distort(vectors[..., :2] / depth[..., None])
-        return np.asarray(self.focal_px * plane + self.center_px, dtype=float)
+        return np.asarray(self.focal_px * plane * (1.0, self.aspect) + self.center_px, dtype=float)
 
     def directions(self, pixels: ArrayLike) -> Float:
         """Return the vectors (..., 3) in camera axes, third component 1, that fall on pixels (..., 2)."""
-        target = (np.asarray(pixels, dtype=float) - self.center_px) / self.focal_px
+        target = (np.asarray(pixels, dtype=float) - self.center_px) / (self.focal_px * np.array([1.0, self.aspect]))
         plane = target
         if self.k1 or self.k2 or self.p1 or self.p2:
             for _ in range(30):  # fixed point; contracts by the size of the distortion each time
