@@ -1,4 +1,6 @@
-"""Independent truth for tests and benchmarks: bodies, light, stars and detector in numpy alone.
+"""Independent truth for tests, benchmarks and replays: bodies, light, stars, detector and flights in numpy alone.
+
+``orbit`` determines orbits from observables files, as a user's program would.
 
 Nothing here imports another module of giantlike (import-linter checks it), and no formula was copied from one: an
 error that an estimator shares with the renderer of its templates shows only beside images that come from elsewhere.

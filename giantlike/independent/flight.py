@@ -22,6 +22,10 @@ STEP_OF_PERIOD = 0.01
 """Longest step near the Earth, of the time in which a circular orbit there turns by one radian."""
 
 
+LONGEST_STEP_S = 21_600.0
+"""Longest step far from a small body, where the tide of the Sun changes in days."""
+
+
 @dataclass(frozen=True)
 class PullingBodies:
     """The bodies that pull.
@@ -156,19 +160,21 @@ class SmallBodyField:
         toward, au = sun - places, 149_597_870.7
         gap = np.linalg.norm(toward, axis=1, keepdims=True)
         pressed = -self.sunlight * au**2 * toward / gap**3
-        tide: Array = self.sun_gm * (toward / gap**3 - sun / np.linalg.norm(sun) ** 3)
-        return total + tide + pressed
+        tide = self.sun_gm * (toward / gap**3 - sun / np.linalg.norm(sun) ** 3)
+        return np.asarray(total + tide + pressed)
 
-    def coast(self, states: Array, start: float, end: float, step_s: float = 600.0) -> Array:
-        """States (runs, 6), km and km/s, at another time, by the classic Runge-Kutta method."""
-        count = max(int(np.ceil(abs(end - start) / step_s)), 1)
-        step = (end - start) / count
-        for number in range(count):
-            time, slopes = start + number * step, list[Array]()
+    def coast(self, states: Array, start: float, end: float) -> Array:
+        """States (runs, 6), km and km/s, at a later time, by the classic Runge-Kutta method."""
+        time = start
+        while time < end:
+            nearest = float(np.min(np.linalg.norm(states[:, :3], axis=1)))
+            step = min(2.0 * STEP_OF_PERIOD * float(np.sqrt(nearest**3 / self.gm)), LONGEST_STEP_S, end - time)
+            slopes = list[Array]()
             for share in (0.0, 0.5, 0.5, 1.0):
                 at = states + share * step * slopes[-1] if slopes else states
                 slopes.append(np.hstack([at[:, 3:], self.acceleration(time + share * step, at[:, :3])]))
             states = states + step / 6.0 * (slopes[0] + 2.0 * slopes[1] + 2.0 * slopes[2] + slopes[3])
+            time = end if end - time - step < 1e-6 else time + step
         return states
 
     def aim(self, state: Array, start: float, end: float, target_km: Array) -> Array:

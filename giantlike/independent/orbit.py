@@ -132,7 +132,9 @@ class Dynamics:
     @property
     def expected(self) -> Array:
         """A priori values of the unknowns (9 + 3 m,), but for the state."""
-        return np.array([0.0] * 6 + [self.sunlight, 0.0, 0.0] + [v for each in self.maneuvers for v in each.planned_km_s])
+        return np.array(
+            [0.0] * 6 + [self.sunlight, 0.0, 0.0] + [v for each in self.maneuvers for v in each.planned_km_s]
+        )
 
     @property
     def information(self) -> Array:
@@ -288,8 +290,8 @@ def solve(
 ) -> Solution:
     """Batch least squares; shared errors are considered, or estimated with what is known of them.
 
-    To estimate them is to weight the data with the covariance that holds their errors. Without the check, a solution that
-    the data contradict is returned too.
+    To estimate them is to weight the data with the covariance that holds their errors. Without the check, a solution
+    that the data contradict is returned too.
     """
     dynamics = Dynamics(observations[0].target) if dynamics is None else dynamics
     times, information = np.array([each.et for each in observations]), dynamics.information

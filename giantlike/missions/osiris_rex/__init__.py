@@ -13,13 +13,12 @@ from giantlike.missions.replay import Replay, ReplaySettings
 NAME = "osiris_rex"
 CHANGES = {
     "poor_shape": "Heights and scale of the shape models err by twenty times as much.",
+    "planned_maneuvers": "The orbit determination takes maneuvers as planned instead of estimating them.",
     "range_known": "Predicted ranges of the study of range errors err by a twentieth as much.",
 }
 """Assumptions that can be altered."""
 _SMALL_CAMERAS, _SMALL_IMAGES = ("mapcam",), 4
 """Cameras that a small replay calibrates, and the number of their images."""
-_SMALL_CAMPAIGNS = {("approach", "mapcam"): (2, 7), ("preliminary_survey", "navcam1"): (0,)}
-"""Campaigns of a small replay, and the numbers of their visits."""
 
 
 def replay(settings: ReplaySettings) -> Replay:
@@ -46,21 +45,22 @@ def replay(settings: ReplaySettings) -> Replay:
         for key in cameras
     ]
     sections.append(calibration_section(orex, calibrations))
-    facets = orex.body.small_facets if settings.small else orex.body.facets
-    truth = true_body(orex.body, inputs.shape, seed=settings.seed, facets=facets)
+    cells = orex.body.small_cells if settings.small else orex.body.cells
+    truth = true_body(orex.body, inputs.shape, seed=settings.seed, cells=cells)
     calibrated = {each.key: each.camera for each in calibrations}
-    stage = PhaseInputs(mission=orex, truth=truth, calibrated=calibrated, kernels=inputs.kernels, settings=settings)
+    stage = PhaseInputs(mission=orex, truth=truth, calibrated=calibrated, settings=settings)
     for phase in (each.with_poor_shape() if settings.change == "poor_shape" else each for each in orex.phases):
-        results = stage.run(phase, _SMALL_CAMPAIGNS if settings.small else None)
-        if results:
-            sections.append(phase_section(orex, phase, results))
+        result = stage.run(phase)
+        if result is not None:
+            sections.append(phase_section(orex, phase, result, inputs.kernels))
     return Replay(
         name=NAME,
         title="OSIRIS-REx at Bennu: independent optical navigation",
         sections=tuple(sections),
-        flown="Star images of each camera, calibrated; then the phases as campaigns on simulated images of a "
-        "made-up Bennu: attitude from stars, centers by template, limb and center of light, ranges from limbs, "
-        "against the truth. A body of the independent renderer for template matching at wrong ranges.",
-        pictures=("ref. 22", "Fig. 3", "Fig. 10", "Fig. 12", "Fig. 14"),
+        flown="Star images of each camera, calibrated; then each phase: a flight with maneuvers, sunlight and gravity "
+        "that the fit does not know, images of Bennu by an independent renderer, processed as campaigns (attitude from "
+        "stars, centers by template, limb and center of light, ranges from limbs), and the orbit determined from their "
+        "observables alone. Residuals are against that orbit, beside those against the truth.",
+        pictures=("Picture, Preliminary Survey, NavCam 1", "Fig. 3", "Fig. 18", "Fig. 24", "Orbit, Orbital A"),
         assumptions=assumptions_of(orex, inputs, settings),
     )

@@ -15,19 +15,14 @@ def assumptions_of(mission: MissionSetup, inputs: UserInputs, settings: ReplaySe
         else f"The shape of Bennu is {inputs.shape.name}, with made-up relief finer than its facets."
     )
     trajectory = (
-        "The whole trajectory is simulated: distances from the sizes that the paper states, phase angles assumed."
+        ""
         if inputs.kernels is None
         else (
-            "Where the kernels do not cover a visit (before 8 November and after 17 December 2018) the trajectory is "
-            "simulated: distances from the sizes that the paper states, phase angles assumed. The attitude of the "
-            "spacecraft is simulated throughout."
+            "Apparent sizes are those of the mission's kernels where they cover an image; the trajectory is simulated."
         )
     )
-    small = (
-        "This is a small replay: one camera calibrated, two campaigns of one or two visits, coarse shapes. A share "
-        "of one or two fixes proves nothing.",
-    )
-    lines = (*_OPEN, shape, trajectory, *_lines_of_inputs(mission))
+    small = ("This is a small replay: one camera calibrated, one campaign of six pairs, coarse shapes.",)
+    lines = (*_OPEN, shape, *([trajectory] if trajectory else []), *_lines_of_inputs(mission))
     return (*lines, *small) if settings.small else lines
 
 
@@ -37,10 +32,14 @@ _OPEN = (
     "bright in PolyCam and MapCam images, and star residuals were 0.045 px; now the threshold of 8 sigma, which is the "
     "paper's, decides which stars there are, as with the paper's catalog, and they are 0.1 px in all cameras.",
     "The paper's figures come without data: its sentences about them are what is compared.",
-    "Residuals of centers are against the place where the estimated attitude and the calibrated camera expect Bennu on "
-    "its true trajectory. The paper's are against the best fit of an orbit determination to these and other "
-    "measurements, which takes up part of their errors and adds its own. Images without stars have none.",
-    "Visits are fewer than in the mission: the paper does not tell the number of its images.",
+    "Residuals of centers and ranges are against the orbit fitted to the preferred observables of the phase, images "
+    "alone, while the paper's was fitted to radiometric and other measurements too. Images without stars have none.",
+    "Images, light time, aberration, stars and flight are made by the independent renderer and integrator, which "
+    "share no code with the estimators; the orbit and spin of Bennu and the places of catalog stars are input to both.",
+    "Waypoints are chosen so that Bennu has the sizes that the paper states. Each maneuver is planned from the true "
+    "state (navigation knows it well by then), with the sunlight that the fit is told; predictions of images err at "
+    "random around the truth, in place of the fits of the days before.",
+    "The paper does not tell the number of its images.",
     "The Sun is a point. The center of figure is the origin of all shapes; the paper's trajectories are about the "
     "center of mass.",
     "Stars: the default catalog (Gaia, Hipparcos) instead of UCAC4, without errors of its own; for PolyCam, which sees "
@@ -52,15 +51,19 @@ _OPEN = (
     "and profiles, so that centers are better than by a correlation peak alone, which the first section has.",
     f"Unresolved is used up to {UNRESOLVED_PX:g} px across, cross-correlation above, and limbs from {LIMB_PX:g} px on; "
     "the paper gives no limits.",
-    "Surface features: the paper shows no result of them, so that none is compared.",
+    "Products of the prime team are not at hand: no comparison with them.",
 )
 """Assumptions that do not depend on the inputs."""
 
 
 def _lines_of_inputs(mission: MissionSetup) -> tuple[str, ...]:
     """Assumptions with numbers of the mission file."""
-    detector, pointing, body = mission.detector, mission.pointing, mission.body
+    detector, pointing, body, flight = mission.detector, mission.pointing, mission.body, mission.flight
     return (
+        f"Flight: sunlight {flight.true_sunlight - 1.0:.0%} stronger than told, a gravitational parameter one sigma "
+        f"from that told, a J4 that the fit lacks, maneuvers with errors of {flight.maneuver_error:.1%} and "
+        f"{flight.maneuver_error_mm_s:g} mm/s on each axis, which is their a priori sigma in the fit, and an a priori "
+        f"state {flight.state_error:.0%} off.",
         f"Images: Hapke's law and albedo of {body.albedo_rms:.0%} rms, which estimators do not know: they assume "
         "McEwen's law and let others mix in.",
         "Estimators get the shape model of the phase: coarser, with errors of one pixel of the phase's best images "

@@ -12,19 +12,15 @@ from scipy.spatial.transform import Rotation
 from giantlike.calibration import CalibrationResult
 from giantlike.calibration.star_images import StarImage, calibrate_stars, identify_first
 from giantlike.camera import Camera
-from giantlike.catalogs import StarCatalog, load_catalog
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure
 from giantlike.core.time import et_from_time, time_from_et, time_from_utc
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG, SECONDS_PER_DAY
 from giantlike.core.values import Value
 from giantlike.image import Image, ObserverState
-from giantlike.missions.osiris_rex.images import BEYOND_LIMIT, detector_model, sky_for
+from giantlike.missions.osiris_rex.images import Exposure, Taker, sky_for
 from giantlike.missions.osiris_rex.setup import CameraSetup, MissionSetup
 from giantlike.processing.detection.options import DetectionOptions
-from giantlike.simulation import Shot, Sources, simulate_image
-from giantlike.simulation.incident import SimulationOptions
-from giantlike.simulation.shot import Photometry
 from giantlike.stars import StarNavigation, StarOptions
 
 _FIRST_UTC = "2017-09-20T00:00:00"
@@ -88,16 +84,24 @@ def calibrate_camera(
     setup, declared = mission.cameras[key], mission.declared_camera(key)
     rng = np.random.default_rng([seed, 20, sum(key.encode())])
     attitudes = [Rotation.random(random_state=rng) for _ in range(images)]
-    catalog: StarCatalog = sky_for(mission, key, attitudes, seed=seed) or load_catalog("default")
+    catalog = sky_for(mission, key, attitudes, seed=seed)
+    taker = Taker(key=key, catalog=catalog, body=None, seed=seed)
     options = StarOptions(max_magnitude=mission.max_magnitude(key), all_stars=True)
     detection = DetectionOptions(threshold_sigma=mission.threshold_sigma)
     navigation = StarNavigation(declared, catalog, options, detection=detection)
     identified: list[StarImage] = []
     for number, temperature_c in enumerate(np.linspace(*setup.temperatures_c, images).tolist()):
-        shot = _shot(mission, setup, attitudes[number], (seed, number))
-        image = _star_image(mission, setup, shot, temperature_c, catalog, (seed, number))
+        exposure = _exposure(mission, setup, attitudes[number], (seed, number))
         wrong = Rotation.from_rotvec(mission.pointing.attitude_error_deg * RAD_PER_DEG * rng.normal(size=3))
-        apriori = dataclasses.replace(image, camera_from_inertial=wrong * attitudes[number])
+        position, velocity = mission.orbit.state(exposure.et)
+        apriori = Image(
+            pixels=taker.take(exposure, (seed, number), temperature_c)[0],
+            epoch=time_from_et(exposure.et),
+            exposure_s=exposure.exposure_s,
+            camera_from_inertial=wrong * attitudes[number],
+            observer=ObserverState(position_km=position, velocity_km_s=velocity),
+            name=exposure.name,
+        )
         found = identify_first(apriori, declared, navigation, scale_error=_SCALE_ERROR, temperature_c=temperature_c)
         if not isinstance(found, Failure):
             identified.append(found)
@@ -114,36 +118,14 @@ def calibrate_camera(
     )
 
 
-def _shot(mission: MissionSetup, setup: CameraSetup, attitude: Rotation, seed: tuple[int, int]) -> Shot:
+def _exposure(mission: MissionSetup, setup: CameraSetup, attitude: Rotation, seed: tuple[int, int]) -> Exposure:
     """An exposure of stars in cruise, along the orbit of Bennu; ``seed`` ends with the number of the image."""
-    et = et_from_time(time_from_utc(_FIRST_UTC)) + seed[1] * _DAYS * SECONDS_PER_DAY
-    position, velocity = mission.orbit.state(et)
     turn = np.random.default_rng([seed[0], 21, seed[1]]).normal(size=3)
-    return Shot(
+    return Exposure(
         name=f"{setup.key} {seed[1] + 1}",
-        epoch=time_from_et(et),
+        et=et_from_time(time_from_utc(_FIRST_UTC)) + seed[1] * _DAYS * SECONDS_PER_DAY,
         exposure_s=setup.long_exposure_s,
         camera_from_inertial=attitude,
-        observer=ObserverState(position_km=position, velocity_km_s=velocity),
-        angular_rate_camera_rad_s=mission.pointing.rate_arcsec_s * RAD_PER_ARCSEC * turn,
+        state_km=np.zeros(6),
+        rate_rad_s=mission.pointing.rate_arcsec_s * RAD_PER_ARCSEC * turn,
     )
-
-
-def _star_image(
-    mission: MissionSetup,
-    setup: CameraSetup,
-    shot: Shot,
-    temperature_c: float,
-    catalog: StarCatalog,
-    seed: tuple[int, int],
-) -> Image:
-    """A star image at a temperature of the camera."""
-    taken = simulate_image(
-        shot,
-        mission.true_camera(setup.key).at_temperature(temperature_c),
-        Sources(catalog=catalog, photometry=Photometry(zero_point_e_s=setup.zero_point_e_s)),
-        seed=seed,
-        detector=detector_model(mission, setup, seed=seed[0]),
-        options=SimulationOptions(max_magnitude=mission.max_magnitude(setup.key) + BEYOND_LIMIT),
-    )
-    return taken.image

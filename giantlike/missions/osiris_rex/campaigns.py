@@ -1,58 +1,45 @@
-"""A phase of the mission as a campaign of the package: images, campaign file and run, and its residuals."""
+"""A phase of the mission as a campaign of the package: images, campaign file and run, and what its observables say."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import astuple, dataclass, replace
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomli_w
-from scipy.spatial.transform import Rotation
 
 from giantlike._system.atomic import make_folder, write_text_atomic
+from giantlike._system.processes import worker_context
 from giantlike.camera import Camera
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
+from giantlike.campaign.store.observables import OBSERVABLES_FILE
 from giantlike.campaign.store.records import AttitudeRecord
-from giantlike.campaign.store.results import RunResult
 from giantlike.campaign.store.run_folder import RunFolder
-from giantlike.catalogs import StarCatalog, load_catalog
 from giantlike.core.arrays import Float
-from giantlike.core.frames import rotate, rotation_from_xyzw
+from giantlike.core.frames import quaternion_xyzw
 from giantlike.core.values import Value
+from giantlike.independent import ReliefBody
+from giantlike.independent.orbit import Observation, RefusedError, read
 from giantlike.io import write_fits, write_geometry
 from giantlike.io.csv_rows import write_csv_rows
-from giantlike.missions.osiris_rex.images import BEYOND_LIMIT, TARGET, Planner, detector_model, sky_for
+from giantlike.io.decoded import HeaderValue
+from giantlike.missions.osiris_rex.images import DEEPEST_DEFAULT, TARGET, Exposure, Planner, Taker, sky_for
 from giantlike.missions.osiris_rex.setup import CampaignSetup
-from giantlike.missions.osiris_rex.trajectory import BennuVisit
+from giantlike.missions.osiris_rex.trajectory import Flight
 from giantlike.shapes import TriangleMesh
 from giantlike.shapes.files.exchange import write_obj
-from giantlike.simulation import Sources, simulate_image
-from giantlike.simulation.approach import ApproachFrame
-from giantlike.simulation.compare import ObservationError, compare_run
-from giantlike.simulation.detector import DetectorModel
-from giantlike.simulation.incident import SimulationOptions
-from giantlike.simulation.write import (
-    CAMPAIGN_FILE,
-    TRUTH_COLUMNS,
-    TRUTH_FILE,
-    TruthRow,
-    frame_header,
-    geometry_row,
-    truth_row,
-)
 
-_RAYS_ACROSS = 1500
-"""Rays across Bennu in its images: three to a pixel side at 500 px, and six times fewer than a facet of the truth."""
-_LEAST_RAYS, _MOST_RAYS = 2, 5
-"""Rays along a pixel's side."""
 _STARS_SHARE = 0.9
 """Exposures of at least this fraction of the long one are star images."""
 _MODEL_FILE, _SKY_FILE = "model.obj", "sky.csv"
+_TRUTH = ("file", "et_s", "x_km", "y_km", "z_km", "vx_km_s", "vy_km_s", "vz_km_s", "qx", "qy", "qz", "qw")
+"""Columns of ``truth.csv``: state of the spacecraft from Bennu, ICRF axes, and camera_from_inertial."""
 _OPTIONS = {"unresolved": {"correction": "kaasalainen_tanga"}, "moment": {"correction": "kaasalainen_tanga"}}
 """Options of estimators that are the paper's and not the default: the correction of its eq. 3."""
 
@@ -76,28 +63,22 @@ class StarResiduals(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CampaignResult(Value):
-    """Residuals of one camera in one phase.
+    """What a campaign of one camera in one phase found.
 
-    phase, camera: keys.
-    label: of the camera.
-    diameter_km: of the sphere of Bennu's volume.
-    diameters_px: (v,); apparent diameter of that sphere, by visit.
-    observations: centers and ranges against the true trajectory: a center minus the position where the estimated
-        attitude and the calibrated camera predict it, as in the paper. ``error_px`` is None without an attitude from
-        stars.
-    days: days since the first visit, by image file.
+    camera, label: key and name of the camera.
+    folder: of the run.
+    diameters_px: apparent diameter of the sphere of Bennu's volume, by image file.
+    preferred, every: fixes of images with an attitude from stars, from the observables file alone.
     columns, rows: size of the detector.
     """
 
-    phase: str
     camera: str
     label: str
-    visits: tuple[BennuVisit, ...]
-    diameter_km: float
-    diameters_px: Float
+    folder: Path
+    diameters_px: dict[str, float]
     stars: StarResiduals
-    observations: tuple[ObservationError, ...]
-    days: dict[str, float]
+    preferred: tuple[Observation, ...]
+    every: tuple[Observation, ...]
     columns: int
     rows: int
 
@@ -106,7 +87,6 @@ class CampaignResult(Value):
 class CampaignJob(Value):
     """Inputs of a campaign.
 
-    planner: mission, camera, phase and true body.
     declared: the camera as it was calibrated.
     model: shape model of the phase.
     folder: for images, campaign and run.
@@ -114,126 +94,75 @@ class CampaignJob(Value):
 
     planner: Planner
     setup: CampaignSetup
-    visits: tuple[BennuVisit, ...]
+    ets: tuple[float, ...]
+    flight: Flight
+    truth: ReliefBody
     declared: Camera
     model: TriangleMesh
     folder: Path
     workers: int
 
     def run(self, progress: Callable[[str, int, int], None]) -> CampaignResult:
-        """Take the images, run the campaign, and compare it with the truth."""
-        title = f"{self.planner.phase.title}, {self.planner.setup.label}"
+        """Take the images, run the campaign, and read its observables."""
+        planner, setup = self.planner, self.planner.setup
+        title = f"{planner.phase.title}, {setup.label}"
         campaign = self._write(lambda done, total: progress(f"{title}: images", done, total))
         result = run_campaign(
             Campaign.load(campaign),
             workers=self.workers,
             progress=lambda step, done, total: progress(f"{title}: {step}", done, total),
         )
-        planner, start = self.planner, self.visits[0].et
-        days = {record.file: (record.et - start) / 86400.0 for record in result.attitudes if record.et is not None}
-        focal_px, radius_km = planner.camera.model.focal_length_px, planner.truth.mean_radius_km
+        across = 2.0 * planner.mission.body.mean_radius_km * setup.model.focal_length_px
+        pairs = [planner.exposures(et, self.flight) for et in self.ets]
         return CampaignResult(
-            phase=planner.phase.key,
-            camera=planner.setup.key,
-            label=planner.setup.label,
-            visits=self.visits,
-            diameter_km=2.0 * radius_km,
-            diameters_px=np.array([2.0 * radius_km * focal_px / visit.range_km for visit in self.visits]),
+            camera=setup.key,
+            label=setup.label,
+            folder=result.folder,
+            diameters_px={each.name: across / float(np.linalg.norm(each.state_km[:3])) for _, each in pairs},
             stars=_star_residuals(result.folder),
-            observations=tuple(self._residuals(result)),
-            days=days,
-            columns=self.declared.columns,
-            rows=self.declared.rows,
+            preferred=_observations(result.folder),
+            every=_observations(result.folder, every=True),
+            columns=setup.columns,
+            rows=setup.rows,
         )
-
-    def _residuals(self, result: RunResult) -> Iterator[ObservationError]:
-        """Observations against the position of the true body predicted by attitude and camera of the run."""
-        compared = compare_run(result.folder, self.folder / TRUTH_FILE, self.declared)
-        found = {
-            record.file: record.attitude.rotation
-            for record in result.attitudes
-            if record.attitude is not None and record.status != "failed"
-        }
-        moved = {
-            row.file: _moved_px(row, found[row.file], self.declared) for row in compared.truth if row.file in found
-        }
-        for error in compared.observations:
-            if error.error_px is None or error.file not in moved:
-                yield replace(error, error_px=None, sigma_px=None)
-            else:
-                yield replace(error, error_px=error.error_px - moved[error.file])
 
     def _write(self, progress: Callable[[int, int], None]) -> Path:
         """Take the images and write the campaign; return its file."""
         shutil.rmtree(self.folder, ignore_errors=True)
         make_folder(self.folder / "images")
-        frames = tuple(self.planner.frames(self.visits))
-        catalog, detector = (
-            self._catalog(frames),
-            detector_model(self.planner.mission, self.planner.setup, seed=self.planner.seed),
-        )
-        truth = []
-        with ThreadPoolExecutor(self.workers) as pool:
-            for row in pool.map(lambda frame: self._take(frame, catalog, detector), frames):
-                truth.append(row)
-                progress(len(truth), len(frames))
-        self.declared.save(self.folder / "camera.toml")
-        write_geometry(self.folder / "geometry.csv", [geometry_row(frame) for frame in frames])
-        write_csv_rows(self.folder / TRUTH_FILE, TRUTH_COLUMNS, map(astuple, truth))
-        write_obj(self.folder / _MODEL_FILE, self.model)
-        write_text_atomic(self.folder / CAMPAIGN_FILE, tomli_w.dumps(self._table()))
-        return self.folder / CAMPAIGN_FILE
-
-    def _catalog(self, frames: Sequence[ApproachFrame]) -> StarCatalog:
-        """Stars of the images; a made-up sky is written for the campaign, and read back so that both have the same."""
         planner = self.planner
-        attitudes = [frame.shot.camera_from_inertial for frame in frames if frame.star_image]
+        pairs = [planner.exposures(et, self.flight) for et in self.ets]
+        attitudes = [long.camera_from_inertial for long, _ in pairs]
         sky = sky_for(planner.mission, planner.setup.key, attitudes, seed=planner.seed)
-        if sky is None:
-            return load_catalog("default")
-        stars = sky.stars
-        rows = zip(stars.ra_deg.tolist(), stars.dec_deg.tolist(), stars.magnitude.tolist(), strict=True)
-        write_csv_rows(self.folder / _SKY_FILE, ("ra_deg", "dec_deg", "magnitude"), rows)
-        return load_catalog(self.folder / _SKY_FILE)
-
-    def _take(self, frame: ApproachFrame, catalog: StarCatalog, detector: DetectorModel) -> TruthRow:
-        planner = self.planner
-        taken = simulate_image(
-            frame.shot,
-            planner.camera,
-            Sources(scene=frame.scene, catalog=catalog, photometry=planner.photometry),
-            seed=frame.seed,
-            detector=detector,
-            options=self._options(frame),
-        )
-        write_fits(self.folder / "images" / frame.shot.name, taken.image.pixels, header=frame_header(frame))
-        return truth_row(frame, taken, planner.camera)
-
-    def _options(self, frame: ApproachFrame) -> SimulationOptions:
-        planner = self.planner
-        limit = planner.mission.max_magnitude(planner.setup.key) + BEYOND_LIMIT
-        if frame.star_image:
-            return SimulationOptions(rays_per_pixel_side=1, min_rays_across=64, max_magnitude=limit)
-        reach_px = float(
-            2.0
-            * planner.truth.mean_radius_km
-            * planner.camera.model.focal_length_px
-            / np.linalg.norm(frame.apriori_geometry.position_inertial_km)
-        )
-        rays = min(max(round(_RAYS_ACROSS / max(reach_px, 1.0)), _LEAST_RAYS), _MOST_RAYS)
-        return SimulationOptions(rays_per_pixel_side=rays, max_magnitude=limit)
+        if planner.mission.max_magnitude(planner.setup.key) > DEEPEST_DEFAULT:
+            rows = zip(*(getattr(sky.stars, name).tolist() for name in ("ra_deg", "dec_deg", "magnitude")), strict=True)
+            write_csv_rows(self.folder / _SKY_FILE, ("ra_deg", "dec_deg", "magnitude"), rows)
+        taker = Taker(key=planner.setup.key, catalog=sky, body=self.truth, seed=planner.seed)
+        told = [each for pair in pairs for each in planner.told(pair)]
+        exposures = [each for pair in pairs for each in pair]
+        take = partial(_take, taker, self.folder / "images")
+        headers = [header for _, header in told]
+        alone, context = self.workers < 2, worker_context(Taker.__module__)
+        with ThreadPoolExecutor(1) if alone else ProcessPoolExecutor(self.workers, mp_context=context) as pool:
+            for done, _ in enumerate(pool.map(take, exposures, headers), 1):
+                progress(done, len(exposures))
+        self.declared.save(self.folder / "camera.toml")
+        write_geometry(self.folder / "geometry.csv", [row for row, _ in told])
+        write_csv_rows(self.folder / "truth.csv", _TRUTH, map(_true_row, exposures))
+        write_obj(self.folder / _MODEL_FILE, self.model)
+        write_text_atomic(self.folder / "campaign.toml", tomli_w.dumps(self._table()))
+        return self.folder / "campaign.toml"
 
     def _table(self) -> dict[str, Any]:
         """The campaign file."""
         planner = self.planner
         mission, phase, camera = planner.mission, planner.phase, planner.setup
-        sky = self.folder / _SKY_FILE
         return {
             "campaign": {"name": f"OSIRIS-REx {phase.title}, {camera.label}", "output": "run"},
             "images": {"files": ["images/*.fits"], "geometry": "geometry.csv"},
             "camera": {"file": "camera.toml"},
             "stars": {
-                "catalog": _SKY_FILE if sky.exists() else "default",
+                "catalog": _SKY_FILE if (self.folder / _SKY_FILE).exists() else "default",
                 "max_magnitude": mission.max_magnitude(camera.key),
                 "long_exposure_s": _STARS_SHARE * camera.long_exposure_s,
                 "transfer": "propagate",
@@ -255,12 +184,23 @@ class CampaignJob(Value):
         }
 
 
-def _moved_px(row: TruthRow, found: Rotation, camera: Camera) -> Float:
-    """Position (2,) of the true body by an attitude and a camera, minus its true position, px."""
-    true = rotation_from_xyzw(np.array([row.qx, row.qy, row.qz, row.qw]))
-    position_km = np.array([row.x_camera_km, row.y_camera_km, row.z_camera_km], dtype=np.float64)
-    moved: Float = camera.model.project(rotate(found * true.inv(), position_km)) - np.array([row.x_px, row.y_px])
-    return moved
+def _take(taker: Taker, folder: Path, each: Exposure, header: dict[str, HeaderValue]) -> None:
+    """Take an image and write it."""
+    pixels, seconds = taker.take(each, (taker.seed, 13, taker.setup.columns, int(each.et)))
+    write_fits(folder / each.name, pixels, header=header | {"EXPTIME": seconds})
+
+
+def _true_row(each: Exposure) -> tuple[str | float, ...]:
+    return each.name, each.et, *each.state_km.tolist(), *quaternion_xyzw(each.camera_from_inertial).tolist()
+
+
+def _observations(folder: Path, *, every: bool = False) -> tuple[Observation, ...]:
+    """Fixes of a run with attitudes from stars; none where it has none."""
+    try:
+        found = read(str(folder / OBSERVABLES_FILE), every=every)
+    except RefusedError:
+        return ()
+    return tuple(each for each in found if each.attitude_source != "a_priori")
 
 
 def _star_residuals(folder: Path) -> StarResiduals:

@@ -10,10 +10,10 @@ from scipy.stats import chi2
 from giantlike.core.arrays import Float
 from giantlike.missions.osiris_rex.calibrations import CameraCalibration
 from giantlike.missions.osiris_rex.campaigns import CampaignResult
+from giantlike.missions.osiris_rex.phases import OrbitFit, Residual
 from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
 from giantlike.missions.osiris_rex.setup import MissionSetup, PhaseSetup
 from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, SELF_CHECK, Comparison, Stated
-from giantlike.simulation.compare import ObservationError
 
 AROUND = 2.0
 """Factor within which a number agrees with one that the paper calls "near" or "around": it gives one digit."""
@@ -32,17 +32,14 @@ SIZE_SHARE = 0.2
 """Relative difference up to which a size agrees that the paper calls "approximately"."""
 
 
-def fixes(result: CampaignResult, estimators: Sequence[str]) -> tuple[ObservationError, ...]:
-    """Return the results of estimators where the paper uses them, suspect or not: the paper flags nothing.
-
-    Images without an attitude from stars have no residual of the center and are left out.
-    """
+def fixes(residuals: Sequence[Residual], estimators: Sequence[str]) -> tuple[Residual, ...]:
+    """Return the results of estimators where the paper uses them, suspect or not: the paper flags nothing."""
     made_for = {"unresolved": (0.0, UNRESOLVED_PX), "limb_matching": (LIMB_PX, np.inf)}
     found = []
-    for error in result.observations:
-        low, high = made_for.get(error.estimator, (UNRESOLVED_PX, np.inf))
-        if error.estimator in estimators and error.error_px is not None and low < error.diameter_px <= high:
-            found.append(error)
+    for each in residuals:
+        low, high = made_for.get(each.estimator, (UNRESOLVED_PX, np.inf))
+        if each.estimator in estimators and low < each.diameter_px <= high:
+            found.append(each)
     return tuple(found)
 
 
@@ -148,62 +145,95 @@ def _around(what: str, ours: float, paper: str, basis: str, reference: str) -> C
 
 
 def center_comparison(
-    result: CampaignResult,
-    phase: PhaseSetup,
-    errors: Sequence[ObservationError],
-    words: tuple[str, str],
-    reference: str,
+    where: str, orbit: OrbitFit, found: Sequence[Residual], words: tuple[str, str, str], reference: str
 ) -> Comparison:
-    """Residuals of centers; ``words`` are our name of the technique and the paper's judgement."""
-    technique, judgement = words
-    rendered = technique != "limb centers"  # images and templates then are of one renderer
-    kind, change = (SELF_CHECK, "") if rendered else (INDEPENDENT, "poor_shape")
-    what = f"{phase.title}, {result.label}: residuals of {technique}, px"
-    if not errors:
-        return _nothing(what, judgement, reference)
-    residuals = np.abs(errors_px(errors))
-    share = float(np.mean(residuals < CENTER_PX))
-    goal = f"{TYPICAL_SHARE:.0%} of the residuals per axis are below {CENTER_PX:g} px"
-    reason = f"{_format_counts(errors)}; agrees where {goal}."
-    if phase.key != "approach":  # where sizes differ by a factor of ten thousand
-        reason += (
-            f" They are {_rms_m(errors, result.diameter_km):.2f} m rms on Bennu; the heights of the shape model err by "
-            f"{phase.model.error_m:g} m."
-        )
-    return Stated(reference, what, judgement, f"rms {_rms(residuals):.3f}, {share:.0%} below 1", kind, change).agrees(
-        share >= TYPICAL_SHARE, reason
+    """Residuals of centers; ``words``: our name of the technique, the paper's judgement, the change that breaks it."""
+    technique, judgement, change = words
+    what = f"{where}: residuals of {technique} against the fitted orbit, px"
+    if not found or orbit.solution is None:
+        return _nothing(what, judgement, reference, orbit.refused)
+    residuals, truth = (np.array([getattr(each, name) for each in found]) for name in ("fit_px", "truth_px"))
+    share = float(np.mean(np.abs(residuals) < CENTER_PX))
+    return Stated(
+        reference, what, judgement, f"rms {_rms(residuals):.3f}, {share:.0%} below 1", INDEPENDENT, change
+    ).agrees(
+        share >= TYPICAL_SHARE if orbit.redundant else None,
+        f"{_format_counts(found)}; agrees where {TYPICAL_SHARE:.0%} per axis are below {CENTER_PX:g} px. "
+        f"Against the truth: rms {_rms(truth):.3f} px, {np.mean(np.abs(truth) < CENTER_PX):.0%} below 1. {_of(orbit)}",
     )
 
 
 def range_comparison(
-    result: CampaignResult, phase: PhaseSetup, errors: Sequence[ObservationError], reference: str
+    where: str, phase: PhaseSetup, orbit: OrbitFit, found: Sequence[Residual], reference: str
 ) -> Comparison:
     """Residuals of ranges from limbs."""
     limit_percent = 1.0 if phase.key == "approach" else 0.01
-    what = f"{phase.title}, {result.label}: residuals of the range, % of the range"
-    paper = f"less than {limit_percent:g}"
-    if not errors:
-        return _nothing(what, paper, reference)
-    percent = 100.0 * np.array([error.range_error for error in errors], dtype=np.float64)
+    what, paper = (
+        f"{where}: residuals of the range against the fitted orbit, % of the range",
+        f"less than {limit_percent:g}",
+    )
+    found = [each for each in found if np.isfinite(each.sigma_percent)]
+    if not found or orbit.solution is None:
+        return _nothing(what, paper, reference, orbit.refused)
+    percent, truth = (np.array([getattr(each, name) for each in found]) for name in ("fit_percent", "truth_percent"))
     share = float(np.mean(np.abs(percent) < limit_percent))
-    reason = f"{_format_counts(errors)}; agrees where {TYPICAL_SHARE:.0%} are below {limit_percent:g} %."
+    reason = f"{_format_counts(found)}; agrees where {TYPICAL_SHARE:.0%} are below {limit_percent:g} %. "
+    reason += f"Against the truth: rms {_rms(truth):.3f} %, mean {np.mean(truth):+.3f} %. "
     if phase.key != "approach":
-        radius_px = 0.5 * float(np.median([error.diameter_px for error in errors]))
+        radius_px = 0.5 * float(np.median([each.diameter_px for each in found]))
         reason += (
-            f" 0.01 % is {1e-4 * radius_px:.3f} px of the radius, and 2.5 cm on Bennu. The scale of the shape model is "
-            f"uncertain by {100.0 * phase.model.scale:.3f} %, which a limb turns into range, as it does the mean of "
-            f"errors of height: mean {np.mean(percent):+.3f} %. Around it they scatter by {np.std(percent):.3f} %: "
-            f"errors of height of {phase.model.error_m:g} m, relief finer than facets of the model, noise of the limb. "
-            "Orbit determination that estimates the scale takes out the mean only."
+            f"0.01 % is {1e-4 * radius_px:.3f} px of the radius, and 2.5 cm on Bennu. The scale of the shape errs "
+            f"by {100.0 * phase.model.scale:.3f} %, its heights by {phase.model.error_m:g} m, finer relief is "
+            "not in it, and limbs have noise: the fixes' own sigmas are "
+            f"{np.median([each.sigma_percent for each in found]):.3f} % (median). "
         )
-    return Stated(
-        reference,
-        what,
-        paper,
-        f"rms {_rms(percent):.3f}, {share:.0%} below {limit_percent:g}",
-        INDEPENDENT,
-        "poor_shape",
-    ).agrees(share >= TYPICAL_SHARE, reason)
+    ours = f"rms {_rms(percent):.3f}, {share:.0%} below {limit_percent:g}"
+    return Stated(reference, what, paper, ours, INDEPENDENT, "poor_shape").agrees(
+        share >= TYPICAL_SHARE if orbit.redundant else None, reason + _of(orbit)
+    )
+
+
+def maneuver_comparison(phase: PhaseSetup, orbit: OrbitFit) -> Comparison:
+    """Estimated maneuvers against those that were executed."""
+    what = f"{phase.title}: errors of estimated maneuvers, squared, by their covariance, per component"
+    paper = "(not in the paper)"
+    if orbit.solution is None or not len(orbit.maneuver_errors_km_s):
+        return Stated("", what, paper, "none estimated", SELF_CHECK).agrees(
+            None, orbit.refused or "no maneuver between images"
+        )
+    errors = orbit.maneuver_errors_km_s.ravel()
+    squared = float(errors @ np.linalg.solve(orbit.solution.covariance[9:, 9:], errors))
+    low, high = (float(chi2.ppf(tail, len(errors))) / len(errors) for tail in (_FALSE_ALARM / 2, 1 - _FALSE_ALARM / 2))
+    return Stated("", what, paper, squared / len(errors), SELF_CHECK).agrees(
+        low <= squared / len(errors) <= high,
+        f"agrees from {low:.2f} to {high:.2f}. {len(orbit.maneuver_errors_km_s)} maneuvers: planned ones err by "
+        f"{1e6 * _rms(orbit.planned_errors_km_s):.2f} mm/s rms, estimated ones by {1e6 * _rms(errors):.2f} mm/s; the "
+        f"trajectory by {1e3 * _rms(orbit.position_error_km):.1f} m rms at the images. {_of(orbit)}",
+    )
+
+
+def feature_comparison(where: str, found: Sequence[Residual], images: int) -> Comparison:
+    """Surface feature navigation, of which the paper shows no result, against the truth."""
+    what = f"{where}: surface feature navigation against the truth, px"
+    if not found:
+        return Stated("", what, "described, no result shown", "nothing found", SELF_CHECK).agrees(False, "no image.")
+    truth = np.array([each.truth_px for each in found])
+    percent = np.array([each.truth_percent for each in found])
+    share = float(np.mean(np.abs(truth) < CENTER_PX))
+    ours = f"{len(found)} of {images} images, rms {_rms(truth):.3f}, range {_rms(percent):.3f} %"
+    return Stated("", what, "described, no result shown", ours, SELF_CHECK).agrees(
+        share >= TYPICAL_SHARE and 2 * len(found) > images,
+        f"{_format_counts(found)}; agrees where more than half of the images have one and {TYPICAL_SHARE:.0%} of the "
+        f"errors per axis are below {CENTER_PX:g} px ({share:.0%} are). Landmarks are chosen on the shape model; the "
+        "truth has albedo and boulders that it lacks.",
+    )
+
+
+def _of(orbit: OrbitFit) -> str:
+    """Sentence on the fit."""
+    assert orbit.solution is not None
+    chi, number = orbit.solution.chi2, orbit.solution.n_residuals
+    return f"The orbit is fitted to {orbit.n_fixes} fixes: chi-square {chi:.0f} of {number} residuals."
 
 
 def range_error_comparisons(study: RangeErrorStudy) -> tuple[Comparison, Comparison]:
@@ -243,49 +273,25 @@ def range_error_comparisons(study: RangeErrorStudy) -> tuple[Comparison, Compari
     )
 
 
-def approach_size_comparison(mission: MissionSetup, results: Sequence[CampaignResult]) -> Comparison:
-    """Bennu grows to more than 1,000 px in PolyCam by the end of Approach."""
-    last = min((visit for result in results for visit in result.visits), key=lambda visit: visit.range_km)
-    focal_px = mission.cameras["polycam"].model.focal_length_px
-    largest = 2.0 * mission.body.mean_radius_km * focal_px / last.range_km
-    return Stated(
-        "Approach",
-        "Approach: apparent diameter of Bennu in PolyCam at the end, px",
-        "greater than 1000",
-        largest,
-        DERIVED if last.from_kernels else INPUT,
-    ).agrees(
-        largest > 1000.0,
-        f"mean diameter of 0.490 km at {last.range_km:.1f} km, {_whence(last.from_kernels)}; agrees above 1,000.",
-    )
-
-
-def survey_size_comparison(result: CampaignResult, phase: PhaseSetup, limits: tuple[float, float]) -> Comparison:
-    """Apparent diameters in NavCam 1 during a survey."""
-    low, high = float(result.diameters_px.min()), float(result.diameters_px.max())
-    known = all(visit.from_kernels for visit in result.visits)
+def size_comparison(
+    phase: PhaseSetup, key: str, paper: str, sizes: tuple[Float, Float], low: float, high: float
+) -> Comparison:
+    """Apparent diameters in a phase: ``sizes`` as flown and by kernels, px; the latter NaN where there are none."""
+    flown, known = sizes
+    covered = np.isfinite(known)
+    size = np.where(covered, known, flown)
+    whence = f"{covered.sum()} of {len(size)} by the mission's trajectory kernels, the others as flown here"
+    if not covered.any():
+        whence = "as flown here, by waypoints that were chosen for the paper's sizes"
     return Stated(
         phase.title,
-        f"{phase.title}, {result.label}: apparent diameter of Bennu, px",
-        f"approximately {limits[0]:.0f}-{limits[1]:.0f}",
-        f"{low:.0f}-{high:.0f}",
-        DERIVED if known else INPUT,
+        f"{phase.title}, {key}: apparent diameter of Bennu, px",
+        paper,
+        f"{size.min():.0f}-{size.max():.0f}",
+        DERIVED if covered.all() else INPUT,
     ).agrees(
-        limits[0] * (1.0 - SIZE_SHARE) <= low and high <= limits[1] * (1.0 + SIZE_SHARE),
-        f"{_whence(known)}; agrees where both ends lie within {SIZE_SHARE:.0%} of the paper's.",
-    )
-
-
-def orbit_size_comparison(mission: MissionSetup, phase: PhaseSetup) -> Comparison:
-    """Apparent diameter in NavCam 1 from the radius of the orbit."""
-    range_km = phase.campaigns[0].visits[0].range_km
-    size = 2.0 * mission.body.mean_radius_km * mission.cameras["navcam1"].model.focal_length_px / range_km
-    return Stated(
-        "Orbital A", "Orbital A: apparent diameter of Bennu in NavCam 1, px", "approximately 1000", size, DERIVED
-    ).agrees(
-        abs(size / 1000.0 - 1.0) <= SIZE_SHARE,
-        f"f_x of Table 1 and the orbit's radius of {range_km:g} km, with the known diameter of 0.490 km; "
-        f"agrees within {SIZE_SHARE:.0%}.",
+        low * (1.0 - SIZE_SHARE) <= size.min() and size.max() <= high * (1.0 + SIZE_SHARE),
+        f"{whence}; agrees from {low:g} to {high:g} within {SIZE_SHARE:.0%}.",
     )
 
 
@@ -311,31 +317,16 @@ def _format_values(names: Sequence[str], values: Float) -> str:
     return ", ".join(f"{name} {value:.6g}" for name, value in zip(names, values.tolist(), strict=True))
 
 
-def _whence(kernels: bool) -> str:
-    return "by the mission's trajectory kernels" if kernels else "simulated trajectory, rebuilt from the paper's sizes"
-
-
-def errors_px(errors: Sequence[ObservationError]) -> Float:
-    """Residuals (n, 2) of centers, px."""
-    return np.array([error.error_px for error in errors], dtype=np.float64)
-
-
 def _rms(values: Float) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _rms_m(errors: Sequence[ObservationError], diameter_km: float) -> float:
-    """Root mean square of residuals on Bennu, m, per axis."""
-    scale = np.array([1e3 * diameter_km / error.diameter_px for error in errors])
-    return _rms(errors_px(errors) * scale[:, None])
+def _format_counts(found: Sequence[Residual]) -> str:
+    suspect = sum(each.status == "suspect" for each in found)
+    return f"{len(found)} fixes" + (f", {suspect} of them flagged suspect" if suspect else "")
 
 
-def _format_counts(errors: Sequence[ObservationError]) -> str:
-    suspect = sum(error.status == "suspect" for error in errors)
-    return f"{len(errors)} fixes against the truth" + (f", {suspect} of them flagged suspect" if suspect else "")
-
-
-def _nothing(what: str, paper: str, reference: str) -> Comparison:
+def _nothing(what: str, paper: str, reference: str, why: str = "") -> Comparison:
     return Stated(reference, what, paper, "nothing found", INDEPENDENT).agrees(
-        False, "agrees only where something was found."
+        False, why or "agrees only where something was found."
     )

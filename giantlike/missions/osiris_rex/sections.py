@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -10,8 +11,10 @@ from matplotlib.figure import Figure
 from giantlike.missions.osiris_rex import comparisons, figures
 from giantlike.missions.osiris_rex.calibrations import CameraCalibration
 from giantlike.missions.osiris_rex.campaigns import CampaignResult
+from giantlike.missions.osiris_rex.phases import PhaseResult
 from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
 from giantlike.missions.osiris_rex.setup import MissionSetup, PhaseSetup
+from giantlike.missions.osiris_rex.trajectory import kernel_ranges_km
 from giantlike.missions.replay import Comparison, ReplayFigure, Section
 
 CALIBRATION_FIGURES = {"polycam": 2, "mapcam": 3, "mapcam_v": 4, "navcam1": 5, "navcam2": 6}
@@ -25,8 +28,13 @@ PHASE_FIGURES = {
     ("detailed_survey", "navcam1"): (27, 28, 29, 30),
 }
 """Numbers of the paper's figures by phase and camera: stars, centers, centers by limb, ranges by limb."""
-_SURVEY_SIZES = {"preliminary_survey": (100.0, 250.0), "detailed_survey": (200.0, 600.0)}
-"""Apparent diameters in NavCam 1 that the paper states, px."""
+_SIZES = {
+    "approach": ("polycam", "greater than 1000 at the end", 1000.0, np.inf),
+    "preliminary_survey": ("navcam1", "approximately 100-250", 100.0, 250.0),
+    "orbital_a": ("navcam1", "approximately 1000", 1000.0, 1000.0),
+    "detailed_survey": ("navcam1", "approximately 200-600", 200.0, 600.0),
+}
+"""Camera, words and limits of the apparent diameters that the paper states, px."""
 _CENTERS = ("unresolved", "cross_correlation")
 
 
@@ -84,98 +92,133 @@ _Panel = tuple[int, str, str, Figure | None, Comparison]
 """Number, title and caption of a figure of the paper, the figure, None where nothing was found, and its comparison."""
 
 
-def phase_section(mission: MissionSetup, phase: PhaseSetup, results: Sequence[CampaignResult]) -> Section:
-    """A phase: its figures in the order of the paper, and the sizes that the paper states."""
-    panels = sorted((panel for result in results for panel in _panels(phase, result)), key=lambda panel: panel[0])
-    made = tuple(
+def phase_section(mission: MissionSetup, phase: PhaseSetup, result: PhaseResult, kernels: Path | None) -> Section:
+    """A phase: its figures in the order of the paper, the orbit, and the sizes that the paper states."""
+    panels = sorted(
+        (panel for each in result.campaigns for panel in _panels(phase, result, each)), key=lambda one: one[0]
+    )
+    made = [
         ReplayFigure(f"Fig. {number}", title, caption, figure)
         for number, title, caption, figure, _ in panels
         if figure is not None
-    )
-    compared = (*_sizes(mission, phase, results), *(comparison for *_, comparison in panels))
-    return Section(title=phase.title, text=_text(phase, results), figures=made, comparisons=compared)
+    ]
+    for each in result.campaigns:
+        picture = figures.picture_figure(each)
+        if picture is not None:
+            title = f"{phase.title}, {each.label}: image, template and what is left"
+            caption = (
+                "Limb points of limb_matching (yellow) and landmarks on the image, as the independent renderer made it."
+            )
+            made.append(ReplayFigure(f"Picture, {phase.title}, {each.label}", title, caption, picture))
+    if result.orbit.solution is not None:
+        caption = (
+            "Left: fitted minus true trajectory at the images. Right: velocity changes minus those that were executed."
+        )
+        title = f"{phase.title}: the orbit from the observables"
+        made.append(ReplayFigure(f"Orbit, {phase.title}", title, caption, figures.orbit_figure(result, "Trajectory")))
+    compared = [*_sizes(mission, phase, result, kernels), *(comparison for *_, comparison in panels)]
+    compared.append(comparisons.maneuver_comparison(phase, result.orbit))
+    for each in result.campaigns:
+        setup = next(one for one in phase.campaigns if one.camera == each.camera)
+        if "surface_features" in setup.estimators:
+            found = comparisons.fixes(result.residuals[each.camera], ("surface_features",))
+            where = f"{phase.title}, {each.label}"
+            compared.append(comparisons.feature_comparison(where, found, len(each.diameters_px)))
+    return Section(title=phase.title, text=_text(phase, result), figures=tuple(made), comparisons=tuple(compared))
 
 
-def _panels(phase: PhaseSetup, result: CampaignResult) -> tuple[_Panel, ...]:
-    star_number, center_number, limb_number, range_number = PHASE_FIGURES[result.phase, result.camera]
-    centers, limbs = (comparisons.fixes(result, names) for names in (_CENTERS, ("limb_matching",)))
-    where, less = f"{phase.title}, {result.label}", "typically less than 1"
+def _panels(phase: PhaseSetup, result: PhaseResult, campaign: CampaignResult) -> tuple[_Panel, ...]:
+    star_number, center_number, limb_number, range_number = PHASE_FIGURES[phase.key, campaign.camera]
+    residuals = result.residuals[campaign.camera]
+    centers, limbs = (comparisons.fixes(residuals, names) for names in (_CENTERS, ("limb_matching",)))
+    where, less = f"{phase.title}, {campaign.label}", "typically less than 1"
     stars = "less than" if phase.key == "orbital_a" else "around"
-    bars = "Bars are the standard deviations that the fixes state, hollow marks are flagged suspect."
+    bars = "Observed minus expected by the orbit fitted to the observables, and by the true one. Bars are the standard "
+    bars += "deviations that the fixes state, hollow marks are flagged suspect."
+    ranges, orbit = [each for each in limbs if np.isfinite(each.sigma_percent)], result.orbit
+    drawn = (
+        (center_number, "centers", f"{less} px", centers, "px"),
+        (limb_number, "centers from limbs", "excellent", limbs, "px"),
+        (
+            range_number,
+            "ranges from limbs",
+            f"less than {'1' if phase.key == 'approach' else '0.01'} %",
+            ranges,
+            "percent",
+        ),
+    )
+    words = ("center finding", less, "planned_maneuvers")
+    limb_words = ("limb centers", "excellent (taken as: less than 1)", "poor_shape")
+    compared = (
+        comparisons.center_comparison(where, orbit, centers, words, f"Fig. {center_number}"),
+        comparisons.center_comparison(where, orbit, limbs, limb_words, f"Fig. {limb_number}"),
+        comparisons.range_comparison(where, phase, orbit, limbs, f"Fig. {range_number}"),
+    )
+    found = campaign.stars
     return (
         (
             star_number,
             f"{where}: stars",
-            f"{len(result.stars.residuals_px)} stars of {result.stars.solved} images. The paper: {stars} 0.1 px.",
-            figures.star_figure(result) if len(result.stars.residuals_px) else None,
-            comparisons.star_comparison(result, phase, f"Fig. {star_number}"),
+            f"{len(found.residuals_px)} stars of {found.solved} images. The paper: {stars} 0.1 px.",
+            figures.star_figure(campaign) if len(found.residuals_px) else None,
+            comparisons.star_comparison(campaign, phase, f"Fig. {star_number}"),
         ),
-        (
-            center_number,
-            f"{where}: centers",
-            f"Observed less true. The paper: {less} px. {bars}",
-            figures.center_figure(result, centers, f"{where}: centers") if centers else None,
-            comparisons.center_comparison(result, phase, centers, ("center finding", less), f"Fig. {center_number}"),
-        ),
-        (
-            limb_number,
-            f"{where}: centers from limbs",
-            f"Observed less true. The paper: excellent. {bars}",
-            figures.center_figure(result, limbs, f"{where}: centers from limbs") if limbs else None,
-            comparisons.center_comparison(
-                result, phase, limbs, ("limb centers", "excellent (taken as: less than 1)"), f"Fig. {limb_number}"
-            ),
-        ),
-        (
-            range_number,
-            f"{where}: ranges from limbs",
-            f"Observed less true. The paper: less than {'1' if phase.key == 'approach' else '0.01'} %. {bars}",
-            figures.range_figure(result, limbs, f"{where}: ranges from limbs") if limbs else None,
-            comparisons.range_comparison(result, phase, limbs, f"Fig. {range_number}"),
+        *(
+            (
+                number,
+                f"{where}: {title}",
+                f"The paper: {paper}. {bars}",
+                figures.residual_figure(mine, quantity, f"{where}: {title}") if mine else None,
+                comparison,
+            )
+            for (number, title, paper, mine, quantity), comparison in zip(drawn, compared, strict=True)
         ),
     )
 
 
-def _sizes(mission: MissionSetup, phase: PhaseSetup, results: Sequence[CampaignResult]) -> tuple[Comparison, ...]:
-    """Comparisons of apparent sizes that the paper states of a phase, where all its visits were made."""
-    planned = {setup.camera: len(setup.visits) for setup in phase.campaigns}
-    if {result.camera: len(result.visits) for result in results} != planned:
+def _sizes(
+    mission: MissionSetup, phase: PhaseSetup, result: PhaseResult, kernels: Path | None
+) -> tuple[Comparison, ...]:
+    """Comparisons of apparent sizes that the paper states of a phase, where all its images were made."""
+    if {each.camera: len(each.diameters_px) for each in result.campaigns} != {
+        each.camera: len(each.images) for each in phase.campaigns
+    }:
         return ()
-    if phase.key == "approach":
-        return (comparisons.approach_size_comparison(mission, results),)
-    if phase.key == "orbital_a":
-        return (comparisons.orbit_size_comparison(mission, phase),)
-    sizes = tuple(
-        comparisons.survey_size_comparison(result, phase, _SURVEY_SIZES[phase.key])
-        for result in results
-        if result.camera == "navcam1"
-    )
-    return sizes if phase.key != "detailed_survey" else (*sizes, comparisons.mapcam_field_comparison(mission))
+    key, paper, low, high = _SIZES[phase.key]
+    pixels_km = 2.0 * mission.body.mean_radius_km * mission.cameras[key].model.focal_length_px
+    ets = sorted(result.flight.states)
+    flown_km = np.array([np.linalg.norm(result.flight.states[et][:3]) for et in ets])
+    sizes = pixels_km / flown_km, pixels_km / kernel_ranges_km(ets, kernels)
+    if phase.key == "approach":  # the end of it
+        sizes = sizes[0][-1:], sizes[1][-1:]
+    compared = comparisons.size_comparison(phase, mission.cameras[key].label, paper, sizes, low, high)
+    return (compared,) if phase.key != "detailed_survey" else (compared, comparisons.mapcam_field_comparison(mission))
 
 
-def _text(phase: PhaseSetup, results: Sequence[CampaignResult]) -> str:
+def _text(phase: PhaseSetup, result: PhaseResult) -> str:
     """Description of a phase."""
-    visits = [visit for result in results for visit in result.visits]
-    kernels = sum(visit.from_kernels for visit in visits)
+    orbit, images = result.orbit, sum(len(each.diameters_px) for each in result.campaigns)
+    planned = [1e6 * float(np.linalg.norm(each.planned_km_s)) for each in result.flight.maneuvers]
     text = (
-        f"{len(visits)} pairs of a long and a short exposure, {kernels} of them on the trajectory of the mission's "
-        f"kernels and {len(visits) - kernels} on one rebuilt from the paper (simulated). Estimators get a shape model "
-        f"of {phase.model.facets:,} facets with errors of {phase.model.error_m:g} m, a scale wrong by "
+        f"{images} pairs of a long and a short exposure along a flight with {len(planned)} maneuvers of "
+        f"{min(planned):.3g} to {max(planned):.3g} mm/s, executed in error. Estimators get a shape model of "
+        f"{phase.model.facets:,} facets with errors of {phase.model.error_m:g} m, a scale wrong by "
         f"{100.0 * phase.model.scale:g} % and a prime meridian wrong by {phase.model.meridian_deg:g} deg."
     )
-    moments = [error for result in results for error in comparisons.fixes(result, ("moment",))]
-    if moments:
-        rms = float(np.sqrt(np.mean(comparisons.errors_px(moments) ** 2)))
+    if orbit.solution is None:
+        text += f" No orbit: {orbit.refused}."
+    else:
+        sunlight = orbit.solution.values[6] * 1e12
         text += (
-            f" The moment algorithm with eq. 3, of which the paper shows no results, has an rms of {rms:.2f} "
-            f"px per axis."
+            f" The orbit determination gets {orbit.n_fixes} preferred fixes, the planned maneuvers and an a priori "
+            f"state; it finds sunlight of {sunlight:.1f} nm/s^2 at 1 au, and a trajectory wrong by "
+            f"{1e3 * float(np.sqrt(np.mean(orbit.position_error_km**2))):.3g} m rms at the images."
         )
-    features = [error for result in results for error in comparisons.fixes(result, ("surface_features",))]
-    if features:
-        percent = 100.0 * np.array([error.range_error for error in features if error.range_error is not None])
-        rms = float(np.sqrt(np.mean(comparisons.errors_px(features) ** 2)))
+    moments = [one for found in result.residuals.values() for one in comparisons.fixes(found, ("moment",))]
+    if moments:
+        rms = float(np.sqrt(np.mean(np.array([each.truth_px for each in moments]) ** 2)))
         text += (
-            f" Surface feature navigation, of which the paper shows no results, finds {len(features)} of {len(visits)} "
-            f"images with an rms of {rms:.2f} px per axis and {np.sqrt(np.mean(percent**2)):.3f} % of the range."
+            f" The moment algorithm with eq. 3, of which the paper shows no results, has an rms of {rms:.2f} px per "
+            "axis against the truth."
         )
     return text

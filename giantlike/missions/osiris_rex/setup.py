@@ -9,19 +9,17 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
-
-import numpy as np
 
 from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel
-from giantlike.core.arrays import Float, require
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.errors import DataError
 from giantlike.core.values import Value
+from giantlike.independent import PinholeView
 from giantlike.io.mission_frame import from_mission_frame
-from giantlike.missions.osiris_rex.trajectory import Orbit, PlannedVisit
+from giantlike.missions.osiris_rex.trajectory import Orbit, Waypoint
 
 _BELOW_THRESHOLD = 0.3
 """Magnitudes from the limit of detection to the end of the catalog: noise lifts fainter stars above it too."""
@@ -34,6 +32,7 @@ class CameraSetup:
     """A camera of Table 1.
 
     model: Table 1 in our axes: rows run down, so that f_y is positive and p_1 has the other sign.
+    table: Table 1 as printed, but for a misprint.
     estimated: parameters that the paper's calibration estimates.
     zero_point_e_s: in electron/s; signal of a star of magnitude 0.
     temperatures_c: coldest and warmest calibration image.
@@ -43,6 +42,7 @@ class CameraSetup:
     key: str
     label: str
     model: BrownModel
+    table: Mapping[str, float]
     estimated: tuple[str, ...]
     columns: int
     rows: int
@@ -53,46 +53,18 @@ class CameraSetup:
     temperatures_c: tuple[float, float]
     printed_fy_px: float | None = None
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DetectorSetup:
-    """Detector and optics of all cameras, and their declared values; units as in ``mission.toml``."""
-
-    gain_e_per_dn: float
-    read_noise_e: float
-    bias_dn: float
-    saturation_dn: float
-    psf_sigma_px: float
-    told_psf_sigma_px: float
-    response_rms: float
-    hot_pixels: int
-    hot_pixel_e_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PointingSetup:
-    """Errors and motion of the pointing; units as in ``mission.toml``."""
-
-    attitude_error_deg: float
-    jitter_arcsec_per_sqrt_s: float
-    rate_arcsec_s: float
-    pair_gap_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class BodySetup(Value):
-    """The truth of Bennu; units as in ``mission.toml``."""
-
-    mean_radius_km: float
-    axes_km: Float
-    exponent: float
-    facets: int
-    small_facets: int
-    lumps: float
-    roughness: float
-    albedo_rms: float
-    radiance_factor: float
-    law: Mapping[str, Any]
+    def view(self, temperature_c: float = 0.0) -> PinholeView:
+        """Return the camera as the independent renderer has it: Table 1 with y turned to rows that run down."""
+        table = self.table
+        return PinholeView(
+            focal_px=table["fx_px"] * (1.0 + table.get("a1_per_c", 0.0) * temperature_c),
+            aspect=-table["fy_px"] / table["fx_px"],
+            center_px=(table["cx_px"], table["cy_px"]),
+            columns=self.columns,
+            rows=self.rows,
+            **{name: table.get(name, 0.0) for name in ("k1", "k2", "k3", "p2")},
+            p1=-table["p1"],
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,16 +79,20 @@ class ModelSetup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignSetup:
-    """Images of one camera in one phase."""
+    """Images of one camera in one phase, by UTC, and the number of them in a small replay."""
 
     camera: str
     estimators: tuple[str, ...]
-    visits: tuple[PlannedVisit, ...]
+    images: tuple[str, ...]
+    small: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhaseSetup:
-    """A phase of the mission; errors of the predicted trajectory in px across and relative along the line of sight."""
+    """A phase of the mission; errors of the predicted trajectory in px across and relative along the line of sight.
+
+    waypoints: places that maneuvers aim at, or, with ``orbit``, times of trims by ``trim_mm_s`` along the velocity.
+    """
 
     key: str
     title: str
@@ -124,6 +100,9 @@ class PhaseSetup:
     position_error_px: float
     range_error: float
     campaigns: tuple[CampaignSetup, ...]
+    waypoints: tuple[Waypoint, ...]
+    orbit: bool = False
+    trim_mm_s: float = 0.0
 
     def with_poor_shape(self) -> PhaseSetup:
         """Return the phase with a shape model whose heights and scale err by twenty times as much."""
@@ -133,13 +112,14 @@ class PhaseSetup:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MissionSetup(Value):
-    """All of ``mission.toml``."""
+    """All of ``mission.toml``; ``flight``, ``body``, ``detector`` and ``pointing`` as it has them, with its units."""
 
     orbit: Orbit
-    body: BodySetup
+    flight: SimpleNamespace
+    body: SimpleNamespace
     cameras: Mapping[str, CameraSetup]
-    detector: DetectorSetup
-    pointing: PointingSetup
+    detector: SimpleNamespace
+    pointing: SimpleNamespace
     threshold_sigma: float
     phases: tuple[PhaseSetup, ...]
 
@@ -156,25 +136,20 @@ class MissionSetup(Value):
         limit = 2.5 * math.log10(setup.zero_point_e_s * setup.long_exposure_s / faintest_e)
         return round(limit + _BELOW_THRESHOLD, 2)
 
-    def true_camera(self, key: str) -> Camera:
-        """Return a camera as it is: Table 1, and the true point spread function."""
-        return self._camera(key, self.detector.psf_sigma_px)
+    def half_diagonal_rad(self, key: str) -> float:
+        """Half the diagonal of the field of a camera, rad."""
+        setup = self.cameras[key]
+        return math.atan(0.5 * math.hypot(setup.columns, setup.rows) / setup.model.fx_px)
 
-    def declared_camera(self, key: str) -> Camera:
-        """Return a camera as assumed before any calibration: nominal focal length, no distortion."""
-        camera = self._camera(key, self.detector.told_psf_sigma_px)
-        focal_px = float(f"{self.cameras[key].model.fx_px:.2g}")  # as a manufacturer states it: 3500 for 3473.3
-        middle = (camera.columns - 1) / 2, (camera.rows - 1) / 2
-        return replace(camera, model=BrownModel(fx_px=focal_px, fy_px=focal_px, cx_px=middle[0], cy_px=middle[1]))
-
-    def _camera(self, key: str, psf_sigma_px: float) -> Camera:
+    def exact_camera(self, key: str) -> Camera:
+        """Return a camera with Table 1, and the width of the point spread function that estimators are told."""
         setup, detector = self.cameras[key], self.detector
         return Camera(
             name=setup.label,
             columns=setup.columns,
             rows=setup.rows,
             model=setup.model,
-            psf=GaussianPsf(sigma_px=psf_sigma_px),
+            psf=GaussianPsf(sigma_px=detector.told_psf_sigma_px),
             detector=Detector(
                 gain_e_per_dn=detector.gain_e_per_dn,
                 read_noise_e=detector.read_noise_e,
@@ -182,6 +157,13 @@ class MissionSetup(Value):
                 saturation_dn=detector.saturation_dn,
             ),
         )
+
+    def declared_camera(self, key: str) -> Camera:
+        """Return a camera as assumed before any calibration: nominal focal length, no distortion."""
+        camera = self.exact_camera(key)
+        focal_px = float(f"{self.cameras[key].model.fx_px:.2g}")  # as a manufacturer states it: 3500 for 3473.3
+        middle = (camera.columns - 1) / 2, (camera.rows - 1) / 2
+        return replace(camera, model=BrownModel(fx_px=focal_px, fy_px=focal_px, cx_px=middle[0], cy_px=middle[1]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,42 +194,32 @@ def mission() -> MissionSetup:
     text = (files("giantlike.missions.osiris_rex") / "mission.toml").read_text(encoding="utf-8")
     table = tomllib.loads(text)
     cameras = {key: _camera_setup(key, each) for key, each in table["cameras"].items()}
-    body = table["body"]
-    diameter_km = 2.0 * body["mean_radius_km"]
     return MissionSetup(
         orbit=Orbit(**table["orbit"]),
-        body=BodySetup(**{**body, "axes_km": np.array(body["axes_km"]), "law": MappingProxyType(body["law"])}),
+        flight=SimpleNamespace(**table["flight"]),
+        body=SimpleNamespace(**table["body"]),
         cameras=MappingProxyType(cameras),
-        detector=DetectorSetup(**table["detector"]),
-        pointing=PointingSetup(**table["pointing"]),
+        detector=SimpleNamespace(**table["detector"]),
+        pointing=SimpleNamespace(**table["pointing"]),
         threshold_sigma=table["stars"]["threshold_sigma"],
-        phases=tuple(_phase(each, cameras, diameter_km) for each in table["phases"]),
+        phases=tuple(_phase(each) for each in table["phases"]),
     )
 
 
 def _camera_setup(key: str, table: dict[str, Any]) -> CameraSetup:
-    model = from_mission_frame(BrownModel, table.pop("table1")).model
+    printed = table.pop("table1")
+    model = from_mission_frame(BrownModel, dict(printed)).model
     assert isinstance(model, BrownModel)
     table["estimated"], table["temperatures_c"] = tuple(table["estimated"]), tuple(table["temperatures_c"])
-    return CameraSetup(key=key, model=model, **table)
+    return CameraSetup(key=key, model=model, table=MappingProxyType(printed), **table)
 
 
-def _phase(table: dict[str, Any], cameras: Mapping[str, CameraSetup], diameter_km: float) -> PhaseSetup:
+def _phase(table: dict[str, Any]) -> PhaseSetup:
     campaigns = tuple(
-        CampaignSetup(
-            camera=each["camera"],
-            estimators=tuple(each["estimators"]),
-            visits=tuple(
-                _visit(visit, cameras[each["camera"]].model.focal_length_px * diameter_km) for visit in each["visits"]
-            ),
-        )
+        CampaignSetup(**{**each, "estimators": tuple(each["estimators"]), "images": tuple(each["images"])})
         for each in table["campaigns"]
     )
-    return PhaseSetup(**{**table, "model": ModelSetup(**table["model"]), "campaigns": campaigns})
-
-
-def _visit(table: dict[str, Any], pixels_km: float) -> PlannedVisit:
-    """Plan of a visit at a range, or at an apparent diameter, whose product with the range is ``pixels_km``."""
-    require(("range_km" in table) != ("diameter_px" in table), f"visit {table['utc']}: range_km or diameter_px")
-    range_km = table["range_km"] if "range_km" in table else pixels_km / table["diameter_px"]
-    return PlannedVisit(utc=table["utc"], range_km=range_km, phase_deg=table["phase_deg"], turn_deg=table["turn_deg"])
+    waypoints = tuple(Waypoint(**each) for each in table["waypoints"])
+    return PhaseSetup(
+        **{**table, "model": ModelSetup(**table["model"]), "campaigns": campaigns, "waypoints": waypoints}
+    )
