@@ -20,15 +20,7 @@ from giantlike.missions.artemis1.passes import KM_PER_KFT, SUN_AZIMUTH_DEG, Sett
 from giantlike.missions.artemis1.report import GRAY, RED, Dots, panel_figure
 from giantlike.missions.artemis1.simulate import VELOCITY_SIGMA_KM_S, FlownPass, positions_of, residuals_of
 from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, Comparison, ReplayFigure, Section, Stated
-from giantlike.passes import (
-    LimbPoints,
-    NavigationPass,
-    PassFix,
-    PassImage,
-    PassOptions,
-    PassTerm,
-    estimate_pass,
-)
+from giantlike.passes import LimbPoints, NavigationPass, PassFix, PassImage, PassOptions, PassTerm, estimate_pass
 from giantlike.relative.horizon.geometry import Altitude
 
 _LIGHT_PX = 0.3

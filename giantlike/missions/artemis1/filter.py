@@ -7,14 +7,7 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from giantlike.cislunar import (
-    BodyObservation,
-    FilterModel,
-    FilterState,
-    measurement_update,
-    time_update,
-    udu_factors,
-)
+from giantlike.cislunar import BodyObservation, FilterModel, FilterState, measurement_update, time_update, udu_factors
 from giantlike.cislunar.body_measurements import measure_body
 from giantlike.core.arrays import Float, unit
 from giantlike.core.units import ARCSEC_PER_RAD

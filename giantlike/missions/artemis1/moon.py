@@ -13,16 +13,7 @@ from giantlike.missions.artemis1.passes import Setting, preflight_sigmas_px, sun
 from giantlike.missions.artemis1.report import RED, Dots, panel_figure
 from giantlike.missions.artemis1.simulate import EdgeErrors, FlownPass, limb_points, positions_of, residuals_of
 from giantlike.missions.artemis1.terrain import Ground, mapped_limb_km
-from giantlike.missions.replay import (
-    DERIVED,
-    INDEPENDENT,
-    INPUT,
-    SELF_CHECK,
-    Comparison,
-    ReplayFigure,
-    Section,
-    Stated,
-)
+from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, SELF_CHECK, Comparison, ReplayFigure, Section, Stated
 
 _POINTINGS = 100
 _SMALL_SHARE = 0.5

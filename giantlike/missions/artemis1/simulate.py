@@ -137,11 +137,7 @@ def edge_errors(setting: Setting, one: Pass, exposure_us: float, rng: np.random.
         points = fitted[1] - shot.corner_px
         scatter.append(float(np.std(horizon_residuals(points, shot.model, figure, fitted[0])[0])))
     mean = np.mean(found, axis=0)
-    return EdgeErrors(
-        toward_sun_px=float(mean[0]),
-        outward_px=float(mean[2]),
-        scatter_px=float(np.mean(scatter)),
-    )
+    return EdgeErrors(toward_sun_px=float(mean[0]), outward_px=float(mean[2]), scatter_px=float(np.mean(scatter)))
 
 
 def limb_points(

@@ -13,12 +13,7 @@ from giantlike.missions.odin.figures import camera_residuals_km
 from giantlike.missions.odin.modes import ModeRun, cycle_s
 from giantlike.missions.odin.narrow import InterlockStudy, LensStudy, MoonPair
 from giantlike.missions.odin.paper import narrow_focal_px, paper
-from giantlike.missions.odin.wide import (
-    GEOMETRIC_ALBEDO,
-    MOON_SCATTERING,
-    WideStudy,
-    moon_phase_law,
-)
+from giantlike.missions.odin.wide import GEOMETRIC_ALBEDO, MOON_SCATTERING, WideStudy, moon_phase_law
 from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, SELF_CHECK, Comparison, ComparisonKind, Stated
 
 GOOD_SHARE = 0.9  # of the bodies that have a size: the paper says that the problem "may be solved"

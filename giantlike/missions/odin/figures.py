@@ -19,13 +19,7 @@ from giantlike.missions.odin.optics import (
     shrinkage_along_radius,
 )
 from giantlike.missions.odin.paper import narrow_camera, paper
-from giantlike.missions.odin.wide import (
-    GEOMETRIC_ALBEDO,
-    MOON_SCATTERING,
-    WideStudy,
-    lambert_phase_law,
-    moon_phase_law,
-)
+from giantlike.missions.odin.wide import GEOMETRIC_ALBEDO, MOON_SCATTERING, WideStudy, lambert_phase_law, moon_phase_law
 from giantlike.plotting.style import BLUE, GRAY, GREEN, INK, ORANGE, RED, drawing, new_panels
 
 

@@ -6,13 +6,7 @@ import numpy as np
 
 from giantlike.cislunar.body_measurements import angular_diameter
 from giantlike.missions.orion.constants import MOON_KM, focal_px, moon_errors, table
-from giantlike.missions.orion.images import (
-    EstimatorErrors,
-    ImagedScene,
-    Photograph,
-    measure_errors,
-    photograph,
-)
+from giantlike.missions.orion.images import EstimatorErrors, ImagedScene, Photograph, measure_errors, photograph
 from giantlike.missions.replay import DERIVED, SELF_CHECK, Comparison, ReplaySettings, Stated
 
 PHASES_DEG = (140.0, 150.0, 160.0, 166.0, 172.0)

@@ -9,15 +9,7 @@ import numpy as np
 
 from giantlike.cislunar.body_measurements import disk_diameter, range_from_disk_diameter, range_sigma
 from giantlike.core.arrays import Float
-from giantlike.missions.orion.constants import (
-    EARTH_KM,
-    FOOT_KM,
-    MOON_KM,
-    earth_errors,
-    focal_px,
-    moon_errors,
-    table,
-)
+from giantlike.missions.orion.constants import EARTH_KM, FOOT_KM, MOON_KM, earth_errors, focal_px, moon_errors, table
 from giantlike.missions.orion.images import EstimatorErrors, ImagedScene, measure_errors, photograph
 from giantlike.missions.orion.judging import MODEL, ROUNDING
 from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, ReplaySettings, Stated
@@ -181,12 +173,7 @@ def image_comparisons(found: dict[str, list[EstimatorErrors]]) -> list[Compariso
         ours = spread_px(found[name])
         rows += [
             Stated(
-                f"eq. {equation}",
-                f"{name}: error {axis}, px",
-                paper[body]["noise_px"][k],
-                ours[k],
-                kind,
-                "smooth_moon",
+                f"eq. {equation}", f"{name}: error {axis}, px", paper[body]["noise_px"][k], ours[k], kind, "smooth_moon"
             ).near(
                 MODEL,
                 "Root mean square of a limb fit of the same family over made-up images of a smooth sphere. The "

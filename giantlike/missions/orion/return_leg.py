@@ -7,13 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from giantlike.cislunar import (
-    BodyObservation,
-    FilterState,
-    measurement_update,
-    time_update,
-    udu_factors,
-)
+from giantlike.cislunar import BodyObservation, FilterState, measurement_update, time_update, udu_factors
 from giantlike.cislunar.covariance import Dispersed, after_correction, after_image, after_steps
 from giantlike.cislunar.filter import STATES, maneuver
 from giantlike.cislunar.linear_covariance import JointDispersion
