@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float
@@ -144,10 +145,12 @@ class PhaseInputs(Value):
         first, last = (used[0].et, used[-1].et) if used else (0.0, 0.0)
         inside = [number for number, each in enumerate(flight.maneuvers) if first < each.et < last]
         exact = self.settings.change == "planned_maneuvers"
+        days = np.arange(min(flight.states) - 86400.0, max(flight.states) + 2.0 * 86400.0, 21600.0)
+        sun = CubicSpline(days, [-mission.orbit.state(et)[0] for et in days.tolist()])
         dynamics = Dynamics(
             TARGET,
             {TARGET: told.told_gm_km3_s2, "SUN": SUN_GM_KM3_S2},
-            lambda name, et: np.zeros(3) if name == TARGET else -mission.orbit.state(et)[0],
+            lambda name, et: np.zeros(3) if name == TARGET else np.asarray(sun(et)),
             tuple(
                 replace(flight.maneuvers[n], sigma_km_s=EXACT_KM_S if exact else flight.maneuvers[n].sigma_km_s)
                 for n in inside
