@@ -9,7 +9,7 @@ Pixels and axes are those of the project:
 """
 
 from giantlike.independent.bodies import Body, EllipsoidBody, ReliefBody, facet_mesh
-from giantlike.independent.fields import SphereField, bumps, craters, rough, tabulated
+from giantlike.independent.fields import SphereField, bumps, craters, rough, tabulate
 from giantlike.independent.haze import Haze, hazy_sphere
 from giantlike.independent.laws import LAWS, Law
 from giantlike.independent.light import Motion, aberrated, apparent_disk, apparent_geometry, unaberrated
@@ -49,6 +49,6 @@ __all__ = [
     "render_body",
     "rough",
     "star_image",
-    "tabulated",
+    "tabulate",
     "unaberrated",
 ]

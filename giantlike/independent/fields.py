@@ -110,7 +110,7 @@ def _relative(values: Float, gradients: Float, directions: Float, rms: float, ce
     return _table(values * scale, gradients * scale, directions, cells)
 
 
-def tabulated(function: Callable[[Float], Float], *, cells: int = CELLS, step_rad: float = 1e-3) -> SphereField:
+def tabulate(function: Callable[[Float], Float], *, cells: int = CELLS, step_rad: float = 1e-3) -> SphereField:
     """Tabulate a function of unit vectors (n, 3), with its gradient by differences."""
     directions = _grid_directions(cells)
     gradients = np.zeros_like(directions)

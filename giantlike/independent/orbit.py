@@ -130,7 +130,7 @@ class Dynamics:
         return np.stack([away, np.cross(normal, away), normal], axis=-1) * AU_KM**2 / (sun @ sun)
 
     @property
-    def expected(self) -> Array:
+    def apriori(self) -> Array:
         """A priori values of the unknowns (9 + 3 m,), but for the state."""
         return np.array(
             [0.0] * 6 + [self.sunlight, 0.0, 0.0] + [v for each in self.maneuvers for v in each.planned_km_s]
@@ -237,10 +237,10 @@ def observation(row: dict[str, Any], camera_covariance: Array) -> Observation:
     body, camera = row["shared_body"], row["shared_camera"]
     for key, partial, count, covariance in (
         (f"attitude {row['shared_attitude']}", "partial_attitude", 3, row["attitude_covariance_rad2"]),
-        (f"scale of {body}", "partial_shape_scale", 1, squared(row["sigma_shape_scale"])),
-        (f"pole of {body}", "partial_pole", 2, squared(row["sigma_pole_rad"])),
-        (f"spin of {body}", "partial_spin", 1, squared(row["sigma_spin_rad"])),
-        (f"sun of {body}", "partial_sun", 3, squared(row["sigma_sun_rad"])),
+        (f"scale of {body}", "partial_shape_scale", 1, square(row["sigma_shape_scale"])),
+        (f"pole of {body}", "partial_pole", 2, square(row["sigma_pole_rad"])),
+        (f"spin of {body}", "partial_spin", 1, square(row["sigma_spin_rad"])),
+        (f"sun of {body}", "partial_sun", 3, square(row["sigma_sun_rad"])),
         (f"camera {camera}", "partial_camera_parameters", len(camera_covariance), camera_covariance.ravel()),
     ):
         if count and row[partial] is not None and covariance is not None:
@@ -266,7 +266,7 @@ def observation(row: dict[str, Any], camera_covariance: Array) -> Observation:
     )
 
 
-def squared(sigma: float | None) -> float | None:
+def square(sigma: float | None) -> float | None:
     """Square of a sigma, if there is one."""
     return None if sigma is None else sigma**2
 
@@ -277,7 +277,7 @@ def first_guess(observations: list[Observation], dynamics: Dynamics) -> Array:
     since = (times - times[0]) / max(float(np.ptp(times)), 1.0)
     places = np.array([dynamics.place(each.target, each.et) - each.range_km * each.direction for each in observations])
     *_, slope, place = np.polyfit(since, places, min(DEGREE, len(set(times.tolist())) - 1))
-    return np.concatenate([place, slope / max(float(np.ptp(times)), 1.0), dynamics.expected[6:]])
+    return np.concatenate([place, slope / max(float(np.ptp(times)), 1.0), dynamics.apriori[6:]])
 
 
 def solve(
@@ -324,7 +324,7 @@ def solve(
     left, nearest_km = residuals(values), float(np.linalg.norm(there - dynamics.fly(values, times), axis=1).min())
     squares = float(left @ np.linalg.solve(total, left))
     if check:
-        apriori = float(information @ (values - dynamics.expected) ** 2)
+        apriori = float(information @ (values - dynamics.apriori) ** 2)
         check_solution(covariance, squares + apriori, n_residuals, nearest_km)
     sigma = np.sqrt(np.diag(total))
     names = np.concatenate([[each.target] * len(each.noise) for each in observations])
@@ -342,16 +342,16 @@ def solve(
 
 def minimize(residuals: Callable[[Array], Array], values: Array, root: Array, dynamics: Dynamics) -> Array:
     """Unknowns with the smallest weighted squares, by Levenberg and Marquardt."""
-    units, weight, expected = dynamics.units, np.sqrt(dynamics.information), dynamics.expected
+    units, weight, expected = dynamics.units, np.sqrt(dynamics.information), dynamics.apriori
 
-    def weighted(scaled: Array) -> Array:
+    def weigh(scaled: Array) -> Array:
         return np.append(np.linalg.solve(root, residuals(scaled * units)), weight * (scaled * units - expected))
 
     def slopes(scaled: Array) -> Array:
         by_data = np.linalg.solve(root, derivatives(residuals, scaled * units, dynamics))
         return np.vstack([-by_data * units, np.diag(weight * units)])
 
-    found = least_squares(weighted, values / units, jac=slopes, method="lm", x_scale="jac")
+    found = least_squares(weigh, values / units, jac=slopes, method="lm", x_scale="jac")
     if not found.success:
         raise RefusedError(f"no flight under these forces follows the data: {found.message}")
     return np.asarray(found.x * units)

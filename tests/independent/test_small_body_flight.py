@@ -51,7 +51,7 @@ def test_an_orbit_with_oblateness_sunlight_and_a_maneuver_is_that_of_the_orbit_d
     true = field({2: 3.3e-3})
     after = true.coast(start[None], 0.0, 2e5) + np.append(np.zeros(3), kick)
     ends = [true.coast(start[None], 0.0, 1e5), *(true.coast(after, 2e5, et) for et in (3e5, 6e5))]
-    found = dynamics.fly(np.concatenate([start, dynamics.expected[6:]]), times)
+    found = dynamics.fly(np.concatenate([start, dynamics.apriori[6:]]), times)
     assert_allclose(found[1:], [end[0, :3] for end in ends], rtol=0, atol=ORBITS_KM)
 
 

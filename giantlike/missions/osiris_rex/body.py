@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from giantlike.core.arrays import Float, require, unit
-from giantlike.independent import ReliefBody, bumps, craters, rough, tabulated
+from giantlike.independent import ReliefBody, bumps, craters, rough, tabulate
 from giantlike.missions.osiris_rex.setup import ModelSetup
 from giantlike.ray_tracing.tracer import tracer_for
 from giantlike.shapes import TriangleMesh, geodesic_directions, load_shape
@@ -28,20 +28,20 @@ def true_body(setup: SimpleNamespace, shape: Path | None, *, seed: int, cells: i
     """Make Bennu as it is in the images: a spinning top or the shape of a file, with relief and albedo."""
     boulders = rough(seed, rms=setup.roughness, degrees=(20.0, 200.0), count=300, cells=cells)
     if shape is None:
-        relief = tabulated(lambda directions: _top_heights(setup.exponent, directions), cells=cells)
+        relief = tabulate(lambda directions: _top_heights(setup.exponent, directions), cells=cells)
         relief += bumps(seed + 1, rms=setup.lumps, widths_deg=(8.0, 40.0), cells=cells)
         relief += craters(seed + 2, depth=0.06, radii_deg=(2.0, 15.0), cells=cells)
         radii_km = np.array(setup.axes_km)
     else:
         mesh = load_shape(shape, units="km")
         mesh, radii_km = mesh.translated(-mesh.center_of_figure_km), np.full(3, mesh.mean_radius_km)
-        relief = tabulated(lambda directions: _radii_km(mesh, directions) / mesh.mean_radius_km - 1.0, cells=cells)
+        relief = tabulate(lambda directions: _radii_km(mesh, directions) / mesh.mean_radius_km - 1.0, cells=cells)
     albedo = rough(seed + 3, rms=setup.albedo_rms, degrees=(3.0, 40.0), count=200, cells=cells)
     body = ReliefBody(radii_km, relief + boulders, albedo)
     directions, _ = geodesic_directions(50_000)
     heights_km = radii_of(body, directions)
     center_km = 0.75 * np.mean(heights_km[:, None] ** 4 * directions, axis=0) / np.mean(heights_km**3)
-    shift = tabulated(lambda towards: -unit(towards * radii_km) @ center_km / setup.mean_radius_km, cells=cells)
+    shift = tabulate(lambda towards: -unit(towards * radii_km) @ center_km / setup.mean_radius_km, cells=cells)
     scale = 1.0 if shape is not None else setup.mean_radius_km / float(np.mean(heights_km**3) ** (1.0 / 3.0))
     return replace(body, radii_km=radii_km * scale, relief=body.relief + shift)
 

@@ -138,7 +138,7 @@ class CampaignJob(Value):
             rows = zip(*(getattr(sky.stars, name).tolist() for name in ("ra_deg", "dec_deg", "magnitude")), strict=True)
             write_csv_rows(self.folder / _SKY_FILE, ("ra_deg", "dec_deg", "magnitude"), rows)
         taker = Taker(key=planner.setup.key, catalog=sky, body=self.truth, seed=planner.seed)
-        told = [each for pair in pairs for each in planner.told(pair)]
+        told = [each for pair in pairs for each in planner.predict(pair)]
         exposures = [each for pair in pairs for each in pair]
         take = partial(_take, taker, self.folder / "images")
         headers = [header for _, header in told]

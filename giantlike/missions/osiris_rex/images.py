@@ -106,7 +106,7 @@ class Taker(Value):
         return mission().cameras[self.key]
 
     @cached_property
-    def _fixed(self) -> tuple[Float, Float]:
+    def _fixed_pattern(self) -> tuple[Float, Float]:
         """Response, and signal of hot pixels in DN/s, each (rows, columns)."""
         detector, shape = self.mission.detector, (self.setup.rows, self.setup.columns)
         rng = np.random.default_rng([self.seed, 11, self.setup.columns])
@@ -158,7 +158,7 @@ class Taker(Value):
             psf=dataclasses.replace(psf, motion_px=self._motion_px(exposure.rate_rad_s * seconds, view.focal_px)),
             zero_point_dn=setup.zero_point_e_s * seconds / detector.gain_e_per_dn,
         )
-        response, hot = self._fixed
+        response, hot = self._fixed_pattern
         recorder = Recorder(
             gain_e_per_dn=detector.gain_e_per_dn,
             read_noise_e=detector.read_noise_e,
@@ -225,7 +225,7 @@ class Planner(Value):
             state_km=flight.states[before],
         ), short
 
-    def told(self, pair: Sequence[Exposure]) -> Iterator[tuple[GeometryRow, dict[str, HeaderValue]]]:
+    def predict(self, pair: Sequence[Exposure]) -> Iterator[tuple[GeometryRow, dict[str, HeaderValue]]]:
         """What navigation gets of a pair beforehand, by earlier fits [assumed]: row of geometry and header."""
         long, short = pair
         pointing, rng = self.mission.pointing, self._rng(short.et + 1.0)

@@ -166,7 +166,7 @@ class PhaseInputs(Value):
             if not used:
                 raise RefusedError("no fix with an attitude from stars")
             rng = np.random.default_rng([self.settings.seed, 31])
-            start = dynamics.expected
+            start = dynamics.apriori
             start[:6] = flight.states[_nearest(flight, first)] * (1.0 + told.state_error * rng.normal(size=6))
             solution, refused = solve(used, dynamics, start=start, check=False), ""
         except RefusedError as error:
