@@ -175,6 +175,14 @@ class Smear(_Stated):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Trails(_Stated):
+    """Charge-transfer trails: shares of the charge that arrive late, positive toward higher columns and rows."""
+
+    along_rows: float = field(default=0.0, metadata={"digits": 4})
+    along_columns: float = field(default=0.0, metadata={"digits": 4})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Corrections(_Stated):
     """Effects in an image, other than the position of a body, that a fix corrects for; None where it does not.
 
@@ -183,6 +191,7 @@ class Corrections(_Stated):
 
     response: response by which values were linearized.
     smear: motion of the body in the image during the exposure.
+    trails: charge that arrives late.
     limb_altitude_km: altitude above the shape at which the limb is seen.
     altitude_sigma_km: standard deviation of the altitude, by haze or an atmosphere.
     limb_blur_px2: variance of the blur of the limb in excess of the camera's.
@@ -191,6 +200,7 @@ class Corrections(_Stated):
 
     response: Response | None = None
     smear: Smear | None = None
+    trails: Trails | None = None
     limb_altitude_km: float | None = field(default=None, metadata={"digits": 6})
     altitude_sigma_km: float | None = field(default=None, metadata={"digits": 6})
     limb_blur_px2: float | None = field(default=None, metadata={"digits": 4})

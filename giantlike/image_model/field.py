@@ -208,15 +208,13 @@ class FieldSolution(Value):
     variances: Float
     whitened: Float
 
-    def find_absorbed_squares(self, modes: MarkingModes, weights: Float, length_px: float) -> float:
-        """Return the weighted squares absorbed by the field of errors correlated like ``exp(-d^2 / (4 length^2))``.
+    def find_absorbed_squares(self, scatter: Float) -> float:
+        """Return the weighted squares of errors that the field absorbs.
 
-        ``weights`` (h, w).
+        ``scatter`` (m, m): covariance of the weighted products of the modes and the errors.
         """
-        along = np.exp(-0.5 * (length_px / modes.radius_px * modes.frequencies) ** 2)
-        root = np.sqrt(self.variances) * np.outer(along, along).ravel()
-        scores = root[:, None] * modes.gram(weights) * root
-        return max(4.0 * math.pi * length_px**2, 1.0) * float(np.vdot(np.linalg.inv(self.whitened), scores))
+        root = np.sqrt(self.variances)
+        return float(np.vdot(np.linalg.inv(self.whitened), root[:, None] * scatter * root))
 
     def find_lost_information(self, products: Float) -> Float:
         """Loss of information (j, j) by the field, of columns with weighted products (j, m) with its modes."""

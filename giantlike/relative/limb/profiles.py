@@ -16,6 +16,7 @@ from giantlike.core.outcomes import Failure
 from giantlike.core.values import Value
 from giantlike.image_model.columns import Layout, Prior, when_seen
 from giantlike.image_model.optics import ovality
+from giantlike.image_model.trails import SHARE_SIGMA, trails_of_lines
 from giantlike.processing.limb.measurement import judge_points
 from giantlike.processing.limb.scan import (
     PIXEL_VARIANCE_PX2,
@@ -121,9 +122,9 @@ class ExpectedProfiles(Value):
 
     values: (n, m); any unit.
     changes: (n, m, c); derivative by each of c parameters.
-    layout: of the parameters: shares of other laws and of wings, logarithm of a brightness that is clipped, and, px^2,
-        the variance of the point spread function, half the excess of that along columns over that along rows, and the
-        covariance of both.
+    layout: of the parameters: shares of other laws, of wings and of trails, logarithm of a brightness that is clipped,
+        and, px^2, the variance of the point spread function, half the excess of that along columns over that along
+        rows, and the covariance of both.
     prior: of the changes of the parameters from those of the profiles.
     beyond: (n,); logarithm of the ratio of the brightness of each line to its clipping level; 0 where it is not
         clipped.
@@ -191,9 +192,11 @@ def expected_profiles(
     if level_dn is None:
         second = np.zeros_like(values)
         second[:, 1:-1] = (values[:, 2:] - 2.0 * values[:, 1:-1] + values[:, :-2]) / scans.step_px**2
+        whole = _extended(values, scans, options.window_px)
         changes = [
             *(scale * law - values for scale, law in zip(scales, laws, strict=True)),
-            _wings(values, scans, psf_px2, options.window_px),
+            _wings(whole, scans, psf_px2),
+            *trails_of_lines(whole, scans.normals_px, scans.step_px),
         ]
         blur = 0.5 * second
     else:
@@ -205,8 +208,8 @@ def expected_profiles(
     if first:
         return _without_shared(values)
     changes += [blur, *(blur * part[:, None] for part in ovality(scans.normals_px))]
-    layout = _layout(laws=len(laws), wings=level_dn is None, brightness=level_dn is not None, blur=True)
-    sigmas = {"laws": LAW_SIGMA, "wings": _WING_SIGMA, "brightness": LOG_GAIN_SIGMA}
+    layout = _layout(laws=len(laws), whole=level_dn is None, clipped=level_dn is not None)
+    sigmas = {"laws": LAW_SIGMA, "wings": _WING_SIGMA, "trails": SHARE_SIGMA, "brightness": LOG_GAIN_SIGMA}
     sigmas |= {"blur": psf_sigma, "ovality": psf_sigma}
     return ExpectedProfiles(
         values=values,
@@ -217,24 +220,29 @@ def expected_profiles(
     )
 
 
-def _layout(*, laws: int = 0, wings: bool = False, brightness: bool = False, blur: bool = False) -> Layout:
-    """Layout of the parameters that all lines share."""
+def _layout(*, laws: int = 0, whole: int = 0, clipped: int = 0) -> Layout:
+    """Layout of the parameters that all lines share, of whole or of clipped profiles."""
     return Layout(
         (
             ("laws", Cause.REFLECTANCE, laws),
-            ("wings", Cause.PSF, int(wings)),
-            ("brightness", Cause.EDGE, int(brightness)),
-            ("blur", Cause.PSF, int(blur)),
-            ("ovality", Cause.PSF, 2 * int(blur)),
+            ("wings", Cause.PSF, whole),
+            ("trails", Cause.PSF, 2 * whole),
+            ("brightness", Cause.EDGE, clipped),
+            ("blur", Cause.PSF, whole + clipped),
+            ("ovality", Cause.PSF, 2 * (whole + clipped)),
         )
     )
 
 
-def _wings(values: Float, scans: Scans, psf_px2: float, window_px: float) -> Float:
-    """Change of profiles (n, m) if all light goes into the wide wings of the point spread function."""
+def _extended(values: Float, scans: Scans, window_px: float) -> Float:
+    """Profiles (n, m) whose values beyond the window are those at its inner end, and dark sky."""
     far = np.abs(scans.offsets_px) > window_px
     inner = values[:, np.flatnonzero(~far)[0], None]
-    whole = np.where(far, np.where(scans.offsets_px < 0.0, inner, 0.0), values)
+    return np.where(far, np.where(scans.offsets_px < 0.0, inner, 0.0), values)
+
+
+def _wings(whole: Float, scans: Scans, psf_px2: float) -> Float:
+    """Change of profiles (n, m) if all light goes into the wide wings of the point spread function."""
     width = _WING_WIDTH * math.sqrt(max(psf_px2, _LEAST_VARIANCE_PX2)) / scans.step_px
     result: Float = gaussian_filter1d(whole, width, axis=1, mode="nearest") - whole
     return result
@@ -298,7 +306,9 @@ def match_lines(
             break
         mean, information = profiles.prior.parts
         free = estimate_shared(match, good, prior=information, expected=mean, open_above=of_blur)
-        values, covariance = when_seen(free.values, free.covariance, layout.span("ovality"), profiles.prior)
+        values, covariance = free.values, free.covariance
+        for effect in ("ovality", "trails"):
+            values, covariance = when_seen(values, covariance, layout.span(effect), profiles.prior)
         estimate = SharedEstimate(values=values, covariance=covariance)
         last = number > 0 and float(np.median(np.abs(match.shared_px[good] @ estimate.values))) < _SETTLED_PX
         if last or number == _ROUNDS - 1:

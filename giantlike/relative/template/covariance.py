@@ -35,6 +35,8 @@ _INSIDE_PIXEL_PX = 0.3
 """Correlation lengths below this are none: exp(-d^2 / (4 b^2)) is then less than 0.07 between neighboring pixels."""
 _FINE_LENGTH_PX = 4.0
 """Pixels to a correlation length that remain when scores are summed over blocks: the Gaussian is still well sampled."""
+_SMOOTH_LENGTH_PX = 1.5
+"""As above, for scores that are smooth: of markings."""
 _BLOCKS_PER_PARAMETER = 3.0
 """Effective blocks to a parameter that the jackknife needs; with fewer its own scatter exceeds the covariance."""
 _MANY_BLOCKS = 150  # so many average the choice of their first corner; with fewer two grids are averaged
@@ -250,10 +252,7 @@ class LinearFit(Solution):
         """
         columns, weights = self.columns, self.columns.weights
         length_px = _correlation_length_px(self.residuals, weights, error, blur_px, block_px)
-        correlated = _compute_covariance(columns.projected * (weights * np.sqrt(error)), length_px)
-        absorbed = float(np.vdot(np.linalg.inv(columns.information), correlated))
-        if columns.eliminated is not None and columns.markings is not None:
-            absorbed += columns.eliminated.find_absorbed_squares(columns.markings, weights**2 * error, length_px)
+        correlated, absorbed = self.absorb(error, length_px)
         whole = float(np.vdot(weights, error))
         scale = whole / max(whole - absorbed, _LEAST_LEFT * whole, 1e-300)
         sandwich = of_noise + columns.propagate(scale * correlated)
@@ -262,6 +261,21 @@ class LinearFit(Solution):
             return sandwich
         of_prior = columns.propagate(np.diag(columns.prior.information))
         return sandwich + excess(sandwich, found + of_prior)
+
+    def absorb(self, error: Float, length_px: float) -> tuple[Float, float]:
+        """Return the covariance of the scores by a correlated error of the model, and the squares that they absorb.
+
+        ``error`` (h, w): variance; correlated like ``exp(-d^2 / (4 length_px^2))``; returns (k, k) and the mean of the
+        weighted products of the error and its image in parameters and field.
+        """
+        columns, sigma = self.columns, self.columns.weights * np.sqrt(error)
+        correlated = _compute_covariance(columns.projected * sigma, length_px)
+        absorbed = float(np.vdot(np.linalg.inv(columns.information), correlated))
+        if columns.eliminated is not None and columns.markings is not None:
+            factor = max(int(length_px / _SMOOTH_LENGTH_PX), 1)
+            scores = _block_sums(columns.markings.image(np.eye(columns.markings.count)) * sigma, factor)
+            absorbed += columns.eliminated.find_absorbed_squares(_compute_covariance(scores, length_px / factor))
+        return correlated, absorbed
 
     def jackknife(self, block_px: int) -> Float | None:
         """Covariance of the parameters from what changes when one block of pixels at a time is left out.

@@ -12,7 +12,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.core.causes import Cause
-from giantlike.core.findings import Corrections, Response, Smear
+from giantlike.core.findings import Corrections, Response, Smear, Trails
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
@@ -181,9 +181,9 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         altitude_km = inputs.geometry.limb_altitude_km[0]
         if altitude_km:
             inputs = replace(inputs, corrections=inputs.corrections | Corrections(limb_altitude_km=altitude_km))
-        response, smear = inputs.corrections.response, inputs.corrections.smear
+        response = inputs.corrections.response
         inputs = inputs if response is None else inputs.linearize(response)
-        blocks, match = self._match_template(inputs, response, smear)
+        blocks, match = self._match_template(inputs, response)
         if isinstance(match, Failure):
             return match
         if not inputs.place_alone:
@@ -203,7 +203,11 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         The shift of the position by an effect, times the probability of the rejected model, is an error.
         """
         independent = match.fit.independent
-        tries = (self._fit_linearized, independent.of_surface), (self._fit_smeared, independent.of_edges)
+        tries = (
+            (self._fit_linearized, independent.of_surface),
+            (self._fit_smeared, independent.of_edges),
+            (self._fit_trailed, independent.of_edges),
+        )
         for with_effect, parts in tries:
             again = with_effect(inputs, blocks, match)
             if again is None:
@@ -218,10 +222,10 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         return inputs, blocks, match
 
     def _match_template(
-        self, inputs: EstimatorInputs, response: Response | None = None, smear: Smear | None = None
+        self, inputs: EstimatorInputs, response: Response | None
     ) -> tuple[Blocks, TemplateMatch | Failure]:
         """Match the template to the image of some inputs, averaged over blocks."""
-        blocks = make_blocks(inputs)
+        blocks, smear = make_blocks(inputs), inputs.corrections.smear
         body = inputs.geometry.seen_body()
         renderer = TemplateRenderer(
             target=body,
@@ -238,6 +242,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             block_px=blocks.size,
             response=response,
             smear=None if smear is None else smear.on_blocks(blocks.size),
+            trails=inputs.corrections.trails,
             altitude_sigma=inputs.geometry.limb_altitude_km[1] / body.shape.mean_radius_km,
         )
         return blocks, match
@@ -274,6 +279,18 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         moved = Corrections(smear=again.fit.smear.on_blocks(1.0 / blocks.size))
         return replace(inputs, corrections=inputs.corrections | moved), blocks, again
 
+    def _fit_trailed(
+        self, inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch
+    ) -> tuple[EstimatorInputs, Blocks, TemplateMatch] | None:
+        """Fit with charge-transfer trails; None where they are improbable."""
+        if match.fit.chance("trails") < 0.5:
+            return None
+        again = match.refit(blocks.pixels, trails=match.fit.trails)
+        if isinstance(again, Failure):
+            return None
+        found = Corrections(trails=again.fit.trails)
+        return replace(inputs, corrections=inputs.corrections | found), blocks, again
+
 
 def _linearize_pixels(pixels: BoxPixels, response: Response) -> BoxPixels:
     """Linearized pixels, their noise variance scaled by the squared slope of the response."""
@@ -308,10 +325,16 @@ class TemplateMatch(Value):
         return np.asarray(-np.tensordot(fit.columns.gain("center", "range"), change_dn, 2))
 
     def refit(
-        self, image: BoxPixels, *, response: Response | None = None, smear: Smear | None = None
+        self,
+        image: BoxPixels,
+        *,
+        response: Response | None = None,
+        smear: Smear | None = None,
+        trails: Trails | None = None,
     ) -> TemplateMatch | Failure:
-        """Return the match with a response or a smear estimated in addition."""
-        options = replace(self.options, response=response or self.options.response)
+        """Return the match with a response, a smear or trails estimated in addition."""
+        known = self.options
+        options = replace(known, response=response or known.response, trails=trails or known.trails)
         start = replace(self.start, smear=smear or self.fit.state.smear)
         fit = fit_template(image.cut(self.box), self.synthesis, start, options=options)
         return fit if isinstance(fit, Failure) else replace(self, fit=fit, options=options)
@@ -327,6 +350,7 @@ def match_template(
     block_px: int = 1,
     response: Response | None = None,
     smear: Smear | None = None,
+    trails: Trails | None = None,
     altitude_sigma: float = 0.0,
 ) -> TemplateMatch | Failure:
     """Find a body in an image by correlation with its template, and fit the template to the pixels."""
@@ -360,6 +384,7 @@ def match_template(
     fit_options = replace(
         of_body,
         response=response,
+        trails=trails,
         smear_sigma_px2=of_body.smear_sigma_px2 / block_px**2,
         altitude_sigma=altitude_sigma,
         sun_direction=renderer.sun_across(state),
@@ -443,6 +468,7 @@ def _fit_options(
         relief_sigma=options.relief_sigma,
         relief_length_px=options.relief_length_rad * radius_px,
         radius_px=radius_px,
+        block_px=block_px,
     )
 
 

@@ -18,12 +18,13 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.causes import Cause, sum_parts
-from giantlike.core.findings import Response, Smear
+from giantlike.core.findings import Response, Smear, Trails
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.statistics import excess
 from giantlike.core.values import Value
 from giantlike.image_model.columns import Block, Columns, Prior, Use, split_noise
+from giantlike.image_model.trails import trails_of_image
 from giantlike.processing.limb.altitude import lift_points
 from giantlike.relative.template.covariance import LinearFit, RobustFit
 from giantlike.relative.template.haze import haze_altitude, haze_block
@@ -75,6 +76,8 @@ class TemplateFitOptions:
     altitude_sigma: standard deviation of the altitude of the limb by haze, as a fraction of the radius.
     sun_direction: unit vector from body to Sun, along columns, rows and the line of sight.
     radius_px: radius of the body.
+    block_px: side of a pixel of the box, pixels of the detector.
+    trails: trails whose shares are estimated along with the rest; of these their directions count.
     fine_at_once: render finely from the first: for bodies so small that rough renders save nothing, which then take one
         render where the start is within ``tolerance_px``.
     response: response by which the pixels were linearized; its curvature is estimated along with the rest.
@@ -92,6 +95,8 @@ class TemplateFitOptions:
     altitude_sigma: float = 0.0
     sun_direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
     radius_px: float = math.inf
+    block_px: int = 1
+    trails: Trails | None = None
     fine_at_once: bool = False
     response: Response | None = None
     smear_sigma_px2: float = SMEAR_SIGMA_PX2
@@ -123,6 +128,7 @@ class TemplateFit(Value):
     chi: root mean square over the used pixels of residual over noise.
     corner_px: column and row of the first element of the box.
     columns: of the last step.
+    trails: charge-transfer trails, as fitted or as the residuals show them.
     log_variance: mean logarithm of the variances of the pixels that were offered, with squared residuals of those
         rejected.
     response, smear: estimated in the model or, where it has none, linearly from the residuals.
@@ -144,6 +150,7 @@ class TemplateFit(Value):
     chi: float
     iterations: int
     columns: Columns
+    trails: Trails
     log_variance: float
     response: Response
     smear: Smear
@@ -217,8 +224,9 @@ def fit_template(
         images = synthesize(trial, fine)
         if isinstance(images, Failure):
             return images
-        photometry = None if last is None else last["gain", "wings"]
-        problem = LinearProblem(pixels, images, trial, photometry, options.response)
+        photometry = None if last is None else last["gain", "trails"]
+        trailed = None if options.trails is None else trails_of_image(images.light, options.block_px, options.trails)
+        problem = LinearProblem(pixels, images, trial, photometry, options.response, trailed)
         markings = problem.markings(options.radius_px) if math.isfinite(options.radius_px) else None
         approach = markings is not None and not fine
         errors = None if last is None or last.approach > approach else last.solution.errors
@@ -394,6 +402,7 @@ class _SolvedStep:
             chi=float(np.sqrt(np.mean(fit.residuals[used] ** 2 / noise[used]))),
             iterations=iterations,
             columns=columns,
+            trails=self._trails(fit, left_out, options.trails),
             log_variance=log_variance,
             response=response,
             smear=smear,
@@ -424,6 +433,8 @@ class _SolvedStep:
         blocks[_block("strain", Cause.RELIEF, problem.d_dstrain(self.state), 3 * [_STRAIN_SIGMA])] = surface
         if self.state.smear is None:
             blocks[_block("smear", Cause.PSF, np.stack(problem.d_dsmear()), 2 * [options.smear_sigma_px2])] = edges
+        if options.trails is None:
+            blocks[trails_of_image(problem.signal, options.block_px)] = edges
         if options.response is None:
             bend = -response.changes_dn(fit.model)[:1]
             blocks[_block("bend", Cause.REFLECTANCE, bend, [BEND_SIGMA])] = surface
@@ -431,6 +442,15 @@ class _SolvedStep:
         if veils is not None:
             blocks[haze_block(problem.gain_dn * veils)] = edges
         return blocks
+
+    def _trails(self, fit: LinearFit, left_out: Mapping[str, Undeclared], known: Trails | None) -> Trails:
+        """Trails as fitted, or as the residuals show them."""
+        if known is None:
+            along_rows, along_columns = self._estimates(left_out, "trails") or (0.0, 0.0)
+        else:
+            shares = fit["trails"].reshape(2, -1).sum(axis=1) / float(fit["gain"][0])
+            along_rows, along_columns = (np.sign([known.along_rows, known.along_columns]) * shares).tolist()
+        return Trails(along_rows=along_rows, along_columns=along_columns)
 
     def _estimates(self, left_out: Mapping[str, Undeclared], effect: str) -> list[float]:
         """Linear estimates of the unknowns of an effect; none where it was not tested for."""

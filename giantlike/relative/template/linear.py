@@ -14,8 +14,9 @@ from giantlike.core.causes import Cause
 from giantlike.core.findings import Response
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
-from giantlike.image_model.columns import Columns, Layout, Prior
+from giantlike.image_model.columns import Block, Columns, Layout, Prior
 from giantlike.image_model.field import MarkingModes
+from giantlike.image_model.trails import SHARE_SIGMA
 from giantlike.relative.template.covariance import Measured, RobustFit, VarianceModel, robust_fit
 from giantlike.relative.template.state import TemplateImages, TemplateState
 
@@ -40,12 +41,13 @@ _CUBE_SIGMA = 0.2
 """A priori standard deviation of the cubic term of a response; powers of 0.45 and 0.6 have 0.11 and -0.13."""
 
 
-def layout_of(*, laws: int, wings: int, response: bool, smear: bool) -> Layout:
+def layout_of(*, laws: int, wings: int, trails: int, response: bool, smear: bool) -> Layout:
     """Parameters of a linear step.
 
     Center in px, logarithm of the range, variance of the point spread function in px^2; then photometry: the light, a
-    constant background and its slopes over half the box, shares of other reflectance laws and of wings of the point
-    spread function; then changes of the bend and of the cube of a response, and of the variances of a smear.
+    constant background and its slopes over half the box, shares of other reflectance laws, of wings of the point
+    spread function and of trails; then changes of the bend and of the cube of a response, and of the variances of a
+    smear.
     """
     return Layout(
         (
@@ -56,6 +58,7 @@ def layout_of(*, laws: int, wings: int, response: bool, smear: bool) -> Layout:
             ("background", Cause.BACKGROUND, 3),
             ("laws", Cause.REFLECTANCE, laws),
             ("wings", Cause.PSF, wings),
+            ("trails", Cause.PSF, trails),
             ("bend", Cause.REFLECTANCE, int(response)),
             ("cube", Cause.REFLECTANCE, int(response)),
             ("smear", Cause.PSF, 2 * int(smear)),
@@ -67,7 +70,7 @@ class LinearProblem:
     """One linear step: derivatives of the model around a state, and the pixels to explain.
 
     The model is linear in its photometry: the light, a constant and a slope of the background, and the changes by other
-    laws and by wings of the point spread function.
+    laws, by wings of the point spread function and, where they are given, by charge-transfer trails.
 
     ``photometry`` (k,).
     """
@@ -79,31 +82,34 @@ class LinearProblem:
         state: TemplateState,
         photometry: Float | None,
         response: Response | None = None,
+        trailed: Block | None = None,
     ) -> None:
         self.pixels, self.light, self.veiled = pixels, images.light, images.veiled
         total = float(images.light.sum())
         differences = [_difference(other, images.light) for other in images.others]
         widths = _WING_WIDTHS if images.winged else ()
         differences += [_add_wings(images.light, state.psf_variance_px2, width) - images.light for width in widths]
+        differences += [] if trailed is None else [*trailed.matrix]
         self.untried = None if images.untried is None else _difference(images.untried, images.light)
         self.layout = layout_of(
             laws=len(images.others),
             wings=len(widths),
+            trails=0 if trailed is None else len(trailed.matrix),
             response=response is not None,
             smear=images.by_smear is not None,
         )
         self.matrix = np.empty((self.layout.count, *images.light.shape))
-        seen = np.stack((images.light, *_background(images.light.shape), *differences), out=self["gain", "wings"])
+        seen = np.stack((images.light, *_background(images.light.shape), *differences), out=self["gain", "trails"])
         if photometry is None:
             photometry = fit_unweighted(self["gain", "background"], pixels)
         photometry = np.pad(photometry, (0, len(seen) - len(photometry)))  # of wings, after a render without
         known = self.layout.vector({})
-        known[self.layout.span("gain", "wings")] = photometry
+        known[self.layout.span("gain", "trails")] = photometry
         gain, level, laws, wings = (known[self.layout.span(each)] for each in ("gain", "background", "laws", "wings"))
         self.gain_dn = float(gain[0])
         under = np.zeros_like(known)
         under[self.layout.span("background")] = level
-        split = np.stack([known - under, under])[:, self.layout.span("gain", "wings")]
+        split = np.stack([known - under, under])[:, self.layout.span("gain", "trails")]
         self.signal, background = np.tensordot(split, seen, 1)
         self.model = self.signal + background
         seen_dn, offered = (
@@ -212,7 +218,7 @@ class LinearProblem:
 
         Merit function to compare the first steps.
         """
-        first, last = "gain", "wings"
+        first, last = "gain", "trails"
         span, prior = self.layout.span(first, last), self.prior({}, {})
         variance = self.pixels.noise_variance_dn2(self.signal) + sigma_dn**2
         columns = Columns(
@@ -237,7 +243,8 @@ class LinearProblem:
 
     def prior(self, mean: Mapping[str, float | Sequence[float]], sigma: Mapping[str, float]) -> Prior:
         """Prior of all parameters from that of geometry, blur and response; shares and a cube get their own."""
-        shares = {"laws": self.mixing_sigma_dn, "wings": _WING_SIGMA * self.mixing_sigma_dn / _MIXING_SIGMA}
+        unit_dn = self.mixing_sigma_dn / _MIXING_SIGMA
+        shares = {"laws": self.mixing_sigma_dn, "wings": _WING_SIGMA * unit_dn, "trails": SHARE_SIGMA * unit_dn}
         sigmas = self.layout.vector({**sigma, **shares, "cube": _CUBE_SIGMA}, other=math.inf)
         return Prior.of_sigmas(sigmas, self.layout.vector(mean))
 

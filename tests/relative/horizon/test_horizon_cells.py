@@ -101,9 +101,9 @@ def test_pixels_far_from_the_fit_are_left_out_of_their_cell_alone() -> None:
     data = 1000.0 * value[:, 0] + random.normal(size=2 * n) * 20.0
     along = random.uniform(-0.5, 0.5, 2 * n)
     first = np.array([0, n, 2 * n])
-    clean = fit_profiles(first, data, along, value, slope, curve, 0.2, DARK_DN2, GAIN, 0.0)
+    clean = fit_profiles(first, data, along, value, slope, curve, 0, 0.2, DARK_DN2, GAIN, 0.0)
     data[3] += 5000.0
-    hit = fit_profiles(first, data, along, value, slope, curve, 0.2, DARK_DN2, GAIN, 0.0)
+    hit = fit_profiles(first, data, along, value, slope, curve, 0, 0.2, DARK_DN2, GAIN, 0.0)
     assert hit[2][4, 0] == (n - 1) / n
     assert hit[2][4, 1] == 1.0
     assert np.array_equal(hit[0][1], clean[0][1])

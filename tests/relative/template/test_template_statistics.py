@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
@@ -9,6 +11,7 @@ from scipy.ndimage import gaussian_filter
 from giantlike.core.causes import Cause
 from giantlike.core.statistics import excess
 from giantlike.image_model.columns import Block, Columns, Prior
+from giantlike.image_model.field import MarkingModes
 from giantlike.relative.template.covariance import LinearFit
 from tests.tolerances import FLOAT64
 
@@ -51,3 +54,27 @@ def test_the_larger_of_two_covariances_is_below_neither() -> None:
         for one in (first, second):
             assert np.linalg.eigvalsh(both - one).min() > -1e-9 * np.trace(both)
     assert_allclose(excess(first, 0.5 * first), 0.0, rtol=0, atol=FLOAT64 * np.trace(first))
+
+
+def test_parameters_and_markings_absorb_the_squares_that_drawn_errors_lose() -> None:
+    """Errors of a thin edge that are correlated over a good part of the body."""
+    random, length_px, radius_px = np.random.default_rng(5), 6.0, 16.0
+    rows, columns = np.indices(SHAPE, dtype=np.float64) - 20.0
+    distance = np.hypot(rows, columns)
+    light = np.clip(radius_px + 0.5 - distance, 0.0, 1.0)
+    layout = Block(effect="gain", cause=Cause.REFLECTANCE, matrix=light[None], prior=Prior.of_sigmas([np.inf]))
+    block, weights = Columns.from_blocks([layout], light, np.ones(SHAPE)), np.full(SHAPE, 400.0)
+    modes = MarkingModes.across(light, np.array([20.0, 20.0]), radius_px)
+    problem = Columns(block.layout, light[None], block.prior, light, weights, modes, 0.01 * modes.spectrum(0.5))
+    error = 0.01 * (np.abs(distance - radius_px) < 1.0)
+    _, stated = LinearFit(problem, np.ones(1)).absorb(error, length_px)
+
+    absorbed = []
+    for _ in range(DRAWS):
+        field = gaussian_filter(random.normal(size=(SHAPE[0] + 80, SHAPE[1] + 80)), length_px)[40:-40, 40:-40]
+        drawn = np.sqrt(error) * field * np.sqrt(4.0 * np.pi) * length_px
+        solved = replace(problem, data=drawn).solve()
+        assert solved is not None
+        absorbed.append(float(np.vdot(weights * drawn, solved.model)))
+    scatter = float(np.std(absorbed)) / np.sqrt(DRAWS)
+    assert_allclose(stated, np.mean(absorbed), rtol=GRID, atol=3.0 * scatter)
