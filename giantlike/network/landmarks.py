@@ -38,7 +38,8 @@ _FLOOR_PX = (0.3, 0.02)  # px: error of templates before it is estimated, and th
 _MOVED_PX = 0.5  # px: motion of landmarks by which their templates are rendered again
 _COMMON = 0.65
 """Error of a landmark that all images share, by the ground that the shape lacks, over the spread of points about the
-shape: of six rocks with relief, markings and law not told (seeds 0-2, 30-32 of ``benchmarks/network.py --images``)."""
+shape: of six rocks with undeclared relief, markings and law (seeds 0-2, 30-32 of ``benchmarks/network.py
+--images``)."""
 _ROUNDS = 8  # of adjustments that find the errors of templates and shape: the last change is some percent
 
 

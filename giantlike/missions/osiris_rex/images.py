@@ -1,4 +1,4 @@
-"""Exposures of stars and of Bennu by the independent renderer, and what navigation is told of them beforehand."""
+"""Exposures of stars and of Bennu by the independent renderer, and what is declared to navigation beforehand."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -168,7 +169,11 @@ class PhaseInputs(Value):
             rng = np.random.default_rng([self.settings.seed, 31])
             start = dynamics.apriori
             start[:6] = flight.states[_nearest(flight, first)] * (1.0 + told.state_error * rng.normal(size=6))
-            solution, refused = solve(used, dynamics, start=start, check=False), ""
+            for end in (*(each.et for each in dynamics.maneuvers), math.inf):  # else a local minimum over a long arc
+                arc = [each for each in used if each.et < end]
+                if end == math.inf or len({each.et for each in arc}) > 2:
+                    solution, refused = solve(arc, dynamics, start=start, check=False), ""
+                    start = solution.values
         except RefusedError as error:
             solution, refused = None, str(error)
         every = {result.camera: [each for each in result.every if each.et >= first] for result in results}

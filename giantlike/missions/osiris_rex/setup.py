@@ -142,7 +142,7 @@ class MissionSetup(Value):
         return math.atan(0.5 * math.hypot(setup.columns, setup.rows) / setup.model.fx_px)
 
     def exact_camera(self, key: str) -> Camera:
-        """Return a camera with Table 1, and the width of the point spread function that estimators are told."""
+        """Return a camera with Table 1, and the width of the point spread function that is declared."""
         setup, detector = self.cameras[key], self.detector
         return Camera(
             name=setup.label,

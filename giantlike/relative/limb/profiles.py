@@ -192,7 +192,7 @@ def expected_profiles(
     if level_dn is None:
         second = np.zeros_like(values)
         second[:, 1:-1] = (values[:, 2:] - 2.0 * values[:, 1:-1] + values[:, :-2]) / scans.step_px**2
-        whole = _extended(values, scans, options.window_px)
+        whole = _extend(values, scans, options.window_px)
         changes = [
             *(scale * law - values for scale, law in zip(scales, laws, strict=True)),
             _wings(whole, scans, psf_px2),
@@ -234,7 +234,7 @@ def _layout(*, laws: int = 0, whole: int = 0, clipped: int = 0) -> Layout:
     )
 
 
-def _extended(values: Float, scans: Scans, window_px: float) -> Float:
+def _extend(values: Float, scans: Scans, window_px: float) -> Float:
     """Profiles (n, m) whose values beyond the window are those at its inner end, and dark sky."""
     far = np.abs(scans.offsets_px) > window_px
     inner = values[:, np.flatnonzero(~far)[0], None]
