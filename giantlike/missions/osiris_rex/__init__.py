@@ -13,7 +13,6 @@ from giantlike.missions.replay import Replay, ReplaySettings
 NAME = "osiris_rex"
 CHANGES = {
     "poor_shape": "Heights and scale of the shape models err by twenty times as much.",
-    "planned_maneuvers": "The orbit determination takes maneuvers as planned instead of estimating them.",
     "range_known": "Predicted ranges of the study of range errors err by a twentieth as much.",
 }
 """Assumptions that can be altered."""

@@ -13,7 +13,7 @@ from giantlike.missions.osiris_rex.campaigns import CampaignResult
 from giantlike.missions.osiris_rex.phases import OrbitFit, Residual
 from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
 from giantlike.missions.osiris_rex.setup import MissionSetup, PhaseSetup
-from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, SELF_CHECK, Comparison, Stated
+from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, SELF_CHECK, Comparison, ComparisonKind, Stated
 
 AROUND = 2.0
 """Factor within which a number agrees with one that the paper calls "near" or "around": it gives one digit."""
@@ -147,16 +147,15 @@ def _around(what: str, ours: float, paper: str, basis: str, reference: str) -> C
 def center_comparison(
     where: str, orbit: OrbitFit, found: Sequence[Residual], words: tuple[str, str, str], reference: str
 ) -> Comparison:
-    """Residuals of centers; ``words``: our name of the technique, the paper's judgement, the change that breaks it."""
+    """Residuals of centers; ``words``: technique, judgement of the paper, change that breaks the agreement, if any."""
     technique, judgement, change = words
+    kind = INDEPENDENT if change else DERIVED
     what = f"{where}: residuals of {technique} against the fitted orbit, px"
     if not found or orbit.solution is None:
-        return _nothing(what, judgement, reference, orbit.refused)
+        return _nothing(what, judgement, reference, orbit.refused, kind, change)
     residuals, truth = (np.array([getattr(each, name) for each in found]) for name in ("fit_px", "truth_px"))
     share = float(np.mean(np.abs(residuals) < CENTER_PX))
-    return Stated(
-        reference, what, judgement, f"rms {_rms(residuals):.3f}, {share:.0%} below 1", INDEPENDENT, change
-    ).agrees(
+    return Stated(reference, what, judgement, f"rms {_rms(residuals):.3f}, {share:.0%} below 1", kind, change).agrees(
         share >= TYPICAL_SHARE if orbit.redundant else None,
         f"{_format_counts(found)}; agrees where {TYPICAL_SHARE:.0%} per axis are below {CENTER_PX:g} px. "
         f"Against the truth: rms {_rms(truth):.3f} px, {np.mean(np.abs(truth) < CENTER_PX):.0%} below 1. {_of(orbit)}",
@@ -174,7 +173,7 @@ def range_comparison(
     )
     found = [each for each in found if np.isfinite(each.sigma_percent)]
     if not found or orbit.solution is None:
-        return _nothing(what, paper, reference, orbit.refused)
+        return _nothing(what, paper, reference, orbit.refused, INDEPENDENT, "poor_shape")
     percent, truth = (np.array([getattr(each, name) for each in found]) for name in ("fit_percent", "truth_percent"))
     share = float(np.mean(np.abs(percent) < limit_percent))
     reason = f"{_format_counts(found)}; agrees where {TYPICAL_SHARE:.0%} are below {limit_percent:g} %. "
@@ -326,7 +325,9 @@ def _format_counts(found: Sequence[Residual]) -> str:
     return f"{len(found)} fixes" + (f", {suspect} of them flagged suspect" if suspect else "")
 
 
-def _nothing(what: str, paper: str, reference: str, why: str = "") -> Comparison:
-    return Stated(reference, what, paper, "nothing found", INDEPENDENT).agrees(
+def _nothing(
+    what: str, paper: str, reference: str, why: str = "", kind: ComparisonKind = INDEPENDENT, change: str = ""
+) -> Comparison:
+    return Stated(reference, what, paper, "nothing found", kind, change).agrees(
         False, why or "agrees only where something was found."
     )

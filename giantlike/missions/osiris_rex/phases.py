@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -24,8 +24,6 @@ from giantlike.missions.replay import ReplaySettings
 
 _LATERAL_SUNLIGHT = 0.2
 """A priori sigma of each component of the acceleration by sunlight, of its size [assumed]."""
-EXACT_KM_S = 1e-10
-"""Sigma of maneuvers that are not estimated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -145,17 +143,13 @@ class PhaseInputs(Value):
         mission, told = self.mission, self.mission.flight
         first, last = (used[0].et, used[-1].et) if used else (0.0, 0.0)
         inside = [number for number, each in enumerate(flight.maneuvers) if first < each.et < last]
-        exact = self.settings.change == "planned_maneuvers"
         days = np.arange(min(flight.states) - 86400.0, max(flight.states) + 2.0 * 86400.0, 21600.0)
         sun = CubicSpline(days, [-mission.orbit.state(et)[0] for et in days.tolist()])
         dynamics = Dynamics(
             TARGET,
             {TARGET: told.told_gm_km3_s2, "SUN": SUN_GM_KM3_S2},
             lambda name, et: np.zeros(3) if name == TARGET else np.asarray(sun(et)),
-            tuple(
-                replace(flight.maneuvers[n], sigma_km_s=EXACT_KM_S if exact else flight.maneuvers[n].sigma_km_s)
-                for n in inside
-            ),
+            tuple(flight.maneuvers[n] for n in inside),
             acceleration_sigma=_LATERAL_SUNLIGHT * told.sunlight_km_s2,
             sun="SUN",
             sunlight=told.sunlight_km_s2,

@@ -147,7 +147,7 @@ def _panels(phase: PhaseSetup, result: PhaseResult, campaign: CampaignResult) ->
             "percent",
         ),
     )
-    words = ("center finding", less, "planned_maneuvers")
+    words = ("center finding", less, "")
     limb_words = ("limb centers", "excellent (taken as: less than 1)", "poor_shape")
     compared = (
         comparisons.center_comparison(where, orbit, centers, words, f"Fig. {center_number}"),

@@ -14,7 +14,6 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value, select_rows
 from giantlike.image_model.columns import Layout, Prior, when_seen
 from giantlike.image_model.optics import ovality
-from giantlike.image_model.trails import SHARE_SIGMA
 from giantlike.processing.limb.measurement import (
     MIN_BRIGHTNESS,
     LimbMeasurement,
@@ -103,7 +102,7 @@ class CellMeasurement(LimbMeasurement):
     """Limb measured in cells, blur and law still to be solved for.
 
     fits: of the good cells.
-    shared: of the shared errors: blur, law, other laws, wings, trails, and ovality of the point spread function.
+    shared: of the shared errors: blur, law, other laws, wings, and ovality of the point spread function.
     prior: of the shared errors.
     whole: all of the arc was measured, not only a few cells of it.
     """
@@ -137,10 +136,7 @@ class CellMeasurement(LimbMeasurement):
         scale = np.sqrt(np.diagonal(information))
         covariance = np.asarray(np.linalg.inv(information / np.outer(scale, scale)), dtype=np.float64)
         covariance /= np.outer(scale, scale)
-        values = covariance @ pull
-        for effect in ("ovality", "trails"):
-            values, covariance = when_seen(values, covariance, self.shared.span(effect), self.prior)
-        return values, covariance
+        return when_seen(covariance @ pull, covariance, self.shared.span("ovality"), self.prior)
 
 
 def measure_by_cells(
@@ -292,7 +288,6 @@ class CellScan(Value):
             powers=2 if first else options.powers + 1,
             others=() if first else self.other_laws,
             wings_px=() if first else tuple(blur_width_px(ratio**2 * psf_px2) for ratio in _WING_RATIOS),
-            trailed=not first,
         )
         across = np.arange(-options.window_px, options.window_px + 0.5, 0.5)
         area = pixels_near(arc.points_px, arc.normals_px, across, view.usable.shape)
@@ -384,7 +379,7 @@ class CellScan(Value):
         )
 
     def _list_shared_unknowns(self, first: bool) -> tuple[Layout, Float]:
-        """Blur, the power of the law, other laws, wings, trails and ovality, with their a priori standard deviations.
+        """Blur, the power of the law, other laws, wings and ovality, with their a priori standard deviations.
 
         Ovality of declared optics only: of unknown ones the blur itself is a rough estimate.
         """
@@ -398,13 +393,12 @@ class CellScan(Value):
                 ("law", Cause.REFLECTANCE, 1),
                 ("laws", Cause.REFLECTANCE, 0 if first else len(self.other_laws)),
                 ("wings", Cause.REFLECTANCE, 0 if first else len(_WING_RATIOS)),
-                ("trails", Cause.PSF, 0 if first else 2),
                 ("ovality", Cause.PSF, 2 if known and not first else 0),
             )
         )
         law_sigma = _LAW_SIGMA if self.options.edges is EdgeModel.TEMPLATE else _STEP_LAW_SIGMA
         sigmas = {"blur": sigma_px2, "law": law_sigma, "laws": _OTHER_LAW_SIGMA, "wings": _WING_SIGMA}
-        sigmas |= {"trails": SHARE_SIGMA, "ovality": sigma_px2}
+        sigmas["ovality"] = sigma_px2
         return layout, layout.vector(sigmas)
 
     def _clear(self, position_km: Float) -> Mask:

@@ -28,7 +28,6 @@ def fit_profiles(
     value: Float,
     slope: Float,
     curve: Float,
-    trails: int,
     largest_left: float,
     dark_dn2: float,
     gain_e_per_dn: float,
@@ -37,8 +36,7 @@ def fit_profiles(
     """Fit the profiles of each cell, leaving out pixels that are far from the fit.
 
     ``first`` (c + 1,), the first pixel of each cell, and n; ``data_dn``, ``along`` (n,); ``value`` (n, p + q);
-    ``slope``, ``curve`` (n, p); the last ``trails`` of the profiles are changes; returns ``information``
-    (c, 1 + s, 1 + s), ``pull`` (c, 1 + s) and ``rest`` (5, c).
+    ``slope``, ``curve`` (n, p); returns ``information`` (c, 1 + s, 1 + s), ``pull`` (c, 1 + s) and ``rest`` (5, c).
     """
     cells, free = len(first) - 1, slope.shape[1] - 1
     inner = free + 2  # parameters of a cell: the powers that are free, growth along it, background
@@ -56,7 +54,7 @@ def fit_profiles(
             terms[k, free + 1] = 1.0
         for _ in range(_CLIPS):
             weights, solution = _brightness(terms[:, :inner], data, kept, dark_dn2, gain_e_per_dn, relative_noise)
-            inside, gain = _other_terms(value[some], slope[some], curve[some], trails, kept, solution, terms)
+            inside, gain = _other_terms(value[some], slope[some], curve[some], kept, solution, terms)
             count = 0
             for k in range(n):
                 count += kept[k]
@@ -109,7 +107,7 @@ def _brightness(
 
 @compiled
 def _other_terms(
-    value: Float, slope: Float, curve: Float, trails: int, kept: Mask, solution: Float, terms: Float
+    value: Float, slope: Float, curve: Float, kept: Mask, solution: Float, terms: Float
 ) -> tuple[float, float]:
     """Fill in the columns of the shared parameters; return the brightness inside and the gain, DN, of a cell.
 
@@ -130,7 +128,6 @@ def _other_terms(
     for profile in range(count):
         gains[profile] = inside / max(largest[profile], RIDGE)
     gains[free] = gains[0]
-    gains[count - trails :] = gains[0]
     shift = free + 2
     for k in range(n):
         by_shift, by_blur = 0.0, 0.0

@@ -104,7 +104,6 @@ def fit_cells(
         data_dn[pixels.rows, pixels.columns],
         pixels.along,
         *table.at(pixels.along_px, pixels.outward_px),
-        table.trails,
         largest_left,
         float(detector.variance_dn2(np.zeros(1))[0]),
         detector.gain_e_per_dn,

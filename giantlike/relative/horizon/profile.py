@@ -19,7 +19,6 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value, select_rows
-from giantlike.image_model.trails import trails_of_lines
 from giantlike.processing.limb.scan import PIXEL_VARIANCE_PX2
 from giantlike.ray_tracing import Reflectance
 from giantlike.relative.horizon.blur import DepthBlur
@@ -159,11 +158,10 @@ class ProfileTable(Value):
 
     knots_px: (k,); places along the horizon, as of ``HorizonArc.along_px``.
     first_px, step_px: the distances are ``first + i step``, positive outward.
-    values: brightness at the knots and m distances, for p powers and q profiles that may be mixed in: other laws, the
-        wings of the point spread function, and changes by charge-transfer trails. Then its derivatives by distance,
-        1/px, and at last the second derivatives of the powers, 1/px^2.
+    values: brightness at the knots and m distances, for p powers and q profiles that may be mixed in: other laws, and
+        the wings of the point spread function. Then its derivatives by distance, 1/px, and at last the second
+        derivatives of the powers, 1/px^2.
     powers: the number p.
-    trails: number of changes by trails.
     """
 
     knots_px: Float
@@ -171,7 +169,6 @@ class ProfileTable(Value):
     step_px: float
     values: Float
     powers: int
-    trails: int
 
     def at(self, along_px: Float, outward_px: Float) -> tuple[Float, Float, Float]:
         """Interpolate the table.
@@ -228,7 +225,6 @@ def profile_table(
     powers: int,
     others: tuple[Reflectance, ...] = (),
     wings_px: tuple[float, ...] = (),
-    trailed: bool = False,
 ) -> ProfileTable:
     r"""Tabulate the brightness that a blurred image of an ellipsoid has across its horizon.
 
@@ -261,18 +257,13 @@ def profile_table(
         *(wing[None] for wing in wings),
     ]
     parts = [blur.apply(basis, knots.curvature, knots.normals_px) for blur, basis in zip(blurs, bases, strict=True)]
-    by_order = [[part[:, :, order] for part in parts] for order in (0, 1)]
-    if trailed:
-        for order in by_order:
-            order.append(trails_of_lines(order[0][0], knots.normals_px, step))
-    values = [*by_order[0], *by_order[1], parts[0][:powers, :, 2]]
+    values = [*(part[:, :, 0] for part in parts), *(part[:, :, 1] for part in parts), parts[0][:powers, :, 2]]
     return ProfileTable(
         knots_px=knots.along_px,
         first_px=float(offsets[0]),
         step_px=step,
         values=np.ascontiguousarray(np.moveaxis(np.concatenate(values), 0, -1)),
         powers=powers,
-        trails=2 * int(trailed),
     )
 
 

@@ -55,7 +55,7 @@ def test_a_cell_says_what_least_squares_of_all_its_columns_say() -> None:
     slope, curve = random.normal(size=(2, n, powers)) * edge[:, None]
     data = 2000.0 * value[:, 0] + 300.0 * value[:, 1] + 40.0 + random.normal(size=n) * 20.0
     information, pull, rest = fit_profiles(
-        np.array([0, n]), data, along, value, slope, curve, 0, np.inf, DARK_DN2, GAIN, 0.0
+        np.array([0, n]), data, along, value, slope, curve, np.inf, DARK_DN2, GAIN, 0.0
     )
     free = powers - 1
     own = np.column_stack([value[:, :free], along * value[:, 0], np.ones(n)])
@@ -101,9 +101,9 @@ def test_pixels_far_from_the_fit_are_left_out_of_their_cell_alone() -> None:
     data = 1000.0 * value[:, 0] + random.normal(size=2 * n) * 20.0
     along = random.uniform(-0.5, 0.5, 2 * n)
     first = np.array([0, n, 2 * n])
-    clean = fit_profiles(first, data, along, value, slope, curve, 0, 0.2, DARK_DN2, GAIN, 0.0)
+    clean = fit_profiles(first, data, along, value, slope, curve, 0.2, DARK_DN2, GAIN, 0.0)
     data[3] += 5000.0
-    hit = fit_profiles(first, data, along, value, slope, curve, 0, 0.2, DARK_DN2, GAIN, 0.0)
+    hit = fit_profiles(first, data, along, value, slope, curve, 0.2, DARK_DN2, GAIN, 0.0)
     assert hit[2][4, 0] == (n - 1) / n
     assert hit[2][4, 1] == 1.0
     assert np.array_equal(hit[0][1], clean[0][1])
@@ -116,9 +116,7 @@ def test_a_table_is_read_as_cubics_across_and_straight_lines_along_the_horizon()
         return 1.0 - 0.3 * x + 0.05 * x**2 - 0.01 * x**3, -0.3 + 0.1 * x - 0.03 * x**2, 0.1 - 0.06 * x
 
     at_knots = np.stack([np.stack(cubic(distances), axis=-1) * factor for factor in (1.0, 3.0)])
-    table = ProfileTable(
-        knots_px=np.array([10.0, 20.0]), first_px=-4.0, step_px=0.5, values=at_knots, powers=1, trails=0
-    )
+    table = ProfileTable(knots_px=np.array([10.0, 20.0]), first_px=-4.0, step_px=0.5, values=at_knots, powers=1)
     along, outward = np.array([10.0, 15.0, 20.0, 25.0]), np.array([-3.3, 0.1, 2.77, 3.9])
     factor = np.array([1.0, 2.0, 3.0, 3.0])
     for found, expected in zip(table.at(along, outward), cubic(outward), strict=True):
