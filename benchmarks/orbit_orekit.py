@@ -20,12 +20,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import runpy
-from pathlib import Path
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+
+from giantlike.independent.orbit import Dynamics, Observation, first_guess, read, solve
 
 CLASSES = (
     "org.hipparchus.geometry.euclidean.threed.Vector3D",
@@ -51,7 +52,6 @@ CLASSES = (
 JAVA = SimpleNamespace()
 """The classes, once Java runs: where it starts before the example is done, the process ends."""
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "orbit_determination.py"
 POSITION_M, VELOCITY_M_S = 2e4, 0.1  # sigmas at the start: much wider than the orbit is known
 NONE_KM_S2 = 1e-20  # sigma of an acceleration that is none
 
@@ -87,7 +87,7 @@ def builder_from(start: Any, et: float, gm: float) -> Any:
     return builder
 
 
-def position_of(each: Any, satellite: Any) -> Any:
+def position_of(each: Observation, satellite: Any) -> Any:
     """An observation as Orekit's measured position of the spacecraft from the body."""
     km_per_place = np.linalg.inv(each.by_position)
     covariance_m2 = 1e6 * km_per_place @ each.noise @ km_per_place.T
@@ -96,7 +96,7 @@ def position_of(each: Any, satellite: Any) -> Any:
     return JAVA.Position(JAVA.AbsoluteDate.J2000_EPOCH.shiftedBy(each.et), seen, covariance, 1.0, satellite)
 
 
-def filtered(observations: list[Any], start: Any, gm: float) -> tuple[Any, Any]:
+def filtered(observations: list[Observation], start: Any, gm: float) -> tuple[Any, Any]:
     """State (6,) at the last image, km and km/s, and its covariance (6, 6), by Orekit."""
     builder = builder_from(start, observations[0].et, gm)
     sigmas = np.array([POSITION_M] * 3 + [VELOCITY_M_S] * 3)
@@ -113,7 +113,7 @@ def filtered(observations: list[Any], start: Any, gm: float) -> tuple[Any, Any]:
     return state / 1e3, covariance / 1e6
 
 
-def fitted(observations: list[Any], start: Any, gm: float) -> tuple[Any, Any]:
+def fitted(observations: list[Observation], start: Any, gm: float) -> tuple[Any, Any]:
     """State and constant acceleration (9,) at the first image, km and s, and sigmas (9,), by Orekit's least squares."""
     builder = builder_from(start, observations[0].et, gm)
     first = JAVA.AbsoluteDate.J2000_EPOCH.shiftedBy(observations[0].et)
@@ -137,11 +137,11 @@ def fitted(observations: list[Any], start: Any, gm: float) -> tuple[Any, Any]:
     return values / 1e3, np.sqrt(np.diag(covariance)) / 1e3
 
 
-def uncorrelated(each: Any) -> Any:
+def uncorrelated(each: Observation) -> Observation:
     """An observation without the correlations of its position along ICRF axes."""
     km_per_place = np.linalg.inv(each.by_position)
     variances = np.diag(np.diag(km_per_place @ each.noise @ km_per_place.T))
-    return type(each)(**(vars(each) | {"noise": each.by_position @ variances @ each.by_position.T}))
+    return replace(each, noise=each.by_position @ variances @ each.by_position.T)
 
 
 def main() -> None:
@@ -150,29 +150,25 @@ def main() -> None:
     parser.add_argument("--target")
     parser.add_argument("--gm", type=float, default=4.892e-9)
     arguments = parser.parse_args()
-    example = SimpleNamespace(**runpy.run_path(str(EXAMPLE)))
+    targets = [arguments.target] if arguments.target else []
     # Noise alone in both: Orekit's filter has no errors that measurements share.
-    observations = [
-        example.Observation(**(vars(each) | {"shared": {}}))
-        for each in example.read(arguments.file, arguments.target)
-        if each.ranged
-    ]
-    ours = example.solve(observations, gm=arguments.gm, acceleration_sigma=NONE_KM_S2)
+    observations = [replace(each, shared={}) for each in read(arguments.file, targets) if each.ranged]
+    body = observations[0].target
+    pushed = Dynamics(body, {body: arguments.gm})
+    falling = replace(pushed, acceleration_sigma=NONE_KM_S2)
+    ours = solve(observations, falling)
     times = np.array([each.et for each in observations])
     last = np.array([times[0], times[-1]])
     step = 1e-3 * np.sqrt(np.diag(ours.covariance))
-    end = example.propagate(ours.values, last, arguments.gm)[-1]
-    by_start = (
-        np.array([example.propagate(ours.values + each, last, arguments.gm)[-1] - end for each in np.diag(step)]).T
-        / step
-    )
+    end = falling.fly(ours.values, last)[-1]
+    by_start = np.array([falling.fly(ours.values + each, last)[-1] - end for each in np.diag(step)]).T / step
     sigma = np.sqrt(np.diag(by_start @ ours.covariance @ by_start.T))
     alone = [uncorrelated(each) for each in observations]
-    fit = example.solve(alone, gm=arguments.gm)
+    fit = solve(alone, pushed)
     start_java()
-    values, sigmas = fitted(alone, example.first_guess(alone), arguments.gm)
+    values, sigmas = fitted(alone, first_guess(alone, pushed), arguments.gm)
     own = np.sqrt(np.diag(fit.covariance))
-    theirs, covariance = filtered(observations, example.first_guess(observations), arguments.gm)
+    theirs, covariance = filtered(observations, first_guess(observations, falling), arguments.gm)
     result = {
         "observations": len(observations),
         "example_position_km": end.tolist(),

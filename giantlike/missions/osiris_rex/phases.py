@@ -165,7 +165,7 @@ class PhaseInputs(Value):
             start[:6] = flight.states[_nearest(flight, first)] * (1.0 + told.state_error * rng.normal(size=6))
             for end in (*(each.et for each in dynamics.maneuvers), math.inf):  # else a local minimum over a long arc
                 arc = [each for each in used if each.et < end]
-                if end == math.inf or len({each.et for each in arc}) > 2:
+                if end == math.inf or len({each.et for each in arc}) > 3:
                     solution, refused = solve(arc, dynamics, start=start, check=False), ""
                     start = solution.values
         except RefusedError as error:
