@@ -150,8 +150,8 @@ def _adjust_run(folder: Path, section: NetworkSection, output: Path | None, *, j
     campaign = Campaign.load(path)
     known = campaign.network
     if known is not None:
-        told = {name: value for name in ("shape", "target") if (value := getattr(section, name)) is not None}
-        section = known.section.model_copy(update=told)
+        given = {name: value for name in ("shape", "target") if (value := getattr(section, name)) is not None}
+        section = known.section.model_copy(update=given)
     with progress_bar(lines=True) as progress:
         result = run_campaign(replace(campaign.with_network(section), output=folder), progress=progress)
     summary = result.network or {}

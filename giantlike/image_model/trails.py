@@ -10,8 +10,9 @@ from giantlike.core.findings import Trails
 from giantlike.image_model.columns import Block, Prior, Use
 
 LENGTHS_PX = (2.4, 7.7)
-"""Decay lengths of trails: release times, in transfers, of two of the three kinds of traps of HST's ACS in the model of
-ArCTIc (README of jkeger/arctic: 0.74, 7.7 and 37 transfers; those of 7.7 are the densest)."""
+"""Decay lengths of trails, whose mixtures stand for lengths around them: the release time, in transfers, of the densest
+traps of HST's ACS in the model of ArCTIc (README of jkeger/arctic: 0.74, 7.7 and 37 transfers), and the geometric mean
+of that and the shorter one, which by itself is as good as a shift."""
 SHARE_SIGMA = 0.02
 """A priori standard deviation of the share of the charge that arrives late, along each axis: a guess."""
 

@@ -20,8 +20,6 @@ STEP_S = 60.0
 """Longest step: processes of hours are sampled a hundred times, and Runge-Kutta errs by meters in days."""
 STEP_OF_PERIOD = 0.01
 """Longest step near the Earth, of the time in which a circular orbit there turns by one radian."""
-
-
 LONGEST_STEP_S = 21_600.0
 """Longest step far from a small body, where the tide of the Sun changes in days."""
 

@@ -36,10 +36,6 @@ _FIRST_SIGMA = 0.02  # of the mean radius: a priori sigma of points before their
 _FLOOR_PX = (0.3, 0.02)  # px: error of templates before it is estimated, and the least that it is taken for
 
 _MOVED_PX = 0.5  # px: motion of landmarks by which their templates are rendered again
-_COMMON = 0.65
-"""Error of a landmark that all images share, by the ground that the shape lacks, over the spread of points about the
-shape: of six rocks with undeclared relief, markings and law (seeds 0-2, 30-32 of ``benchmarks/network.py
---images``)."""
 _ROUNDS = 8  # of adjustments that find the errors of templates and shape: the last change is some percent
 
 
@@ -329,13 +325,15 @@ def tracks_of(
     )
 
 
-def settle_tracks(
+def adjust_tracks(
     photos: Sequence[Photo], measures: Sequence[LandmarkMeasures], catalog: LandmarkCatalog, options: TrackOptions
 ) -> tuple[FoundTracks, NetworkFix] | Failure:
     """Join measures to tracks, with the errors of templates and shape that their residuals show, and adjust them.
 
     The error of templates makes the noise of the adjustment one, both of most measures and of all in use.
     That of the shape is the most likely spread of the points about it: expectation and maximization, from a wide start.
+    Ground that the shape lacks moves a template in all images alike: the same spread is an error of each point that no
+    residual shows.
     """
     radius_km = float(np.mean([np.linalg.norm(landmark.point_body_km) for landmark in catalog.landmarks]))
     floor_px, sigma_km = _FLOOR_PX[0], options.sigma_points_km or _FIRST_SIGMA * radius_km
@@ -346,7 +344,7 @@ def settle_tracks(
             return fix
         tracked = FoundTracks(photos=tuple(photos), tracks=tracks, failures={}, floor_px=floor_px,
                               sigma_points_km=sigma_km)  # fmt: skip
-        settled = tracked, fix
+        adjusted = tracked, fix
         noise = float(np.median(tracks.sigma_px**2)) - floor_px**2
         found = max(fix.noise**2, fix.chi2 / max(fix.freedom, 1)) * (noise + floor_px**2)
         floor_px = math.sqrt(max(found - noise, _FLOOR_PX[1] ** 2))
@@ -355,9 +353,9 @@ def settle_tracks(
             squares = np.sum((fix.points_km - np.asarray(tracks.points_km)) ** 2, axis=1)[good]
             squares += np.trace(fix.covariance_points_km2[good], axis1=1, axis2=2)
             sigma_km = max(math.sqrt(float(np.mean(squares)) / 3.0), 1e-4 * radius_km)
-    found_tracks, fix = settled
-    told = replace(found_tracks.tracks, common_sigma_km=_COMMON * found_tracks.sigma_points_km)
-    return replace(found_tracks, tracks=told), fix
+    found_tracks, fix = adjusted
+    tracks = replace(found_tracks.tracks, common_sigma_km=found_tracks.sigma_points_km)
+    return replace(found_tracks, tracks=tracks), fix
 
 
 def has_moved(measures: LandmarkMeasures, pose: Photo, catalog: LandmarkCatalog) -> bool:
@@ -421,17 +419,17 @@ def find_tracks(
         why = "; ".join(failure.detail for failure in failures.values())
         return Failure(Reason.TOO_FEW_MATCHES, f"landmarks are found in {len(kept)} images, needed 2: {why}")
     photos, measures = [photo for _, photo, _ in kept], [one for *_, one in kept]
-    settled = settle_tracks(photos, measures, catalog, options)
-    if isinstance(settled, Failure):
-        return settled
+    adjusted = adjust_tracks(photos, measures, catalog, options)
+    if isinstance(adjusted, Failure):
+        return adjusted
     for place, (number, *_) in enumerate(kept):
-        pose = settled[1].photos[place]
+        pose = adjusted[1].photos[place]
         if not has_moved(measures[place], pose, catalog):
             continue
         again = measure_landmarks(images[number], camera, scene, target, pose=pose, options=options)
         measures[place] = measures[place] if isinstance(again, Failure) else again
-    settled = settle_tracks(photos, measures, catalog, options)
-    return settled if isinstance(settled, Failure) else replace(settled[0], failures=failures)
+    adjusted = adjust_tracks(photos, measures, catalog, options)
+    return adjusted if isinstance(adjusted, Failure) else replace(adjusted[0], failures=failures)
 
 
 def move_landmarks(catalog: LandmarkCatalog, fix: NetworkFix) -> LandmarkCatalog:

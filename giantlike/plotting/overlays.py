@@ -47,6 +47,8 @@ _MIN_ZOOM_PX, _ZOOM_MARGIN = 24.0, 1.25
 """Half width of a close-up at the least, px, and its margin around the body."""
 _ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)
 """Angles, rad, of the points of an ellipse: 7.5 deg apart, where its corners cannot be seen."""
+_CUT = 10.0
+"""Distance of neighbors on an outline, over the median one, beyond which the frame lies between them."""
 _SAMPLED_ROWS = 64
 """Rows of a picture that its gray scale is taken from: 30,000 pixels tell a percentile well enough to look at."""
 _SOFTENING = 8.0
@@ -253,12 +255,8 @@ def _star_layers(stars: StarMarks) -> list[Layer]:
 
 
 def _outline_layers(body: BodyMarks) -> list[Layer]:
-    layers = [Layer(points=body.predicted_px[None], shape=MarkShape.PLUS, color=_OUTLINE, size=9.0, width=1.2)]
-    if len(body.outline_px):
-        layers.insert(
-            0, Layer(points=_close_outline(body.outline_px), shape=MarkShape.DASHES, color=_OUTLINE, width=0.9)
-        )
-    return layers
+    outline = [Layer(points=one, shape=MarkShape.DASHES, color=_OUTLINE, width=0.9) for one in _arcs(body.outline_px)]
+    return [*outline, Layer(points=body.predicted_px[None], shape=MarkShape.PLUS, color=_OUTLINE, size=9.0, width=1.2)]
 
 
 def _close_up(pixels: NDArray[np.generic], body: BodyMarks, middle_px: Float, half_px: float) -> OverlayPanel:
@@ -275,7 +273,7 @@ def _close_up(pixels: NDArray[np.generic], body: BodyMarks, middle_px: Float, ha
         elif len(mark.outline_px) or len(body.outline_px):
             moved = body.outline_px + (mark.center_px - body.predicted_px)
             found = mark.outline_px if len(mark.outline_px) else moved
-            layers.append(Layer(points=_close_outline(found), shape=MarkShape.LINE, color=mark.color, width=0.7))
+            layers += [Layer(points=one, shape=MarkShape.LINE, color=mark.color, width=0.7) for one in _arcs(found)]
         layers.append(Layer(points=mark.center_px[None], shape=MarkShape.CROSS, color=mark.color, size=8.0, width=1.6))
         if np.isfinite(mark.covariance_px2).all():
             ellipse = three_sigma_ellipse(mark.center_px, mark.covariance_px2)
@@ -300,9 +298,15 @@ def _zoom(body: BodyMarks, columns: int, rows: int) -> tuple[Float, float] | Non
     return (low + high) / 2, min(half, max(columns, rows) / 2)
 
 
-def _close_outline(points: Float) -> Float:
-    """Points (n, 2) of an outline, and the first of them once more."""
-    return np.concatenate([points, points[:1]])
+def _arcs(outline_px: Float) -> list[Float]:
+    """Arcs (k, 2) of an outline (n, 2): the frame cuts it where neighbors are far apart; else one that is closed."""
+    if not len(outline_px):
+        return []
+    steps = np.linalg.norm(np.roll(outline_px, -1, axis=0) - outline_px, axis=1)
+    cuts = np.flatnonzero(steps > _CUT * float(np.median(steps)))
+    if not len(cuts):
+        return [np.concatenate([outline_px, outline_px[:1]])]
+    return np.split(np.roll(outline_px, -cuts[-1] - 1, axis=0), cuts[:-1] + len(outline_px) - cuts[-1])
 
 
 def three_sigma_ellipse(center_px: Float, covariance_px2: Float) -> Float:

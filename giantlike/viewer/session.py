@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
 from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.run.bodies import with_attitude_used
 from giantlike.campaign.run.image_loading import mask_areas, open_image, scene_of
 from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.edits import Edit, Edited, Measuring, read_edits
@@ -23,7 +24,7 @@ from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Failure, Outcome
-from giantlike.image import AttitudeSource, Image
+from giantlike.image import Image
 from giantlike.scene import Scene, TargetGeometry
 
 
@@ -265,15 +266,8 @@ class Session:
             raise InputError(f"{bench.campaign.path}: there is no image {file!r} in it any more")
         areas = read_edits(self.folder).measuring().get(file, Measuring()).areas.get(("", ""), ())
         image = mask_areas(open_image(bench.campaign, entry, bench.frames).image, areas)
-        attitude = next(each for each in self.result.attitudes if each.file == file).attitude
-        if attitude is None:
-            return image
-        return image.with_attitude(
-            attitude.rotation,
-            source=AttitudeSource(attitude.source),
-            covariance_rad2=attitude.covariance_rad2,
-            errors=attitude.errors,
-        )
+        record = next(each for each in self.result.attitudes if each.file == file)
+        return with_attitude_used(image, record.attitude)
 
     def geometry(self, file: str, *, image: Image | None = None) -> dict[str, TargetGeometry]:
         """Geometry of the targets of an image with the attitude that was used.

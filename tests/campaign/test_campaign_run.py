@@ -64,6 +64,7 @@ from giantlike.plotting import (
     star_residual_charts,
 )
 from giantlike.plotting.charts import charts_svg
+from giantlike.plotting.layers import MarkShape
 from giantlike.plotting.overlays import BodyMarks, CenterMark, stretch_image
 from giantlike.plotting.residuals import Series, series_charts
 from giantlike.plotting.svg_overlay import overlay_svg
@@ -692,6 +693,25 @@ def test_figures_are_drawn_of_next_to_nothing() -> None:
     assert len(charts_figure(charts).axes) == 3
     empty = Series(label="a", at=np.zeros(1), values=np.full((1, 2), np.nan), sigma=one, suspect=np.ones(1, dtype=bool))
     ElementTree.fromstring(charts_svg(series_charts([empty], ["x", "y"], "time", "<none>"), "a name"))
+
+
+def test_an_outline_that_the_frame_cuts_is_drawn_in_arcs_and_a_whole_one_is_closed() -> None:
+    turns = np.linspace(0.0, 2.0 * np.pi, 181)[:-1]
+    circle = np.column_stack([30.0 + 40.0 * np.cos(turns), 30.0 + 20.0 * np.sin(turns)])
+    inside = circle[(circle >= -0.5).all(axis=1) & (circle[:, 0] < 59.5)]  # cut at its left and right ends
+
+    def drawn(outline: Float) -> list[Float]:
+        body = BodyMarks(name="body", predicted_px=np.array([30.0, 30.0]), radius_px=30.0, outline_px=outline,
+                         lit=np.ones(len(outline), dtype=bool), centers=[])  # fmt: skip
+        panels = overlay_panels(np.zeros((60, 60), np.uint16), "x", bodies=[body])
+        return [layer.points for layer in panels[0].layers if layer.shape is MarkShape.DASHES]
+
+    (whole,) = drawn(circle)
+    np.testing.assert_array_equal(whole, np.concatenate([circle, circle[:1]]))
+    arcs = drawn(inside)
+    assert [len(arc) for arc in arcs] == [len(inside) // 2] * 2
+    assert max(float(np.linalg.norm(np.diff(arc, axis=0), axis=1).max()) for arc in arcs) < 1.5
+    assert drawn(inside[:0]) == []
 
 
 def test_the_figure_of_twenty_thousand_images_is_small() -> None:

@@ -43,4 +43,4 @@ def test_trails_of_lines_are_those_of_a_straight_edge() -> None:
     assert along_rows[0, 302] < 0.0
     assert_allclose(along_columns, 0.0, atol=1e-12)
     fine = 0.5 * (late(profile[:, ::-1], 2.0 * LENGTHS_PX[-1])[0, ::-1] - late(profile, 2.0 * LENGTHS_PX[-1])[0])
-    assert_allclose(along_rows[0, 220:], fine[220:], atol=0.01)
+    assert_allclose(along_rows[0, 220:], fine[220:], atol=1e-5)

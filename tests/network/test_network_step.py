@@ -135,7 +135,7 @@ def test_a_campaign_whose_network_cannot_be_is_refused(tmp_path: Path) -> None:
     text = path.read_text()
     for old, new, word in (
         ("images/*.fits", "images/image0.fits", "at least two images"),
-        ("[network]", "[network]\ntarget = 'PEBBLE'", "there is no target 'PEBBLE'"),
+        ("[network]", "[network]\ntarget = 'PEBBLE'", "unknown target 'PEBBLE'"),
         ("[network]", "[network]\nshape = 'nowhere.obj'", "network.shape: there is no file"),
         ('shape = "rock.obj"', "shape = { radii_km = [1, 1, 1] }", "landmarks need a mesh"),
     ):

@@ -183,7 +183,7 @@ class Campaign:
         Raises
         ------
         InputError
-            There is no such target, its shape is no mesh, or fewer than two images may show it.
+            The target is unknown, its shape is not a mesh, or fewer than two images may show it.
         """
         anywhere = self.spice is not None or self.label_geometry
         seen = Counter(name for known in self.geometry.values() for name in {*known.targets, *known.seen})
@@ -191,7 +191,7 @@ class Campaign:
         require(bool(self.targets), "network: the campaign has no target")
         require(section.target is not None or len(self.targets) == 1, f"network.target: name one of {names}")
         found = [target for target in self.targets if section.target in (None, target.name)]
-        require(bool(found), f"network.target: there is no target {section.target!r}; there is {names}")
+        require(bool(found), f"network.target: unknown target {section.target!r}; the campaign has {names}")
         target, count = found[0], len(self.images) if anywhere else seen[found[0].name]
         require(count >= 2, f"network: needs at least two images of {target.name}, the campaign has {count}")
         if section.shape is not None:

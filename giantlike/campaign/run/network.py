@@ -40,7 +40,7 @@ from giantlike.network import (
     photo_of,
     write_network,
 )
-from giantlike.network.landmarks import catalog_of, has_moved, measure_landmarks, settle_tracks
+from giantlike.network.landmarks import adjust_tracks, catalog_of, has_moved, measure_landmarks
 from giantlike.scene import Scene
 from giantlike.shapes.landmarks import LandmarkCatalog
 
@@ -152,7 +152,7 @@ def make_network(run: RunExecutor, pool: Pool, attitudes: Sequence[AttitudeRecor
     keys = {file: key for (file, *_), key in run.folder.keys(NetworkRecord).items()}
     todo = {file: job for file, (job, key) in jobs.items() if not key or keys.get(file) != key}
     count = StepCount(redone=len(todo), kept=len(jobs) - len(todo))
-    settled: tuple[FoundTracks, NetworkFix] | Failure = Failure(Reason.TOO_FEW_MATCHES, "no image has landmarks")
+    adjusted: tuple[FoundTracks, NetworkFix] | Failure = Failure(Reason.TOO_FEW_MATCHES, "no image has landmarks")
     failures = dict[str, str]()
     for _ in range(_PASSES):
         run.progress("finding landmarks", 0, len(todo))
@@ -167,21 +167,21 @@ def make_network(run: RunExecutor, pool: Pool, attitudes: Sequence[AttitudeRecor
         good = [record for record in records if record.problem is None]
         if isinstance(catalog, Failure) or len(good) < 2:
             detail = catalog.detail if isinstance(catalog, Failure) else f"landmarks are found in {len(good)} images"
-            settled = Failure(Reason.TOO_FEW_MATCHES, f"{detail}, needed 2" if good else detail)
+            adjusted = Failure(Reason.TOO_FEW_MATCHES, f"{detail}, needed 2" if good else detail)
             break
         measures = [_measures(record, camera) for record in good]
-        settled = settle_tracks([_photo(record, record.pose, camera) for record in good], measures, catalog, OPTIONS)
-        if isinstance(settled, Failure):
+        adjusted = adjust_tracks([_photo(record, record.pose, camera) for record in good], measures, catalog, OPTIONS)
+        if isinstance(adjusted, Failure):
             break
         todo = {
             record.file: replace(jobs[record.file][0], pose=pose)
-            for record, one, pose in zip(good, measures, settled[1].photos, strict=True)
+            for record, one, pose in zip(good, measures, adjusted[1].photos, strict=True)
             if has_moved(one, pose, catalog)
         }
         if not todo:
             break
     run.counts["network"] = count
-    return _finish(run, setup, None if isinstance(catalog, Failure) else catalog, settled, failures)
+    return _finish(run, setup, None if isinstance(catalog, Failure) else catalog, adjusted, failures)
 
 
 def _jobs(
@@ -207,17 +207,17 @@ def _finish(
     run: RunExecutor,
     setup: NetworkSetup,
     catalog: LandmarkCatalog | None,
-    settled: tuple[FoundTracks, NetworkFix] | Failure,
+    adjusted: tuple[FoundTracks, NetworkFix] | Failure,
     failures: dict[str, str],
 ) -> dict[str, Any]:
     """Adjust with the options of the section, and write the results."""
     path, section = run.folder.path / NETWORK_FILE, setup.section
     fix: NetworkFix | Failure
     more: dict[str, Any] = {"target": setup.target.name, "without_landmarks": failures}
-    if isinstance(settled, Failure):
-        fix = settled
+    if isinstance(adjusted, Failure):
+        fix = adjusted
     else:
-        tracks, uncertain = settled[0], run.campaign.camera.uncertainty
+        tracks, uncertain = adjusted[0], run.campaign.camera.uncertainty
         body = _rotation(run.campaign, setup, tracks.photos)
         sigmas = {} if uncertain is None else {
             name: float(np.sqrt(uncertain.covariance[k, k]))

@@ -138,16 +138,16 @@ class CampaignJob(Value):
             rows = zip(*(getattr(sky.stars, name).tolist() for name in ("ra_deg", "dec_deg", "magnitude")), strict=True)
             write_csv_rows(self.folder / _SKY_FILE, ("ra_deg", "dec_deg", "magnitude"), rows)
         taker = Taker(key=planner.setup.key, catalog=sky, body=self.truth, seed=planner.seed)
-        told = [each for pair in pairs for each in planner.predict(pair)]
+        predicted = [each for pair in pairs for each in planner.predict(pair)]
         exposures = [each for pair in pairs for each in pair]
         take = partial(_take, taker, self.folder / "images")
-        headers = [header for _, header in told]
+        headers = [header for _, header in predicted]
         alone, context = self.workers < 2, worker_context(Taker.__module__)
         with ThreadPoolExecutor(1) if alone else ProcessPoolExecutor(self.workers, mp_context=context) as pool:
             for done, _ in enumerate(pool.map(take, exposures, headers), 1):
                 progress(done, len(exposures))
         self.declared.save(self.folder / "camera.toml")
-        write_geometry(self.folder / "geometry.csv", [row for row, _ in told])
+        write_geometry(self.folder / "geometry.csv", [row for row, _ in predicted])
         write_csv_rows(self.folder / "truth.csv", _TRUTH, map(_true_row, exposures))
         write_obj(self.folder / _MODEL_FILE, self.model)
         write_text_atomic(self.folder / "campaign.toml", tomli_w.dumps(self._table()))

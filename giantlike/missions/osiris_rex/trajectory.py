@@ -139,7 +139,7 @@ def fly(
     With ``trim_mm_s`` it is a circular orbit at first, and each maneuver is that much along the velocity.
     """
     rng = np.random.default_rng([seed, 30])
-    told = SmallBodyField(
+    declared = SmallBodyField(
         gm=setup.told_gm_km3_s2,
         sun_gm=SUN_GM_KM3_S2,
         zonals={2: setup.j2_km2},
@@ -148,7 +148,7 @@ def fly(
         sunlight=setup.sunlight_km_s2,
     )
     true = replace(
-        told,
+        declared,
         gm=setup.gm_km3_s2,
         zonals={2: setup.j2_km2, 4: setup.j4_km4},
         sunlight=setup.sunlight_km_s2 * setup.true_sunlight,
@@ -157,7 +157,7 @@ def fly(
     et, place, along = places[0]
     state = np.append(place, math.sqrt(setup.gm_km3_s2 / waypoints[0].range_km) * along)
     if trim_mm_s is None:
-        state[3:] += told.aim(state, et, *places[1][:2])
+        state[3:] += declared.aim(state, et, *places[1][:2])
     states, maneuvers, executed = dict[float, Float](), list[Maneuver](), list[Float]()
     for number, (end, _, _) in enumerate(places[1:], 1):
         for stop in sorted(each for each in ets if et < each <= end):
@@ -166,7 +166,7 @@ def fly(
         state, et = true.coast(state[None], et, end)[0], end
         if number + 1 < len(places):
             change = (
-                told.aim(state, et, *places[number + 1][:2])
+                declared.aim(state, et, *places[number + 1][:2])
                 if trim_mm_s is None
                 else 1e-6 * trim_mm_s * unit(state[3:])
             )
