@@ -205,7 +205,7 @@ def maneuver_comparison(phase: PhaseSetup, orbit: OrbitFit) -> Comparison:
     low, high = (float(chi2.ppf(tail, len(errors))) / len(errors) for tail in (_FALSE_ALARM / 2, 1 - _FALSE_ALARM / 2))
     return Stated("", what, paper, squared / len(errors), SELF_CHECK).agrees(
         low <= squared / len(errors) <= high,
-        f"agrees from {low:.2f} to {high:.2f}. {len(orbit.maneuver_errors_km_s)} maneuvers: planned ones err by "
+        f"agrees from {low:.2f} to {high:.2f}. Of {len(orbit.maneuver_errors_km_s)}: planned ones err by "
         f"{1e6 * _rms(orbit.planned_errors_km_s):.2f} mm/s rms, estimated ones by {1e6 * _rms(errors):.2f} mm/s; the "
         f"trajectory by {1e3 * _rms(orbit.position_error_km):.1f} m rms at the images. {_of(orbit)}",
     )

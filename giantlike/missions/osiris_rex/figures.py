@@ -62,7 +62,7 @@ def residual_figure(found: Sequence[Residual], quantity: str, title: str) -> Fig
             sigma = np.array([getattr(each, f"sigma_{quantity}") for each in mine]).reshape(len(mine), -1)
             series.append(
                 Series(
-                    label=f"{name}, against the {against}",
+                    label=f"{name}, {against}",
                     at=np.array([each.days for each in mine]),
                     values=values,
                     sigma=sigma if against == "fit" else np.full_like(sigma, np.nan),

@@ -105,7 +105,7 @@ def phase_section(mission: MissionSetup, phase: PhaseSetup, result: PhaseResult,
     for each in result.campaigns:
         picture = figures.picture_figure(each)
         if picture is not None:
-            title = f"{phase.title}, {each.label}: image, template and what is left"
+            title = "image, template and their difference"
             caption = (
                 "Limb points of limb_matching (yellow) and landmarks on the image, as the independent renderer made it."
             )
@@ -114,7 +114,7 @@ def phase_section(mission: MissionSetup, phase: PhaseSetup, result: PhaseResult,
         caption = (
             "Left: fitted minus true trajectory at the images. Right: velocity changes minus those that were executed."
         )
-        title = f"{phase.title}: the orbit from the observables"
+        title = "fitted to the observables"
         made.append(ReplayFigure(f"Orbit, {phase.title}", title, caption, figures.orbit_figure(result, "Trajectory")))
     compared = [*_sizes(mission, phase, result, kernels), *(comparison for *_, comparison in panels)]
     compared.append(comparisons.maneuver_comparison(phase, result.orbit))
