@@ -31,6 +31,7 @@ from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.display import Pictured
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import FrameRotation, quaternion_xyzw, require_same_frame, rotation_from_xyzw
+from giantlike.core.photometry import Photometry
 from giantlike.core.tables import checked_table, record_of_numbers, table_of_numbers
 from giantlike.core.values import Value
 
@@ -191,6 +192,7 @@ _SECTIONS = (
     _Section("detector", "detector", Detector.from_mapping, Detector.to_mapping),
     _Section("calibration", "uncertainty", ModelUncertainty.from_mapping, ModelUncertainty.to_mapping),
     _Section("mission_frame", "mission_frame", MissionFrame.from_mapping, MissionFrame.to_mapping),
+    _Section("photometry", "photometry", Photometry.from_mapping, Photometry.to_mapping),
 )
 _SIZE = ("columns", "rows")
 _KEYS = ("name", *_SIZE, "fov_deg", *(section.key for section in _SECTIONS))
@@ -216,6 +218,8 @@ class Camera(Pictured):
         Of the model, where it was calibrated: the ``[calibration]`` table of its file.
     mission_frame : MissionFrame, optional
         Axes of the mission's own kernels, where they differ from the camera axes of this package.
+    photometry : Photometry, optional
+        Zero point; None where it is unknown.
 
     Raises
     ------
@@ -231,6 +235,7 @@ class Camera(Pictured):
     detector: Detector = field(default_factory=partial(Detector, estimated=True))
     uncertainty: ModelUncertainty | None = field(default=None, compare=False)
     mission_frame: MissionFrame | None = field(default=None, compare=False)
+    photometry: Photometry | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         _require_size(self.name, self.columns, self.rows)
@@ -349,8 +354,8 @@ class Camera(Pictured):
         Returns
         -------
         dict
-            ``name``, ``columns``, ``rows`` and the tables ``model``, ``psf``, ``detector``, ``calibration`` and
-            ``mission_frame``.
+            ``name``, ``columns``, ``rows`` and the tables ``model``, ``psf``, ``detector``, ``calibration``,
+            ``mission_frame`` and ``photometry``.
         """
         parts = {section: getattr(self, section.attribute) for section in _SECTIONS}
         tables = {section.key: section.write(part) for section, part in parts.items() if part is not None}

@@ -160,6 +160,8 @@ class Target(Value):
     rings : Rings, optional
         Rings in the equator of an ellipsoid. Limbs that they hide or shade are left out of limbs in cells and of the
         checks that are made of every fix.
+    normal_albedo : float, optional
+        Radiance factor (I/F) of the surface lit and seen along its normal, for the light that is expected.
 
     Raises
     ------
@@ -177,12 +179,15 @@ class Target(Value):
     atmosphere: Atmosphere | None = None
     rings: Rings | None = None
     air: bool | None = None
+    normal_albedo: float | None = None
 
     def __post_init__(self) -> None:
         require(
             self.air is not False or self.atmosphere is None,
             f"{self.name}: an airless body (air = false) has no atmosphere; leave one of the two out",
         )
+        if self.normal_albedo is not None:
+            require_number(self.normal_albedo, f"{self.name}: normal_albedo", above=0.0)
         if self.air and self.atmosphere is None and self.terrain is None and isinstance(self.shape, Ellipsoid):
             object.__setattr__(self, "atmosphere", ATMOSPHERES.get(self.name.upper()))
         for name, part in (

@@ -2,61 +2,46 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from giantlike.core.arrays import Float, as_floats, require, require_number
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.photometry import SUN_W_M2_UM, Photometry
 from giantlike.ray_tracing import Hapke, disk_integrated
 
-PLANCK_J_S = 6.62607015e-34
-"""Exact by the definition of the kilogram."""
-LIGHT_M_S = 299_792_458.0
-"""Exact by the definition of the meter."""
-SUN_W_M2_UM = 1_500.0
-"""Mean spectral irradiance of the Sun at 1 au between 0.4 and 0.9 um, W m^-2 um^-1, to 5 %: a blackbody of 5,772 K of
-half angle 0.2666 degrees has 1,466 there."""
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PhotometricCamera:
-    """Photometric constants of a camera, which turn the light of a body into numbers: Thrasher et al., eq. 23.
-
-    aperture_m2: m^2; area of the aperture.
-    shortest_um, longest_um: pass band.
-    quantum_efficiency: mean over the pass band, with the transmission of the optics.
-    dn_per_electron: analog gain.
-    """
-
-    aperture_m2: float
-    shortest_um: float = 0.4
-    longest_um: float = 0.9
-    quantum_efficiency: float = 0.5
-    dn_per_electron: float = 1.0
-
-    def __post_init__(self) -> None:
-        require_number(self.aperture_m2, "aperture_m2", above=0.0)
-        require_number(self.shortest_um, "shortest_um", above=0.0)
-        require_number(self.longest_um, "longest_um", above=self.shortest_um)
-        require_number(self.quantum_efficiency, "quantum_efficiency", above=0.0, most=1.0)
-        require_number(self.dn_per_electron, "dn_per_electron", above=0.0)
+def PhotometricCamera(aperture_m2: float, *, dn_per_electron: float = 1.0, **lens: float) -> Photometry:
+    """Return the :class:`~giantlike.core.photometry.Photometry` of an aperture, in numbers: its name until 0.4."""
+    warnings.warn("PhotometricCamera is now Photometry.from_aperture", DeprecationWarning, stacklevel=2)
+    electrons = Photometry.from_aperture(aperture_m2, **lens)
+    return replace(electrons, zero_point_e_s=electrons.zero_point_e_s * dn_per_electron)
 
 
 def expected_dn(
-    irradiance_w_m2_um: ArrayLike, camera: PhotometricCamera, exposure_s: float, angle_rad: ArrayLike = 0.0
+    irradiance_w_m2_um: ArrayLike,
+    camera: Photometry,
+    exposure_s: float,
+    angle_rad: ArrayLike = 0.0,
+    *,
+    gain_e_per_dn: float = 1.0,
 ) -> Float:
-    r"""Sum of the pixels of a body from its mean spectral irradiance at the camera.
+    """Sum of the pixels of a body from its mean spectral irradiance at the camera.
 
     Parameters
     ----------
     irradiance_w_m2_um : (...), W m^-2 um^-1
-    camera : PhotometricCamera
+    camera : Photometry
+        Zero point of the camera.
     exposure_s : float, s
     angle_rad : (...), rad
         Angle of the body from the boresight: the aperture is foreshortened by its cosine.
+    gain_e_per_dn : float, electron/DN
 
     Returns
     -------
@@ -64,26 +49,12 @@ def expected_dn(
 
     Notes
     -----
-    :math:`J = \alpha \bar Q \bar E (\lambda_2^2 - \lambda_1^2) / (2 h c) A \cos\phi \tau`. Two slips of the paper are
-    left out: its eq. 23 has the mean irradiance twice, and its eq. 21 multiplies by the aperture that eqs. 22 and 23
-    multiply by again; irradiance is intensity over the square of the distance.
-
-    References
-    ----------
-    .. [1] Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation (ODIN), eqs. 21-23.
+    :meth:`giantlike.core.photometry.Photometry.body_rate_e_s`, times the cosine of the angle and the exposure.
     """
     require_number(exposure_s, "exposure_s", least=0.0)
-    meters = 1e-6
-    per_watt = (camera.longest_um**2 - camera.shortest_um**2) * meters**2 / (2.0 * PLANCK_J_S * LIGHT_M_S)
-    electrons = (
-        camera.quantum_efficiency
-        * (as_floats(irradiance_w_m2_um, (), "irradiance_w_m2_um") / meters)
-        * per_watt
-        * camera.aperture_m2
-        * np.cos(as_floats(angle_rad, (), "angle_rad"))
-        * exposure_s
-    )
-    return np.asarray(camera.dn_per_electron * electrons)
+    light = as_floats(irradiance_w_m2_um, (), "irradiance_w_m2_um") / SUN_W_M2_UM
+    foreshortened = np.cos(as_floats(angle_rad, (), "angle_rad"))
+    return np.asarray(camera.body_rate_e_s(light) * foreshortened * exposure_s / gain_e_per_dn)
 
 
 def chandrasekhar_sphere(single_scattering_albedo: float, phase_rad: ArrayLike) -> Float:
@@ -148,7 +119,12 @@ class Identified:
 
 
 def identify_body(
-    patch: PatchOfLight, bodies: Sequence[BodyLight], camera: PhotometricCamera, *, max_sigmas: float = 3.0
+    patch: PatchOfLight,
+    bodies: Sequence[BodyLight],
+    camera: Photometry,
+    *,
+    max_sigmas: float = 3.0,
+    gain_e_per_dn: float = 1.0,
 ) -> Identified | Failure:
     """Tell which body a patch of light is by its brightness for its size and phase.
 
@@ -156,9 +132,11 @@ def identify_body(
     ----------
     patch : PatchOfLight
     bodies : sequence of BodyLight
-    camera : PhotometricCamera
+    camera : Photometry
+        Zero point of the camera.
     max_sigmas : float
         Largest deviation of the body it is, and least deviation of every other.
+    gain_e_per_dn : float, electron/DN
 
     Returns
     -------
@@ -177,8 +155,8 @@ def identify_body(
     for body in bodies:
         brightness = float(body.brightness(np.asarray(patch.phase_rad)))
         require(brightness > 0.0, f"{body.name}: brightness must be positive, got {brightness:g}")
-        irradiance = SUN_W_M2_UM / patch.sun_distance_au**2 * brightness * np.sin(patch.half_angle_rad) ** 2
-        expected = float(expected_dn(irradiance, camera, patch.exposure_s, patch.angle_rad))
+        electrons = camera.disk_rate_e_s(brightness, patch.half_angle_rad, sun_distance_au=patch.sun_distance_au)
+        expected = float(electrons) * patch.exposure_s * math.cos(patch.angle_rad) / gain_e_per_dn
         size = 2.0 * patch.half_angle_sigma_rad / patch.half_angle_rad
         sigma = float(np.hypot(np.hypot(patch.relative_sigma, body.relative_sigma), size))
         deviations[body.name] = float(np.log(patch.dn / expected)) / sigma

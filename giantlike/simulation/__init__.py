@@ -25,7 +25,7 @@ __getattr__ = forward_names(
         "giantlike.simulation.detector": "DetectorModel HotPixels expose",
         "giantlike.simulation.images": "SimulatedImage",
         "giantlike.simulation.incident": "SimulationOptions",
-        "giantlike.simulation.shot": "Photometry",
+        "giantlike.core.photometry": "Photometry",
         "giantlike.simulation.stars": "StarField:DetectorStars point_sources star_field",
     },
     until="0.4",

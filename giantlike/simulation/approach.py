@@ -20,6 +20,7 @@ from giantlike.core.arrays import Float, require, require_number, unit
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.frames import camera_from_inertial_of_pointing, radec_from_direction
 from giantlike.core.light import boosted
+from giantlike.core.photometry import Photometry
 from giantlike.core.time import et_from_time, time_from_et, time_from_utc
 from giantlike.core.units import RAD_PER_ARCSEC, RAD_PER_DEG, SECONDS_PER_DAY
 from giantlike.core.values import Value
@@ -31,7 +32,7 @@ from giantlike.simulation.detector import DetectorModel, HotPixels
 from giantlike.simulation.images import SimulatedImage, simulate_image
 from giantlike.simulation.incident import SimulationOptions, Sources, visible_peak
 from giantlike.simulation.orbits import CircularOrbit, Rendezvous
-from giantlike.simulation.shot import Photometry, Shot, make_black_image
+from giantlike.simulation.shot import Shot, make_black_image
 
 _FIRST_DAY_UTC = "2024-03-02T06:00:00"
 """Epoch of the first visit; chosen, any other moves the body along its orbit."""
@@ -181,7 +182,8 @@ class Approach(Value):
     """A simulated campaign whose images are not yet made.
 
     camera: the camera.
-    photometry: brightness of bodies and stars.
+    photometry: zero point of the camera.
+    sun_distance_au: of the bodies, au.
     detector: effects of the detector.
     targets: bodies with their true ephemerides.
     frames: images in order of time.
@@ -190,6 +192,7 @@ class Approach(Value):
 
     camera: Camera
     photometry: Photometry
+    sun_distance_au: float
     detector: DetectorModel
     targets: tuple[Target, ...]
     frames: tuple[ApproachFrame, ...]
@@ -200,7 +203,12 @@ class Approach(Value):
         return simulate_image(
             frame.shot,
             self.camera,
-            Sources(scene=frame.scene, catalog=catalog, photometry=self.photometry),
+            Sources(
+                scene=frame.scene,
+                catalog=catalog,
+                photometry=self.photometry,
+                sun_distance_au=self.sun_distance_au,
+            ),
             seed=frame.seed,
             detector=self.detector,
             options=SimulationOptions(rays_per_pixel_side=_STAR_IMAGE_RAYS if frame.star_image else _RAYS),
@@ -249,7 +257,6 @@ def plan_approach(options: ApproachOptions = ApproachOptions()) -> Approach:
     """
     camera = demo_camera()
     orbit = CircularOrbit(epoch_et=et_from_time(time_from_utc(_FIRST_DAY_UTC)))
-    photometry = Photometry(sun_distance_au=orbit.radius_au)
     rock = irregular_body(options.seed, facets=options.facets, name="ROCK")
     moon = Ellipsoid(radii_km=np.array([208.0, 197.0, 190.0]), name="MOON")
     moon_orbit = replace(
@@ -257,7 +264,7 @@ def plan_approach(options: ApproachOptions = ApproachOptions()) -> Approach:
     )
     rng = np.random.default_rng([options.seed, 0])
     hot = HotPixels.draw(40, camera.columns, camera.rows, rng, median_e_s=400.0)
-    planner = _Planner(camera=camera, photometry=photometry, options=options, rng=rng)
+    planner = _Planner(camera=camera, sources=Sources(sun_distance_au=orbit.radius_au), options=options, rng=rng)
     frames: list[ApproachFrame] = []
     targets: list[Target] = []
     for name, shape, path, visits in (
@@ -270,7 +277,8 @@ def plan_approach(options: ApproachOptions = ApproachOptions()) -> Approach:
             frames += planner.frames(encounter, visits)
     return Approach(
         camera=camera,
-        photometry=photometry,
+        photometry=planner.sources.photometry,
+        sun_distance_au=orbit.radius_au,
         detector=DetectorModel(hot_pixels=hot),
         targets=tuple(targets),
         frames=tuple(frames),
@@ -325,7 +333,7 @@ class _Planner(Value):
     """Plan of frames from visits; everything random is drawn from one generator, in order."""
 
     camera: Camera
-    photometry: Photometry
+    sources: Sources
     options: ApproachOptions
     rng: np.random.Generator
 
@@ -417,7 +425,7 @@ class _Planner(Value):
         wanted_e = (
             self.options.peak_of_full_scale * (detector.saturation_dn - detector.bias_dn) * detector.gain_e_per_dn
         )
-        exposure_s = wanted_e / (peak * self.photometry.surface_rate_e_s(self.camera))
+        exposure_s = wanted_e / (peak * self.sources.surface_rate_e_s(self.camera))
         return float(f"{min(exposure_s, self.options.longest_short_s):.3g}")
 
 

@@ -11,15 +11,16 @@ import numpy as np
 
 from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog
-from giantlike.core.arrays import Float, Mask
+from giantlike.core.arrays import Float, Mask, require_number
 from giantlike.core.errors import InputError
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.photometry import Photometry
 from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.ray_tracing import RenderOptions, SceneRender, Template, render_scene
-from giantlike.scene import Scene, TargetGeometry
-from giantlike.simulation.shot import Photometry, Shot, instants, make_black_image
+from giantlike.scene import Scene, Target, TargetGeometry
+from giantlike.simulation.shot import Shot, instants, make_black_image
 from giantlike.simulation.stars import DetectorStars, point_sources, star_field
 
 _SMEAR_STEPS = np.linspace(-0.5, 0.5, 5)  # fractions of the exposure at which the motion of the image is sampled
@@ -37,12 +38,43 @@ class Sources:
     catalog : StarCatalog, optional
         None: no stars.
     photometry : Photometry
-        Brightness of both.
+        Zero point of the camera.
+    albedo : float
+        Radiance factor along the normal of targets without one of their own; a dark asteroid such as Bennu by default.
+    sun_distance_au : float, au
+        Distance of the bodies from the Sun.
+
+    Raises
+    ------
+    InputError
+        Albedo or distance is not positive.
     """
 
     scene: Scene | None = None
     catalog: StarCatalog | None = None
     photometry: Photometry = field(default_factory=Photometry)
+    albedo: float = 0.045
+    sun_distance_au: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name in ("albedo", "sun_distance_au"):
+            require_number(getattr(self, name), name, above=0.0)
+
+    def surface_rate_e_s(self, camera: Camera, target: Target | None = None) -> float:
+        """Signal of a pixel that sees a surface lit and seen along its normal.
+
+        Parameters
+        ----------
+        camera : Camera
+        target : Target, optional
+
+        Returns
+        -------
+        float, electron/s
+        """
+        albedo = self.albedo if target is None or target.normal_albedo is None else target.normal_albedo
+        pixel_sr = float(camera.ifov_rad()) ** 2
+        return float(self.photometry.surface_rate_e_s(albedo, pixel_sr, sun_distance_au=self.sun_distance_au))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,7 +149,9 @@ def incident_light(
     columns, rows, sigma_px = camera.columns, camera.rows, camera.psf.sigma_px
     smear_px = _smear_px(shot, camera, sources.scene)
     stars = star_field(sources.catalog, camera, shot, max_magnitude=options.max_magnitude, smear_px=smear_px)
-    star_e = sources.photometry.star_rate_e_s(stars.magnitudes) * shot.exposure_s
+    axis = rotate(shot.camera_from_inertial.inv(), np.array([0.0, 0.0, 1.0]))
+    angles = np.arccos(np.clip(stars.directions_inertial @ axis, -1.0, 1.0))
+    star_e = sources.photometry.star_rate_e_s(stars.magnitudes, angle_rad=angles) * shot.exposure_s
     electrons, free = np.zeros((rows, columns)), np.zeros(len(star_e))
     moments = instants(shot.exposure_s, smear_px, sigma_px)
     coarse = options.shared_among(len(moments))
@@ -196,7 +230,7 @@ def _seen_bodies(
         if isinstance(template, Template):
             found[geometry.target.name], templates[geometry.target.name] = geometry, template
             covered += image.coverage(number)
-    rates = [sources.photometry.surface_rate_e_s(camera, geometry.target.name) for geometry in geometries]
+    rates = [sources.surface_rate_e_s(camera, geometry.target) for geometry in geometries]
     return _SeenBodies(rate_e_s=image.weighted(rates), covered=covered > _HIDES, geometry=found, templates=templates)
 
 

@@ -1,10 +1,9 @@
-"""True state of an exposure (epoch, observer, attitude, rate) and the photometry of stars and surfaces."""
+"""True state of an exposure: epoch, observer, attitude, rate."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -13,7 +12,6 @@ from numpy.polynomial.legendre import leggauss
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.camera_models import ifov_rad
 from giantlike.core.arrays import Float, as_finite, require_number
 from giantlike.core.time import et_from_time, time_from_et
 from giantlike.core.values import Value
@@ -22,52 +20,9 @@ from giantlike.image import AttitudeSource, Image, ObserverState
 if TYPE_CHECKING:
     from astropy.time import Time
 
-SUN_MAGNITUDE_G = -26.90
-"""Apparent magnitude of the Sun at 1 au in the Gaia G band."""
 _STILL_PX = 0.05  # px of motion; less adds under 2e-4 px^2 (a uniform motion L adds L^2 / 12) to the variance of a star
 _NODES_PER_SIGMA = 1.5  # Gauss-Legendre nodes per PSF sigma of motion: the mean of a Gaussian is then accurate to 1e-7
 _SHARPEST_PX = 0.4  # px, least width of an image: integration over a pixel adds 1/12 px^2, a sigma of 0.29 px
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Photometry:
-    """Photometric calibration of a camera that stars and surfaces share.
-
-    zero_point_e_s: electron/s; signal of a star of magnitude 0, in the band of the catalog. The default suits the
-        demonstration: a star of magnitude 8.5 gives 400 electrons in 5 s.
-    albedo: radiance factor of surfaces seen and lit along their normal; 0.045 by default, a dark asteroid such as
-        Bennu.
-    sun_distance_au: au; distance of the bodies from the Sun.
-    albedos: radiance factor of targets that differ from ``albedo``, by name.
-    """
-
-    zero_point_e_s: float = 2.0e5
-    albedo: float = 0.045
-    sun_distance_au: float = 1.0
-    albedos: Mapping[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for name in ("zero_point_e_s", "albedo", "sun_distance_au"):
-            require_number(getattr(self, name), f"photometry {name}", above=0.0)
-        for name, albedo in self.albedos.items():
-            require_number(albedo, f"photometry albedo of {name}", above=0.0)
-
-    def star_rate_e_s(self, magnitudes: Float) -> Float:
-        """Signal of stars.
-
-        ``magnitudes`` (n,); returns (n,) electron/s.
-        """
-        return self.zero_point_e_s * 10.0 ** (-0.4 * magnitudes)
-
-    def surface_rate_e_s(self, camera: Camera, target: str | None = None) -> float:
-        """Signal of a pixel that sees a surface lit and seen along its normal.
-
-        Returned in electron/s.
-        """
-        sun_e_s = self.zero_point_e_s * math.pow(10.0, -0.4 * SUN_MAGNITUDE_G) / self.sun_distance_au**2
-        pixel_sr = float(ifov_rad(camera.model, camera.center_px)) ** 2
-        albedo = self.albedo if target is None else self.albedos.get(target, self.albedo)
-        return sun_e_s * albedo * pixel_sr / math.pi
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

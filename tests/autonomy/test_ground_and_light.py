@@ -10,11 +10,12 @@ from scipy.spatial.transform import Rotation
 
 import giantlike as gl
 from giantlike.autonomy import expected_dn, find_patches, identify_body
-from giantlike.autonomy.body_photometry import BodyLight, PatchOfLight, PhotometricCamera, chandrasekhar_sphere
+from giantlike.autonomy.body_photometry import BodyLight, PatchOfLight, chandrasekhar_sphere
 from giantlike.autonomy.refraction import SiteAtmosphere, apply_refraction, remove_refraction
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import InputError
 from giantlike.core.outcomes import Reason
+from giantlike.core.photometry import Photometry
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, render_body
 from giantlike.missions.odin.ground import shell_refraction
@@ -49,7 +50,7 @@ def test_refraction_raises_toward_the_zenith_and_is_undone() -> None:
 
 def test_the_sum_of_pixels_is_photons_times_efficiency() -> None:
     """One watt at 0.6 um is 3.02e18 photons a second; over a narrow band the formula says just that."""
-    camera = PhotometricCamera(aperture_m2=2e-4, shortest_um=0.599, longest_um=0.601, quantum_efficiency=0.4)
+    camera = Photometry.from_aperture(2e-4, shortest_um=0.599, longest_um=0.601, quantum_efficiency=0.4)
     watts = 1e-3 * 0.002 * 2e-4  # W m^-2 um^-1, um, m^2
     assert_allclose(float(expected_dn(1e-3, camera, 0.5)), watts * 3.0206e18 * 0.4 * 0.5, rtol=1e-4)
     tilted = float(expected_dn(1e-3, camera, 0.5, np.radians(60.0)))
@@ -86,7 +87,7 @@ def test_a_sphere_of_isotropic_scatterers_is_as_bright_as_chandrasekhars_functio
 
 EARTH = BodyLight(name="EARTH", brightness=lambda phase: 0.43 * np.cos(phase / 2.0) ** 4, relative_sigma=0.2)
 MOON = BodyLight(name="MOON", brightness=lambda phase: 0.12 * np.cos(phase / 2.0) ** 4, relative_sigma=0.2)
-LIGHT = PhotometricCamera(aperture_m2=1e-6)
+LIGHT = Photometry.from_aperture(1e-6)
 
 
 def _patch(albedo: float, *, size_sigma: float = 0.05) -> PatchOfLight:

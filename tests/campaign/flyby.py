@@ -18,6 +18,7 @@ from giantlike.catalogs import load_catalog
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.frames import quaternion_xyzw
+from giantlike.core.photometry import Photometry
 from giantlike.core.time import et_from_time, time_from_et, time_from_utc, utc_text
 from giantlike.ephemeris import BARYCENTER, SpiceEphemeris
 from giantlike.image import ObserverState
@@ -27,7 +28,6 @@ from giantlike.io.spice import load_kernels, spk_state
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
 from giantlike.simulation import Shot, Sources, simulate_image
-from giantlike.simulation.shot import Photometry
 
 RADII_KM = (765.0, 763.1, 762.4)
 COLUMNS, FOV_DEG, EXPOSURE_S, SPACING_S = 400, 5.0, 2.0, 400.0
@@ -145,7 +145,9 @@ def make_flyby(folder: Path) -> Flyby:
     sources = Sources(
         scene=scene,
         catalog=load_catalog("default"),
-        photometry=Photometry(zero_point_e_s=1.5e6, albedo=1e-4, sun_distance_au=9.5),
+        photometry=Photometry(zero_point_e_s=1.5e6),
+        albedo=1e-4,
+        sun_distance_au=9.5,
     )
     made = Flyby(folder, {}, {}, {})
     random = np.random.default_rng(RNG_SEED)

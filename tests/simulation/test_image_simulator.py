@@ -15,6 +15,7 @@ from giantlike.core.detector import Detector
 from giantlike.core.errors import InputError
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure
+from giantlike.core.photometry import Photometry
 from giantlike.ephemeris import DistantLight, FixedEphemeris
 from giantlike.processing.detection.detect import detect_sources
 from giantlike.scene import Scene, Target
@@ -32,7 +33,7 @@ from giantlike.simulation.effects import (
     pixel_response,
 )
 from giantlike.simulation.incident import IncidentLight, SimulationOptions, incident_light
-from giantlike.simulation.shot import Photometry, instants
+from giantlike.simulation.shot import instants
 from tests.simulated import OBSERVER, catalog_at, shot_of, small_camera, small_catalog, sphere_scene
 from tests.tolerances import FLOAT32, FLOAT32_SUM, FLOAT64, FLOAT64_ROOT, FLOAT64_SUM, SAME_PLACE_PX, SETTLED
 

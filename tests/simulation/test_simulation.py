@@ -17,6 +17,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector
 from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec, rotate, rotation_between
+from giantlike.core.photometry import SUN_MAGNITUDES, Photometry
 from giantlike.core.time import et_from_time
 from giantlike.core.units import AU_KM, RAD_PER_DEG, SPEED_OF_LIGHT_KM_S
 from giantlike.ephemeris import ApparentGeometry, DistantLight
@@ -37,7 +38,7 @@ from giantlike.simulation.approach import Approach
 from giantlike.simulation.detector import HotPixels, expose
 from giantlike.simulation.images import SimulatedImage
 from giantlike.simulation.orbits import CircularOrbit
-from giantlike.simulation.shot import SUN_MAGNITUDE_G, Photometry, make_black_image
+from giantlike.simulation.shot import make_black_image
 from giantlike.simulation.stars import point_sources, star_field
 from giantlike.simulation.write import TRUTH_FILE
 from tests.simulated import ET, OBSERVER, shot_of, small_camera, small_catalog, sphere_scene
@@ -177,20 +178,17 @@ def _dark_scene() -> Scene:
 def test_a_lambert_sphere_has_the_light_and_the_photocenter_of_the_closed_form(phase_deg: float) -> None:
     """Flux 2/3 Phi(a); photocenter (3 pi / 16) r sin a (1 + cos a) / (sin a + (pi - a) cos a) towards the Sun."""
     camera = small_camera(focal_px=60_000.0)  # far away: the closed form holds to radius over range, here 1 / 2000
-    photometry = Photometry(zero_point_e_s=2e5, albedo=0.1, sun_distance_au=2.0)
-    radius_km, range_km = 0.5, 1000.0
-    exposure_s = 30_000.0 / photometry.surface_rate_e_s(camera)
-    taken = simulate_image(
-        shot_of(exposure_s),
-        camera,
-        Sources(scene=sphere_scene(range_km, phase_deg, radius_km), photometry=photometry),
-        seed=4,
+    sources = Sources(
+        scene=sphere_scene(1000.0, phase_deg, 0.5), photometry=Photometry(), albedo=0.1, sun_distance_au=2.0
     )
+    radius_km, range_km = 0.5, 1000.0
+    exposure_s = 30_000.0 / sources.surface_rate_e_s(camera)
+    taken = simulate_image(shot_of(exposure_s), camera, sources, seed=4)
     image = electrons(taken, camera)
     phase = phase_deg * RAD_PER_DEG
     law = np.sin(phase) + (np.pi - phase) * np.cos(phase)
-    sun_e_s = photometry.zero_point_e_s * 10.0 ** (-0.4 * SUN_MAGNITUDE_G) / photometry.sun_distance_au**2
-    expected = sun_e_s * exposure_s * (2.0 / 3.0) * photometry.albedo * (radius_km / range_km) ** 2 * law / np.pi
+    sun_e_s = 2e5 * 10.0 ** (-0.4 * SUN_MAGNITUDES["Gaia G"]) / 2.0**2
+    expected = sun_e_s * exposure_s * (2.0 / 3.0) * 0.1 * (radius_km / range_km) ** 2 * law / np.pi
     shift = 3.0 * np.pi / 16.0 * 30.0 * np.sin(phase) * (1.0 + np.cos(phase)) / law
     disk = slice(camera.columns // 2 - 34, camera.columns // 2 + 34)  # 30 px of radius: less read noise than the frame
     light, columns = image[disk, disk], np.arange(camera.columns)[disk] - (camera.columns - 1) / 2
@@ -206,11 +204,10 @@ def test_a_lambert_sphere_has_the_light_and_the_photocenter_of_the_closed_form(p
 
 def test_a_body_smaller_than_a_pixel_keeps_its_light_and_its_place() -> None:
     camera = small_camera(60)
-    photometry = Photometry()
-    scene = sphere_scene(100_000.0, 60.0)  # 0.6 px across
-    exposure_s = 2e6 / photometry.surface_rate_e_s(camera)
+    sources = Sources(scene=sphere_scene(100_000.0, 60.0))  # 0.6 px across
+    exposure_s = 2e6 / sources.surface_rate_e_s(camera)
     attitude = Rotation.from_rotvec([0.0004, 0.0003, 0.0])
-    taken = simulate_image(shot_of(exposure_s, attitude), camera, Sources(scene=scene, photometry=photometry), seed=1)
+    taken = simulate_image(shot_of(exposure_s, attitude), camera, sources, seed=1)
     center = taken.templates["BALL"].center_px
     image = electrons(taken, camera)
     rows, columns = np.indices(image.shape)

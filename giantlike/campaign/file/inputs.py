@@ -40,7 +40,7 @@ from giantlike.shapes import Ellipsoid, Shape, load_shape
 from giantlike.shapes.files.formats import read_file
 from giantlike.shapes.load import guessed_units
 
-CAMERA_CHANGES = frozenset({"binned", "psf", "detector"})
+CAMERA_CHANGES = frozenset({"binned", "psf", "detector", "photometry"})
 """Keys of ``[camera]`` that refine a camera from a file, a preset or a mission; other keys declare another camera."""
 
 _RATE_STEP_S = 0.5
@@ -197,14 +197,15 @@ def camera_of(path: Path, table: Mapping[str, Any]) -> tuple[Camera, Path | None
         file = existing_file(path, "camera.file", name)
         camera = Camera.load(file)
     camera = reduce_camera(camera, table.get("binned", 1))
-    changes = {key: table[key] for key in ("psf", "detector") if key in table}
+    changes = {key: table[key] for key in ("psf", "detector", "photometry") if key in table}
     for key, change in changes.items():
         require(isinstance(change, Mapping), f"camera.{key}: expected a table, got {change!r}")
     if changes:
         known = camera.to_mapping()
         with prefix_errors("[camera]: "):
-            changed = Camera.from_mapping(known | {key: {**known.get(key, {}), **changes[key]} for key in changes})
-        camera = replace(camera, psf=changed.psf, detector=changed.detector)
+            merged = {key: {**known.get(key, {}), **changes[key]} for key in changes if key != "photometry"}
+            changed = Camera.from_mapping(known | changes | merged)
+        camera = replace(camera, psf=changed.psf, detector=changed.detector, photometry=changed.photometry)
     return camera, file
 
 

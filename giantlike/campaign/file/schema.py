@@ -20,6 +20,7 @@ from giantlike.calibration.star_images import DEFAULT_MIN_SNR
 from giantlike.campaign.file.options import options_validator
 from giantlike.campaign.file.toml_file import TomlSection
 from giantlike.core.errors import InputError
+from giantlike.core.photometry import Photometry
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.rings import Rings
 from giantlike.stars.options import StarOptions
@@ -294,6 +295,47 @@ class UncertaintySection(TomlSection):
     """Error of the direction to the Sun, about each axis across it, deg."""
     albedo: float = Field(default=0.15, ge=0.01, le=2.0)
     """Brightness of the surface about its law: albedo variations, clouds (0.5). Residuals from them raise no flag."""
+
+
+class PhotometrySection(TomlSection):
+    """``[photometry]``: zero point of the camera, in place of that of its file, which has the same table."""
+
+    zero_point_e_s: float | None = None
+    """Signal of a star of magnitude 0 and BP-RP 1 on the optical axis, electrons per second."""
+    zero_point_mag: float | None = None
+    """In its place: the magnitude of a star that gives 1 electron per second."""
+    aperture_m2: float | None = None
+    """In its place: area of the aperture, m^2; the zero point then follows from the light of the Sun."""
+    shortest_um: float = 0.4
+    """Start of the pass band, with `aperture_m2`."""
+    longest_um: float = 0.9
+    """End of the pass band, with `aperture_m2`."""
+    quantum_efficiency: float = 0.5
+    """Mean over the pass band with the optics, with `aperture_m2`."""
+    band: str = "Gaia G"
+    """Band of the magnitudes."""
+    color_term: float = 0.0
+    """Change of the zero point with BP-RP, mag per mag."""
+    field_term_mag: float = 0.0
+    """Change from the axis to `field_angle_deg`, with the square of the angle, mag; negative where it darkens."""
+    field_angle_deg: float = 1.0
+    """Angle from the axis at which `field_term_mag` is stated."""
+    sigma_mag: float = 0.0
+    """Standard deviation of the zero point, mag; 0 is exact."""
+    covariance_mag2: list[list[float]] | None = None
+    """In its place: covariance of zero point, color term and field term, mag^2."""
+    scatter_mag: float = 0.0
+    """Standard deviation of single stars about the relation, mag."""
+    epoch: str = ""
+    """UTC at which it was measured."""
+    sun_magnitude: float | None = None
+    """Magnitude of the Sun at 1 au in the band; known for Gaia G and V."""
+
+    @property
+    def value(self) -> Photometry | None:
+        """The zero point; None where no key is given."""
+        given = self.model_dump(exclude_unset=True, include=set(PhotometrySection.model_fields))
+        return Photometry.from_mapping(given) if given else None
 
 
 class TargetSection(BodySection):

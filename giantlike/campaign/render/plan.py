@@ -31,6 +31,7 @@ from giantlike.campaign.render.schema import DetectorSection, ImageSection, Plac
 from giantlike.core.arrays import Float, require, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import camera_from_inertial_of_pointing, rotation_from_xyzw
+from giantlike.core.photometry import Photometry
 from giantlike.core.time import et_from_time, time_from_utc
 from giantlike.core.units import AU_KM, RAD_PER_DEG
 from giantlike.core.values import Value
@@ -45,7 +46,7 @@ from giantlike.simulation import Shot
 from giantlike.simulation.detector import DetectorModel, HotPixels, Stream, scattered_pixels
 from giantlike.simulation.effects import FlatField, pixel_response
 from giantlike.simulation.incident import SimulationOptions, true_geometry
-from giantlike.simulation.shot import Photometry, make_black_image
+from giantlike.simulation.shot import make_black_image
 
 if TYPE_CHECKING:
     from astropy.time import Time
@@ -107,12 +108,8 @@ class RenderPlan(Value):
 
     @property
     def photometry(self) -> Photometry:
-        """Zero point, distance of the Sun and albedo of the targets."""
-        return Photometry(
-            zero_point_e_s=self.content.photometry.zero_point_e_s,
-            sun_distance_au=self.content.light.distance_au,
-            albedos={target.name: target.albedo for target in self.content.targets},
-        )
+        """Zero point of the scene file, else of the camera file, else the default."""
+        return self.content.photometry.value or self.camera.photometry or Photometry()
 
     @property
     def options(self) -> SimulationOptions:
@@ -180,7 +177,15 @@ class RenderPlan(Value):
             ephemeris = self._ephemeris(exposure, setup, place)
             if ephemeris is not None:
                 shape = shapes[setup.name]
-                targets.append(Target(name=setup.name, shape=shape, ephemeris=ephemeris, reflectance=setup.reflectance))
+                targets.append(
+                    Target(
+                        name=setup.name,
+                        shape=shape,
+                        ephemeris=ephemeris,
+                        reflectance=setup.reflectance,
+                        normal_albedo=self._albedos[setup.name],
+                    )
+                )
         if not targets:
             return None
         if self.spice is None:
@@ -188,6 +193,10 @@ class RenderPlan(Value):
         return Scene(
             targets=tuple(targets), observer=SpiceEphemeris(self.spice.spacecraft), light=SpiceEphemeris("SUN")
         )
+
+    @property
+    def _albedos(self) -> Mapping[str, float]:
+        return {target.name: target.albedo for target in self.content.targets}
 
     def _ephemeris(
         self, exposure: Exposure, setup: TargetSetup, place: GeometryRow
@@ -221,6 +230,8 @@ def _resolve(path: Path, content: RenderFile) -> RenderPlan:
     require(light.direction is None or any(light.direction), "light.direction: must not be the zero vector")
     outside = not light.extended or light.distance_au * AU_KM > SUN_RADIUS_KM
     require(outside, f"light.distance_au: {light.distance_au:g} au lies inside the Sun")
+    with prefix_errors("photometry: "):
+        _ = content.photometry.value
     exposures = _exposures(path, content)
     names = {target.name for target in targets}
     for exposure in exposures:

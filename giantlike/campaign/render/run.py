@@ -73,7 +73,12 @@ def render_images(
             taken = simulate_image(
                 shot,
                 plan.camera,
-                Sources(scene=scene, catalog=catalog, photometry=plan.photometry),
+                Sources(
+                    scene=scene,
+                    catalog=catalog,
+                    photometry=plan.photometry,
+                    sun_distance_au=plan.content.light.distance_au,
+                ),
                 seed=(plan.content.render.seed, number),
                 detector=plan.detector,
                 options=plan.options,

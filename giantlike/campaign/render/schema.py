@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import ConfigDict, Field
 
 from giantlike.campaign.file.options import options_validator
-from giantlike.campaign.file.schema import BodySection, SpiceSection
+from giantlike.campaign.file.schema import BodySection, PhotometrySection, SpiceSection
 from giantlike.campaign.file.toml_file import TomlSection
 from giantlike.simulation.cosmic_rays import CosmicRays
 from giantlike.simulation.effects import DarkCurrent, FrameTransfer, FullWell, StrayLight
@@ -57,13 +57,6 @@ class LightSection(SceneSection):
     """Distance of the Sun from the targets, au."""
     extended: bool = False
     """The Sun has a disk, so that shadows have soft edges."""
-
-
-class PhotometrySection(SceneSection):
-    """``[photometry]``: brightness of stars."""
-
-    zero_point_e_s: float = Field(default=200000.0, gt=0)
-    """Signal of a star of magnitude 0, electrons per second."""
 
 
 class SkySection(SceneSection):
@@ -129,7 +122,7 @@ class RenderTargetSection(PlaceSection, BodySection):
     """``[[targets]]``: a body, and its position unless an image gives another."""
 
     albedo: float = Field(default=0.045, gt=0)
-    """Geometric albedo."""
+    """Radiance factor of the surface seen and lit along its normal."""
 
 
 class ObserverSection(SceneSection):

@@ -94,7 +94,7 @@ class RunExecutor:
         if setup is None or navigation is None:
             return self, None
         rejected, keys = self.edits.rejected_images(), self._first_stars(pool)
-        inputs = digest(self.campaign.camera.to_mapping(), setup, keys, sorted(rejected))
+        inputs = digest(replace(self.campaign.camera, photometry=None).to_mapping(), setup, keys, sorted(rejected))
         kept = kept_calibration(self.folder.path, inputs)
         if kept is None:
             records = [

@@ -43,7 +43,7 @@ class Steps:
         spice = None if campaign.spice is None else dataclasses.replace(campaign.spice, kernels=())
         frames = None if campaign.frames is None else campaign.frames.identity()
         reading = digest(VERSION, campaign.hdu, campaign.bottom_up, campaign.label_geometry, kernels, spice, frames)
-        self._camera = digest(reading, campaign.camera.to_mapping(), keyword)
+        self._camera = digest(reading, dataclasses.replace(campaign.camera, photometry=None).to_mapping(), keyword)
         self._apriori = digest(self._camera, campaign.apriori_sigma_rad)
         stars = campaign.stars
         self._stars = ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -332,4 +332,5 @@ def _array(values: object) -> Float | None:
 
 def _digest(camera: Camera) -> str:
     """Short hash of a camera."""
-    return hashlib.sha256(json.dumps(camera.to_mapping(), sort_keys=True).encode()).hexdigest()[:16]
+    optics = replace(camera, photometry=None).to_mapping()
+    return hashlib.sha256(json.dumps(optics, sort_keys=True).encode()).hexdigest()[:16]

@@ -11,12 +11,13 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from giantlike.autonomy import find_patches, identify_body
-from giantlike.autonomy.body_photometry import BodyLight, PatchOfLight, PhotometricCamera, chandrasekhar_sphere
+from giantlike.autonomy.body_photometry import BodyLight, PatchOfLight, chandrasekhar_sphere
 from giantlike.autonomy.body_search import SIZE_SIGMA, SearchOptions, SeenPatch
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, unit
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure
+from giantlike.core.photometry import Photometry
 from giantlike.core.time import time_from_et
 from giantlike.core.units import AU_KM
 from giantlike.core.values import Value
@@ -61,14 +62,9 @@ PHASE_OF_TRUTH: dict[str, Callable[[Float], Float]] = {"EARTH": lambert_phase_la
 
 
 @cache
-def photometric_camera() -> PhotometricCamera:
-    """Photometric constants of the wide camera: the mean quantum efficiency is one calibrated on sunlight."""
-    detector = wide_camera().detector
-    return PhotometricCamera(
-        aperture_m2=wide_aperture_m2(),
-        quantum_efficiency=SUNLIT_EFFICIENCY,
-        dn_per_electron=1.0 / detector.gain_e_per_dn,
-    )
+def wide_photometry() -> Photometry:
+    """Zero point of the wide camera: the mean quantum efficiency is one calibrated on sunlight."""
+    return Photometry.from_aperture(wide_aperture_m2(), quantum_efficiency=SUNLIT_EFFICIENCY)
 
 
 def wide_aperture_m2() -> float:
@@ -301,7 +297,8 @@ def identify_patch(patch: SeenPatch, direction: Float, sun: Float, exposure_s: f
         angle_rad=angle,
         exposure_s=exposure_s,
     )
-    answer = identify_body(light, models(measured=measured), photometric_camera())
+    gain = wide_camera().detector.gain_e_per_dn
+    answer = identify_body(light, models(measured=measured), wide_photometry(), gain_e_per_dn=gain)
     if isinstance(answer, Failure):
         return FoundBody(None, direction, patch, answer.detail)
     return FoundBody(answer.name, direction, patch)
