@@ -93,5 +93,10 @@ def sphere_scene(range_km: float, phase_deg: float, radius_km: float = 30.0) -> 
 
 def catalog_at(camera: Camera, points_px: Float) -> MemoryCatalog:
     """Stars of magnitude 4 to 8 that an unturned camera at rest sees at these pixels."""
-    ra_deg, dec_deg = radec_from_direction(camera.model.unproject(points_px))
-    return _catalog(ra_deg, dec_deg, np.random.default_rng(4).uniform(4.0, 8.0, len(points_px)))
+    magnitudes = np.random.default_rng(4).uniform(4.0, 8.0, len(points_px))
+    return catalog_of_directions(camera.model.unproject(points_px), magnitudes)
+
+
+def catalog_of_directions(directions: Float, magnitudes: Float) -> MemoryCatalog:
+    """Stars at rest in given directions (n, 3)."""
+    return _catalog(*radec_from_direction(directions), magnitudes)

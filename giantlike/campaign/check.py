@@ -50,12 +50,11 @@ from giantlike.io.spice import (
     spk_coverage,
     spk_state,
 )
+from giantlike.planning import expect_stars
 from giantlike.presets import preset_names
 from giantlike.relative import ESTIMATORS
 from giantlike.scene import Scene
 from giantlike.shapes import Shape
-from giantlike.stars.matching import predicted_in_frame
-from giantlike.stars.navigation import sky_of
 
 _SECTIONS = "campaign|mission|images|camera|spice|stars|calibration|calibration_frames|geometry|targets|network|report"
 _KEY = re.compile(rf"\[?((?:{_SECTIONS})\b(?:[\w.]|\[\d+\])*)\]?:? ")
@@ -524,16 +523,9 @@ def _count_stars(check: _Check, campaign: Campaign, image: Image) -> None:
     pointing = image.camera_from_inertial
     if campaign.stars is None or pointing is None or not campaign.is_star_image(image.exposure_s):
         return
-    options = campaign.stars.options
-    field = sky_of(image, load_catalog(campaign.stars.catalog), options).field(campaign.camera, pointing)
-    places = predicted_in_frame(field.directions_inertial, campaign.camera, pointing, margin_px=0.0)
-    count = int(np.isfinite(places).all(axis=1).sum())
-    if count < options.min_matches:
-        text = (
-            f"{image.name}: {count} stars of the catalog lie in the predicted field, and an attitude needs "
-            f"{options.min_matches}: raise stars.max_magnitude, or take a deeper catalog"
-        )
-        check.add("stars.max_magnitude", text, fatal=False)
+    stars = expect_stars(image, campaign.camera, load_catalog(campaign.stars.catalog), options=campaign.stars.options)
+    if stars.failure is not None:
+        check.add("stars.max_magnitude", stars.failure.detail, fatal=False)
 
 
 def _units(check: _Check, campaign: Campaign, number: int, shape: Shape, seen: _Seen | None) -> None:

@@ -100,6 +100,11 @@ class Reason(StrEnum):
 
     Nothing, if that is true; else check attitude and ephemeris.
     """
+    SUN_KEEP_OUT = "sun_keep_out"
+    """A planned image points the camera too near to the Sun.
+
+    Leave it out, or point elsewhere; `keep_out_deg` is the limit.
+    """
     NOT_LIT = "not_lit"
     """The side of the target that the camera sees is dark.
 

@@ -1,0 +1,182 @@
+"""Stars that an image will show: their expected number, and the attitude that they will give."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.special import ndtr, spence
+
+from giantlike.camera import Camera
+from giantlike.catalogs import StarCatalog
+from giantlike.core.arrays import Float
+from giantlike.core.causes import Cause, sum_parts
+from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
+from giantlike.core.outcomes import Failure, Reason
+from giantlike.core.values import Value
+from giantlike.image import Image
+from giantlike.processing.detection.matched_filter import recorded_width_px
+from giantlike.processing.detection.options import DetectionOptions
+from giantlike.simulation.shot import Photometry
+from giantlike.stars.attitude import fit_attitude
+from giantlike.stars.consider import attitude_parts, response_to_camera
+from giantlike.stars.matching import predicted_in_frame
+from giantlike.stars.navigation import sky_of
+from giantlike.stars.options import StarOptions
+
+_BLEND_WIDTHS = 2.5
+"""Distance, in widths of a recorded star, within which the fainter of two is not detected: the peaks of two equal
+Gaussians merge at 2 widths."""
+_BACKGROUND_LOSS = 0.97
+"""Part of the signal to noise ratio that the filter keeps when it removes the background, see ``matched_filter``."""
+_TWO_SIGMA = 2.0
+"""Half width of the stated interval, standard deviations: 95 %."""
+_INFORMATION = 0.96
+"""Part of the information that the stars used have; a run measures the brightest alone, see ``StarOptions``."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StarForecast(Value):
+    """Stars that an image will show.
+
+    Parameters
+    ----------
+    in_field : int
+        Stars of the catalog in the field of view, down to its limit.
+    expected : float
+        Expected number of detections; equal to ``in_field`` where no zero point is known.
+    low, high : float
+        Interval of 95 % of that number: chance, and the error of the zero point.
+    covariance_rad2 : (3, 3) float64, rad^2, camera axes, optional
+        Covariance of the attitude from them, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
+    parts : mapping of Cause to (3, 3) float64, rad^2
+        That covariance by cause.
+    failure : Failure, optional
+        Reason for which there is no attitude.
+    """
+
+    in_field: int
+    expected: float
+    low: float
+    high: float
+    covariance_rad2: Float | None = None
+    parts: Mapping[Cause, Float] = field(default_factory=dict)
+    failure: Failure | None = None
+
+
+def expect_stars(
+    image: Image,
+    camera: Camera,
+    catalog: StarCatalog,
+    *,
+    photometry: Photometry | None = None,
+    zero_point_sigma_mag: float = 0.0,
+    blur_px: tuple[float, float] = (0.0, 0.0),
+    body: tuple[Float, float] | None = None,
+    options: StarOptions | None = None,
+    detection: DetectionOptions | None = None,
+    seed: int = 0,
+) -> StarForecast:
+    r"""Predict the stars of an image and the covariance of the attitude from them.
+
+    Parameters
+    ----------
+    image : Image
+        Epoch, exposure, attitude and observer; pixels are not used.
+    camera : Camera
+    catalog : StarCatalog
+    photometry : Photometry, optional
+        Zero point in the band of the catalog. Without it every star of the catalog counts, and no attitude follows.
+    zero_point_sigma_mag : float, mag
+        Standard deviation of the zero point.
+    blur_px : (float, float), px
+        Motion (x, y) of the stars over the image during the exposure.
+    body : ((2,) float64, float), px, optional
+        Center and radius of a disk that hides stars.
+    options : StarOptions, optional
+    detection : DetectionOptions, optional
+        Threshold and largest number.
+    seed : int
+        Of the errors of the stars that the attitude is fitted to.
+
+    Returns
+    -------
+    StarForecast
+        Its failure: no_attitude, no_catalog_stars, too_few_detections, or that of the fit.
+
+    Notes
+    -----
+    A star of ``F`` electrons has, after the matched filter of a Gaussian of width ``s``, a ratio to the noise ``n`` of
+    a pixel of ``F s / (n sqrt(pi (a^2 + s^2) (b^2 + s^2)))``, with the widths ``a`` and ``b`` of its trail; it is found
+    with the probability that this and a normal error exceed the threshold. It lies off the middle of its brightest
+    pixel by an even error, of variance 1/12 px^2 an axis. Its centroid has the Fisher information of a Gaussian on the
+    noise of its own photons and of the detector, ``F / a^2 (1 + Li2(-q) / q)`` with the ratio ``q`` of both variances
+    at its peak. The attitude is the fit of stars with errors drawn from these, so that its covariance has what the fit
+    makes of residuals.
+    """
+    options, detection = options or StarOptions(), detection or DetectionOptions()
+    attitude = image.camera_from_inertial
+    if attitude is None:
+        why = Failure(Reason.NO_ATTITUDE, f"{image.name}: stars cannot be predicted without an attitude")
+        return StarForecast(in_field=0, expected=0.0, low=0.0, high=0.0, failure=why)
+    stars = sky_of(image, catalog, options).field(camera, attitude)
+    points = predicted_in_frame(stars.directions_inertial, camera, attitude, margin_px=0.0)
+    inside = np.isfinite(points).all(axis=1)
+    if body is not None:
+        inside &= ~(np.linalg.norm(points - body[0], axis=1) < body[1])
+    stars, points = stars.select(np.flatnonzero(inside)), points[inside]
+    count, needed = len(points), options.min_matches
+    if count < needed or photometry is None or image.exposure_s is None:
+        text = (
+            f"{image.name}: {count} stars of the catalog lie in the predicted field, and an attitude needs {needed}: "
+            "raise stars.max_magnitude, or take a deeper catalog"
+        )
+        few = Failure(Reason.NO_CATALOG_STARS, text) if count < needed else None
+        return StarForecast(in_field=count, expected=count, low=count, high=count, failure=few)
+    width = recorded_width_px(UNKNOWN_PSF_SIGMA_PX if camera.psf is None else camera.psf.sigma_px)
+    length, gain = math.hypot(*blur_px), camera.detector.gain_e_per_dn
+    long_px = math.hypot(width, length / math.sqrt(12.0))
+    noise_e = gain * math.sqrt(float(camera.detector.variance_dn2(np.zeros(()))))
+    light_e = photometry.star_rate_e_s(stars.stars.magnitude) * image.exposure_s
+    squares = width**2 + np.square([width, long_px])
+    off_center = math.exp(-np.sum(1.0 / squares) / 24.0)
+    filtered = _BACKGROUND_LOSS * off_center * width / math.sqrt(math.pi * squares.prod())
+    alone = np.ones(count, dtype=bool)
+    alone[cKDTree(points).query_pairs(_BLEND_WIDTHS * long_px, output_type="ndarray")[:, 1]] = False  # the fainter one
+
+    def probabilities(shift_mag: float) -> Float:
+        ratio = light_e * 10.0 ** (-0.4 * shift_mag) * filtered / noise_e
+        return np.where(alone, ndtr(ratio - detection.threshold_sigma), 0.0)
+
+    found = probabilities(0.0)
+    half = np.array([probabilities(sign * zero_point_sigma_mag).sum() for sign in (1.0, -1.0)]) - found.sum()
+    chance = math.sqrt(float(np.sum(found * (1.0 - found))))
+    low, high = found.sum() + _TWO_SIGMA * np.hypot(half, chance) * np.array([-1.0, 1.0])
+    forecast = StarForecast(in_field=count, expected=float(found.sum()), low=max(float(low), 0.0), high=float(high))
+    random = np.random.default_rng([seed, 1])
+    seen = np.flatnonzero(random.random(count) < found)[: detection.max_sources]
+    if len(seen) < needed:
+        text = f"{image.name}: {found.sum():.1f} stars are expected above the threshold, and an attitude needs {needed}"
+        return replace(forecast, failure=Failure(Reason.TOO_FEW_DETECTIONS, text))
+    sides = [width, long_px] if abs(blur_px[0]) < abs(blur_px[1]) else [long_px, width]
+    peak = light_e[seen] / (2.0 * math.pi * width * long_px) / noise_e**2
+    variance = np.square(sides) / (light_e[seen] * (1.0 + spence(1.0 + peak) / peak))[:, None]
+    catalog_px = (stars.sigma_rad[seen] * camera.model.focal_length_px)[:, None]
+    variance += catalog_px**2
+    order = np.argsort(variance.sum(axis=1))
+    if not options.all_stars:
+        information = np.cumsum(1.0 / variance.sum(axis=1)[order])
+        order = order[: max(needed, int(np.searchsorted(information, _INFORMATION * information[-1])) + 1)]
+    chosen, variance = stars.select(seen[order]), variance[order]
+    drawn = points[seen[order]] + random.standard_normal(variance.shape) * np.sqrt(variance)
+    covariance = variance[:, :, None] * np.eye(2)
+    directions = chosen.directions_inertial
+    solution = fit_attitude(directions, drawn, covariance, camera.model, outlier_sigma=options.outlier_sigma)
+    if isinstance(solution, Failure):
+        return replace(forecast, failure=solution)
+    used = chosen.select(np.flatnonzero(solution.used))
+    parts = attitude_parts(solution, used, response_to_camera(solution, used), camera, image, options)
+    return replace(forecast, covariance_rad2=sum_parts(parts, tuple(Cause)), parts=parts)
