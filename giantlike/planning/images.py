@@ -22,7 +22,6 @@ from giantlike.planning.candidates import Candidate
 from giantlike.planning.stars import StarForecast, expect_stars
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.scene import Scene, TargetGeometry
-from giantlike.simulation.shot import Photometry
 from giantlike.stars.options import StarOptions
 
 _GLARE_RADII = 1.1
@@ -43,10 +42,6 @@ class PlanOptions:
         Exposure times to choose from, for candidates that have none.
     keep_out_deg : float, deg
         Smallest angle of the boresight from the Sun.
-    photometry : Photometry, optional
-        Zero point and Sun. Without it there are no signals and no numbers of stars.
-    zero_point_sigma_mag : float, mag
-        Standard deviation of the zero point.
     stars : StarOptions
         Options of the run that is planned.
     detection : DetectionOptions
@@ -62,8 +57,6 @@ class PlanOptions:
     seed: int = 0
     exposures_s: tuple[float, ...] = ()
     keep_out_deg: float = 0.0
-    photometry: Photometry | None = None
-    zero_point_sigma_mag: float = 0.0
     stars: StarOptions = field(default_factory=StarOptions)
     detection: DetectionOptions = field(default_factory=DetectionOptions)
 
@@ -73,7 +66,6 @@ class PlanOptions:
             require_number(value, "exposures_s", above=0.0)
         require(self.seed >= 0, f"seed must be >= 0, got {self.seed}")
         require_number(self.keep_out_deg, "keep_out_deg", least=0.0, most=180.0)
-        require_number(self.zero_point_sigma_mag, "zero_point_sigma_mag", least=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -163,6 +155,7 @@ def plan_images(
     ----------
     candidates : sequence of Candidate
     camera : Camera
+        With its photometry; without it there are no signals, and all stars of the catalog count.
     scene : Scene
         Bodies with their declared uncertainties, and the Sun.
     catalog : StarCatalog, optional
@@ -274,8 +267,6 @@ def _with_stars(
         image.candidate.image(image.exposure_s),
         camera,
         catalog,
-        photometry=options.photometry,
-        zero_point_sigma_mag=options.zero_point_sigma_mag,
         blur_px=(float(blur[0]), float(blur[1])),
         body=disk if np.isfinite(disk[0]).all() else None,
         options=options.stars,

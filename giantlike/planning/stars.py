@@ -15,12 +15,12 @@ from giantlike.catalogs import StarCatalog
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause, sum_parts
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
+from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.processing.detection.matched_filter import recorded_width_px
 from giantlike.processing.detection.options import DetectionOptions
-from giantlike.simulation.shot import Photometry
 from giantlike.stars.attitude import fit_attitude
 from giantlike.stars.consider import attitude_parts, response_to_camera
 from giantlike.stars.matching import predicted_in_frame
@@ -72,8 +72,6 @@ def expect_stars(
     camera: Camera,
     catalog: StarCatalog,
     *,
-    photometry: Photometry | None = None,
-    zero_point_sigma_mag: float = 0.0,
     blur_px: tuple[float, float] = (0.0, 0.0),
     body: tuple[Float, float] | None = None,
     options: StarOptions | None = None,
@@ -87,11 +85,9 @@ def expect_stars(
     image : Image
         Epoch, exposure, attitude and observer; pixels are not used.
     camera : Camera
+        Its photometry has the zero point in the band of the catalog. Without that, or with an unknown detector, every
+        star of the catalog counts, and no attitude follows.
     catalog : StarCatalog
-    photometry : Photometry, optional
-        Zero point in the band of the catalog. Without it every star of the catalog counts, and no attitude follows.
-    zero_point_sigma_mag : float, mag
-        Standard deviation of the zero point.
     blur_px : (float, float), px
         Motion (x, y) of the stars over the image during the exposure.
     body : ((2,) float64, float), px, optional
@@ -129,6 +125,7 @@ def expect_stars(
         inside &= ~(np.linalg.norm(points - body[0], axis=1) < body[1])
     stars, points = stars.select(np.flatnonzero(inside)), points[inside]
     count, needed = len(points), options.min_matches
+    photometry = None if camera.detector.estimated else camera.photometry
     if count < needed or photometry is None or image.exposure_s is None:
         text = (
             f"{image.name}: {count} stars of the catalog lie in the predicted field, and an attitude needs {needed}: "
@@ -140,19 +137,23 @@ def expect_stars(
     length, gain = math.hypot(*blur_px), camera.detector.gain_e_per_dn
     long_px = math.hypot(width, length / math.sqrt(12.0))
     noise_e = gain * math.sqrt(float(camera.detector.variance_dn2(np.zeros(()))))
-    light_e = photometry.star_rate_e_s(stars.stars.magnitude) * image.exposure_s
+    axis = rotate(attitude.inv(), [0.0, 0.0, 1.0])
+    seen_as = {"color_bp_rp": stars.stars.color_bp_rp, "angle_rad": np.arccos(stars.directions_inertial @ axis)}
+    light_e = photometry.star_rate_e_s(stars.stars.magnitude, **seen_as) * image.exposure_s
+    sigma_mag = photometry.sigma_mag(**seen_as)
     squares = width**2 + np.square([width, long_px])
     off_center = math.exp(-np.sum(1.0 / squares) / 24.0)
     filtered = _BACKGROUND_LOSS * off_center * width / math.sqrt(math.pi * squares.prod())
     alone = np.ones(count, dtype=bool)
     alone[cKDTree(points).query_pairs(_BLEND_WIDTHS * long_px, output_type="ndarray")[:, 1]] = False  # the fainter one
 
-    def probabilities(shift_mag: float) -> Float:
-        ratio = light_e * 10.0 ** (-0.4 * shift_mag) * filtered / noise_e
-        return np.where(alone, ndtr(ratio - detection.threshold_sigma), 0.0)
+    def probabilities(sigmas: float) -> Float:
+        ratio = light_e * 10.0 ** (0.4 * sigmas * sigma_mag) * filtered / noise_e
+        spread = np.hypot(1.0, math.log(10.0) / 2.5 * photometry.scatter_mag * ratio)
+        return np.where(alone, ndtr((ratio - detection.threshold_sigma) / spread), 0.0)
 
     found = probabilities(0.0)
-    half = np.array([probabilities(sign * zero_point_sigma_mag).sum() for sign in (1.0, -1.0)]) - found.sum()
+    half = np.array([probabilities(sign).sum() for sign in (-1.0, 1.0)]) - found.sum()
     chance = math.sqrt(float(np.sum(found * (1.0 - found))))
     low, high = found.sum() + _TWO_SIGMA * np.hypot(half, chance) * np.array([-1.0, 1.0])
     forecast = StarForecast(in_field=count, expected=float(found.sum()), low=max(float(low), 0.0), high=float(high))

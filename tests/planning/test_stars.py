@@ -13,12 +13,12 @@ from giantlike.camera_models import PinholeModel
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.frames import rotate, rotation_between
 from giantlike.core.outcomes import AttitudeFix, Reason
+from giantlike.core.photometry import Photometry
 from giantlike.core.time import time_from_et
 from giantlike.image import Image, ObserverState
 from giantlike.independent import PinholeView, Psf, Recorder, StarField, random_stars, record, star_image
-from giantlike.planning import StarForecast, expect_stars
+from giantlike.planning import expect_stars
 from giantlike.processing.detection.detections import Detections
-from giantlike.simulation.shot import Photometry
 from giantlike.stars.navigation import StarNavigation
 from giantlike.stars.options import StarOptions
 from tests.simulated import catalog_of_directions
@@ -32,6 +32,7 @@ CAMERA = Camera(
     model=PinholeModel(fx_px=FOCAL_PX, fy_px=FOCAL_PX, cx_px=(SIZE - 1) / 2, cy_px=(SIZE - 1) / 2),
     psf=GaussianPsf(sigma_px=SIGMA_PX),
     detector=Detector(gain_e_per_dn=GAIN, read_noise_e=READ_E, bias_dn=50.0),
+    photometry=Photometry(zero_point_e_s=ZERO_E_S),
 )
 
 
@@ -51,20 +52,13 @@ def field_image(seed: int, stars: int = 300) -> tuple[Image, StarField]:
     return image, field
 
 
-def forecast_of(image: Image, field: StarField, photometry: Photometry | None = None) -> StarForecast:
-    catalog = catalog_of_directions(field.directions, field.magnitudes)
-    photometry = photometry or Photometry(zero_point_e_s=ZERO_E_S)
-    return expect_stars(image, CAMERA, catalog, photometry=photometry)
-
-
 def test_expected_stars_and_attitudes_are_those_found() -> None:
     inside, surprises, ratios, squares = [], [], [], []
     for seed in range(FIELDS):
         image, field = field_image(seed)
-        forecast = forecast_of(image, field)
-        found, fix = StarNavigation(CAMERA, catalog_of_directions(field.directions, field.magnitudes)).detect_and_solve(
-            image
-        )
+        catalog = catalog_of_directions(field.directions, field.magnitudes)
+        forecast = expect_stars(image, CAMERA, catalog)
+        found, fix = StarNavigation(CAMERA, catalog).detect_and_solve(image)
         assert isinstance(found, Detections)
         assert isinstance(fix, AttitudeFix)
         assert image.camera_from_inertial is not None
@@ -84,11 +78,11 @@ def test_expected_stars_and_attitudes_are_those_found() -> None:
 def test_trails_and_bodies_hide_stars_and_a_zero_point_widens_the_interval() -> None:
     image, field = field_image(1)
     catalog = catalog_of_directions(field.directions, field.magnitudes)
-    light = Photometry(zero_point_e_s=ZERO_E_S)
-    sharp = expect_stars(image, CAMERA, catalog, photometry=light)
-    trailed = expect_stars(image, CAMERA, catalog, photometry=light, blur_px=(0.0, 12.0))
-    hidden = expect_stars(image, CAMERA, catalog, photometry=light, body=(CAMERA.center_px, 100.0))
-    doubtful = expect_stars(image, CAMERA, catalog, photometry=light, zero_point_sigma_mag=0.5)
+    doubt = Photometry(zero_point_e_s=ZERO_E_S, covariance_mag2=np.diag([0.25, 0.0, 0.0]))
+    sharp = expect_stars(image, CAMERA, catalog)
+    trailed = expect_stars(image, CAMERA, catalog, blur_px=(0.0, 12.0))
+    hidden = expect_stars(image, CAMERA, catalog, body=(CAMERA.center_px, 100.0))
+    doubtful = expect_stars(image, replace(CAMERA, photometry=doubt), catalog)
     assert trailed.expected < 0.8 * sharp.expected
     assert hidden.in_field < sharp.in_field
     assert doubtful.high - doubtful.low > 2.0 * (sharp.high - sharp.low)
@@ -99,13 +93,13 @@ def test_without_a_zero_point_the_catalog_is_counted_and_no_attitude_follows() -
     image, field = field_image(2)
     catalog = catalog_of_directions(field.directions, field.magnitudes)
     seen = CAMERA.model.project(rotate(image.camera_from_inertial, field.directions))  # type: ignore[arg-type]
-    counted = expect_stars(image, CAMERA, catalog)
+    counted = expect_stars(image, replace(CAMERA, photometry=None), catalog)
     assert counted.in_field == counted.expected == CAMERA.contains(seen).sum()
     assert counted.covariance_rad2 is None
     few = expect_stars(image, CAMERA, catalog, options=StarOptions(max_magnitude=4.5))
     assert few.failure is not None
     assert few.failure.reason is Reason.NO_CATALOG_STARS
-    dim = expect_stars(image, CAMERA, catalog, photometry=Photometry(zero_point_e_s=1.0))
+    dim = expect_stars(image, replace(CAMERA, photometry=Photometry(zero_point_e_s=1.0)), catalog)
     assert dim.failure is not None
     assert dim.failure.reason is Reason.TOO_FEW_DETECTIONS
     blind = expect_stars(replace(image, camera_from_inertial=None), CAMERA, catalog)
