@@ -34,6 +34,7 @@ PACKAGES = (
     "giantlike.triangulation",
     "giantlike.network",
     "giantlike.passes",
+    "giantlike.planning",
     "giantlike.cislunar",
     "giantlike.autonomy",
     "giantlike.dynamics",
