@@ -118,7 +118,7 @@ class PlannedImage(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Plan(Value):
-    """What the images of a plan will show.
+    """Planned images, with the camera and the scene that they were planned for.
 
     Parameters
     ----------
