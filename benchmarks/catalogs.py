@@ -27,9 +27,10 @@ import erfa
 import numpy as np
 from scipy.spatial import cKDTree
 
-from giantlike.catalogs import MemoryCatalog, StarTable, apparent_directions, et_of_julian_year
+from giantlike.catalogs import MemoryCatalog, StarTable, apparent_directions
 from giantlike.catalogs.astrometry import deflect_light
 from giantlike.catalogs.stored import catalog_header, open_catalog, save_catalog
+from giantlike.catalogs.table import et_of_julian_year
 from giantlike.core.arrays import Float, unit
 from giantlike.core.frames import direction_from_radec
 from giantlike.core.units import AU_KM, RAD_PER_MAS

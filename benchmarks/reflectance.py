@@ -25,8 +25,8 @@ from giantlike.ray_tracing import (
     OrenNayar,
     Reflectance,
     disk_integrated,
-    disk_photocenter,
 )
+from giantlike.ray_tracing.disk import disk_photocenter
 
 RAYS = 40_000
 RUNS = 15

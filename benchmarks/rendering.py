@@ -25,7 +25,8 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera_models import BrownModel, PinholeModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.detector import GaussianPsf
-from giantlike.ray_tracing import Body, Lambert, RenderOptions, Template, Trace, render, trace_body, trace_silhouette
+from giantlike.ray_tracing import Body, Lambert, RenderOptions, Template, render, trace_silhouette
+from giantlike.ray_tracing.cached_trace import Trace, trace_body
 from giantlike.ray_tracing.tracer import MeshTracer, tracer_for
 from giantlike.shapes import Ellipsoid, TriangleMesh, irregular_body, load_shape, mesh_from_ellipsoid, save_shape
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from giantlike.catalogs.astrometry import apparent_directions
 from giantlike.catalogs.bands import BANDS, Band
-from giantlike.catalogs.blends import blended
-from giantlike.catalogs.cache import cache_folder, write_to_cache
+from giantlike.catalogs.cache import cache_folder
 from giantlike.catalogs.catalog import MemoryCatalog, StarCatalog
 from giantlike.catalogs.proper_names import proper_names
-from giantlike.catalogs.table import StarTable, et_of_julian_year, julian_year
+from giantlike.catalogs.table import StarTable
+from giantlike.core.deprecation import forward_names
 from giantlike.core.errors import DataError
 
 __all__ = [
@@ -20,14 +20,20 @@ __all__ = [
     "StarCatalog",
     "StarTable",
     "apparent_directions",
-    "blended",
     "cache_folder",
-    "et_of_julian_year",
-    "julian_year",
     "load_catalog",
     "proper_names",
-    "write_to_cache",
 ]
+
+__getattr__ = forward_names(
+    __name__,
+    {
+        "giantlike.catalogs.blends": "blended",
+        "giantlike.catalogs.cache": "write_to_cache",
+        "giantlike.catalogs.table": "et_of_julian_year julian_year",
+    },
+    until="0.4",
+)
 
 
 def load_catalog(name: str | Path = "default", *, band: str | Band | None = None) -> MemoryCatalog:

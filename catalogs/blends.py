@@ -23,25 +23,7 @@ def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
     the position, motion and parallax of the photocenter, as a fit to the blended image measures while the separation
     is well below the width of the PSF. It is marked as double. Stars alone stay as they are.
 
-    Parameters
-    ----------
-    stars : StarTable
-        n stars.
-    radius_rad : float, rad
-        Two stars nearer than this are seen as one: about the standard deviation of the PSF, times what the
-        detection can separate.
-    et : float, s
-        TDB seconds past J2000 of the image: stars are merged where they are then.
-
-    Returns
-    -------
-    StarTable
-        At most n stars, brightest first.
-
-    Raises
-    ------
-    InputError
-        The radius is not positive.
+    ``et`` in s.
 
     Notes
     -----

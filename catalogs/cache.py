@@ -27,17 +27,7 @@ def cache_folder() -> Path:
 def write_to_cache(name: str, write: Callable[[Path], None]) -> bool:
     """Write a file into the cache folder so that a reader sees all of it or nothing.
 
-    Parameters
-    ----------
-    name : str
-        File name inside :func:`cache_folder`.
-    write : callable
-        Writes the content to the path that it is given.
-
-    Returns
-    -------
-    bool
-        False when the folder cannot be written; this is not an error.
+    Returns False when the folder cannot be written.
     """
     folder = cache_folder()
     try:

@@ -48,8 +48,8 @@ class StarTable(Value):
         Gaia BP-RP, NaN where unknown.
     is_double : (n,) bool, optional
         Known doubles: the catalog has a companion within a few arcseconds or flags the star as not single,
-        or :func:`~giantlike.catalogs.blended` made one of several. Position, motion and magnitude of such a star are
-        less accurate than their standard deviations.
+        or :func:`~giantlike.catalogs.blends.blended` made one of several. Position, motion and magnitude of such a star
+        are less accurate than their standard deviations.
     """
 
     ids: NDArray[np.int64]
@@ -141,15 +141,6 @@ def join_tables(tables: Sequence[StarTable]) -> StarTable:
 def julian_year(et: float) -> float:
     """Julian epoch of a time.
 
-    Parameters
-    ----------
-    et : float, TDB seconds past J2000
-
-    Returns
-    -------
-    float
-        Julian years.
-
     Examples
     --------
     >>> julian_year(504921600.0)
@@ -160,15 +151,6 @@ def julian_year(et: float) -> float:
 
 def et_of_julian_year(year: float) -> float:
     """Time of a Julian epoch.
-
-    Parameters
-    ----------
-    year : float
-        Julian years.
-
-    Returns
-    -------
-    float, TDB seconds past J2000
 
     Examples
     --------

@@ -24,7 +24,8 @@ from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 from giantlike.core.values import Value, check_covariance
 from giantlike.ephemeris import BARYCENTER, ApparentGeometry, DistantLight, Ephemeris, light_path
 from giantlike.image import Image
-from giantlike.ray_tracing import Air, Body, McEwen, Reflectance, trace_silhouette
+from giantlike.ray_tracing import Body, McEwen, Reflectance, trace_silhouette
+from giantlike.ray_tracing.air import Air
 from giantlike.rings import Rings
 from giantlike.shapes import Ellipsoid, Shape
 from giantlike.terrain import HeightMap

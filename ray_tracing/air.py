@@ -29,17 +29,8 @@ _REACH = 3.0
 class Air:
     r"""Air whose density falls exponentially, over a surface.
 
-    Parameters
-    ----------
-    scale_height : float
-        Over the radius of the body.
-    optical_depth : float
-        Vertical.
-
-    Raises
-    ------
-    InputError
-        A value is not positive.
+    scale_height: over the radius of the body.
+    optical_depth: vertical.
 
     Notes
     -----
@@ -65,14 +56,7 @@ class Air:
     def slant_cosine(self, cosine: ArrayLike) -> Float:
         """Inverse of the depth along a ray over the vertical one.
 
-        Parameters
-        ----------
-        cosine : (...) float64
-            Of the angle between the ray and the vertical where it leaves the air or meets the ground.
-
-        Returns
-        -------
-        (...) float64
+        ``cosine`` (...); returns (...).
         """
         width = math.sqrt(2.0 * self.scale_height)
         steepness = np.maximum(np.asarray(cosine, dtype=np.float64) / width, -_REACH)
@@ -83,17 +67,8 @@ class Air:
     ) -> Float:
         """Brightness of ground under the air, and of the air.
 
-        Parameters
-        ----------
-        ground : Reflectance
-        cos_incidence, cos_emission : (...) float64
-            Cosines of the angles from the vertical to Sun and camera; the former may be negative.
-        phase_rad : (...) float64, rad
-
-        Returns
-        -------
-        (...) float64
-            In the unit of the law of the ground.
+        ``cos_incidence``, ``cos_emission`` (...), cosines of the angles from the vertical to Sun and camera
+        (the former may be negative); ``phase_rad`` (...); returns (...), in the unit of the law of the ground.
         """
         down, up = self.slant_cosine(cos_incidence), self.slant_cosine(cos_emission)
         through = np.exp(-self.optical_depth * (1.0 / down + 1.0 / up))

@@ -16,7 +16,8 @@ from giantlike.core.values import Value
 from giantlike.ray_tracing.air import Air
 from giantlike.ray_tracing.reflectance import McEwen, Reflectance
 from giantlike.ray_tracing.tracer import Tracer, tracer_for
-from giantlike.shapes import LevelsOfDetail, Point, Shape, sphere
+from giantlike.shapes import Point, Shape, sphere
+from giantlike.shapes.detail import LevelsOfDetail
 
 _POINT_PX = 1e-3
 """Diameter of the disk that is traced for a point: its phase moves the light by 3e-4 px at most."""

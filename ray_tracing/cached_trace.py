@@ -29,16 +29,10 @@ class Trace(Value):
     Each ``with_`` method returns a new trace whose :meth:`template` equals, to the last bit, that of a
     :func:`~giantlike.ray_tracing.render` with that one thing changed.
 
-    Parameters
-    ----------
-    view : View
-        Body, Sun and options of the trace.
-    footprint : Footprint
-        Pixels and cells of the trace.
-    size_px : (int, int), px
-        Columns and rows of the frame.
-    tiles : tuple of TracedRays
-        Rays of each tile of the footprint.
+    view: body, Sun and options of the trace.
+    footprint: pixels and cells of the trace.
+    size_px: columns and rows of the frame.
+    tiles: rays of each tile of the footprint.
     """
 
     view: View
@@ -59,10 +53,7 @@ class Trace(Value):
     def template(self) -> Template | Failure:
         """Shade the rays and gather them on pixels.
 
-        Returns
-        -------
-        Template or Failure
-            As :func:`~giantlike.ray_tracing.render`.
+        The result is as :func:`~giantlike.ray_tracing.render`.
         """
         law, footprint = self.body.reflectance, self.footprint
         pairs = zip(footprint.tiles, self.tiles, strict=True)
@@ -77,14 +68,7 @@ class Trace(Value):
     def cell_brightness(self, law: Reflectance) -> Float:
         """Shade the rays and leave them as they are.
 
-        Parameters
-        ----------
-        law : Reflectance
-
-        Returns
-        -------
-        (columns, rows) float64
-            Brightness of the cells of the footprint; 0 where nothing is lit.
+        Returns (columns, rows), 0 where nothing is lit.
         """
         x, y = self.footprint.cells
         brightness = np.zeros((x.count, y.count))
@@ -107,12 +91,7 @@ class Trace(Value):
         return lit
 
     def one_to_a_pixel(self) -> Trace:
-        """Return the trace with the ray in the middle of each pixel alone; the others meet nothing.
-
-        Returns
-        -------
-        Trace
-        """
+        """Return the trace with the ray in the middle of each pixel alone; the others meet nothing."""
         (x, y), step = self.footprint.cells, self.footprint.cells[0].per_px
         (left, _), (top, _) = x.middles, y.middles
 
@@ -126,12 +105,8 @@ class Trace(Value):
     def at_middles(self) -> tuple[Float, tuple[int, int]]:
         """Shade the rays in the middles of pixels, and spread their light over no others.
 
-        Returns
-        -------
-        brightness : (height, width) float64
-            Of the pixels whose middles lie in the footprint; 0 where nothing is lit.
-        corner_px : (int, int), px
-            Column and row of the first of them.
+        Returns ``brightness`` (height, width), 0 where nothing is lit; ``corner_px`` (int, int), column and row of the
+        first of them.
         """
         (x, y), step = self.footprint.cells, self.footprint.cells[0].per_px
         (left, column), (top, row) = x.middles, y.middles
@@ -139,34 +114,11 @@ class Trace(Value):
         return brightness, (column, row)
 
     def with_reflectance(self, reflectance: Reflectance) -> Trace:
-        """Return the same rays under another law; costs nothing until it is shaded.
-
-        Parameters
-        ----------
-        reflectance : Reflectance
-
-        Returns
-        -------
-        Trace
-        """
+        """Return the same rays under another law; costs nothing until it is shaded."""
         return replace(self, view=replace(self.view, body=replace(self.body, reflectance=reflectance)))
 
     def with_psf(self, psf: GaussianPsf | None) -> Trace:
-        """Return the same rays under another point spread function.
-
-        Parameters
-        ----------
-        psf : GaussianPsf or None
-
-        Returns
-        -------
-        Trace
-
-        Raises
-        ------
-        InputError
-            The frame cuts the body, and this PSF would carry in light of rays that were not traced.
-        """
+        """Return the same rays under another point spread function."""
         plane = replace(self.footprint.plane, psf=psf)
         footprint = footprint_of(self.body, plane, self.view.options)
         same = not isinstance(footprint, Failure) and footprint.cells == self.footprint.cells
@@ -178,19 +130,7 @@ class Trace(Value):
     def with_sun(self, sun_direction_camera: ArrayLike) -> Trace:
         """Return the same hits under another Sun; only shadow rays are traced.
 
-        Parameters
-        ----------
-        sun_direction_camera : (3,), unitless, camera axes
-            Unit vector from body to Sun.
-
-        Returns
-        -------
-        Trace
-
-        Raises
-        ------
-        InputError
-            The direction is not a unit vector.
+        ``sun_direction_camera``: unit vector from body to Sun.
         """
         view = replace(self.view, sun_body=np.append(sun_in_body(self.body, sun_direction_camera), 0.0))
 
@@ -202,17 +142,7 @@ class Trace(Value):
         return replace(self, view=view, tiles=tuple(in_order(relit, pairs, view.options.threads)))
 
     def with_shadows(self, daylight: Daylight | None = None) -> Trace:
-        """Return the same hits with the shadows that the body casts on itself; only shadow rays are traced.
-
-        Parameters
-        ----------
-        daylight : Daylight, optional
-            Where no ray need be sent to the Sun.
-
-        Returns
-        -------
-        Trace
-        """
+        """Return the same hits with the shadows that the body casts on itself; only shadow rays are traced."""
         view = replace(self.view, options=replace(self.view.options, shadows=True))
         lit = None if daylight is None else daylight.classify(self.footprint.cells)[1]
 
@@ -230,10 +160,6 @@ class Trace(Value):
 
         Another trace may need it of the body turned a little: that moves a face by a few rays, and the eight pixels
         around reach farther.
-
-        Returns
-        -------
-        Daylight
         """
         light, (column, row) = self.at_middles()
         cells = AxisCells(column, light.shape[1], 1), AxisCells(row, light.shape[0], 1)
@@ -255,30 +181,7 @@ def trace_body(
 ) -> Trace | Failure:
     """Trace a body once, to shade it many times.
 
-    Parameters
-    ----------
-    body : Body
-    model : CameraModel
-    sun_direction_camera : (3,), unitless, camera axes
-        Unit vector from body to Sun.
-    psf : GaussianPsf, optional
-    columns, rows : int, px
-    options : RenderOptions
-    wanted : (rows, columns) bool, optional
-        Pixels through which rays are sent, and none through others, in the margin neither; by default through all.
-    daylight : Daylight, optional
-        Where no ray need be sent, or none to the Sun; by default all are.
-
-    Returns
-    -------
-    Trace or Failure
-        Some 100 bytes for each ray. ``OUT_OF_FRAME`` when no light can fall on the (widened) frame,
-        ``DEGENERATE_GEOMETRY`` when the camera lies inside the body.
-
-    Raises
-    ------
-    InputError
-        A size is not positive, the direction is not a unit vector, or ``wanted`` has another shape than the frame.
+    ``sun_direction_camera``: unit vector from body to Sun; ``wanted`` (rows, columns).
     """
     plane = FocalPlane(model=model, columns=columns, rows=rows, psf=psf)
     require(

@@ -51,21 +51,8 @@ def disk_integrated(law: Reflectance, phase_rad: ArrayLike) -> Float:
 def disk_photocenter(law: Reflectance, phase_rad: ArrayLike) -> Float:
     """Photocenter of a far sphere, from its center towards the Sun in the image.
 
-    Parameters
-    ----------
-    law : Reflectance
-    phase_rad : (...), rad
-        Phase angles, in [0, pi].
-
-    Returns
-    -------
-    (...) float64, radii of the disk
-        0 at zero phase, 1 at pi (as the limit of ever thinner crescents).
-
-    Raises
-    ------
-    InputError
-        A phase angle is not in [0, pi].
+    ``phase_rad`` (...); returns (...) radii of the disk, 0 at zero phase, 1 at pi
+    (as the limit of ever thinner crescents).
 
     Notes
     -----

@@ -41,12 +41,8 @@ _OPTIONS = RenderOptions(rays_per_pixel_side=1, min_rays_across=1)
 class NearRender(Value):
     """Part of a frame in which a body was rendered near some points.
 
-    Parameters
-    ----------
-    images : (laws, h, w) float64
-        Brightness under each reflectance law; the part may reach beyond the frame.
-    corner_px : (2,) float64, px
-        Column and row of the first pixel in the frame.
+    images: (laws, h, w); brightness under each reflectance law; the part may reach beyond the frame.
+    corner_px: column and row of the first pixel in the frame.
     """
 
     images: Float
@@ -65,34 +61,7 @@ def render_near(
 ) -> NearRender | Failure:
     """Brightness of a body, rendered only near given points, under one or several reflectance laws.
 
-    Parameters
-    ----------
-    points_px : (..., 2) float64, px
-        Points at which the brightness is needed; pixels more than a few pixels away from all of them stay 0.
-    body : Body
-    plane : FocalPlane
-        With a point spread function.
-    sun_direction_camera : (3,) float64, unitless, camera axes
-        Unit vector from body to Sun.
-    rays_per_pixel_side : int
-        Where light is uneven, as along the outline; elsewhere a third of that is enough, and one ray where light is
-        even or a pixel counts only by the wings of its light.
-    edges_px : (k, 2) float64, px, optional
-        Points on the edge that the render is for, a pixel or two apart: far from it no pixel gets more rays. None for
-        all pixels.
-    other_laws : sequence of Reflectance
-        The same rays are shaded under each of these too.
-
-    Returns
-    -------
-    NearRender or Failure
-        ``NOT_LIT`` or ``OUT_OF_FRAME`` when no light falls near any of the points, ``DEGENERATE_GEOMETRY`` when the
-        camera lies inside the body.
-
-    Raises
-    ------
-    InputError
-        The direction is not a unit vector.
+    ``points_px`` (..., 2); ``sun_direction_camera``: unit vector from body to Sun; ``edges_px`` (k, 2).
 
     Notes
     -----
@@ -142,26 +111,8 @@ def outline_brightness(
 ) -> Float:
     """Brightness of a body just inside its outline: mean over a square with sides near 1/25 of its radius.
 
-    Parameters
-    ----------
-    points_px, normals_px : (n, 2) float64
-        The outline and its outward normals; points that are not finite get 0.
-    body : Body
-    model : CameraModel
-    sun_direction_camera : (3,) float64, unitless, camera axes
-        Unit vector from body to Sun.
-    radius_px : float, px
-        Apparent radius of the body.
-
-    Returns
-    -------
-    (n,) float64
-        Over the largest of the values; 0 everywhere where none of the points is illuminated.
-
-    Raises
-    ------
-    InputError
-        The direction is not a unit vector.
+    ``points_px``, ``normals_px`` (n, 2), the outline and its outward normals (points that are not finite get 0);
+    ``sun_direction_camera``: unit vector from body to Sun; returns (n,).
 
     Notes
     -----

@@ -78,15 +78,11 @@ class Template(Value):
 class SceneRender(Value):
     """Several bodies, rendered.
 
-    Parameters
-    ----------
-    columns, rows : int, px
-        Size of the frame.
-    templates : tuple of Template or Failure
-        One for each body, in the order they were given: its visible part, with the shadows of the others. A body that
-        is seen but wholly in shadow is a black template with a NaN photocenter, not a failure.
-        Failures: ``OUT_OF_FRAME``, ``NO_SIGNAL`` for a body behind others, and ``DEGENERATE_GEOMETRY`` for one around
-        the camera, which hides nothing.
+    columns, rows: size of the frame.
+    templates: one for each body, in the order they were given: its visible part, with the shadows of the others. A body
+        that is seen but wholly in shadow is a black template with a NaN photocenter, not a failure. Failures:
+        ``OUT_OF_FRAME``, ``NO_SIGNAL`` for a body behind others, and ``DEGENERATE_GEOMETRY`` for one around the camera,
+        which hides nothing.
     """
 
     columns: int
@@ -104,13 +100,7 @@ class SceneRender(Value):
     def weighted(self, weights: ArrayLike) -> Float:
         """Return the sum of all bodies, each times its own weight: irradiance, say, or albedo.
 
-        Parameters
-        ----------
-        weights : (n,)
-
-        Returns
-        -------
-        (rows, columns) float64
+        ``weights`` (n,); returns (rows, columns).
         """
         factors = as_floats(weights, (len(self.templates),), "weights")
         frame = np.zeros((self.rows, self.columns))
@@ -122,14 +112,7 @@ class SceneRender(Value):
     def coverage(self, number: int) -> Float:
         """Return the fraction of each pixel of the frame that a body covers, others before it cut out.
 
-        Parameters
-        ----------
-        number : int
-            Of the body, in the order they were given.
-
-        Returns
-        -------
-        (rows, columns) float64
+        ``number``: of the body, in the order they were given; returns (rows, columns).
         """
         template = self.templates[number]
         if isinstance(template, Failure):
@@ -211,28 +194,7 @@ def render_scene(
 ) -> SceneRender:
     """Render bodies that hide each other and shade each other.
 
-    Parameters
-    ----------
-    bodies : sequence of Body
-        In any order, none inside another.
-    model : CameraModel
-    sun_direction_camera : (3,) or (n, 3), unitless, camera axes
-        Unit vector to the Sun, for all bodies or for each.
-    psf : GaussianPsf, optional
-    columns, rows : int, px
-    options : RenderOptions
-        For every body; each is sampled as finely as its size in the image needs.
-
-    Returns
-    -------
-    SceneRender
-        Always; a body that is not seen is a ``Failure`` in its ``templates``. The Sun shines on all bodies alike:
-        differences in distance are the caller's ``weights``.
-
-    Raises
-    ------
-    InputError
-        A size is not positive, or a direction is not a unit vector or not one for each body.
+    ``sun_direction_camera`` (3,) or (n, 3), unit vector to the Sun, for all bodies or for each.
 
     Notes
     -----

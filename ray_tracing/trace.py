@@ -193,17 +193,7 @@ def _dark(view: View, sight: Sight, seen: Indices, toward: Float) -> Mask:
 def surface_albedo(shape: Shape, points_km: Float, facets: NDArray[np.int64]) -> Float:
     """Relative albedo at points of a surface.
 
-    Parameters
-    ----------
-    shape : Shape
-    points_km : (k, 3) float64, km, body axes
-    facets : (k,) int64
-        Facets of a mesh that they lie on.
-
-    Returns
-    -------
-    (k,) float64
-        1 for a shape without albedo.
+    ``points_km`` (k, 3), body axes; ``facets`` (k,); returns (k,), 1 for a shape without albedo.
     """
     if shape.albedo is None:
         return np.ones(len(points_km))

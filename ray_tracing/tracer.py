@@ -19,7 +19,8 @@ from giantlike.core.arrays import Float, Indices, Mask, as_floats, require, unit
 from giantlike.core.errors import InputError
 from giantlike.core.values import Value
 from giantlike.ray_tracing.embree import EmbreeSurface, Float32, dot, pad_vectors, rows_of, shift_points
-from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, geodesic_directions
+from giantlike.shapes import Ellipsoid, Shape, TriangleMesh
+from giantlike.shapes.generate import geodesic_directions
 
 _INSIDE = -1e-9  # barycentric weights of points on an edge, rounded
 _RINGS = (3e-7, 2e-6)  # of the radius, distances from the ray at which facets are searched; float32 resolves 6e-8

@@ -3,10 +3,10 @@
 Everything is in body axes and km; the origin of a shape is the center of the body for estimators.
 """
 
+from giantlike.core.deprecation import forward_names
 from giantlike.shapes.albedo import Albedo, AlbedoMap, FacetAlbedo, VertexAlbedo
 from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid, Point, Shape, sphere
-from giantlike.shapes.detail import LevelsOfDetail, levels_of_detail
-from giantlike.shapes.generate import geodesic_directions, irregular_body, mesh_from_ellipsoid
+from giantlike.shapes.generate import irregular_body, mesh_from_ellipsoid
 from giantlike.shapes.limbs import Limb, limb
 from giantlike.shapes.load import load_shape
 from giantlike.shapes.local_map import LocalMap, overlaid
@@ -18,7 +18,6 @@ __all__ = [
     "AlbedoMap",
     "Ellipsoid",
     "FacetAlbedo",
-    "LevelsOfDetail",
     "Limb",
     "LocalMap",
     "PlacedEllipsoid",
@@ -26,9 +25,7 @@ __all__ = [
     "Shape",
     "TriangleMesh",
     "VertexAlbedo",
-    "geodesic_directions",
     "irregular_body",
-    "levels_of_detail",
     "limb",
     "load_shape",
     "mesh_from_ellipsoid",
@@ -36,3 +33,12 @@ __all__ = [
     "save_shape",
     "sphere",
 ]
+
+__getattr__ = forward_names(
+    __name__,
+    {
+        "giantlike.shapes.detail": "LevelsOfDetail levels_of_detail",
+        "giantlike.shapes.generate": "geodesic_directions",
+    },
+    until="0.4",
+)

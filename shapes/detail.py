@@ -27,18 +27,8 @@ _STEP = 4  # a facet of the next level is twice as long
 class LevelsOfDetail(Value):
     """One body as meshes of several resolutions; all quantities but ray intersections come from the finest.
 
-    Parameters
-    ----------
-    meshes : tuple of TriangleMesh
-        From the coarsest to the finest.
-    facet_px : float, px
-        Largest size of the facets in an image; see the notes of :func:`levels_of_detail`.
-
-    Raises
-    ------
-    InputError
-        No mesh, meshes that do not get finer, that are not of one size to 10 % of the mean radius, or a size of facets
-        that is not positive.
+    meshes: from the coarsest to the finest.
+    facet_px: largest size of the facets in an image; see the notes of :func:`levels_of_detail`.
     """
 
     meshes: tuple[TriangleMesh, ...]
@@ -98,17 +88,7 @@ class LevelsOfDetail(Value):
         return self.finest.albedo
 
     def for_scale(self, km_per_px: float) -> TriangleMesh:
-        """Return the coarsest mesh with facets of at most ``facet_px`` pixels, else the finest.
-
-        Parameters
-        ----------
-        km_per_px : float, km
-            Size of a pixel at the body.
-
-        Returns
-        -------
-        TriangleMesh
-        """
+        """Return the coarsest mesh with facets of at most ``facet_px`` pixels, else the finest."""
         fine_enough = (size <= self.facet_px * km_per_px for size in self.facet_sizes_km)
         return next((mesh for mesh, fine in zip(self.meshes, fine_enough, strict=True) if fine), self.finest)
 
@@ -122,28 +102,7 @@ def levels_of_detail(
 ) -> LevelsOfDetail:
     """Make coarser meshes of a body.
 
-    Parameters
-    ----------
-    mesh : TriangleMesh
-        The finest level.
-    facets : sequence of int, optional
-        Facets of the coarser levels; None takes a quarter again and again, down to a thousand, and leaves out steps
-        that would break the surface.
-    facet_px : float, px
-        As in :class:`LevelsOfDetail`.
-    simplify : callable
-        Takes a mesh and a number of facets, and gives a mesh or an ``InputError``; each level is made from the next
-        finer one or, where that fails, from the finest.
-
-    Returns
-    -------
-    LevelsOfDetail
-
-    Raises
-    ------
-    InputError
-        The mesh has albedo by facet or vertex, which coarser facets do not share; a map of albedo goes with all levels.
-        Or ``simplify`` cannot make one of ``facets``.
+    ``facet_px`` as in :class:`LevelsOfDetail`.
 
     Notes
     -----

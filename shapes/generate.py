@@ -94,22 +94,7 @@ def irregular_body(
 def geodesic_directions(facets: int) -> tuple[Float, Faces]:
     """Geodesic grid of the sphere: an icosahedron whose facets are split k^2-fold.
 
-    Parameters
-    ----------
-    facets : int
-        Smallest number of facets.
-
-    Returns
-    -------
-    directions : (n, 3) float64, unitless
-        Unit vectors to the vertices.
-    faces : (m, 3) int64
-        With m the next larger 20 k^2.
-
-    Raises
-    ------
-    InputError
-        ``facets`` is not in 1 to 20 million.
+    Returns ``directions`` (n, 3), unit vectors to the vertices; ``faces`` (m, 3).
     """
     require(1 <= facets <= _MAX_FACETS, f"facets must be in [1, {_MAX_FACETS}], got {facets}")
     k = math.ceil(math.sqrt(facets / 20.0))

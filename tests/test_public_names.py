@@ -21,8 +21,12 @@ PROMISED: dict[str, dict[str, Any]] = json.loads(
 MOVED = (
     "giantlike.bench",
     "giantlike.calibration",
+    "giantlike.catalogs",
+    "giantlike.io",
     "giantlike.navigation",
     "giantlike.plotting",
+    "giantlike.ray_tracing",
+    "giantlike.shapes",
     "giantlike.simulation",
     "giantlike.stars",
 )

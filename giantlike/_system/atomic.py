@@ -34,35 +34,13 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def write_bytes_atomic(path: str | Path, data: bytes) -> None:
-    """Write a file as a whole or not at all; see :func:`replacing`.
-
-    Parameters
-    ----------
-    path : path-like
-    data : bytes
-
-    Raises
-    ------
-    DataError
-        The folder does not exist, or the file system refused the write; an old file is untouched.
-    """
+    """Write a file as a whole or not at all; see :func:`replacing`."""
     with replacing(path) as part:
         part.write_bytes(data)
 
 
 def write_text_atomic(path: str | Path, text: str) -> None:
-    """Write a text as a whole or not at all, as UTF-8 with its line ends as they are; see :func:`replacing`.
-
-    Parameters
-    ----------
-    path : path-like
-    text : str
-
-    Raises
-    ------
-    DataError
-        The folder does not exist, or the file system refused the write; an old file is untouched.
-    """
+    """Write a text as a whole or not at all, as UTF-8 with its line ends as they are; see :func:`replacing`."""
     write_bytes_atomic(path, text.encode("utf-8"))
 
 

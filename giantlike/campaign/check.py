@@ -299,11 +299,6 @@ def check_run(bench: Workbench) -> list[str]:
 
     Images are opened until one has no error: the errors of others are theirs alone, and fail them. So do damaged files,
     even if all are.
-
-    Raises
-    ------
-    InputError
-        An error reaches every image.
     """
     campaign, check = bench.campaign, _Check(bench.campaign.path)
     check.lines = lines_of_keys(campaign.path.read_text(encoding="utf-8")) if campaign.path.is_file() else {}

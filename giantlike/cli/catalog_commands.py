@@ -10,12 +10,12 @@ import numpy as np
 import typer
 
 from giantlike._system.reading import file_sha256
-from giantlike.catalogs import apparent_directions, et_of_julian_year, load_catalog, proper_names
+from giantlike.catalogs import apparent_directions, load_catalog, proper_names
 from giantlike.catalogs.catalog import MemoryCatalog
 from giantlike.catalogs.join import join_catalogs
 from giantlike.catalogs.readers import FORMATS, build_catalog, column_map
 from giantlike.catalogs.stored import SUFFIX, Source, catalog_header, is_catalog_file, save_catalog
-from giantlike.catalogs.table import StarTable
+from giantlike.catalogs.table import StarTable, et_of_julian_year
 from giantlike.cli.arguments import Json, Overwrite
 from giantlike.cli.outcome import ExitCode, rows_of, show_result
 from giantlike.cli.progress import progress_bar

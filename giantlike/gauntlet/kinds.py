@@ -24,21 +24,12 @@ Disturb = Callable[[Plan, np.random.Generator], Plan]
 class Kind:
     """A kind of image.
 
-    Parameters
-    ----------
-    name : str
-    summary : str
-        The disturbance, in a line.
-    disturb : callable
-        (plan, random numbers) to plan.
-    base : Base
-        Limits of the undisturbed image of a body.
-    body, stars : bool
-        True if there is a body for the estimators, or stars for the star chain.
-    weight : int
-        Number of occurrences in a deck of all kinds.
-    undisturbed : bool
-        True for an image without a disturbance: its sigmas are the nominal ones.
+    summary: the disturbance, in a line.
+    disturb: (plan, random numbers) to plan.
+    base: limits of the undisturbed image of a body.
+    body, stars: True if there is a body for the estimators, or stars for the star chain.
+    weight: number of occurrences in a deck of all kinds.
+    undisturbed: True for an image without a disturbance: its sigmas are the nominal ones.
     """
 
     name: str

@@ -64,34 +64,18 @@ _DIM_STAR_DN = 400.0
 class Facts:
     """Properties of an image that the generator knows before it is solved.
 
-    Parameters
-    ----------
-    hard : bool
-        The kind allows a refusal.
-    undisturbed : bool
-        The image has no disturbance.
-    absent : bool
-        The target is not in the image.
-    damaged : bool
-        Values were damaged after the detector.
-    diameter_px, told_diameter_px : float, px
-        Of a sphere of the same volume: true, assumed.
-    phase_deg, told_phase_deg : float, deg
-    snr : float
-        Of the brightest pixel of the body.
-    whole : bool
-        The whole body is in the frame, with :data:`MARGIN_PX` around it.
-    limb_px : float, px
-        Length of illuminated limb in the frame.
-    told_ellipsoid : bool
-    offset_px : float, px
-        Error of the predicted center, error of the attitude included.
-    range_error : float
-        Relative error of the predicted range.
-    saturated : bool
-        Some signal exceeds the largest value.
-    stars : int
-        Stars of the catalog in the frame.
+    hard: the kind allows a refusal.
+    undisturbed: the image has no disturbance.
+    absent: the target is not in the image.
+    damaged: values were damaged after the detector.
+    diameter_px, told_diameter_px: of a sphere of the same volume: true, assumed.
+    snr: of the brightest pixel of the body.
+    whole: the whole body is in the frame, with :data:`MARGIN_PX` around it.
+    limb_px: length of illuminated limb in the frame.
+    offset_px: error of the predicted center, error of the attitude included.
+    range_error: relative error of the predicted range.
+    saturated: some signal exceeds the largest value.
+    stars: stars of the catalog in the frame.
     """
 
     hard: bool
@@ -113,20 +97,7 @@ class Facts:
 
 
 def facts_of(plan: Plan, signal_dn: Float, *, undisturbed: bool) -> Facts:
-    """Collect the known properties of an image before it is solved.
-
-    Parameters
-    ----------
-    plan : Plan
-    signal_dn : (rows, columns) float64, DN
-        Without noise.
-    undisturbed : bool
-        The image has no disturbance.
-
-    Returns
-    -------
-    Facts
-    """
+    """Collect the known properties of an image before it is solved."""
     world, told = plan.world, plan.told
     room = world.recorder.saturation_dn - world.recorder.bias_dn
     facts = Facts(
@@ -201,18 +172,7 @@ def _lit_limb_px(plan: Plan, diameter_px: float) -> float:
 
 
 def solvable(estimator: str, facts: Facts) -> bool:
-    """Tell whether an answer can be demanded of an estimator.
-
-    Parameters
-    ----------
-    estimator : str
-        Name, or ``stars``.
-    facts : Facts
-
-    Returns
-    -------
-    bool
-    """
+    """Tell whether an answer can be demanded of an estimator."""
     if facts.hard:
         return False
     if estimator == STARS:

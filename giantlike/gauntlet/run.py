@@ -41,27 +41,13 @@ _QUALITY = 60
 class Gauntlet(Value):
     """Selection of the images and estimators to run.
 
-    Parameters
-    ----------
-    images : int
-        Number of images.
-    seed : int
-        Of everything.
-    kinds : tuple of str
-        Kinds to run: the first so many images of these; all if empty.
-    estimators : tuple of str
-        Estimators to run; all if empty.
-    indices : tuple of int
-        Images to run, by their number; the first ones if empty.
-    workers : int
-        Processes.
-    real : Path, optional
-        Folder of real images that do not show the target; they come after the others.
-
-    Raises
-    ------
-    InputError
-        A kind or an estimator is unknown, or a number is out of range.
+    images: number of images.
+    seed: of everything.
+    kinds: kinds to run: the first so many images of these; all if empty.
+    estimators: estimators to run; all if empty.
+    indices: images to run, by their number; the first ones if empty.
+    workers: processes.
+    real: folder of real images that do not show the target; they come after the others.
     """
 
     images: int
@@ -83,12 +69,7 @@ class Gauntlet(Value):
         Value.__post_init__(self)
 
     def numbers(self) -> list[int]:
-        """Numbers of the images to run.
-
-        Returns
-        -------
-        list of int
-        """
+        """Numbers of the images to run."""
         if self.indices:
             return list(self.indices)
         chosen = (index for index in count() if not self.kinds or kind_of(self.seed, index).name in self.kinds)
@@ -153,25 +134,7 @@ def thumbnail(image: Image) -> bytes:
 def run_gauntlet(
     wanted: Gauntlet, *, finished: Sequence[ImageResult] = (), progress: Callable[[int, int], None] | None = None
 ) -> Iterator[ImageResult]:
-    """Run images, and yield the results of each in order of completion.
-
-    Parameters
-    ----------
-    wanted : Gauntlet
-    finished : sequence of ImageResult
-        Images that were run before; they are skipped, and not yielded.
-    progress : callable, optional
-        Takes the number of images done, and their total.
-
-    Yields
-    ------
-    ImageResult
-
-    Raises
-    ------
-    InputError
-        A worker process was ended, by the system or by a library.
-    """
+    """Run images, and yield the results of each in order of completion."""
     known = {result.index for result in finished}
     numbers = wanted.numbers()
     jobs: list[_Job] = [

@@ -45,23 +45,12 @@ def deck(seed: int) -> tuple[str, ...]:
 class Stage(Value):
     """An image, its a priori data, and the truth.
 
-    Parameters
-    ----------
-    seed, index : int
-    kind : Kind
-    plan, base : Plan
-        True world and a priori data; the same without the disturbance.
-    signal_dn : (rows, columns) float64, DN
-        Without noise.
-    pixels_dn : (rows, columns) float64, DN
-        As they arrive.
-    image : Image
-    camera : Camera
-        As assumed.
-    scene : Scene, optional
-        As assumed; None for images of stars.
-    catalog : MemoryCatalog, optional
-        As assumed; None for images of bodies.
+    plan, base: True world and a priori data; the same without the disturbance.
+    signal_dn: (rows, columns); without noise.
+    pixels_dn: (rows, columns); as they arrive.
+    camera: as assumed.
+    scene: as assumed; None for images of stars.
+    catalog: as assumed; None for images of bodies.
     """
 
     seed: int
@@ -105,19 +94,7 @@ def plans_of(seed: int, index: int) -> tuple[Plan, Plan]:
 
 
 def stage_of(seed: int, index: int) -> Stage:
-    """Make an image of the gauntlet.
-
-    Parameters
-    ----------
-    seed : int
-        Of the whole gauntlet.
-    index : int
-        Of the image, from 0.
-
-    Returns
-    -------
-    Stage
-    """
+    """Make an image of the gauntlet."""
     return _stage(seed, index, *plans_of(seed, index))
 
 

@@ -246,18 +246,7 @@ def is_vague(answer: Answer, nominal: Answer) -> bool:
 
 
 def trial(stage: Stage, estimators: Sequence[str] = ()) -> list[TrialRow]:
-    """Run all estimators that apply to an image.
-
-    Parameters
-    ----------
-    stage : Stage
-    estimators : sequence of str
-        Those to run; all if empty.
-
-    Returns
-    -------
-    list of TrialRow
-    """
+    """Run all estimators that apply to an image."""
     facts = facts_of(stage.plan, stage.signal_dn, undisturbed=stage.kind.undisturbed)
     return [_row(stage, facts, name) for name in names_for(stage, facts) if not estimators or name in estimators]
 

@@ -1,6 +1,6 @@
 """Readers and writers of files: images, SPICE kernels, cameras, geometry and ephemeris tables."""
 
-from giantlike._system.atomic import write_bytes_atomic, write_text_atomic
+from giantlike.core.deprecation import forward_names
 from giantlike.core.observer import ObserverState
 from giantlike.io.ephemeris_table import read_ephemeris_table
 from giantlike.io.fits import navigation_header, write_fits
@@ -17,8 +17,8 @@ __all__ = [
     "read_ephemeris_table",
     "read_geometry",
     "read_image_file",
-    "write_bytes_atomic",
     "write_fits",
     "write_geometry",
-    "write_text_atomic",
 ]
+
+__getattr__ = forward_names(__name__, {"giantlike._system.atomic": "write_bytes_atomic write_text_atomic"}, until="0.4")

@@ -37,25 +37,6 @@ _SAME_POINT_DEG = 1.0
 def read_epic(path: str | Path, images: Sequence[Path], targets: Mapping[str, str]) -> GeometryTable:
     """Read the geometry of EPIC pictures.
 
-    Parameters
-    ----------
-    path : path-like
-        A list of records, as ``api/natural/date/2025-06-03`` answers.
-    images : sequence of Path
-        Pictures; a record belongs to those whose name contains its ``identifier``.
-    targets : mapping of str to str
-        Name in the table of ``EARTH`` and ``MOON``, where they are targets.
-
-    Returns
-    -------
-    GeometryTable
-        Rows of the images that have a record. The Moon has no orientation in it.
-
-    Raises
-    ------
-    DataError
-        It is not such a list, or a record contradicts itself.
-
     Notes
     -----
     Universal time is taken as UTC: 0.004 degrees of rotation at most.

@@ -22,17 +22,10 @@ _FOLDER = files("giantlike.io") / "missions"
 class Mission:
     """A priori information on the images of one camera.
 
-    Parameters
-    ----------
-    name : str
-    about : str
-        Images that it describes, and values that it does not give.
-    sources : tuple of str
-        Where the numbers come from.
-    kernels : tuple of str
-        Patterns of the names of SPICE kernels, in loading order.
-    defaults : mapping of str to mapping
-        Keys of the tables ``camera``, ``images`` and ``spice`` of a campaign file that holds none.
+    about: images that it describes, and values that it does not give.
+    sources: where the numbers come from.
+    kernels: patterns of the names of SPICE kernels, in loading order.
+    defaults: keys of the tables ``camera``, ``images`` and ``spice`` of a campaign file that holds none.
     """
 
     name: str
@@ -45,10 +38,6 @@ class Mission:
 def mission_names() -> tuple[str, ...]:
     """Names of the missions, sorted.
 
-    Returns
-    -------
-    tuple of str
-
     Examples
     --------
     >>> "dawn_fc2" in mission_names()
@@ -59,20 +48,6 @@ def mission_names() -> tuple[str, ...]:
 
 def mission(name: str) -> Mission:
     """Return a mission by its name.
-
-    Parameters
-    ----------
-    name : str
-        One of :func:`mission_names`.
-
-    Returns
-    -------
-    Mission
-
-    Raises
-    ------
-    InputError
-        There is no such mission.
 
     Examples
     --------

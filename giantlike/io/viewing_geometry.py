@@ -75,14 +75,7 @@ class ViewingGeometry(Value):
         Value.__post_init__(self)
 
     def in_camera(self, model: CameraModel) -> StatedGeometry:
-        """Geometry in camera axes.
-
-        Raises
-        ------
-        InputError
-            The camera does not image the center, or the phase angle or the Sun azimuth disagree with the sub-solar
-            point.
-        """
+        """Geometry in camera axes."""
         sight, by_pixel = model.unproject(self.center_px), model.unproject_jacobian(self.center_px)
         require(bool(np.isfinite(sight).all()), f"the camera sees nothing at the pixel {self.center_px.tolist()}")
         viewer = -unit(sight)

@@ -57,28 +57,12 @@ INPUT, DERIVED, SELF_CHECK, INDEPENDENT = ComparisonKind
 class Comparison:
     """A figure, table or number of the paper, and ours.
 
-    Parameters
-    ----------
-    what : str
-        The quantity, with its unit.
-    paper : str or float
-        As the paper states it.
-    ours : str or float
-    kind : ComparisonKind
-    agrees : bool or None
-        From a rule in the code of the replay; None where the size of a small replay decides.
-    reason : str
-        The rule and, where they differ, why.
-    reference : str
-        Place in the paper, such as "Fig. 7".
-    fails_with : str
-        The change, one of ``CHANGES`` of the mission, with which an independent comparison disagrees.
-
-    Raises
-    ------
-    InputError
-        A number is not finite, there is no reason, or an agreement is called independent without a change under
-        which it fails.
+    what: the quantity, with its unit.
+    paper: as the paper states it.
+    agrees: from a rule in the code of the replay; None where the size of a small replay decides.
+    reason: the rule and, where they differ, why.
+    reference: place in the paper, such as "Fig. 7".
+    fails_with: the change, one of ``CHANGES`` of the mission, with which an independent comparison disagrees.
     """
 
     what: str
@@ -141,13 +125,8 @@ class Stated:
 class ReplayFigure:
     """A figure of the paper, reproduced.
 
-    Parameters
-    ----------
-    reference : str
-        Place in the paper, such as "Fig. 7".
-    title, caption : str
-    figure : Figure
-        Of matplotlib, made without pyplot.
+    reference: place in the paper, such as "Fig. 7".
+    figure: of matplotlib, made without pyplot.
     """
 
     reference: str
@@ -160,13 +139,7 @@ class ReplayFigure:
 class Section:
     """Part of a replay, such as a phase of the mission.
 
-    Parameters
-    ----------
-    title : str
-    text : str
-        Description, in a few sentences.
-    figures : tuple of ReplayFigure
-    comparisons : tuple of Comparison
+    text: description, in a few sentences.
     """
 
     title: str
@@ -179,19 +152,11 @@ class Section:
 class Replay:
     """A finished replay.
 
-    Parameters
-    ----------
-    name : str
-        One of ``REPLAYS``.
-    title : str
-    sections : tuple of Section
-        In the order of the paper.
-    flown : str
-        What was simulated and processed, in two or three sentences, for the first page.
-    pictures : tuple of str
-        References of figures for the first page, such as "Fig. 7".
-    assumptions : tuple of str
-        Assumptions where the paper gives no values; a value tuned to meet a table is named as tuned.
+    name: one of ``REPLAYS``.
+    sections: in the order of the paper.
+    flown: what was simulated and processed, in two or three sentences, for the first page.
+    pictures: references of figures for the first page, such as "Fig. 7".
+    assumptions: assumptions where the paper gives no values; a value tuned to meet a table is named as tuned.
     """
 
     name: str
@@ -221,22 +186,13 @@ def _no_progress(stage: str, done: int, total: int) -> None:
 class ReplaySettings:
     """Options of a replay.
 
-    Parameters
-    ----------
-    output : Path
-        Folder for intermediate products, such as images and runs.
-    small : bool
-        Fewer images and draws: shows that it works, in seconds.
-    workers : int
-        Number of processes.
-    seed : int
-        Of all random numbers.
-    data : Path or None
-        Folder with kernels and shapes of the mission; without it, the paper's numbers are simulated.
-    change : str
-        One of ``CHANGES`` of the mission: an assumption to alter, to see which comparisons depend on it.
-    progress : callable
-        Takes the name of a step, the number done, and of all.
+    output: folder for intermediate products, such as images and runs.
+    small: fewer images and draws: shows that it works, in seconds.
+    workers: number of processes.
+    seed: of all random numbers.
+    data: folder with kernels and shapes of the mission; without it, the paper's numbers are simulated.
+    change: one of ``CHANGES`` of the mission: an assumption to alter, to see which comparisons depend on it.
+    progress: takes the name of a step, the number done, and of all.
     """
 
     output: Path
@@ -249,23 +205,7 @@ class ReplaySettings:
 
 
 def run_replay(name: str, settings: ReplaySettings) -> Replay:
-    """Replay the results of a paper.
-
-    Parameters
-    ----------
-    name : str
-        One of ``REPLAYS``.
-    settings : ReplaySettings
-
-    Returns
-    -------
-    Replay
-
-    Raises
-    ------
-    InputError
-        There is no such replay, or none of its assumptions has such a change.
-    """
+    """Replay the results of a paper."""
     require(name in REPLAYS, f"there is no replay {name!r}; there are {', '.join(REPLAYS)}")
     mission, change = import_module(f"giantlike.missions.{name}"), settings.change
     require(not change or change in mission.CHANGES, f"{name} has no change {change!r}: {', '.join(mission.CHANGES)}")
@@ -275,20 +215,7 @@ def run_replay(name: str, settings: ReplaySettings) -> Replay:
 
 
 def summary_of(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
-    """Return the content of ``replay.json``.
-
-    Parameters
-    ----------
-    replay : Replay
-    settings : ReplaySettings
-
-    Returns
-    -------
-    dict
-        ``comparisons`` is a list of objects with ``what``, ``paper``, ``ours``, ``kind``, ``agrees`` (null where they
-        are not compared), ``reason``, ``reference`` and ``fails_with``; ``counts`` has, for each kind, the number of
-        those compared and how many agree.
-    """
+    """Return the content of ``replay.json``."""
     comparisons = replay.comparisons
     return {
         "replay": replay.name,
@@ -312,15 +239,7 @@ def summary_of(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
 def save_replay(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
     """Write ``replay.json`` and ``report.html`` to the folder of the settings.
 
-    Parameters
-    ----------
-    replay : Replay
-    settings : ReplaySettings
-
-    Returns
-    -------
-    dict
-        As :func:`summary_of`.
+    The result is as :func:`summary_of`.
     """
     summary = summary_of(replay, settings)
     make_folder(settings.output)

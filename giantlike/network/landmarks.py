@@ -27,7 +27,8 @@ from giantlike.relative.landmarks.rendering import LandmarkRenderer, rays_for
 from giantlike.relative.landmarks.selection import landmarks_of
 from giantlike.relative.landmarks.visibility import VisibilityOptions, viewer_for
 from giantlike.scene import Scene
-from giantlike.shapes import LevelsOfDetail, Shape, TriangleMesh
+from giantlike.shapes import Shape, TriangleMesh
+from giantlike.shapes.detail import LevelsOfDetail
 from giantlike.shapes.landmarks import LandmarkCatalog
 
 _NEAR_PX = 6
@@ -197,29 +198,7 @@ def measure_landmarks(
     pose: Photo | None = None,
     options: TrackOptions | None = None,
 ) -> LandmarkMeasures | Failure:
-    """Find the landmarks of the shape of a target in an image.
-
-    Parameters
-    ----------
-    image : Image
-    camera : Camera
-    scene : Scene
-    target : str, optional
-        May be left out where the scene has one.
-    pose : Photo, optional
-        Adjusted pose, for which no common shift of the landmarks is searched; by default the a priori one.
-    options : TrackOptions, optional
-
-    Returns
-    -------
-    LandmarkMeasures or Failure
-        Failures: those of :meth:`Scene.geometry`, wrong_shape, too_few_matches, peak_at_edge.
-
-    Raises
-    ------
-    InputError
-        There is no such target, or the image is of another size than the camera.
-    """
+    """Find the landmarks of the shape of a target in an image."""
     options = TrackOptions() if options is None else options
     inputs = gather(image, camera, scene, target, estimator="network", options=options)
     if isinstance(inputs, Failure):
@@ -286,27 +265,7 @@ def _body(inputs: EstimatorInputs, photo: Photo) -> Body:
 def tracks_of(
     measures: Sequence[LandmarkMeasures], catalog: LandmarkCatalog, *, floor_px: float, sigma_points_km: float
 ) -> Tracks:
-    """Join the measures of images to tracks; landmarks seen once are left out.
-
-    Parameters
-    ----------
-    measures : sequence of LandmarkMeasures
-        By image.
-    catalog : LandmarkCatalog
-    floor_px : float, px
-        Error of templates, per axis, beside the noise.
-    sigma_points_km : float, km
-        A priori standard deviation of the landmarks, along each axis.
-
-    Returns
-    -------
-    Tracks
-
-    Raises
-    ------
-    InputError
-        No landmark is in two images.
-    """
+    """Join the measures of images to tracks; landmarks seen once are left out."""
     photo = np.repeat(np.arange(len(measures)), [len(one.numbers) for one in measures])
     numbers = np.concatenate([one.numbers for one in measures])
     kept = np.bincount(numbers)[numbers] >= 2
@@ -433,24 +392,7 @@ def find_tracks(
 
 
 def move_landmarks(catalog: LandmarkCatalog, fix: NetworkFix) -> LandmarkCatalog:
-    """Move the maps of landmarks to the points of an adjusted network, for ``surface_features``.
-
-    Parameters
-    ----------
-    catalog : LandmarkCatalog
-        Landmarks whose names the points have.
-    fix : NetworkFix
-
-    Returns
-    -------
-    LandmarkCatalog
-        Of the points that were determined; no longer of the shape.
-
-    Raises
-    ------
-    InputError
-        None of them was.
-    """
+    """Move the maps of landmarks to the points of an adjusted network, for ``surface_features``."""
     found = {
         name: point for name, point in zip(fix.tracks.names, fix.points_km, strict=True) if np.isfinite(point).all()
     }

@@ -17,13 +17,10 @@ from giantlike.scene import Circumstances
 class Removed(Value):
     """A measured vector from the spacecraft to a target, with light time and stellar aberration taken out.
 
-    Parameters
-    ----------
-    astrometric_km : (3,) float64, km, ICRF axes
-        From the spacecraft at the epoch to the target when the light left it: aberration taken out.
-    geometric_km : (3,) float64, km, ICRF axes, or None
-        From the spacecraft to the target, both at the epoch; None where the motion of the target is not known.
-    light_time_s : float, s
+    astrometric_km: in ICRF axes; from the spacecraft at the epoch to the target when the light left it: aberration
+        taken out.
+    geometric_km: in ICRF axes; from the spacecraft to the target, both at the epoch; None where the motion of the
+        target is not known.
     """
 
     astrometric_km: Float
@@ -34,16 +31,7 @@ class Removed(Value):
 def removed(apparent_km: Float, circumstances: Circumstances) -> Removed:
     """Take stellar aberration and light time out of an apparent vector.
 
-    Parameters
-    ----------
-    apparent_km : (3,) float64, km, ICRF axes
-        Apparent vector from camera to target: its direction holds aberration, and its length is the distance by which
-        the size in the image goes (:func:`~giantlike.core.light.boosted`).
-    circumstances : Circumstances
-
-    Returns
-    -------
-    Removed
+    ``apparent_km`` in ICRF axes.
 
     Notes
     -----
@@ -62,14 +50,7 @@ def removed(apparent_km: Float, circumstances: Circumstances) -> Removed:
 def apparent_by_position(astrometric_km: Float, circumstances: Circumstances) -> Float:
     r"""Derivative of the apparent vector by the position of the target; by that of the spacecraft it is the negative.
 
-    Parameters
-    ----------
-    astrometric_km : (3,) float64, km, ICRF axes
-    circumstances : Circumstances
-
-    Returns
-    -------
-    (3, 3) float64
+    ``astrometric_km`` in ICRF axes; returns (3, 3).
 
     Notes
     -----

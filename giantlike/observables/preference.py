@@ -19,12 +19,8 @@ _CHECKED = "auto"
 class Preference:
     """The preferred one of some fixes.
 
-    Parameters
-    ----------
-    index : int or None
-        Its index; None where none can be preferred.
-    reason : str
-        One line.
+    index: its index; None where none can be preferred.
+    reason: one line.
     """
 
     index: int | None
@@ -38,17 +34,6 @@ def preferred(fixes: Sequence[CenterFix], *, accepted: Collection[int] = ()) -> 
     estimator and fuses the two, is taken where it was run. Else each fix is compared with the others by what they do
     not share, and of those that agree with the most others the one with the smallest error ellipse in the image is
     taken.
-
-    Parameters
-    ----------
-    fixes : sequence of CenterFix
-        Of one target in one image.
-    accepted : collection of int
-        Indices of suspect fixes that a user accepted.
-
-    Returns
-    -------
-    Preference
 
     Examples
     --------

@@ -34,24 +34,12 @@ _ESTIMATED_LATER = (Cause.EPHEMERIS,)
 class ImageContext(Value):
     """What all rows of an image have in common.
 
-    Parameters
-    ----------
-    file : str
-    camera : Camera
-    shared_camera : str
-        Key of camera and calibration.
-    camera_from_inertial : Rotation
-        The attitude used.
-    attitude_source : str
-    attitude_covariance_rad2 : (3, 3) float64, rad^2, camera axes, optional
-    attitude_errors : AttitudeErrors
-    attitude_shares : mapping of str to float
-        Star images that a transferred attitude is made of, and the share of each.
-    epoch_utc, et, exposure_s : str, float, float, optional
-    accepted_by, accepted_why : str, optional
-        User who accepted the result of the rows, which is suspect, and the reason.
-    camera_rate_rad_s : (3,) float64, rad/s, camera axes, optional
-        Rotation rate of the camera.
+    shared_camera: key of camera and calibration.
+    camera_from_inertial: the attitude used.
+    attitude_covariance_rad2: in camera axes.
+    attitude_shares: star images that a transferred attitude is made of, and the share of each.
+    accepted_by, accepted_why: user who accepted the result of the rows, which is suspect, and the reason.
+    camera_rate_rad_s: in rad/s; rotation rate of the camera.
     """
 
     file: str
@@ -75,13 +63,7 @@ class ImageContext(Value):
         return attitude_parts_rad2(self.attitude_covariance_rad2, self.attitude_errors, self.camera)
 
     def cells(self) -> dict[str, Any]:
-        """Cells that all rows of the image have.
-
-        Returns
-        -------
-        dict
-            By column.
-        """
+        """Cells that all rows of the image have."""
         covariance = self.attitude_parts_rad2.get(Cause.ATTITUDE)
         shares = self.attitude_shares or ({self.file: 1.0} if self.attitude_source == "stars" else {})
         return {
@@ -107,16 +89,9 @@ class ImageContext(Value):
 class Sighting(Value):
     """What was known of a target in an image beforehand.
 
-    Parameters
-    ----------
-    predicted_camera_km : (3,) float64, km, camera axes
-        Apparent vector to the target by the a priori geometry.
-    camera_from_body : Rotation
-        When the light left, by the attitude used.
-    sun_direction_camera : (3,) float64, unitless, camera axes
-    uncertainty : TargetUncertainty
-    circumstances : Circumstances, optional
-        States that light time and aberration are taken out by; without them the row is apparent alone.
+    predicted_camera_km: apparent vector to the target by the a priori geometry.
+    camera_from_body: when the light left, by the attitude used.
+    circumstances: states that light time and aberration are taken out by; without them the row is apparent alone.
     """
 
     predicted_camera_km: Float
@@ -126,17 +101,7 @@ class Sighting(Value):
     circumstances: Circumstances | None = None
 
     def cells(self, inertial_from_camera: Rotation) -> dict[str, Any]:
-        """Cells of what was known.
-
-        Parameters
-        ----------
-        inertial_from_camera : Rotation
-
-        Returns
-        -------
-        dict
-            By column.
-        """
+        """Cells of what was known."""
         known, states = self.uncertainty, self.circumstances
         cells: dict[str, Any] = {
             "icrf_from_body_xyzw": quaternion_xyzw(inertial_from_camera * self.camera_from_body).tolist(),
@@ -162,13 +127,8 @@ class Sighting(Value):
 class LandmarkSeen(Value):
     """A landmark of a fix.
 
-    Parameters
-    ----------
-    name : str
-    body_km : (3,) float64, km, body axes
-    observed_px : (2,) float64, px
-    covariance_px2 : (2, 2) float64, px^2
-        Of the measured place alone.
+    observed_px: (2,).
+    covariance_px2: of the measured place alone.
     """
 
     name: str
@@ -181,14 +141,10 @@ class LandmarkSeen(Value):
 class StarsSeen(Value):
     """Stars of an attitude.
 
-    Parameters
-    ----------
-    numbers : (n,) int64
-        Of the catalog.
-    magnitudes : (n,) float64
-    observed_px, predicted_px : (n, 2) float64, px
-    sigma_px : (n,) float64, px
-        Per axis.
+    numbers: (n,); of the catalog.
+    magnitudes: (n,).
+    observed_px, predicted_px: (n, 2).
+    sigma_px: (n,); per axis.
     """
 
     numbers: NDArray[np.int64]
@@ -201,21 +157,7 @@ class StarsSeen(Value):
 def row_of_body(
     context: ImageContext, sighting: Sighting, fix: CenterFix, *, is_preferred: bool = False, reason: str | None = None
 ) -> ObservableRow:
-    """Row of a fix of a body.
-
-    Parameters
-    ----------
-    context : ImageContext
-    sighting : Sighting
-    fix : CenterFix or PositionFix
-    is_preferred : bool
-    reason : str, optional
-        Why it, or another one, is preferred.
-
-    Returns
-    -------
-    ObservableRow
-    """
+    """Row of a fix of a body."""
     model, ranged = context.camera.model, isinstance(fix, PositionFix)
     apparent_km = model.unproject(fix.center_px) * float(np.linalg.norm(sighting.predicted_camera_km))
     if isinstance(fix, PositionFix):
@@ -249,21 +191,7 @@ def row_of_body(
 def row_of_landmark(
     context: ImageContext, sighting: Sighting, fix: PositionFix, landmark: LandmarkSeen
 ) -> ObservableRow:
-    """Row of a landmark of a fix.
-
-    Parameters
-    ----------
-    context : ImageContext
-    sighting : Sighting
-    fix : PositionFix
-        Whose position tells how far the landmark is.
-    landmark : LandmarkSeen
-
-    Returns
-    -------
-    ObservableRow
-        Errors of scale, pole and spin follow from the place of the landmark on the body.
-    """
+    """Row of a landmark of a fix."""
     model, known = context.camera.model, sighting.uncertainty
     turned_km = rotate(sighting.camera_from_body, landmark.body_km)
     point_km, computed_km = fix.position_camera_km + turned_km, sighting.predicted_camera_km + turned_km
@@ -313,23 +241,7 @@ def row_of_landmark(
 def rows_of_stars(
     context: ImageContext, stars: StarsSeen, observer: ObserverState | None, *, status: str
 ) -> ObservableBlock:
-    """Rows of the stars of an image.
-
-    Parameters
-    ----------
-    context : ImageContext
-    stars : StarsSeen
-    observer : ObserverState, optional
-        By which aberration is taken out.
-    status : str
-        That of the attitude.
-
-    Returns
-    -------
-    ObservableBlock
-        Its covariances are the noise alone, for the attitude follows from the stars; the geometric direction is the
-        astrometric one, for the catalog is of where the stars are seen.
-    """
+    """Rows of the stars of an image."""
     model, turn = context.camera.model, context.camera_from_inertial.inv()
     in_camera = unit(model.unproject(stars.observed_px))
     apparent = rotate(turn, in_camera)

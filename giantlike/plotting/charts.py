@@ -225,16 +225,7 @@ def _entry(layer: Layer, name: str, left: float, y: float) -> list[str]:
 
 
 def charts_figure(sheet: ChartSheet) -> Figure:
-    """Draw charts side by side or above each other with matplotlib; :func:`charts_svg` is faster, for pages.
-
-    Parameters
-    ----------
-    sheet : ChartSheet
-
-    Returns
-    -------
-    Figure
-    """
+    """Draw charts side by side or above each other with matplotlib; :func:`charts_svg` is faster, for pages."""
     count, stacked = len(sheet.charts), sheet.stacked
     columns, rows = (1, count) if stacked else (count, 1)
     with drawing():

@@ -59,14 +59,9 @@ _SOFTENING = 8.0
 class StarMarks(Value):
     """Stars of an image, px.
 
-    Parameters
-    ----------
-    detected_px : (n, 2)
-        All detections.
-    matched_px, predicted_px : (m, 2)
-        Identified stars as measured, and as the solution predicts them.
-    rejected_px : (k, 2)
-        Matches rejected as outliers.
+    detected_px: (n, 2); all detections.
+    matched_px, predicted_px: (m, 2); identified stars as measured, and as the solution predicts them.
+    rejected_px: (k, 2); matches rejected as outliers.
     """
 
     detected_px: Float
@@ -78,13 +73,7 @@ class StarMarks(Value):
     def of_detections(cls, detected_px: Float) -> StarMarks:
         """Marks of an image whose stars were not identified.
 
-        Parameters
-        ----------
-        detected_px : (n, 2)
-
-        Returns
-        -------
-        StarMarks
+        ``detected_px`` (n, 2).
         """
         return cls(detected_px=detected_px, matched_px=np.zeros((0, 2)), predicted_px=np.zeros((0, 2)))
 
@@ -162,19 +151,7 @@ class OverlayPanel(Value):
 def overlay_panels(
     pixels: NDArray[np.generic], title: str, *, stars: StarMarks | None = None, bodies: Sequence[BodyMarks] = ()
 ) -> list[OverlayPanel]:
-    """An image with its stars and bodies, and a close-up of every body that the image shows.
-
-    Parameters
-    ----------
-    pixels : (rows, columns), DN
-    title : str
-    stars : StarMarks, optional
-    bodies : sequence of BodyMarks
-
-    Returns
-    -------
-    list of OverlayPanel
-    """
+    """An image with its stars and bodies, and a close-up of every body that the image shows."""
     rows, columns = pixels.shape
     frame = np.array([-0.5, columns - 0.5, -0.5, rows - 0.5])
     layers = [] if stars is None else _star_layers(stars)
@@ -188,17 +165,7 @@ def overlay_panels(
 
 
 def overlay_figure(panels: Sequence[OverlayPanel]) -> Figure:
-    """Draw panels side by side with matplotlib; :func:`giantlike.plotting.svg_overlay` is faster, for pages.
-
-    Parameters
-    ----------
-    panels : sequence of OverlayPanel
-        Of :func:`overlay_panels`.
-
-    Returns
-    -------
-    Figure
-    """
+    """Draw panels side by side with matplotlib; :func:`giantlike.plotting.svg_overlay` is faster, for pages."""
     height_in = PANEL_IN * shown_aspect(panels[0])
     with drawing():
         figure, axes = _axes(len(panels), PANEL_IN, height_in)

@@ -86,20 +86,8 @@ def star_residual_charts(
 
     Observations without magnitudes, such as corners of a board, are shown against the distance from the image center.
 
-    Parameters
-    ----------
-    points_px : (n, 2), px
-        Measured positions of the stars.
-    residuals_px : (n, 2), px
-        Observed minus predicted.
-    magnitudes, sigma_px : (n,)
-        Catalog magnitudes, NaN where there are none; standard deviation per axis that weighted each star, px.
-    columns, rows : int
-        Size of the detector.
-
-    Returns
-    -------
-    ChartSheet
+    ``points_px`` (n, 2); ``residuals_px`` (n, 2), observed minus predicted; ``magnitudes``, ``sigma_px`` (n,), catalog
+    magnitudes, NaN where there are none (standard deviation per axis that weighted each star, px).
     """
     known, label, title = np.isfinite(magnitudes), "magnitude", "Against magnitude"
     if not known.any():

@@ -18,7 +18,8 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.photometry import Photometry
 from giantlike.core.values import Value
 from giantlike.image import Image
-from giantlike.ray_tracing import RenderOptions, SceneRender, Template, render_scene
+from giantlike.ray_tracing import RenderOptions, Template
+from giantlike.ray_tracing.render import SceneRender, render_scene
 from giantlike.scene import Scene, Target, TargetGeometry
 from giantlike.simulation.shot import Shot, instants, make_black_image
 from giantlike.simulation.stars import DetectorStars, point_sources, star_field

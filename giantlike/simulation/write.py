@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from giantlike._system.atomic import write_text_atomic
 from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog
 from giantlike.core.frames import quaternion_xyzw
-from giantlike.io import navigation_header, write_fits, write_geometry, write_text_atomic
+from giantlike.io import navigation_header, write_fits, write_geometry
 from giantlike.io.csv_rows import write_csv_rows
 from giantlike.io.decoded import HeaderValue
 from giantlike.io.geometry_table import GeometryRow

@@ -11,7 +11,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from giantlike.camera import Camera
-from giantlike.catalogs import StarTable, apparent_directions, et_of_julian_year
+from giantlike.catalogs import StarTable, apparent_directions
+from giantlike.catalogs.table import et_of_julian_year
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.frames import rotate

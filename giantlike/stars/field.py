@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.catalogs import StarCatalog, StarTable, apparent_directions, et_of_julian_year
+from giantlike.catalogs import StarCatalog, StarTable, apparent_directions
+from giantlike.catalogs.table import et_of_julian_year
 from giantlike.core.arrays import Float, unit
 from giantlike.core.frames import rotate
 from giantlike.core.values import Value, select_rows

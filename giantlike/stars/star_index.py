@@ -23,14 +23,9 @@ from scipy.spatial.transform import Rotation
 
 from giantlike._system.archives import array_of, open_archive_of_arrays
 from giantlike._system.reading import reads
-from giantlike.catalogs import (
-    StarCatalog,
-    StarTable,
-    apparent_directions,
-    cache_folder,
-    et_of_julian_year,
-    write_to_cache,
-)
+from giantlike.catalogs import StarCatalog, StarTable, apparent_directions, cache_folder
+from giantlike.catalogs.cache import write_to_cache
+from giantlike.catalogs.table import et_of_julian_year
 from giantlike.core.arrays import Float
 from giantlike.core.errors import DataError
 from giantlike.core.frames import rotate

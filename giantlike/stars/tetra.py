@@ -13,7 +13,8 @@ import tetra3rs
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.catalogs import cache_folder, write_to_cache
+from giantlike.catalogs import cache_folder
+from giantlike.catalogs.cache import write_to_cache
 from giantlike.core.arrays import Float, Mask
 from giantlike.stars.field import Sky
 from giantlike.stars.options import StarOptions

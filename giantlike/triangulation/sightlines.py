@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.catalogs import StarTable, et_of_julian_year
+from giantlike.catalogs import StarTable
+from giantlike.catalogs.table import et_of_julian_year
 from giantlike.core.arrays import Float, as_finite, require, require_number, symmetric, unit
 from giantlike.core.causes import IN_IMAGE, Cause, sum_parts
 from giantlike.core.frames import direction_from_radec, east_north, rotate

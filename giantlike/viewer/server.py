@@ -116,13 +116,7 @@ def _cookie(request: Request) -> str:
 
 
 async def _body(request: Request) -> dict[str, Any]:
-    """The JSON object that a request sends.
-
-    Raises
-    ------
-    InputError
-        It is something else, or too long.
-    """
+    """The JSON object that a request sends."""
     sent = bytearray()
     async for chunk in request.stream():
         sent += chunk

@@ -11,8 +11,9 @@ from astropy import units
 from astropy.coordinates import Distance, SkyCoord
 from astropy.time import Time
 
-from giantlike.catalogs import StarTable, apparent_directions, et_of_julian_year
+from giantlike.catalogs import StarTable, apparent_directions
 from giantlike.catalogs.astrometry import deflect_light, sun_position_km
+from giantlike.catalogs.table import et_of_julian_year
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec

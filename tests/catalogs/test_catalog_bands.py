@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from giantlike.catalogs import Band, MemoryCatalog, StarTable, apparent_directions, blended, et_of_julian_year
+from giantlike.catalogs import Band, MemoryCatalog, StarTable, apparent_directions
+from giantlike.catalogs.blends import blended
+from giantlike.catalogs.table import et_of_julian_year
 from giantlike.core.arrays import unit
 from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec

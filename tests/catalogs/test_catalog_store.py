@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from giantlike.catalogs import MemoryCatalog, StarTable, apparent_directions, et_of_julian_year, load_catalog
+from giantlike.catalogs import MemoryCatalog, StarTable, apparent_directions, load_catalog
 from giantlike.catalogs.cells import ABERRATION_RAD, FAST_RAD, OBSERVER_AU, YEARS_FROM_EPOCH, margins_rad
 from giantlike.catalogs.stored import Source, catalog_header, open_catalog, save_catalog
-from giantlike.catalogs.table import COLUMN_TYPES, join_tables
+from giantlike.catalogs.table import COLUMN_TYPES, et_of_julian_year, join_tables
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import direction_from_radec

@@ -21,11 +21,11 @@ from giantlike.catalogs import (
     apparent_directions,
     cache_folder,
     default,
-    et_of_julian_year,
     load_catalog,
 )
 from giantlike.catalogs.nearby import NEARBY
 from giantlike.catalogs.readers.rows import SIGMA_PM_UNKNOWN_MAS_YR
+from giantlike.catalogs.table import et_of_julian_year
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.frames import direction_from_radec, radec_from_direction

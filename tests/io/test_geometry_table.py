@@ -9,11 +9,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
+from giantlike._system.atomic import write_bytes_atomic, write_text_atomic
 from giantlike.core.errors import DataError
 from giantlike.core.frames import rotate, rotation_between
 from giantlike.core.observer import ObserverState
 from giantlike.core.time import et_from_time, time_from_utc, utc_text
-from giantlike.io import read_ephemeris_table, read_geometry, write_bytes_atomic, write_geometry, write_text_atomic
+from giantlike.io import read_ephemeris_table, read_geometry, write_geometry
 from giantlike.io.geometry_table import COLUMNS, GeometryRow
 from tests.tolerances import EPOCH_S, FLOAT64_DIGIT
 

@@ -19,7 +19,8 @@ from giantlike.camera import Camera
 from giantlike.camera_models import BrownModel
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.image_loading import open_image
-from giantlike.catalogs import apparent_directions, et_of_julian_year, load_catalog
+from giantlike.catalogs import apparent_directions, load_catalog
+from giantlike.catalogs.table import et_of_julian_year
 from giantlike.cli.app import app
 from giantlike.core.errors import InputError
 from giantlike.core.frames import camera_from_inertial_of_pointing, direction_from_radec, rotate

@@ -9,7 +9,8 @@ import pytest
 from scipy.integrate import quad
 
 from giantlike import InputError
-from giantlike.ray_tracing import Air, Black, Lambert
+from giantlike.ray_tracing import Lambert
+from giantlike.ray_tracing.air import Air, Black
 
 
 def slant_depth(cosine: float, scale_height: float) -> float:

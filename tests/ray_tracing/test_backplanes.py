@@ -10,15 +10,8 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera_models import BrownModel, PinholeModel
 from giantlike.core.errors import InputError
 from giantlike.ray_tracing import Body, trace_backplanes
-from giantlike.shapes import (
-    Ellipsoid,
-    LevelsOfDetail,
-    Shape,
-    TriangleMesh,
-    irregular_body,
-    mesh_from_ellipsoid,
-    sphere,
-)
+from giantlike.shapes import Ellipsoid, Shape, TriangleMesh, irregular_body, mesh_from_ellipsoid, sphere
+from giantlike.shapes.detail import LevelsOfDetail
 from tests.tolerances import FLOAT64, FLOAT64_CHAIN
 
 PIXEL = 1e-6  # px: rays are interpolated to 1e-11 rad, 1e-8 px of this camera

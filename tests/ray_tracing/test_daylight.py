@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float, Mask, unit
-from giantlike.ray_tracing import Body, Lambert, RenderOptions, Trace, trace_body
+from giantlike.ray_tracing import Body, Lambert, RenderOptions
+from giantlike.ray_tracing.cached_trace import Trace, trace_body
 from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.embree import Float32
 from giantlike.ray_tracing.sampling import AxisCells

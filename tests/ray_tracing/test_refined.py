@@ -7,7 +7,8 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Mask, unit
 from giantlike.core.errors import InputError
-from giantlike.ray_tracing import Body, Lambert, McEwen, RenderOptions, Trace, trace_body
+from giantlike.ray_tracing import Body, Lambert, McEwen, RenderOptions
+from giantlike.ray_tracing.cached_trace import Trace, trace_body
 from giantlike.ray_tracing.refined import RefinedTrace, refine_trace
 from giantlike.shapes import irregular_body
 

@@ -34,10 +34,10 @@ from giantlike.ray_tracing import (
     Template,
     UserReflectance,
     disk_integrated,
-    disk_photocenter,
     reflectance_from_mapping,
     render,
 )
+from giantlike.ray_tracing.disk import disk_photocenter
 from giantlike.shapes import sphere
 from tests.tolerances import FLOAT32_SUM, FLOAT64, FLOAT64_ROOT, FLOAT64_SUM, SAMPLED, SETTLED
 

@@ -15,19 +15,9 @@ from giantlike.core.detector import GaussianPsf
 from giantlike.core.errors import InputError
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.ray_tracing import (
-    Body,
-    Lambert,
-    LommelSeeliger,
-    Reflectance,
-    RenderOptions,
-    SceneRender,
-    Template,
-    Trace,
-    render,
-    render_scene,
-    trace_body,
-)
+from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, Reflectance, RenderOptions, Template, render
+from giantlike.ray_tracing.cached_trace import Trace, trace_body
+from giantlike.ray_tracing.render import SceneRender, render_scene
 from giantlike.ray_tracing.trace import disk_directions
 from giantlike.shapes import Ellipsoid, FacetAlbedo, Shape, irregular_body, mesh_from_ellipsoid, sphere
 from tests.tolerances import FLOAT64, FLOAT64_ROOT, FLOAT64_SUM, PLACE_PX

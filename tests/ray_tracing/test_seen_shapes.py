@@ -17,7 +17,8 @@ from giantlike.image import Image
 from giantlike.ray_tracing import Body, Template, render, trace_silhouette
 from giantlike.relative.light.unresolved import Unresolved, UnresolvedOptions
 from giantlike.scene import Scene, Target
-from giantlike.shapes import Ellipsoid, LevelsOfDetail, Point, Shape, mesh_from_ellipsoid
+from giantlike.shapes import Ellipsoid, Point, Shape, mesh_from_ellipsoid
+from giantlike.shapes.detail import LevelsOfDetail
 from tests.tolerances import PLACE_PX
 
 MODEL = PinholeModel(fx_px=5000.0, fy_px=5000.0, cx_px=256.0, cy_px=256.0)

@@ -12,18 +12,8 @@ from scipy.spatial.transform import Rotation
 from giantlike.camera_models import PinholeModel
 from giantlike.core.errors import InputError
 from giantlike.ray_tracing import Body, trace_silhouette
-from giantlike.shapes import (
-    AlbedoMap,
-    Ellipsoid,
-    FacetAlbedo,
-    LevelsOfDetail,
-    Shape,
-    TriangleMesh,
-    levels_of_detail,
-    mesh_from_ellipsoid,
-    sphere,
-)
-from giantlike.shapes.detail import facet_size_km
+from giantlike.shapes import AlbedoMap, Ellipsoid, FacetAlbedo, Shape, TriangleMesh, mesh_from_ellipsoid, sphere
+from giantlike.shapes.detail import LevelsOfDetail, facet_size_km, levels_of_detail
 from tests.tolerances import SAMPLED
 
 ELLIPSOID = Ellipsoid(radii_km=np.array([1.0, 0.7, 0.6]))

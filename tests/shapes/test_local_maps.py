@@ -19,11 +19,11 @@ from giantlike.shapes import (
     LocalMap,
     TriangleMesh,
     VertexAlbedo,
-    geodesic_directions,
     mesh_from_ellipsoid,
     overlaid,
     sphere,
 )
+from giantlike.shapes.generate import geodesic_directions
 from tests.tolerances import FLOAT64_DIGIT, FLOAT64_SUM, SAMPLED
 
 CENTER = np.array([0.36, 0.48, 0.80])  # a unit vector

@@ -29,28 +29,7 @@ _LABEL_BYTES = 1_000_000
 def read_height_grid(
     path: str | Path, *, reference_radii_km: ArrayLike | None = None, unit_km: float | None = None
 ) -> HeightGrid:
-    """Open a map of heights: a PDS3 image with its label, a GeoTIFF or a numpy archive.
-
-    Parameters
-    ----------
-    path : path-like
-        Of a PDS3 image its label, or the image with the label in it or next to it.
-    reference_radii_km : (3,), km, optional
-        Semi-axes of the reference ellipsoid, where the file gives none or wrong ones.
-    unit_km : float, km, optional
-        Length of one stored unit, where the file does not give it.
-
-    Returns
-    -------
-    HeightGrid
-
-    Raises
-    ------
-    DataError
-        The file is missing, damaged, of another kind, in another projection, or lacks something.
-    InputError
-        A GeoTIFF is to be read and the package tifffile is not installed.
-    """
+    """Open a map of heights: a PDS3 image with its label, a GeoTIFF or a numpy archive."""
     return _open_grid(Path(path), None if reference_radii_km is None else np.asarray(reference_radii_km), unit_km)
 
 

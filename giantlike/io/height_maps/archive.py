@@ -98,18 +98,7 @@ def _of_tiles(path: Path, archive: NpzFile, sizes: Mapping[str, int], tile: int)
 
 
 def write_height_archive(path: str | Path, grid: HeightGrid, *, sigma_km: float, tile: int = _TILE) -> None:
-    """Write a map as a numpy archive in tiles, one at a time in memory.
-
-    Parameters
-    ----------
-    path : path-like
-    grid : HeightGrid
-        With rows from north to south and columns to the east.
-    sigma_km : float, km
-        Standard deviation of the heights.
-    tile : int
-        Samples along the side of a tile.
-    """
+    """Write a map as a numpy archive in tiles, one at a time in memory."""
     half = 0.5 * grid.longitude_step_rad
     west = math.degrees(grid.first_longitude_rad - half)
     north = math.degrees(grid.first_latitude_rad - 0.5 * grid.latitude_step_rad)

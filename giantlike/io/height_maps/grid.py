@@ -32,24 +32,13 @@ _MOST_SAMPLES = 1 << 36
 class HeightGrid(Value):
     """An equirectangular grid of heights, in a file or in memory.
 
-    Parameters
-    ----------
-    rows, columns : int
-    first_latitude_rad, first_longitude_rad : float, rad
-        Of the center of the first sample; planetocentric, longitudes to the east.
-    latitude_step_rad, longitude_step_rad : float, rad
-        From one row or column to the next; negative towards south and west.
-    reference_radii_km : (3,) float64, km
-        Semi-axes of the ellipsoid above which the heights are.
-    read : callable
-        Stored values (r, c) of a slice of rows and one of columns, both with start and stop.
-    unit_km, offset_km : float, km
-        A height is ``unit_km value + offset_km``.
-    missing : tuple of float
-        Stored values that stand for no height.
-    path : Path or None
-    sigma_km : float or None, km
-        Standard deviation of the heights, where the file gives it.
+    first_latitude_rad, first_longitude_rad: of the center of the first sample; planetocentric, longitudes to the east.
+    latitude_step_rad, longitude_step_rad: from one row or column to the next; negative towards south and west.
+    reference_radii_km: semi-axes of the ellipsoid above which the heights are.
+    read: stored values (r, c) of a slice of rows and one of columns, both with start and stop.
+    unit_km, offset_km: A height is ``unit_km value + offset_km``.
+    missing: stored values that stand for no height.
+    sigma_km: standard deviation of the heights, where the file gives it.
     """
 
     rows: int
@@ -95,20 +84,7 @@ class HeightGrid(Value):
     def block(self, rows: slice, columns: slice) -> NDArray[np.float32]:
         """Heights of a part of the grid.
 
-        Parameters
-        ----------
-        rows, columns : slice
-            With start and stop, within the grid.
-
-        Returns
-        -------
-        (r, c) float32, km
-            NaN where there is none.
-
-        Raises
-        ------
-        DataError
-            The file cannot be read there.
+        Returns (r, c) km, NaN where there is none.
         """
         stored = self.read(rows, columns)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -122,16 +98,7 @@ class HeightGrid(Value):
 def require_usable(grid: HeightGrid, heights_km: NDArray[np.float32]) -> None:
     """Raise unless heights are plausible for relief.
 
-    Parameters
-    ----------
-    grid : HeightGrid
-    heights_km : (n,) float32, km
-        Some of its heights, NaN where there is none.
-
-    Raises
-    ------
-    DataError
-        There are none, or they are larger than the relief of any body: of another unit, or radii.
+    ``heights_km`` (n,), some of its heights, NaN where there is none.
     """
     known = heights_km[np.isfinite(heights_km)]
     where = grid.path or Path("heights")

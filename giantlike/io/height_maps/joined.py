@@ -30,23 +30,7 @@ class _Part(Value):
 
 
 def joined_grid(grids: Sequence[HeightGrid]) -> HeightGrid:
-    """Join grids of one body and one step; where none is, no height is known.
-
-    Parameters
-    ----------
-    grids : sequence of HeightGrid
-        At least one. Where two overlap, the later counts.
-
-    Returns
-    -------
-    HeightGrid
-        Read as its parts are, block by block.
-
-    Raises
-    ------
-    DataError
-        Steps or radii of a part differ from the first, or its samples lie between the samples of the first.
-    """
+    """Join grids of one body and one step; where none is, no height is known."""
     first = grids[0]
     places = [_place(first, grid) for grid in grids]
     top = min(row for row, _ in places)

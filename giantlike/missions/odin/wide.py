@@ -24,7 +24,8 @@ from giantlike.core.values import Value
 from giantlike.image import Image
 from giantlike.independent import LAWS
 from giantlike.missions.odin.paper import FULL_WELL_E, PSF_SIGMA_PX, paper, read_out, wide_camera
-from giantlike.ray_tracing import Lambert, disk_photocenter
+from giantlike.ray_tracing import Lambert
+from giantlike.ray_tracing.disk import disk_photocenter
 
 RADII_KM = {"EARTH": 6371.0, "MOON": 1737.4, "SUN": 695_700.0}
 GEOMETRIC_ALBEDO = {"EARTH": 0.434, "MOON": 0.12}  # NASA planetary fact sheets

@@ -12,8 +12,8 @@ from giantlike.core.arrays import Float, require, unit
 from giantlike.independent import ReliefBody, bumps, craters, rough, tabulate
 from giantlike.missions.osiris_rex.setup import ModelSetup
 from giantlike.ray_tracing.tracer import tracer_for
-from giantlike.shapes import TriangleMesh, geodesic_directions, load_shape
-from giantlike.shapes.generate import surface_waves
+from giantlike.shapes import TriangleMesh, load_shape
+from giantlike.shapes.generate import geodesic_directions, surface_waves
 
 _WAVENUMBERS = (5.0, 12.0, 30.0)
 """Radians of phase per radian on the body, of the errors of a shape model: patches of 36, 15 and 6 degrees. The maplets

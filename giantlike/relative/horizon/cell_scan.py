@@ -25,7 +25,8 @@ from giantlike.processing.limb.measurement import (
 from giantlike.processing.limb.scan import PIXEL_VARIANCE_PX2
 from giantlike.processing.limb.search import find_limb
 from giantlike.processing.limb.view import LimbView, PredictedLimb
-from giantlike.ray_tracing import Black, Lambert, LommelSeeliger, Minnaert, Reflectance
+from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Reflectance
+from giantlike.ray_tracing.air import Black
 from giantlike.relative.horizon.cells import CellFits
 from giantlike.relative.horizon.clipped_disk import measure_clipped
 from giantlike.relative.horizon.geometry import Figure

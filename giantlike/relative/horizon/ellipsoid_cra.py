@@ -25,7 +25,8 @@ from giantlike.relative.limb.profiles import LimbScanOptions
 from giantlike.relative.limb.strain import fix_of_strained
 from giantlike.relative.limb.terrain import with_terrain
 from giantlike.relative.place import apparent_radius_px
-from giantlike.shapes import Ellipsoid, LevelsOfDetail, PlacedEllipsoid, TriangleMesh
+from giantlike.shapes import Ellipsoid, PlacedEllipsoid, TriangleMesh
+from giantlike.shapes.detail import LevelsOfDetail
 
 RELIEF_LENGTH = 0.3
 """Correlation length of relief along the limb, radii; measured on asteroid models and on synthetic bodies."""

@@ -21,7 +21,7 @@ from giantlike.processing.correlated_fit import solution_gain
 from giantlike.processing.limb.altitude import lift_points
 from giantlike.processing.limb.measurement import LimbMeasurement, smooth_parts
 from giantlike.processing.outline_errors import outline_errors
-from giantlike.ray_tracing import Air
+from giantlike.ray_tracing.air import Air
 from giantlike.relative.horizon.ray_loops import distances
 from giantlike.relative.limb.fix import LimbSolution
 from giantlike.scene import TargetGeometry

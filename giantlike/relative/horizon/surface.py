@@ -10,7 +10,8 @@ import numpy as np
 from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.values import Value
-from giantlike.ray_tracing import Air, Reflectance
+from giantlike.ray_tracing import Reflectance
+from giantlike.ray_tracing.air import Air
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

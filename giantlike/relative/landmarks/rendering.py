@@ -14,7 +14,8 @@ from giantlike.core.arrays import Float, Mask, frozen
 from giantlike.core.outcomes import Failure
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
-from giantlike.ray_tracing import Body, FocalPlane, RenderOptions, Template, Trace, trace_body
+from giantlike.ray_tracing import Body, FocalPlane, RenderOptions, Template
+from giantlike.ray_tracing.cached_trace import Trace, trace_body
 from giantlike.ray_tracing.daylight import Daylight
 from giantlike.relative.landmarks.visibility import SeenLandmarks
 from giantlike.relative.template.moved_body import MovedBody, ShadedRays

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, require, unit
 from giantlike.core.errors import InputError
-from giantlike.ray_tracing import surface_albedo
+from giantlike.ray_tracing.trace import surface_albedo
 from giantlike.ray_tracing.tracer import Tracer, tracer_for
 from giantlike.shapes import LocalMap, TriangleMesh
 from giantlike.shapes.landmarks import Landmark, LandmarkCatalog, landmark_of

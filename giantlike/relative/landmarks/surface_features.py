@@ -28,7 +28,8 @@ from giantlike.relative.landmarks.rendering import LandmarkRenderer, Patch, Trac
 from giantlike.relative.landmarks.selection import landmarks_of
 from giantlike.relative.landmarks.visibility import SeenLandmarks, VisibilityOptions, viewer_for
 from giantlike.relative.place import center_of_position
-from giantlike.shapes import LevelsOfDetail, TriangleMesh
+from giantlike.shapes import TriangleMesh
+from giantlike.shapes.detail import LevelsOfDetail
 from giantlike.shapes.landmarks import LandmarkCatalog, load_landmarks
 
 _NEAR_PX = 3  # px, search once a pose is known

@@ -15,7 +15,8 @@ from giantlike.core.units import RAD_PER_DEG
 from giantlike.core.values import Value
 from giantlike.ray_tracing import Body, FocalPlane
 from giantlike.ray_tracing.tracer import Tracer, tracer_for
-from giantlike.shapes import LevelsOfDetail, Shape, TriangleMesh
+from giantlike.shapes import Shape, TriangleMesh
+from giantlike.shapes.detail import LevelsOfDetail
 from giantlike.shapes.landmarks import LandmarkCatalog
 
 Indices = NDArray[np.int64]

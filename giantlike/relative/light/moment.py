@@ -16,14 +16,9 @@ from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import CenterFix, Failure
 from giantlike.processing.limb.segmentation import ExpectedBlob
-from giantlike.ray_tracing import (
-    Lambert,
-    LommelSeeliger,
-    RenderOptions,
-    Template,
-    disk_photocenter,
-)
+from giantlike.ray_tracing import Lambert, LommelSeeliger, RenderOptions, Template
 from giantlike.ray_tracing.block_templates import BlockedPlane, block_templates
+from giantlike.ray_tracing.disk import disk_photocenter
 from giantlike.relative.estimator import BodyEstimator
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.judge import Facts

@@ -32,7 +32,8 @@ from giantlike.processing.limb.scan import (
 )
 from giantlike.processing.limb.search import find_limb
 from giantlike.processing.limb.view import LimbView, PredictedLimb
-from giantlike.ray_tracing import Body, Reflectance, Silhouette, outline_brightness, trace_silhouette
+from giantlike.ray_tracing import Body, Reflectance, Silhouette, trace_silhouette
+from giantlike.ray_tracing.near_outline import outline_brightness
 from giantlike.relative.limb.fix import (
     LEAST_PSF_PX2,
     PATIENCE,

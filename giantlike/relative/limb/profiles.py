@@ -29,8 +29,9 @@ from giantlike.processing.limb.scan import (
 )
 from giantlike.processing.limb.shared import SharedEstimate, estimate_shared, smooth_places
 from giantlike.processing.limb.view import LimbView
-from giantlike.ray_tracing import Body, NearRender, render_near
+from giantlike.ray_tracing import Body
 from giantlike.ray_tracing.air import Black
+from giantlike.ray_tracing.near_outline import NearRender, render_near
 from giantlike.ray_tracing.reflectance import Lambert, LommelSeeliger, Minnaert, Reflectance
 from giantlike.relative.limb.clipped import (
     EXTRAPOLATION_ERROR,
@@ -172,7 +173,7 @@ def expected_profiles(
     *,
     first: bool,
 ) -> ExpectedProfiles | Failure:
-    """Compute the profiles expected along lines. Fails as :func:`giantlike.ray_tracing.render_near`."""
+    """Compute the profiles expected along lines. Fails as :func:`~giantlike.ray_tracing.near_outline.render_near`."""
     if options.edges is EdgeModel.STEP:
         return _without_shared(np.tile(_step_profile(scans, psf_px2), (len(scans.points_px), 1)))
     others = () if first else tuple(law for law in other_laws if law != body.reflectance)

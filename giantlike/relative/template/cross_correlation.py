@@ -18,7 +18,8 @@ from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
 from giantlike.image_model.columns import chance_of_odds
 from giantlike.processing.correlate import CorrelationOptions, CorrelationPeak, locate_template
-from giantlike.ray_tracing import Template, Trace, trace_silhouette
+from giantlike.ray_tracing import Template, trace_silhouette
+from giantlike.ray_tracing.cached_trace import Trace
 from giantlike.ray_tracing.silhouette import outline_points_px
 from giantlike.relative.estimator import BodyEstimator, Solved
 from giantlike.relative.inputs import EstimatorInputs

@@ -12,7 +12,8 @@ from scipy.special import ndtr
 from giantlike.core.arrays import Float, Indices
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
-from giantlike.ray_tracing import Reflectance, Trace
+from giantlike.ray_tracing import Reflectance
+from giantlike.ray_tracing.cached_trace import Trace
 from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.refined import RefinedTrace
 from giantlike.ray_tracing.sampling import AxisCells

@@ -14,7 +14,6 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
 from giantlike.ray_tracing import (
-    Black,
     Body,
     FocalPlane,
     Hapke,
@@ -25,10 +24,10 @@ from giantlike.ray_tracing import (
     Reflectance,
     RenderOptions,
     Template,
-    Trace,
     render,
-    trace_body,
 )
+from giantlike.ray_tracing.air import Black
+from giantlike.ray_tracing.cached_trace import Trace, trace_body
 from giantlike.ray_tracing.daylight import Daylight
 from giantlike.ray_tracing.refined import refine_trace
 from giantlike.relative.place import apparent_radius_px

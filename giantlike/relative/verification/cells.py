@@ -14,7 +14,8 @@ from giantlike.core.blocks import block_sums
 from giantlike.core.outcomes import Failure
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
-from giantlike.ray_tracing import Body, RenderOptions, Template, Trace, trace_body
+from giantlike.ray_tracing import Body, RenderOptions, Template
+from giantlike.ray_tracing.cached_trace import Trace, trace_body
 from giantlike.shapes import Ellipsoid
 
 CELLS_PER_RADIUS = 20

@@ -17,7 +17,8 @@ from giantlike.core.causes import IN_IMAGE, Cause, sum_parts
 from giantlike.core.findings import Smear
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.values import Value
-from giantlike.ray_tracing import Body, Template, Trace
+from giantlike.ray_tracing import Body, Template
+from giantlike.ray_tracing.cached_trace import Trace
 from giantlike.relative.budget import DECLARED, camera_response, with_error, with_larger_errors
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.judge import FALSE_ALARM, Alternative, Judgement, explaining_inflation, inflation

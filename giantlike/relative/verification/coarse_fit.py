@@ -16,7 +16,8 @@ from giantlike.core.findings import Response
 from giantlike.core.values import Value
 from giantlike.image_model.columns import Block, Columns, Layout, Prior, Solution
 from giantlike.image_model.field import MarkingModes
-from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Template, Trace
+from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Template
+from giantlike.ray_tracing.cached_trace import Trace
 from giantlike.relative.judge import Alternative
 from giantlike.relative.response import DISPLAY_BEND_SIGMA
 from giantlike.relative.verification.alternatives import (

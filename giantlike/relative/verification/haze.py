@@ -14,7 +14,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX
 from giantlike.core.findings import Corrections
 from giantlike.core.outcomes import CenterFix, Failure
-from giantlike.ray_tracing import Trace
+from giantlike.ray_tracing.cached_trace import Trace
 from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.template.haze import VEIL_DEPTH, haze_laws
 from giantlike.relative.verification.cells import Cells

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from giantlike.core.arrays import Float, unit
 from giantlike.core.blocks import block_sums
 from giantlike.core.frames import rotate
-from giantlike.ray_tracing import Template, Trace
+from giantlike.ray_tracing import Template
+from giantlike.ray_tracing.cached_trace import Trace
 from giantlike.relative.verification.cell_loops import least_unexplained
 from giantlike.relative.verification.cells import BLOCK, Cells
 from giantlike.relative.verification.shifts import ShiftedMatches

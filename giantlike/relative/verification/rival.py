@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from giantlike.core.arrays import Float
-from giantlike.ray_tracing import Template, Trace
+from giantlike.ray_tracing import Template
+from giantlike.ray_tracing.cached_trace import Trace
 from giantlike.relative.verification.cells import BLOCK, Cells
 from giantlike.relative.verification.coarse_fit import OTHER_LAWS
 from giantlike.relative.verification.light_side import independent_parts

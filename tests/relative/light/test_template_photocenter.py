@@ -15,7 +15,8 @@ from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import InputError
 from giantlike.core.frames import rotate
-from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, RenderOptions, Template, disk_photocenter, render
+from giantlike.ray_tracing import Body, Lambert, LommelSeeliger, RenderOptions, Template, render
+from giantlike.ray_tracing.disk import disk_photocenter
 from giantlike.relative.light.phase_correction import ellipsoid_photocenter_km
 from giantlike.shapes.base import Ellipsoid, PlacedEllipsoid
 from tests.tolerances import SETTLED

@@ -12,7 +12,8 @@ from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.detector import GaussianPsf
 from giantlike.core.outcomes import Failure
-from giantlike.ray_tracing import Body, FocalPlane, Lambert, McEwen, Template, Trace
+from giantlike.ray_tracing import Body, FocalPlane, Lambert, McEwen, Template
+from giantlike.ray_tracing.cached_trace import Trace
 from giantlike.relative.template.moved_body import MovedBody
 from giantlike.relative.template.rendering import TemplateRenderer, place_template
 from giantlike.relative.template.state import TemplateImages, TemplateState

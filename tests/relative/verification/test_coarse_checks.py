@@ -17,7 +17,8 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.gauntlet.bodies import rock
 from giantlike.independent import EllipsoidBody, PinholeView, Pose, Psf, record, render_body
-from giantlike.ray_tracing import Body, Template, Trace
+from giantlike.ray_tracing import Body, Template
+from giantlike.ray_tracing.cached_trace import Trace
 from giantlike.ray_tracing.embree import EmbreeSurface, Float32
 from giantlike.relative.verification import coarse_fit, light_side
 from giantlike.relative.verification.cells import Cells, cells_around
