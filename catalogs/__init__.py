@@ -47,10 +47,6 @@ def load_catalog(name: str | Path = "default", *, band: str | Band | None = None
     band : str or Band, optional
         Give magnitudes in this band; see :meth:`MemoryCatalog.in_band`.
 
-    Returns
-    -------
-    MemoryCatalog
-
     Raises
     ------
     DataError

@@ -12,10 +12,6 @@ def cache_folder() -> Path:
     """Folder for derived files: ``GIANTLIKE_CACHE``, else ``XDG_CACHE_HOME/giantlike``, else ``~/.cache/giantlike``.
 
     The folder need not exist or be writable: everything in it is only a saving of time.
-
-    Returns
-    -------
-    Path
     """
     own = os.environ.get("GIANTLIKE_CACHE")
     if own:

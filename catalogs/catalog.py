@@ -50,10 +50,6 @@ class StarCatalog(Protocol):
         radius_rad : float, rad
         max_magnitude : float, optional
             Faintest magnitude, in :attr:`band`.
-
-        Returns
-        -------
-        StarTable
         """
         ...
 
@@ -86,10 +82,6 @@ class MemoryCatalog:
         index : SkyIndex
         name, band, version : str
             As in :class:`StarCatalog`.
-
-        Returns
-        -------
-        MemoryCatalog
         """
         catalog = cls.__new__(cls)
         catalog._columns, catalog._index = columns, index
@@ -161,10 +153,6 @@ class MemoryCatalog:
         max_magnitude : float, optional
             Faintest magnitude, in :attr:`band`.
 
-        Returns
-        -------
-        StarTable
-
         Raises
         ------
         InputError
@@ -189,10 +177,6 @@ class MemoryCatalog:
         ----------
         band : str or Band
             The name of a band in ``catalogs.BANDS``, or a band of the user's own, which may rest on one of those.
-
-        Returns
-        -------
-        MemoryCatalog
 
         Raises
         ------

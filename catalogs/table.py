@@ -100,10 +100,6 @@ class StarTable(Value):
         ----------
         index : (n,) bool or (k,) int
             Mask, or indices in the order of the result.
-
-        Returns
-        -------
-        StarTable
         """
         chosen = np.asarray(index)
         if chosen.size == 0 and chosen.dtype != np.bool_:

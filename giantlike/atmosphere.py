@@ -84,10 +84,6 @@ class Atmosphere:
         body : str
             NAIF name.
 
-        Returns
-        -------
-        Atmosphere
-
         Raises
         ------
         InputError
@@ -104,10 +100,6 @@ class Atmosphere:
         Parameters
         ----------
         altitude_km, sigma_km : float, km
-
-        Returns
-        -------
-        Atmosphere
         """
         return cls(scale_height_km=0.0, optical_depth=1.0, sigma_km=sigma_km, base_km=altitude_km)
 
@@ -260,10 +252,6 @@ def is_airless(body: str) -> bool:
     ----------
     body : str
         NAIF name, with or without the number of an asteroid before it (``"4 Vesta"``, ``"101955 BENNU"``).
-
-    Returns
-    -------
-    bool
 
     Examples
     --------

@@ -91,10 +91,6 @@ class ModelUncertainty(Value):
         table : mapping
             Values by the names of the fields.
 
-        Returns
-        -------
-        ModelUncertainty
-
         Raises
         ------
         InputError
@@ -137,10 +133,6 @@ class MissionFrame(Value):
         ----------
         camera : Camera
             The camera that this frame belongs to.
-
-        Returns
-        -------
-        FrameRotation
         """
         return FrameRotation(rotation=self.camera_from_mission.inv(), target=self.name, source=camera.frame_name)
 
@@ -152,10 +144,6 @@ class MissionFrame(Value):
         ----------
         table : mapping
             ``name``, and ``camera_from_mission_xyzw``: a unit quaternion, scalar last.
-
-        Returns
-        -------
-        MissionFrame
 
         Raises
         ------
@@ -269,10 +257,6 @@ class Camera(Pictured):
         type_name : str
             A key of :data:`~giantlike.camera_models.MODELS`.
 
-        Returns
-        -------
-        Camera
-
         Raises
         ------
         InputError
@@ -302,10 +286,6 @@ class Camera(Pictured):
         path : path-like
             The file.
 
-        Returns
-        -------
-        Camera
-
         Raises
         ------
         DataError
@@ -326,10 +306,6 @@ class Camera(Pictured):
         table : mapping
             As :meth:`to_mapping` returns it; ``fov_deg``, a rough field of view along x, may take the place of
             ``model``: see :meth:`from_fov`.
-
-        Returns
-        -------
-        Camera
 
         Raises
         ------
@@ -430,10 +406,6 @@ class Camera(Pictured):
         ----------
         temperature_c : float, Celsius
             Temperature of the optics.
-
-        Returns
-        -------
-        Camera
         """
         return replace(self, model=self.model.at_temperature(temperature_c))
 
@@ -446,10 +418,6 @@ class Camera(Pictured):
             First pixel of the window on the detector.
         columns, rows : int
             Size of the window.
-
-        Returns
-        -------
-        Camera
 
         Raises
         ------
@@ -475,10 +443,6 @@ class Camera(Pictured):
         detector : Detector
             Detector of the binned images: the effect of binning on read noise and saturation depends on the
             electronics.
-
-        Returns
-        -------
-        Camera
 
         Raises
         ------

@@ -191,10 +191,6 @@ def fly(
     time_constant_s : float, s
         It decays with this; infinite for a constant one.
 
-    Returns
-    -------
-    Flight
-
     Raises
     ------
     InputError

@@ -193,10 +193,6 @@ class TableEphemeris:
         origin : str
             NAIF name of the origin of positions.
 
-        Returns
-        -------
-        TableEphemeris
-
         Raises
         ------
         DataError
@@ -302,10 +298,6 @@ class ApparentGeometry(Value):
         ----------
         row : GeometryRow
             ``read_geometry(path).image(file).targets[name]``.
-
-        Returns
-        -------
-        ApparentGeometry
 
         Raises
         ------

@@ -140,10 +140,6 @@ class Image(Pictured, Value):
             telescope images: as stored they show the sky mirrored, which no attitude can represent. Pixel coordinates
             then refer to the reversed image.
 
-        Returns
-        -------
-        Image
-
         Raises
         ------
         DataError
@@ -261,10 +257,6 @@ class Image(Pictured, Value):
             Of the camera relative to the solar system barycenter at mid-exposure, ICRF axes.
         velocity_km_s : (3,) array_like, km/s
 
-        Returns
-        -------
-        Image
-
         Raises
         ------
         InputError
@@ -294,10 +286,6 @@ class Image(Pictured, Value):
             Covariance of a rotation; a fix brings its own.
         errors : AttitudeErrors, optional
             Of a rotation; a fix brings its own.
-
-        Returns
-        -------
-        Image
 
         Raises
         ------

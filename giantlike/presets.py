@@ -64,10 +64,6 @@ def camera_preset(name: str) -> CameraPreset:
     name : str
         One of :func:`preset_names`.
 
-    Returns
-    -------
-    CameraPreset
-
     Raises
     ------
     InputError

@@ -56,10 +56,6 @@ class Rings:
         body : str
             NAIF name.
 
-        Returns
-        -------
-        Rings
-
         Raises
         ------
         InputError

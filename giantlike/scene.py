@@ -280,10 +280,6 @@ class TargetGeometry(Value):
         ----------
         position_camera_km : (3,) float64, km, camera axes, optional
             Position; the predicted one by default.
-
-        Returns
-        -------
-        Body
         """
         position = self.position_camera_km if position_camera_km is None else position_camera_km
         return Body(
@@ -300,10 +296,6 @@ class TargetGeometry(Value):
         ----------
         position_camera_km : (3,) float64, km, camera axes, optional
             Position; the predicted one by default.
-
-        Returns
-        -------
-        Body
         """
         body, altitude_km = self.body(position_camera_km), self.limb_altitude_km[0]
         if altitude_km == 0.0 or not isinstance(body.shape, Ellipsoid):
@@ -390,10 +382,6 @@ class Scene(Pictured, Value):
         ----------
         name : str, optional
             May be left out when there is only one target.
-
-        Returns
-        -------
-        Target
 
         Raises
         ------

@@ -110,10 +110,6 @@ def trace_backplanes(
         Unit vector to the Sun, for all bodies or for each.
     columns, rows : int, px
 
-    Returns
-    -------
-    Backplanes
-
     Raises
     ------
     InputError

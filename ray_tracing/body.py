@@ -73,14 +73,6 @@ class Body(Value):
 
         Of several levels of detail that is the one for the pixels at the near side of the body; for a point a sphere of
         a thousandth of a pixel. Any other shape is itself.
-
-        Parameters
-        ----------
-        model : CameraModel
-
-        Returns
-        -------
-        Body
         """
         shape, range_km = self.shape, float(np.linalg.norm(self.position_camera_km))
         if isinstance(shape, LevelsOfDetail):
@@ -96,10 +88,6 @@ class Body(Value):
         Parameters
         ----------
         position_camera_km : (3,), km, camera axes
-
-        Returns
-        -------
-        Body
         """
         return replace(self, position_camera_km=np.asarray(position_camera_km, dtype=np.float64))
 
@@ -110,10 +98,6 @@ class Body(Value):
         ----------
         turn : Rotation
             From the camera axes to the axes of the rotated camera.
-
-        Returns
-        -------
-        Body
         """
         return replace(
             self,
@@ -150,10 +134,6 @@ class Body(Value):
     def center_px(self, model: CameraModel) -> Float:
         """Project the origin of the shape.
 
-        Parameters
-        ----------
-        model : CameraModel
-
         Returns
         -------
         (2,) float64, px
@@ -163,10 +143,6 @@ class Body(Value):
 
     def hull_px(self, model: CameraModel) -> Float:
         """Project points whose convex hull contains the body.
-
-        Parameters
-        ----------
-        model : CameraModel
 
         Returns
         -------

@@ -93,10 +93,6 @@ def trace_silhouette(
     center_px : (2,), px, optional
         Start of the directions; None takes the projection of the body's origin.
 
-    Returns
-    -------
-    Silhouette
-
     Raises
     ------
     InputError

@@ -209,10 +209,6 @@ class AlbedoMap(Value):
         ----------
         offset_body_km : (3,), km, body
             Added to the center.
-
-        Returns
-        -------
-        AlbedoMap
         """
         return replace(self, center_body_km=self.center_body_km + as_floats(offset_body_km, (3,), "offset_body_km"))
 

@@ -108,16 +108,7 @@ class Ellipsoid(Value):
         return PlacedEllipsoid(ellipsoid=self, center_body_km=np.zeros(3), body_from_axes=Rotation.identity())
 
     def with_albedo(self, albedo: Albedo | None) -> Ellipsoid:
-        """Return the same ellipsoid with another relative albedo.
-
-        Parameters
-        ----------
-        albedo : Albedo or None
-
-        Returns
-        -------
-        Ellipsoid
-        """
+        """Return the same ellipsoid with another relative albedo."""
         return replace(self, albedo=albedo)
 
 
@@ -195,9 +186,5 @@ def sphere(radius_km: ArrayLike, *, name: str = "sphere") -> Ellipsoid:
     ----------
     radius_km : float, km
     name : str
-
-    Returns
-    -------
-    Ellipsoid
     """
     return Ellipsoid(radii_km=np.full(3, radius_km, dtype=np.float64), name=name)

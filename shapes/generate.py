@@ -27,10 +27,6 @@ def mesh_from_ellipsoid(ellipsoid: Ellipsoid, *, facets: int = 20_480) -> Triang
     ellipsoid : Ellipsoid
     facets : int
         Smallest number of facets; the mesh has the next larger 20 k^2.
-
-    Returns
-    -------
-    TriangleMesh
     """
     directions, faces = geodesic_directions(facets)
     return TriangleMesh(directions * ellipsoid.radii_km, faces, f"{ellipsoid.name} (mesh)")
@@ -62,10 +58,6 @@ def irregular_body(
     roughness : float
         Standard deviation of the roughness near facet size, same unit; boulders scale with it.
     name : str, optional
-
-    Returns
-    -------
-    TriangleMesh
 
     Raises
     ------

@@ -72,12 +72,7 @@ class LocalMap(Value):
         return 0.5 * (columns - 1) * self.spacing_km, 0.5 * (rows - 1) * self.spacing_km
 
     def mesh(self) -> TriangleMesh:
-        """Mesh of the map alone: an open surface with two facets for each cell of the grid, in body axes.
-
-        Returns
-        -------
-        TriangleMesh
-        """
+        """Mesh of the map alone: an open surface with two facets for each cell of the grid, in body axes."""
         albedo = None if self.albedo is None else VertexAlbedo(self.albedo.ravel())
         return TriangleMesh(self.to_body(np.nan_to_num(self._grid())), self._faces(), self.name, albedo=albedo)
 

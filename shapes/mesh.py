@@ -217,14 +217,6 @@ class TriangleMesh(Value):
     def with_albedo(self, albedo: Albedo | None) -> TriangleMesh:
         """Return the same surface with another relative albedo, by its own facets or vertices.
 
-        Parameters
-        ----------
-        albedo : Albedo or None
-
-        Returns
-        -------
-        TriangleMesh
-
         Raises
         ------
         InputError
@@ -239,10 +231,6 @@ class TriangleMesh(Value):
         ----------
         offset_body_km : (3,), km, body
             Added to the vertices.
-
-        Returns
-        -------
-        TriangleMesh
         """
         offset = as_floats(offset_body_km, (3,), "offset_body_km")
         albedo = self.albedo.translated(offset) if isinstance(self.albedo, AlbedoMap) else self.albedo

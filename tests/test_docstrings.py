@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import enum
 import inspect
+import re
 import sys
 import tomllib
 from pathlib import Path
@@ -20,6 +21,10 @@ ROOT = Path(__file__).resolve().parents[1]
 CHECKS = frozenset(
     tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["numpydoc_validation"]["checks"]
 )
+NUMBERS = re.compile(
+    r"\b(?:Float|NDArray|Mask|float|int|complex|ArrayLike|tuple|Any|Mapping|dict|Sequence|list|Iter\w+|Callable)\b"
+)
+"""Annotations that leave a shape, a unit, a frame or the meaning of keys to the docstring."""
 RIDDLES = ("How", "What", "Where", "Whether", "Which", "Who", "Why")
 
 
@@ -45,10 +50,23 @@ def findings(name: str) -> list[str]:
     found = [f"{code} {text}" for code, text in result["errors"] if code in CHECKS]
     if any(text.startswith("PR01") for text in found) and _bases_document_parameters(name):
         found = [text for text in found if not text.startswith("PR01")]
+    stated = _stated_by_annotations(name)
+    found = [text for text in found if not text.startswith(stated)]
     summary = str(result["docstring"]).split(maxsplit=1)
     if summary and summary[0] in RIDDLES:
         found.append(f"summary begins with {summary[0]!r}: say what the thing is or does, or 'True if ...'")
     return found
+
+
+def _stated_by_annotations(name: str) -> tuple[str, ...]:
+    """Codes of the sections that a function does not need, since its annotations say all that they would."""
+    function = Validator._load_obj(name)
+    if isinstance(function, property) or not inspect.isroutine(function):
+        return ()
+    signature, documented = inspect.signature(function), Validator(get_doc_object(function)).doc_parameters
+    returns = () if NUMBERS.search(str(signature.return_annotation)) else ("RT01",)
+    plain = not any(NUMBERS.search(str(one.annotation)) for one in signature.parameters.values())
+    return (*returns, "PR01") if plain and not documented else returns
 
 
 def _bases_document_parameters(name: str) -> bool:

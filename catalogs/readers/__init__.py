@@ -85,10 +85,6 @@ def build_catalog(
     progress : callable, optional
         Called with the number of files done and of all files.
 
-    Returns
-    -------
-    Built
-
     Raises
     ------
     InputError

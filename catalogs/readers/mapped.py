@@ -168,10 +168,6 @@ def column_map(settings: Sequence[str], *, file: Path | None = None, band: str |
     band : str, optional
         Photometric band of the magnitudes; default: the file's, or ``user``.
 
-    Returns
-    -------
-    ColumnMap
-
     Raises
     ------
     InputError

@@ -149,10 +149,6 @@ class ModeMachine:
     def step(self, state: InstrumentState) -> tuple[InstrumentState, Telemetry]:
         """Carry out one cycle of the mode.
 
-        Parameters
-        ----------
-        state : InstrumentState
-
         Returns
         -------
         InstrumentState

@@ -75,10 +75,6 @@ def pose_of_pair(body: PositionFix, camera_from_inertial: Rotation, attitude_cov
         Of that camera, from :func:`carried_attitude`.
     attitude_covariance_rad2 : (3, 3), rad^2, axes of that camera
 
-    Returns
-    -------
-    PairPose
-
     Raises
     ------
     InputError

@@ -201,10 +201,6 @@ class CalibrationResult(Pictured, Estimate):
         ----------
         camera : Camera
             Camera before the calibration; its name, PSF and detector are kept.
-
-        Returns
-        -------
-        Camera
         """
         uncertainty = ModelUncertainty(
             estimated=self.estimated,

@@ -116,10 +116,6 @@ def identify_first(
     scale_error : float
         Largest relative error of the focal length, in (0, 0.2].
     temperature_c : float, Celsius
-
-    Returns
-    -------
-    StarImage or Failure
     """
     options = replace(navigation.options, lost_in_space=True, estimate_scale=True, scale_error=scale_error)
     camera = replace(camera, model=scaled_model(camera.model, 1.0))
@@ -211,10 +207,6 @@ def calibrate_stars(
     stars : StarOptions, optional
     options : CalibrationOptions, optional
     criteria : CalibrationCriteria, optional
-
-    Returns
-    -------
-    StarCalibration or Failure
     """
     if not images:
         return Failure(Reason.TOO_FEW_MATCHES, "no image has identified stars: a calibration needs at least one")

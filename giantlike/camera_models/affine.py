@@ -108,10 +108,6 @@ class AffineModel(ABC):
         ----------
         coefficients : tuple of float
             As :attr:`lens_coefficients` has them.
-
-        Returns
-        -------
-        model of this type
         """
         names = cls.parameter_names[len(AFFINE_NAMES) : -len(TEMPERATURE_NAMES)]
         return cls(fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0, **dict(zip(names, coefficients, strict=True)))
@@ -158,10 +154,6 @@ class AffineModel(ABC):
         temperature_c : float, Celsius
             Temperature of the optics.
 
-        Returns
-        -------
-        model of the same type
-
         Raises
         ------
         InputError
@@ -183,10 +175,6 @@ class AffineModel(ABC):
         ----------
         factor : float
             Pixels along one side of a block; not a whole number for resampled images, below 1 for enlarged ones.
-
-        Returns
-        -------
-        model of the same type
         """
         require_number(factor, "a binning factor", above=0.0)
         middle = (factor - 1) / 2  # of the first block
@@ -206,10 +194,6 @@ class AffineModel(ABC):
         ----------
         x0_px, y0_px : float, px
             First pixel of the window.
-
-        Returns
-        -------
-        model of the same type
         """
         return dataclasses.replace(self, cx_px=self.cx_px - x0_px, cy_px=self.cy_px - y0_px)
 

@@ -46,10 +46,6 @@ class CameraModel(Protocol):
         ----------
         values : (k,) array_like
             Values in the order and units of :attr:`parameter_names`.
-
-        Returns
-        -------
-        model of the same type
         """
         ...
 
@@ -140,10 +136,6 @@ class CameraModel(Protocol):
         ----------
         temperature_c : float, Celsius
             Temperature of the optics.
-
-        Returns
-        -------
-        model of the same type
         """
         ...
 

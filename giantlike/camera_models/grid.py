@@ -84,10 +84,6 @@ class GridCorrectedModel(Value):
         step_px : float, px
             Spacing of the control values: for a fit, not less than the spacing of neighboring measurements, all images
             together.
-
-        Returns
-        -------
-        GridCorrectedModel
         """
         zero = np.zeros((int(np.ceil(rows / step_px)) + 3, int(np.ceil(columns / step_px)) + 3))
         return cls(base=base, corner_px=np.array([-0.5, -0.5]), step_px=step_px, dx_px=zero, dy_px=zero)
@@ -134,10 +130,6 @@ class GridCorrectedModel(Value):
         ----------
         temperature_c : float, Celsius
             Temperature of the optics.
-
-        Returns
-        -------
-        model of the same type
         """
         return dataclasses.replace(self, base=self.base.at_temperature(temperature_c))
 

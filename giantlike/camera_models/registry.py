@@ -55,10 +55,6 @@ def model_from_mapping(table: Mapping[str, Any]) -> CameraModel:
     table : mapping
         ``type`` and the parameters of that type; parameters with a default may be absent.
 
-    Returns
-    -------
-    CameraModel
-
     Raises
     ------
     InputError
@@ -95,10 +91,6 @@ def _grid_from_table(values: Mapping[str, Any]) -> GridCorrectedModel:
 
 def model_to_mapping(model: CameraModel) -> dict[str, Any]:
     """Return the ``[model]`` table of a model: ``type`` and every parameter; temperature terms only if not zero.
-
-    Parameters
-    ----------
-    model : CameraModel
 
     Returns
     -------

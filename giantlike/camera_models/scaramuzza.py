@@ -66,10 +66,6 @@ class ScaramuzzaModel(AxialModel):
             Center of the image circle.
         stretch : float
             Width over height of the image circle.
-
-        Returns
-        -------
-        ScaramuzzaModel
         """
         return cls(
             fx_px=a0_px * stretch,

@@ -20,12 +20,10 @@ from giantlike.calibration.star_images import start_model
 from giantlike.camera_models import ifov_rad
 from giantlike.campaign.file.config import Campaign, images_of, stars_of
 from giantlike.campaign.file.frame_files import frames_of
-from giantlike.campaign.file.hints import nearest
 from giantlike.campaign.file.inputs import SpiceSetup, TargetSetup, camera_of, geometry_of, spice_of, targets_of
 from giantlike.campaign.file.mission_defaults import with_mission
 from giantlike.campaign.file.schema import CampaignFile, TargetSection
-from giantlike.campaign.file.toml_file import checked_table, problems_of
-from giantlike.campaign.file.toml_lines import line_of, lines_of_keys
+from giantlike.campaign.file.toml_file import checked_table, line_of, lines_of_keys, nearest, problems_of
 from giantlike.campaign.run.bodies import outside_px
 from giantlike.campaign.run.image_loading import open_image, scene_of, targets_in
 from giantlike.campaign.run.worker_context import Workbench

@@ -38,8 +38,7 @@ from giantlike.io.picture_sequence import PsfPicture, write_psf
 from giantlike.io.spc_lmk import Lmk, write_lmk
 from giantlike.io.spc_sumfile import write_sumfile
 from giantlike.io.spice import body_id
-from giantlike.io.spice_ck import CkTarget, write_ck
-from giantlike.io.spice_spk import SpkArc, write_spk
+from giantlike.io.spice_ck import CkTarget, SpkArc, write_ck, write_spk
 from giantlike.io.wcs_header import write_wcs
 from giantlike.observables.exchange import (
     AdesSource,

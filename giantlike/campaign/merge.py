@@ -10,10 +10,9 @@ from typing import Any
 
 from giantlike._system.atomic import make_folder
 from giantlike.campaign.report.run_page import write_report
-from giantlike.campaign.store.changes import changes
 from giantlike.campaign.store.edits import add_edits, read_edits
 from giantlike.campaign.store.observables import write_run_observables
-from giantlike.campaign.store.results import RunResult, load_result
+from giantlike.campaign.store.results import RunResult, changes, load_result
 from giantlike.campaign.store.run_folder import CAMERA_FILE, RunFolder
 from giantlike.campaign.store.tables import write_tables
 from giantlike.core.arrays import require

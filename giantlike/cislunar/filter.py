@@ -245,10 +245,6 @@ def time_update(state: FilterState, until: float, model: FilterModel) -> FilterS
     state : FilterState
     until : float, TDB seconds past J2000
     model : FilterModel
-
-    Returns
-    -------
-    FilterState
     """
     for end in step_ends(state.et, until, model.longest_step_s):
         step = coast(model, state.et, state.mean, end)

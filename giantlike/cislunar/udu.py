@@ -44,10 +44,6 @@ def udu_factors(covariance: ArrayLike) -> UduFactors:
     covariance : (..., n, n) array_like
         Symmetric and positive semi-definite; a variance may be zero.
 
-    Returns
-    -------
-    UduFactors
-
     Raises
     ------
     InputError

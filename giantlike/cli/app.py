@@ -60,7 +60,7 @@ _COMMANDS = {
     "show": Entry("Draw an image of a run with what was found in it.", "viewer_commands", "show"),
     "explain": Entry("Say in words how the results of an image came about.", "viewer_commands", "explain"),
     "backplanes": Entry("Write range, angles and coordinates of every pixel.", "viewer_commands", "backplanes"),
-    "dossier": Entry("Put together what a verification report of a run needs.", "dossier_command", "dossier"),
+    "dossier": Entry("Put together what a verification report of a run needs.", "viewer_commands", "dossier"),
     "edit": Entry("Reject or restore images, stars and fixes of a run.", "status_commands", "edit"),
     "calibrate": Entry("Calibrate a camera from stars or a checkerboard.", "calibrate_command", "calibrate"),
     "stars": Entry("Solve the attitude of star images, without a campaign file.", "stars_command", "stars"),

@@ -118,10 +118,6 @@ class Detector:
         table : mapping
             Fields by name, without those of images; ``estimated`` is True where neither gain nor read noise is given.
 
-        Returns
-        -------
-        Detector
-
         Raises
         ------
         InputError

@@ -57,10 +57,6 @@ class Pictured:
             Default: the axes of a new pyplot figure, which a notebook shows below the cell.
         **options
             Of the painter, see docs/notebooks.md.
-
-        Returns
-        -------
-        matplotlib Axes
         """
         from matplotlib import pyplot
 

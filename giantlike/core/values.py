@@ -75,12 +75,7 @@ class Estimate(Value):
     __slots__ = ()
 
     def unwrap(self) -> Self:
-        """Return the value itself; a :class:`~giantlike.core.outcomes.Failure` raises instead.
-
-        Returns
-        -------
-        the value
-        """
+        """Return the value itself; a :class:`~giantlike.core.outcomes.Failure` raises instead."""
         return self
 
 

@@ -47,10 +47,6 @@ def read_ephemeris_table(path: str | Path) -> EphemerisSamples:
     path : path-like
         CSV file with the columns of :mod:`giantlike.io.ephemeris_table`.
 
-    Returns
-    -------
-    EphemerisSamples
-
     Raises
     ------
     DataError

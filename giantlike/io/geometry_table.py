@@ -162,10 +162,6 @@ def read_geometry(path: str | Path, *, default_target: str | None = None) -> Geo
     default_target : str, optional
         Name for rows that leave ``target`` empty; for campaigns with one target.
 
-    Returns
-    -------
-    GeometryTable
-
     Raises
     ------
     DataError

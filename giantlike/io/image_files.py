@@ -100,10 +100,6 @@ def read_image_file(path: str | Path, *, hdu: int | str | None = None, bottom_up
         The first stored row is the bottom of the picture, as telescopes store the sky: turn the rows around, so that
         the picture is not mirrored. Row y of the result is row ``rows - 1 - y`` of the file.
 
-    Returns
-    -------
-    ImageFile
-
     Raises
     ------
     DataError

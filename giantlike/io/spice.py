@@ -127,10 +127,6 @@ def load_kernels(patterns: Sequence[str | Path], base: str | Path, *, trusted: b
     trusted : bool
         They were loaded before, by another process of this run: do not try them first.
 
-    Returns
-    -------
-    SpiceKernels
-
     Raises
     ------
     DataError

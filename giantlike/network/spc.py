@@ -215,10 +215,6 @@ def pck_of(fix: NetworkFix, naif_id: int, lines: Sequence[str] = ()) -> str:
     lines : sequence of str
         Further comments.
 
-    Returns
-    -------
-    str
-
     Raises
     ------
     InputError

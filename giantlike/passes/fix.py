@@ -163,10 +163,6 @@ class PassFix(Value):
         term : str
             One of ``terms``.
 
-        Returns
-        -------
-        TermTest
-
         Raises
         ------
         InputError

@@ -220,10 +220,6 @@ def demo_camera() -> Camera:
 
     The principal point is moved to the middle of the smaller frame; the detector values belong to no real camera.
 
-    Returns
-    -------
-    Camera
-
     References
     ----------
     .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Table 1.

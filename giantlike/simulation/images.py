@@ -68,10 +68,6 @@ def simulate_image(
     options : SimulationOptions, optional
         Sampling.
 
-    Returns
-    -------
-    SimulatedImage
-
     Raises
     ------
     InputError

@@ -204,10 +204,6 @@ class StarNavigation:
         options : DetectionOptions, optional
             Default: the options of this object.
 
-        Returns
-        -------
-        Detections or Failure
-
         Raises
         ------
         InputError
@@ -243,10 +239,6 @@ class StarNavigation:
         image : Image
             Time, a priori pose and name; the pixels are not used.
         detections : Detections
-
-        Returns
-        -------
-        AttitudeFix or Failure
         """
         outcome = self._solve(image, detections, time.thread_time() + self.options.time_limit_s)
         return self._explain(image, detections, outcome) if isinstance(outcome, Failure) else outcome.fix

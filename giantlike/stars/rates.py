@@ -84,10 +84,6 @@ def read_rates(path: str | Path) -> AngularRates:
         CSV file with the columns ``epoch_utc`` or ``et`` (TDB seconds past J2000), and ``rate_x_rad_s``,
         ``rate_y_rad_s``, ``rate_z_rad_s`` about the camera axes.
 
-    Returns
-    -------
-    AngularRates
-
     Raises
     ------
     DataError

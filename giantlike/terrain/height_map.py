@@ -80,10 +80,6 @@ class HeightMap(Value):
         unit_km : float, km, optional
             Length of a stored unit, where the file does not tell it.
 
-        Returns
-        -------
-        HeightMap
-
         Raises
         ------
         DataError
@@ -114,10 +110,6 @@ class HeightMap(Value):
         reference_radii_km : (3,), km
         sigma_km : float, km
 
-        Returns
-        -------
-        HeightMap
-
         Raises
         ------
         InputError
@@ -142,10 +134,6 @@ class HeightMap(Value):
 
     def save(self, path: str | Path) -> None:
         """Write the map as a numpy archive in tiles, which is opened again without reading all of it.
-
-        Parameters
-        ----------
-        path : path-like
 
         Raises
         ------

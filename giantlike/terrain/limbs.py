@@ -183,10 +183,6 @@ def limb_profile(
     up_body : (3,), body axes, optional
         Direction of the position angle 0; any by default.
 
-    Returns
-    -------
-    LimbProfile
-
     Raises
     ------
     InputError

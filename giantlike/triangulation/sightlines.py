@@ -228,9 +228,5 @@ class StarEphemeris(Value):
         Parameters
         ----------
         et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        scipy Rotation
         """
         return Rotation.identity()

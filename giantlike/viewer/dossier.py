@@ -22,10 +22,9 @@ from giantlike.campaign.report.templates import render_page
 from giantlike.campaign.run.provenance import file_sha256, inputs_of
 from giantlike.campaign.run.steps import digest
 from giantlike.campaign.run.worker_context import Workbench
-from giantlike.campaign.store.changes import changes
 from giantlike.campaign.store.edits import EDITS_FILE, read_edits
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord
-from giantlike.campaign.store.results import StatusCounts
+from giantlike.campaign.store.results import StatusCounts, changes
 from giantlike.campaign.store.run_folder import RESULTS_FILE, RunFolder
 from giantlike.core.errors import DataError, InputError
 from giantlike.viewer.explain import explain

@@ -28,10 +28,6 @@ _SOURCES = {
 def explain(answer: SeenImage | AttitudeFix | CenterFix | Failure) -> str:
     """Explain the results of an image of a run, or the result of an estimator or of star navigation.
 
-    Parameters
-    ----------
-    answer : SeenImage, AttitudeFix, CenterFix or Failure
-
     Returns
     -------
     str

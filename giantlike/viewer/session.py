@@ -17,10 +17,9 @@ from giantlike.campaign.run.bodies import with_attitude_used
 from giantlike.campaign.run.image_loading import mask_areas, open_image, scene_of
 from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.edits import Edit, Edited, Measuring, read_edits
-from giantlike.campaign.store.image_names import find_image
 from giantlike.campaign.store.records import AttitudeRecord, ObservationRecord, TargetRecord
 from giantlike.campaign.store.results import RunResult, camera_of_run, load_result
-from giantlike.campaign.store.run_folder import RunFolder
+from giantlike.campaign.store.run_folder import RunFolder, find_image
 from giantlike.core.arrays import Float, unit
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Failure, Outcome
@@ -176,14 +175,6 @@ class Session:
     def find(self, name: str) -> str:
         """Name of an image in the tables, from that name, a path that ends in it, or its start.
 
-        Parameters
-        ----------
-        name : str
-
-        Returns
-        -------
-        str
-
         Raises
         ------
         InputError
@@ -198,10 +189,6 @@ class Session:
         ----------
         file : str
             One of :attr:`files`.
-
-        Returns
-        -------
-        SeenImage
         """
         record = next(each for each in self.result.attitudes if each.file == file)
         observations = [one for image in self.result.bodies if image.file == file for one in image.observations]
@@ -228,14 +215,6 @@ class Session:
     def pixels(self, file: str) -> Image:
         """The image as it is stored.
 
-        Parameters
-        ----------
-        file : str
-
-        Returns
-        -------
-        Image
-
         Raises
         ------
         DataError
@@ -246,14 +225,6 @@ class Session:
 
     def image(self, file: str) -> Image:
         """The image as estimators saw it: calibrated pixels, and the attitude that was used.
-
-        Parameters
-        ----------
-        file : str
-
-        Returns
-        -------
-        Image
 
         Raises
         ------

@@ -9,7 +9,7 @@ import pytest
 import tomli_w
 
 from giantlike.campaign.check import check_campaign
-from giantlike.campaign.file.toml_lines import line_of, lines_of_keys
+from giantlike.campaign.file.toml_file import line_of, lines_of_keys
 from giantlike.terrain import HeightMap
 from tests.campaign_files import campaign_table, write_campaign
 

@@ -10,7 +10,7 @@ from types import FrameType
 
 import pytest
 
-from giantlike.campaign.file.toml_lines import lines_of_keys
+from giantlike.campaign.file.toml_file import lines_of_keys
 from giantlike.catalogs.readers.tabular import text_table
 from giantlike.core.errors import DataError
 from giantlike.io.camera_ik import read_ik_camera

@@ -30,8 +30,7 @@ from giantlike.io.picture_sequence import write_psf
 from giantlike.io.spc_lmk import write_lmk
 from giantlike.io.spc_sumfile import read_sumfile, write_sumfile
 from giantlike.io.spice import load_kernels
-from giantlike.io.spice_ck import CkTarget, write_ck
-from giantlike.io.spice_spk import SpkArc, write_spk
+from giantlike.io.spice_ck import CkTarget, SpkArc, write_ck, write_spk
 from giantlike.observables import StarsSeen, row_of_body, row_of_landmark, rows_of_stars
 from giantlike.observables.exchange import (
     AdesSource,

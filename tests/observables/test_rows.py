@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera, ModelUncertainty
 from giantlike.camera_models import BrownModel
-from giantlike.campaign.store.observables import observables_metadata
+from giantlike.campaign.store.observables import camera_rates, observables_metadata
 from giantlike.core.arrays import Float
 from giantlike.core.causes import Cause
 from giantlike.core.errors import DataError, InputError
@@ -36,7 +36,6 @@ from giantlike.observables import (
     row_of_landmark,
     rows_of_stars,
 )
-from giantlike.observables.rates import camera_rates
 from giantlike.relative.place import place_jacobian
 from giantlike.scene import Circumstances, TargetUncertainty
 

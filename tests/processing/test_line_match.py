@@ -8,7 +8,7 @@ from scipy.ndimage import map_coordinates
 
 from giantlike.core.arrays import Float
 from giantlike.processing.limb.line_match import fit_lines, refine_shifts
-from giantlike.processing.limb.line_values import sample_lines
+from giantlike.processing.limb.scan import sample_lines
 from tests.tolerances import FLOAT64_SUM
 
 LINES, HALF, MOST, STEP_PX = 5, 8, 3, 0.5

@@ -16,8 +16,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.errors import InputError
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason
-from giantlike.processing.geometry.p3p import poses_of_three_points
-from giantlike.processing.geometry.pnp import PnpFix, PnpOptions, solve_pnp
+from giantlike.processing.geometry.pnp import PnpFix, PnpOptions, poses_of_three_points, solve_pnp
 from tests.sizes import slow
 from tests.tolerances import FLOAT64_SUM, RARE, SETTLED
 

@@ -28,8 +28,7 @@ from giantlike.shapes import (
 from giantlike.shapes.decimate import decimate_mesh, deviation, surface_distances
 from giantlike.shapes.defects import Defects, defects_of
 from giantlike.shapes.files.dsk import DskIdentity
-from giantlike.shapes.files.exchange import read_exchange
-from giantlike.shapes.files.obj import read_plain_obj
+from giantlike.shapes.files.exchange import read_exchange, read_plain_obj
 from giantlike.shapes.load import mesh_of, read_surface
 from giantlike.shapes.measure import measure_mesh
 from giantlike.shapes.repair import repair_surface

@@ -151,14 +151,6 @@ class Campaign:
     def load(cls, path: str | Path) -> Campaign:
         """Read and check a campaign file and the files it names.
 
-        Parameters
-        ----------
-        path : path-like
-
-        Returns
-        -------
-        Campaign
-
         Raises
         ------
         DataError
@@ -171,14 +163,6 @@ class Campaign:
 
     def with_network(self, section: NetworkSection) -> Campaign:
         """Return the campaign with the step ``network``.
-
-        Parameters
-        ----------
-        section : NetworkSection
-
-        Returns
-        -------
-        Campaign
 
         Raises
         ------
@@ -218,16 +202,7 @@ class Campaign:
         return None if known is None else known.covariance_attitude_rad2
 
     def path_from_output(self, path: Path) -> str:
-        """Path of a file relative to the run folder, so that both can be moved together.
-
-        Parameters
-        ----------
-        path : Path
-
-        Returns
-        -------
-        str
-        """
+        """Path of a file relative to the run folder, so that both can be moved together."""
         return Path(os.path.relpath(path, self.output)).as_posix()
 
     def is_star_image(self, exposure_s: float | None) -> bool:
@@ -236,10 +211,6 @@ class Campaign:
         Parameters
         ----------
         exposure_s : float or None, s
-
-        Returns
-        -------
-        bool
         """
         if self.stars is None:
             return False
@@ -252,10 +223,6 @@ class Campaign:
         Parameters
         ----------
         exposure_s : float or None, s
-
-        Returns
-        -------
-        bool
         """
         if self.stars is None or self.stars.long_exposure_s is None:
             return True

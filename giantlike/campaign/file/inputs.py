@@ -14,11 +14,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
-from giantlike.campaign.file.hints import nearest
 from giantlike.campaign.file.limb_inputs import LimbSetup
 from giantlike.campaign.file.options import options_from_mapping, with_files_found
 from giantlike.campaign.file.schema import BodySection, Radii, SpiceSection, TargetSection
-from giantlike.campaign.file.toml_file import prefix_errors
+from giantlike.campaign.file.toml_file import nearest, prefix_errors
 from giantlike.core.arrays import Float, require
 from giantlike.core.detector import Detector
 from giantlike.core.errors import DataError

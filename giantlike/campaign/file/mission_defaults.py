@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from giantlike.campaign.file.hints import nearest
 from giantlike.campaign.file.inputs import CAMERA_CHANGES
+from giantlike.campaign.file.toml_file import nearest
 from giantlike.core.arrays import require
 from giantlike.io.mission_files import mission, mission_names
 

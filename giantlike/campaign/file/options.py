@@ -10,8 +10,7 @@ from typing import Any, TypeVar, get_type_hints
 
 from pydantic import PlainValidator, TypeAdapter, ValidationError
 
-from giantlike.campaign.file.hints import nearest
-from giantlike.campaign.file.toml_file import prefix_errors
+from giantlike.campaign.file.toml_file import nearest, prefix_errors
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
 

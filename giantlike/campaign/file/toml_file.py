@@ -1,9 +1,11 @@
-"""TOML files read and checked by a pydantic model of their keys; an error is one line."""
+"""TOML files read and checked by a pydantic model of their keys; an error is one line; line numbers of keys."""
 
 from __future__ import annotations
 
+import difflib
 import json
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, get_args
@@ -12,7 +14,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from giantlike._system.reading import toml_table
-from giantlike.campaign.file.hints import nearest
 from giantlike.core.errors import DataError, InputError
 
 Content = TypeVar("Content", bound=BaseModel)
@@ -125,3 +126,75 @@ def key_text(location: tuple[int | str, ...]) -> str:
     for part in location:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
     return text
+
+
+_HEADER = re.compile(r"\s*(\[\[?)([^\[\]]++)\]\]?\s*(#.*)?$")
+_KEY = re.compile(r"""\s*([A-Za-z0-9_\-."']+)\s*=""")
+
+
+def lines_of_keys(text: str) -> dict[str, int]:
+    r"""Lines of the tables and keys of a TOML file.
+
+    Examples
+    --------
+    >>> lines_of_keys("[a]\nb = 1\n[[c]]\nd.e = 2\n[[c]]\n")
+    {'a': 1, 'a.b': 2, 'c[0]': 3, 'c[0].d.e': 4, 'c[1]': 5}
+    """
+    lines: dict[str, int] = {}
+    counts: dict[str, int] = {}
+    table = ""
+    depth = 0
+    for number, line in enumerate(text.splitlines(), start=1):
+        header = _HEADER.match(line) if depth == 0 else None
+        if header is not None:
+            table = _full_name(header.group(2).strip(), counts)
+            if header.group(1) == "[[":
+                counts[table] = counts.get(table, -1) + 1
+                table = f"{table}[{counts[table]}]"
+            lines.setdefault(table, number)
+            continue
+        key = _KEY.match(line) if depth == 0 else None
+        if key is not None:
+            lines.setdefault(f"{table}.{key.group(1)}".strip("."), number)
+        bare = re.sub(r"\"[^\"]*\"|'[^']*'|#.*", "", line)
+        depth = max(0, depth + bare.count("[") + bare.count("{") - bare.count("]") - bare.count("}"))
+    return lines
+
+
+def line_of(key: str, lines: Mapping[str, int]) -> int | None:
+    """Line of a key or, where it has none, of the nearest key or table around it."""
+    while key:
+        if key in lines:
+            return lines[key]
+        key = re.sub(r"(\[\d+\]|\.?[^.\[\]]+|.)$", "", key)
+    return None
+
+
+def _full_name(name: str, counts: Mapping[str, int]) -> str:
+    """Name of a table with the positions of the arrays that it is in."""
+    full = ""
+    parts = [part.strip().strip("\"'") for part in name.split(".")]
+    for place, part in enumerate(parts):
+        full = f"{full}.{part}".strip(".")
+        if full in counts and place < len(parts) - 1:
+            full = f"{full}[{counts[full]}]"
+    return full
+
+
+_LIKENESS = 0.7
+"""Share of letters in common from which a name is suggested: a slip in six letters; at the 0.6 of difflib, `stars` is
+suggested for `estimators`."""
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return a hint at the name that may be meant.
+
+    Examples
+    --------
+    >>> nearest("limb_maching", ["limb_matching", "moment"])
+    " (did you mean 'limb_matching'?)"
+    >>> nearest("x", ["limb_matching"])
+    ''
+    """
+    found = difflib.get_close_matches(name, list(known), n=1, cutoff=_LIKENESS)
+    return f" (did you mean {found[0]!r}?)" if found else ""

@@ -29,10 +29,6 @@ _RANK = {"failed": 0, "suspect": 1, "accepted": 1, "ok": 2, "rejected": 3, "not_
 def write_report(result: RunResult) -> Path:
     """Write ``report.html`` into the run folder.
 
-    Parameters
-    ----------
-    result : RunResult
-
     Returns
     -------
     Path

@@ -18,7 +18,6 @@ from giantlike.campaign.run.pool import Pool, WorkerPool
 from giantlike.campaign.run.provenance import environment_of, inputs_of
 from giantlike.campaign.run.steps import digest
 from giantlike.campaign.run.worker_context import Workbench
-from giantlike.campaign.store.changes import changes
 from giantlike.campaign.store.edits import EDITS_FILE, read_edits
 from giantlike.campaign.store.lock import hold_lock
 from giantlike.campaign.store.log import RunLogHandler
@@ -30,7 +29,7 @@ from giantlike.campaign.store.observables import (
     write_run_observables,
 )
 from giantlike.campaign.store.records import RunSummary
-from giantlike.campaign.store.results import RunResult, camera_of_run
+from giantlike.campaign.store.results import RunResult, camera_of_run, changes
 from giantlike.campaign.store.run_folder import REPORT_PAGE, RunFolder
 from giantlike.campaign.store.tables import TABLE_FILES, write_tables
 from giantlike.core.errors import DataError, InputError
@@ -77,10 +76,6 @@ def run_campaign(
         Makes the executor of the work, from the workbench and the number of images; default: processes on this machine.
     check : callable, optional
         Called with the workbench before the first image; returns warnings for the report, or raises.
-
-    Returns
-    -------
-    RunResult
 
     Raises
     ------

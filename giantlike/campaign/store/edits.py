@@ -25,10 +25,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_serial
 from scipy.spatial.transform import Rotation
 
 from giantlike._system.atomic import append_text
-from giantlike.campaign.store.image_names import find_image
 from giantlike.campaign.store.record_values import FlagName, Pair, UnitQuaternion
 from giantlike.campaign.store.records import Acceptance, AttitudeRecord, ObservationRecord, ObservationsRecord, Problem
-from giantlike.campaign.store.run_folder import RunFolder
+from giantlike.campaign.store.run_folder import RunFolder, find_image
 from giantlike.core.arrays import Mask, require
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Outcome, Quality, Reason

@@ -29,6 +29,7 @@ from giantlike.io.attitude_series import AttitudeSeries
 if TYPE_CHECKING:
     from astropy.table import QTable
 
+
 Item = TypeVar("Item")
 Key = TypeVar("Key", bound=Hashable)
 
@@ -131,10 +132,6 @@ class RunResult(Pictured, Value):
     def table(self, name: str = "observations") -> QTable:
         """Return a table of the run, with units.
 
-        Parameters
-        ----------
-        name : {'observations', 'attitudes'}
-
         Returns
         -------
         astropy QTable
@@ -217,10 +214,6 @@ def load_result(path: Path) -> RunResult:
     path : Path
         The run folder.
 
-    Returns
-    -------
-    RunResult
-
     Raises
     ------
     DataError
@@ -288,3 +281,21 @@ def _calibration(path: Path) -> dict[str, Any] | None:
         return dict(json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError, RecursionError) as error:
         raise DataError(path, "is damaged: delete it, and giantlike run calibrates again") from error
+
+
+def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Names of the inputs that differ, dotted for changes within tables.
+
+    Examples
+    --------
+    >>> changes({"a": {"b": 1, "c": 2}, "d": 3}, {"a": {"b": 1, "c": 5}})
+    ['a.c', 'd']
+    """
+    names: list[str] = []
+    for key in dict.fromkeys([*before, *now]):
+        old, new = before.get(key), now.get(key)
+        if isinstance(old, Mapping) and isinstance(new, Mapping):
+            names += [f"{key}.{name}" for name in changes(old, new)]
+        elif old != new:
+            names.append(key)
+    return names

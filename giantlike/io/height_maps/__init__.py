@@ -15,8 +15,7 @@ from giantlike._system.reading import reads
 from giantlike.core.arrays import Float
 from giantlike.io.height_maps.archive import open_archive, write_height_archive
 from giantlike.io.height_maps.geotiff import open_geotiff
-from giantlike.io.height_maps.grid import HeightGrid, require_usable
-from giantlike.io.height_maps.joined import joined_grid
+from giantlike.io.height_maps.grid import HeightGrid, joined_grid, require_usable
 from giantlike.io.height_maps.labeled import open_labeled
 from giantlike.io.pds3 import LABEL_START
 

@@ -8,7 +8,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.errors import EstimationError
 from giantlike.core.outcomes import Failure
 from giantlike.missions.odin import compared, figures
-from giantlike.missions.odin.compared_cameras import of_optics
+from giantlike.missions.odin.compared import of_optics
 from giantlike.missions.odin.ground import sky_at
 from giantlike.missions.odin.modes import fly
 from giantlike.missions.odin.narrow import (

@@ -1,4 +1,4 @@
-"""Numbers of the paper and of the flight that stands for it, from the files next to this module."""
+"""Numbers of the paper and of the flight that stands for it, from files next to this module; limits of agreement."""
 
 from __future__ import annotations
 
@@ -54,3 +54,11 @@ def _errors(numbers: dict[str, Any], relief_px_km: Float) -> BodyErrorModel:
         bias_px=np.array(numbers["bias_px"]),
         bias_px_km=np.array(numbers["bias_px_ft"]) * FOOT_KM,
     )
+
+
+ROUNDING = 0.005
+"""Relative: numbers that the paper gives with three digits."""
+ANALYSIS = 0.10
+"""Required relative agreement of linear covariance and flown runs."""
+MODEL = 0.5
+"""Relative: an error model fitted to other images of another renderer."""

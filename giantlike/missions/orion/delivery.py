@@ -9,8 +9,7 @@ import numpy as np
 from giantlike.cislunar.filter import STATES
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
-from giantlike.missions.orion.constants import earth_errors, table
-from giantlike.missions.orion.judging import ANALYSIS
+from giantlike.missions.orion.constants import ANALYSIS, earth_errors, table
 from giantlike.missions.orion.return_leg import Delivery, Flown, History, analyze_plan, flown
 from giantlike.missions.orion.return_plan import ReturnPlan, make_plan, with_earth, without_close_pass
 from giantlike.missions.replay import DERIVED, INPUT, SELF_CHECK, Comparison, ReplaySettings, Stated

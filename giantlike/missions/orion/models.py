@@ -9,9 +9,18 @@ import numpy as np
 
 from giantlike.cislunar.body_measurements import disk_diameter, range_from_disk_diameter, range_sigma
 from giantlike.core.arrays import Float
-from giantlike.missions.orion.constants import EARTH_KM, FOOT_KM, MOON_KM, earth_errors, focal_px, moon_errors, table
+from giantlike.missions.orion.constants import (
+    EARTH_KM,
+    FOOT_KM,
+    MODEL,
+    MOON_KM,
+    ROUNDING,
+    earth_errors,
+    focal_px,
+    moon_errors,
+    table,
+)
 from giantlike.missions.orion.images import EstimatorErrors, ImagedScene, measure_errors, photograph
-from giantlike.missions.orion.judging import MODEL, ROUNDING
 from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, ReplaySettings, Stated
 
 AXES = ("along the Sun", "across the Sun", "radius")

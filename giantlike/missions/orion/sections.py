@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from giantlike.missions.orion import crescents as thin
-from giantlike.missions.orion import delivery, figures, laboratory, models
-from giantlike.missions.orion.gimbal import measure_grid
+from giantlike.missions.orion import delivery, figures, gimbal, models
 from giantlike.missions.replay import ReplaySettings, Section
 
 
@@ -12,7 +11,7 @@ def sections(settings: ReplaySettings) -> tuple[Section, ...]:
     """Make everything."""
     study = delivery.study_leg(settings)
     found = models.images_of_bodies(settings)
-    grid = measure_grid(settings.seed)
+    grid = gimbal.measure_grid(settings.seed)
     pictures, crescents = thin.shown(settings), thin.crescents(settings)
     return (
         Section(
@@ -46,7 +45,7 @@ def sections(settings: ReplaySettings) -> tuple[Section, ...]:
             text="A collimated point at each of 99 places of a gimbal, combined to one image; eq. 39, and a Brown "
             "model fitted to the centroids.",
             figures=(figures.distortion_figure(grid),),
-            comparisons=(*laboratory.grid_comparisons(grid), *laboratory.focus_comparisons(settings)),
+            comparisons=(*gimbal.grid_comparisons(grid), *gimbal.focus_comparisons(settings)),
         ),
         Section(
             title="III.B and D. Images",

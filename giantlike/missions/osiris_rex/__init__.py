@@ -22,12 +22,16 @@ _SMALL_CAMERAS, _SMALL_IMAGES = ("mapcam",), 4
 
 def replay(settings: ReplaySettings) -> Replay:
     """Replay Liounis et al.: calibrations, then the phases as campaigns on simulated images."""
-    from giantlike.missions.osiris_rex.assumptions import assumptions_of
     from giantlike.missions.osiris_rex.body import true_body
     from giantlike.missions.osiris_rex.calibrations import calibrate_camera
     from giantlike.missions.osiris_rex.phases import PhaseInputs
     from giantlike.missions.osiris_rex.range_error import study_range_errors
-    from giantlike.missions.osiris_rex.sections import calibration_section, phase_section, range_error_section
+    from giantlike.missions.osiris_rex.sections import (
+        assumptions_of,
+        calibration_section,
+        phase_section,
+        range_error_section,
+    )
     from giantlike.missions.osiris_rex.setup import mission, user_inputs
 
     orex, inputs = mission(), user_inputs(settings.data)

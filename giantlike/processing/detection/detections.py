@@ -197,10 +197,6 @@ class Detections(Value):
         ----------
         psf_sigma_px : float, px
         noise_dn : float, DN
-
-        Returns
-        -------
-        Detections
         """
         none = np.zeros(0)
         return cls(
