@@ -93,9 +93,7 @@ def deflect_light(directions: Float, from_sun_km: ArrayLike) -> Float:
 
     ``directions`` (n, 3), unit vectors to the stars without deflection; returns (n, 3), unit vectors.
 
-    References
-    ----------
-    .. [1] ERFA (liberfa) ld.c and ldsun.c: formula for a deflector at rest, and the limit behind the Sun.
+    Source: ERFA (liberfa) ld.c and ldsun.c: formula for a deflector at rest, and the limit behind the Sun.
     """
     position_au = as_finite(from_sun_km, (3,), "from_sun_km") / AU_KM
     distance_au = float(np.linalg.norm(position_au))

@@ -317,9 +317,7 @@ def facet_distances(corners_km: Float, starts_km: Float, directions: Float) -> F
     ``corners_km`` (..., 3, 3); ``starts_km``, ``directions`` (..., 3); returns (...), infinite where a ray misses its
     facet.
 
-    References
-    ----------
-    .. [1] Moller and Trumbore (1997), Fast, minimum storage ray-triangle intersection: the usual form of the test.
+    Source: Moller and Trumbore (1997), Fast, minimum storage ray-triangle intersection: the usual form of the test.
     """
     first = corners_km[..., 0, :]
     along, up, offset = corners_km[..., 1, :] - first, corners_km[..., 2, :] - first, starts_km - first

@@ -166,9 +166,7 @@ def read_tycho2(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
     ``TYC1 * 1,000,000 + TYC2 * 10 + TYC3``. Stars are double that Tycho solved as such or whose next entry is within
     5 arcsec. The brightest stars are in the supplement only: give both files.
 
-    References
-    ----------
-    .. [1] CDS ReadMe of I/259, The Tycho-2 Catalog (Hog+ 2000): byte-by-byte descriptions and notes.
+    Source: CDS ReadMe of I/259, The Tycho-2 Catalog (Hog+ 2000): byte-by-byte descriptions and notes.
     """
     lines = lines_of(path, (TYCHO_BYTES, TYCHO_SUPPLEMENT_BYTES, TYCHO_SUPPLEMENT_SHORT_BYTES))
     main = lines.text.shape[1] == TYCHO_BYTES

@@ -75,9 +75,7 @@ def read_gaia(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
     the epoch of DR3), ``pmra``, ``pmdec``, ``parallax``, ``radial_velocity``, ``bp_rp`` or ``phot_bp_mean_mag`` and
     ``phot_rp_mean_mag``, ``ra_error``, ``dec_error``, ``pmra_error``, ``pmdec_error`` and ``non_single_star``.
 
-    References
-    ----------
-    .. [1] Names, units and conventions as in the archive's own files: angles in deg and mas, pmra with cos(dec).
+    Names, units and conventions as in the archive's own files: angles in deg and mas, pmra with cos(dec).
     """
     return _read_archive(path, _GAIA, lambda flags: flags, max_magnitude)
 
@@ -91,11 +89,9 @@ def read_usno_gnc(path: Path, *, max_magnitude: float | None = None) -> ReadStar
     and RP (``gmag``, ``bpmag``, ``rpmag``), errors with ``e_`` before the name, and ``neighbor_distance_arcsec``.
     Identifiers are ``gnc_id``. Stars are double whose neighbor is within 5 arcsec. Empty cells are values not known.
 
-    References
-    ----------
-    .. [1] The catalog is published by the U.S. Naval Observatory with its ICRF products. Its own documentation could
-       not be opened here; the columns, units and epoch are those that three independent public readers agree on: NASA
-       GIANT 2 (``giant/catalogs/usno_gnc.py``), SONIC (``USNOGNC.m``), and a Rust crate with a field description.
+    The catalog is published by the U.S. Naval Observatory with its ICRF products. Its own documentation could
+    not be opened here; the columns, units and epoch are those that three independent public readers agree on: NASA
+    GIANT 2 (``giant/catalogs/usno_gnc.py``), SONIC (``USNOGNC.m``), and a Rust crate with a field description.
     """
     return _read_archive(path, _USNO_GNC, lambda arcsec: (arcsec <= CLOSE_ARCSEC).astype(np.float64), max_magnitude)
 

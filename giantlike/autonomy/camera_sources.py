@@ -128,10 +128,8 @@ class TriggerPlan:
 def trigger_plan(exposures_s: tuple[float, float]) -> TriggerPlan:
     """Plan a trigger that gives two exposures the same middle.
 
-    References
-    ----------
-    .. [1] Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation (ODIN), section "Camera
-       Triggers and Timetag Syncing".
+    Source: Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation (ODIN), section "Camera
+    Triggers and Timetag Syncing".
 
     Examples
     --------

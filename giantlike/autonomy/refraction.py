@@ -56,9 +56,7 @@ def apply_refraction(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteA
 
     ``directions`` (..., 3), any axes; ``zenith`` (3,), the same axes; returns (..., 3).
 
-    References
-    ----------
-    .. [1] ERFA (liberfa) refco.c: constants of the refraction, and their limits.
+    Source: ERFA (liberfa) refco.c: constants of the refraction, and their limits.
     """
     vectors, up, length, true = _zenith_distances(directions, zenith)
     a, b = atmosphere.constants_rad()

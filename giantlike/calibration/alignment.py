@@ -113,9 +113,7 @@ def interlock(
 
     ``first_covariance_rad2``, ``second_covariance_rad2`` (n, 3, 3); ``temperatures_c`` (n,).
 
-    References
-    ----------
-    .. [1] Inman and Holt, Artemis I Optical Navigation System Performance, IV.A (interlock of camera and trackers).
+    Source: Inman and Holt, Artemis I Optical Navigation System Performance, IV.A (interlock of camera and trackers).
     """
     one, other = _as_frame_rotation(first_from_inertial), _as_frame_rotation(second_from_inertial)
     count = len(one.rotation)

@@ -107,9 +107,7 @@ def board_observations(
     ``square``: side of a square in any unit of length, the same as for the poses
     (the camera model does not depend on it).
 
-    References
-    ----------
-    .. [1] Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation, Table 2 and Fig. 12.
+    Source: Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation, Table 2 and Fig. 12.
     """
     corners = board_corners(across=across, down=down, square=square)
     found = [_observe_board(image, corners, model, (across, down), sigma_px) for image in images]

@@ -106,10 +106,8 @@ def collimator_directions(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> F
 
     ``azimuth_rad``, ``elevation_rad`` (n,); returns (n, 3), unit vectors in the axes of the stage.
 
-    References
-    ----------
-    .. [1] Holt, D'Souza and Saley, Orion Optical Navigation Progress Toward Exploration Mission 1, III.A: 99 images in
-       steps of 2 degrees, made one composite.
+    Source: Holt, D'Souza and Saley, Orion Optical Navigation Progress Toward Exploration Mission 1, III.A: 99 images in
+    steps of 2 degrees, made one composite.
 
     Examples
     --------

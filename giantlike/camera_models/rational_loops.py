@@ -22,9 +22,7 @@ def distort(x: Coordinate, y: Coordinate, lens: Float) -> tuple[Coordinate, Coor
 
     ``lens`` (17,); returns ``u``, ``v`` as ``x``.
 
-    References
-    ----------
-    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, eqs. 6 and 7.
+    Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, eqs. 6 and 7.
     """
     k1, k2, k3, k4, k5, k6, p1, p2 = lens[5], lens[6], lens[7], lens[8], lens[9], lens[10], lens[11], lens[12]
     xx, xy, yy = x * x, x * y, y * y

@@ -2,7 +2,8 @@
 
 :func:`measure_body` predicts the measurement from a position; :func:`position_from_measurement` is the inverse. All
 take arrays with any leading axes. The disk diameter ``delta`` is the diameter of the cone tangent to the sphere, cut at
-unit distance from a pinhole: twice the tangent of half the angular diameter.
+unit distance from a pinhole: twice the tangent of half the angular diameter. Equations are of Holt, D'Souza and Saley
+(2018), Orion Optical Navigation Progress Toward Exploration Mission 1.
 """
 
 from __future__ import annotations
@@ -17,13 +18,9 @@ from giantlike.core.values import Value
 
 
 def tangent_angles(position_camera_km: ArrayLike) -> Float:
-    """Tangents of the horizontal and vertical angle to a body.
+    """Tangents of the horizontal and vertical angle to a body (eqs. 1, 2).
 
     ``position_camera_km`` (..., 3); returns (..., 2), ``x / z`` and ``y / z``.
-
-    References
-    ----------
-    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, eqs. 1, 2.
     """
     position = as_floats(position_camera_km, (3,), "position_camera_km")
     require(bool((position[..., 2] > 0.0).all()), "position_camera_km needs z > 0: turn the camera to the body")
@@ -31,13 +28,9 @@ def tangent_angles(position_camera_km: ArrayLike) -> Float:
 
 
 def angular_diameter(range_km: ArrayLike, radius_km: float) -> Float:
-    """Angle between opposite tangents to a sphere.
+    """Angle between opposite tangents to a sphere (eq. 4).
 
     ``range_km`` (...); returns (...) rad.
-
-    References
-    ----------
-    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, eq. 4.
     """
     return np.asarray(2.0 * np.arcsin(radius_km / _outside(range_km, radius_km)))
 
@@ -47,9 +40,7 @@ def disk_diameter(range_km: ArrayLike, radius_km: float) -> Float:
 
     ``range_km`` (...); returns (...), ``2 R / sqrt(range^2 - R^2)``.
 
-    References
-    ----------
-    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, eqs. 5-10.
+    Source: eqs. 5-10.
 
     Examples
     --------
@@ -65,9 +56,7 @@ def range_from_disk_diameter(diameter: ArrayLike, radius_km: float) -> Float:
 
     ``diameter`` (...), positive (with bias and noise where it was measured); returns (...) km.
 
-    References
-    ----------
-    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, eqs. 11, 12.
+    Source: eqs. 11, 12.
     """
     across = as_floats(diameter, (), "diameter")
     require(bool((across > 0.0).all()), "diameter must be positive")
@@ -75,13 +64,9 @@ def range_from_disk_diameter(diameter: ArrayLike, radius_km: float) -> Float:
 
 
 def measure_body(position_camera_km: ArrayLike, radius_km: float) -> Float:
-    """Tangents of the two angles to a body, and its range.
+    """Tangents of the two angles to a body, and its range (eqs. 1-3).
 
     ``position_camera_km`` (..., 3); returns (..., 3), ``x / z``, ``y / z`` and the range in km.
-
-    References
-    ----------
-    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, eqs. 1-3.
     """
     position = as_floats(position_camera_km, (3,), "position_camera_km")
     distance = _outside(np.linalg.norm(position, axis=-1), radius_km)
@@ -112,27 +97,19 @@ def measurement_partials(position_camera_km: ArrayLike) -> Float:
 
 
 def range_per_diameter(range_km: ArrayLike, radius_km: float) -> Float:
-    """Derivative of the range by the disk diameter of :func:`disk_diameter`.
+    """Derivative of the range by the disk diameter of :func:`disk_diameter` (eq. 24).
 
     ``range_km`` (...); returns (...) km, negative: a body that looks larger is nearer.
-
-    References
-    ----------
-    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, eq. 24.
     """
     distance = _outside(range_km, radius_km)
     return -(distance**2 - radius_km**2) / (distance * disk_diameter(distance, radius_km))
 
 
 def range_sigma(range_km: ArrayLike, radius_km: float, diameter_px: ArrayLike, diameter_sigma_px: ArrayLike) -> Float:
-    """Standard deviation of a range, from the standard deviation of the disk diameter in pixels.
+    """Standard deviation of a range, from the standard deviation of the disk diameter in pixels (eqs. 25, 26).
 
     ``range_km`` (...); ``radius_km``: zero for a body that is far away: ``range / n`` times the sigma; ``diameter_px``,
     ``diameter_sigma_px`` (...); returns (...) km.
-
-    References
-    ----------
-    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, eqs. 25, 26.
     """
     distance = _outside(range_km, radius_km)
     relative = np.asarray(diameter_sigma_px, dtype=np.float64) / np.asarray(diameter_px, dtype=np.float64)
@@ -156,14 +133,9 @@ class TangentCamera(Value):
         self._keep(focal_px=focal_px, principal_px=as_finite(self.principal_px, (2,), "principal_px"))
 
     def pixels(self, tangents: ArrayLike) -> Float:
-        """Pixels of tangents of angles.
+        """Pixels of tangents of angles (eqs. 13 and 14, where both focal lengths are negative).
 
         ``tangents`` (..., 2); returns (..., 2) px.
-
-        References
-        ----------
-        .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, eqs. 13
-           and 14, where both focal lengths are negative.
         """
         return self.principal_px + self.focal_px * as_floats(tangents, (2,), "tangents")
 
@@ -172,14 +144,9 @@ class TangentCamera(Value):
         return (as_floats(pixels, (2,), "pixels") - self.principal_px) / self.focal_px
 
     def tangent_sigmas(self, sigmas_px: ArrayLike) -> Float:
-        """Standard deviations of tangents from standard deviations of pixels.
+        """Standard deviations of tangents from standard deviations of pixels (eqs. 15-20).
 
         ``sigmas_px`` (..., 2); returns (..., 2).
-
-        References
-        ----------
-        .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1,
-           eqs. 15-20.
         """
         return as_floats(sigmas_px, (2,), "sigmas_px") / np.abs(self.focal_px)
 

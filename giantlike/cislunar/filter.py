@@ -5,6 +5,7 @@ accelerometer, bias of the optical measurements; each of three. Position and vel
 goes through Gram-Schmidt; the other fifteen are first-order Gauss-Markov processes, each a rank-one step. Any state may
 be considered: its errors count in covariance and gains, it is not estimated. Measurements beyond ``edit_sigmas`` of
 their innovation are left out. Everything takes leading axes: a thousand runs of a Monte Carlo are one call.
+Equations are of Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1.
 """
 
 from __future__ import annotations
@@ -288,13 +289,9 @@ class BodyObservation(Value):
 
 
 def predict_measurement(observation: BodyObservation, mean: Float) -> tuple[Float, Float]:
-    """Measurement that an estimate predicts, and its derivative by the states.
+    """Measurement that an estimate predicts, and its derivative by the states (eqs. 1-12).
 
     ``mean`` (..., 21); returns ``measurement`` (..., 3) and ``partials`` (..., 3, 21).
-
-    References
-    ----------
-    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, eqs. 1-12.
     """
     camera_from_inertial = _turns(mean[..., ATTITUDE]) @ observation.camera_from_inertial
     to_body = observation.body_position_km - mean[..., POSITION]

@@ -2,7 +2,8 @@
 
 Four operations make a filter: a time update by weighted Gram-Schmidt (:func:`gram_schmidt`), the sum with a dyad
 (:func:`plus_dyad`), a Gauss-Markov step of one parameter (:func:`gauss_markov_step`) and the update by one scalar
-measurement (:func:`scalar_update`). All take any leading axes, so that a thousand filters run as one.
+measurement (:func:`scalar_update`). All take any leading axes, so that a thousand filters run as one. Sections
+are of Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1.
 """
 
 from __future__ import annotations
@@ -76,10 +77,7 @@ def gram_schmidt(rows: Float, weights: Float) -> UduFactors:
 
     ``rows`` (..., n, m); ``weights`` (..., m), not negative: D next to the variances of the noise.
 
-    References
-    ----------
-    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, I.B,
-       for position and velocity.
+    Source: I.B, for position and velocity.
     """
     left = np.array(rows, dtype=np.float64)
     shape = np.broadcast_shapes(left.shape[:-2], weights.shape[:-1])
@@ -101,10 +99,7 @@ def plus_dyad(factors: UduFactors, weight: ArrayLike, vector: ArrayLike) -> UduF
 
     ``weight`` (...), not negative; ``vector`` (..., n).
 
-    References
-    ----------
-    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, I.B,
-       after Agee and Turner (1972).
+    Source: I.B, after Agee and Turner (1972).
     """
     share = np.asarray(weight, dtype=np.float64)
     require(bool((share >= 0.0).all()), "weight must be >= 0")
@@ -118,10 +113,7 @@ def gauss_markov_step(factors: UduFactors, index: int, decay: ArrayLike, varianc
 
     ``decay`` (...); ``variance`` (...), of the noise, not negative.
 
-    References
-    ----------
-    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, I.B,
-       for parameters: the state's column loses a dyad of the states before it.
+    Source: I.B, for parameters: the state's column loses a dyad of the states before it.
     """
     upper, diagonal = np.array(factors.upper), np.array(factors.diagonal)
     factor, noise = np.asarray(decay, dtype=np.float64), np.asarray(variance, dtype=np.float64)
@@ -156,10 +148,7 @@ def scalar_update(factors: UduFactors, partials: ArrayLike, noise_variance: Arra
 
     ``partials`` (..., n); ``noise_variance`` (...), positive.
 
-    References
-    ----------
-    .. [1] Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1, I.B,
-       after Carlson (1973), without square roots.
+    Source: I.B, after Carlson (1973), without square roots.
     """
     upper, diagonal = factors.upper, factors.diagonal
     noise = np.asarray(noise_variance, dtype=np.float64)

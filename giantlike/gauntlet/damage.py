@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from giantlike.gauntlet import lights, readouts
+from giantlike.core.arrays import Float
+from giantlike.gauntlet import lights
 from giantlike.gauntlet.plan import BIAS_DN, FULL_DN, PSF_PX, Light, Plan, Readout, World, log_uniform
 from giantlike.independent import Defects, Psf
 
@@ -15,6 +16,12 @@ _DECLARED_SHARE = 0.6
 """Share of saturated images whose saturation is declared."""
 _MASKED_SHARE = 0.3
 """Share of images with missing parts that come with a mask of them."""
+WORD_BITS = 14
+"""Bits of a pixel, the width of most converters."""
+_BLOCK_PX = 16
+"""Side of the blocks in which images are compressed and sent, px."""
+_FLARE_WIDTH_PX = 1.5
+"""Half width of a satellite trail, px: a little out of focus."""
 
 
 def _lit(plan: Plan, light: Light, *, hard: bool) -> Plan:
@@ -107,10 +114,20 @@ def _columns_across(plan: Plan, rng: np.random.Generator, count: int) -> tuple[i
 
 
 def hot_columns(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Columns with charge that they always have."""
+    """Columns with charge that they always have, below a random row."""
     count = int(log_uniform(rng, 1.0, 15.0))
-    extra = log_uniform(rng, 0.05, 1.0) * _level_dn(plan.world)
-    return _read(plan, readouts.hot_columns(_columns_across(plan, rng, count), extra), hard=count > 3)
+    extra_dn = log_uniform(rng, 0.05, 1.0) * _level_dn(plan.world)
+    columns = _columns_across(plan, rng, count)
+
+    def add(pixels: Float, rng: np.random.Generator) -> Float:
+        result = pixels.copy()
+        for column in columns:
+            first = int(rng.integers(0, max(len(pixels) // 2, 1)))
+            charge = extra_dn * rng.uniform(0.5, 1.5)
+            result[first:, column] += np.round(rng.poisson(charge, size=len(pixels) - first))
+        return result
+
+    return _read(plan, add, hard=count > 3)
 
 
 def dead_rows(plan: Plan, rng: np.random.Generator) -> Plan:
@@ -137,9 +154,13 @@ def saturate(plan: Plan, rng: np.random.Generator, *, least_share: float, blooms
 
 
 def smear(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Every column has a little light of all of its pixels."""
+    """Transfer smear: every pixel of a column gets a little light of all others while the frame is read."""
     share = log_uniform(rng, 0.003, 0.2)
-    return _lit(plan, lights.transfer_smear(share), hard=share > 0.02)
+
+    def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
+        return signal + share * signal.mean(axis=0, keepdims=True)
+
+    return _lit(plan, add, hard=share > 0.02)
 
 
 def motion(plan: Plan, rng: np.random.Generator) -> Plan:
@@ -155,53 +176,104 @@ def defocus(plan: Plan, rng: np.random.Generator) -> Plan:
 
 
 def missing_lines(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Bands of lines that were not received."""
+    """Bands of lines that were not received: zero."""
     rows = plan.world.view.rows
     bands = tuple(
         (int(rng.integers(0, rows)), int(log_uniform(rng, 2.0, 0.25 * rows))) for _ in range(int(rng.integers(1, 5)))
     )
-    return _maybe_masked(_read(plan, readouts.missing_lines(bands), hard=True), rng)
+
+    def drop(pixels: Float, rng: np.random.Generator) -> Float:
+        result = pixels.copy()
+        for first, number in bands:
+            result[first : first + number] = 0.0
+        return result
+
+    return _maybe_masked(_read(plan, drop, hard=True), rng)
 
 
 def missing_blocks(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Blocks that were not received."""
-    return _maybe_masked(_read(plan, readouts.missing_blocks(log_uniform(rng, 0.03, 0.4)), hard=True), rng)
+    """Compressed blocks that were not received: zero."""
+    share = log_uniform(rng, 0.03, 0.4)
+
+    def drop(pixels: Float, rng: np.random.Generator) -> Float:
+        rows, columns = (-(-size // _BLOCK_PX) for size in pixels.shape)
+        lost = rng.uniform(size=(rows, columns)) < share
+        blocks = np.kron(lost, np.ones((_BLOCK_PX, _BLOCK_PX))) > 0
+        return np.where(blocks[: pixels.shape[0], : pixels.shape[1]], 0.0, pixels)
+
+    return _maybe_masked(_read(plan, drop, hard=True), rng)
 
 
 def _maybe_masked(plan: Plan, rng: np.random.Generator) -> Plan:
-    return plan.but(told={"mask": readouts.zero_mask} if rng.uniform() < _MASKED_SHARE else {}, hard=True)
+    """Plan with a mask of the pixels that were not received, exactly zero, in some cases."""
+    return plan.but(told={"mask": _is_zero} if rng.uniform() < _MASKED_SHARE else {}, hard=True)
+
+
+def _is_zero(pixels: Float) -> Float:
+    return np.asarray(pixels == 0.0)
 
 
 def bit_flips(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Bit flips in memory."""
+    """Bit flips in memory, at any bit of a word."""
     share = log_uniform(rng, 1e-4, 0.05)
-    return _read(plan, readouts.bit_flips(share), hard=share > 1e-3)
+
+    def flip(pixels: Float, rng: np.random.Generator) -> Float:
+        words = np.clip(pixels, 0.0, 2.0**WORD_BITS - 1.0).astype(np.int64)
+        hit = rng.uniform(size=words.shape) < share
+        words[hit] ^= 1 << rng.integers(0, WORD_BITS, size=int(hit.sum()))
+        return words.astype(float)
+
+    return _read(plan, flip, hard=share > 1e-3)
 
 
 def satellites(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Bright trails across the frame."""
+    """Bright, straight trails across the whole frame."""
     count = int(rng.integers(1, 8))
-    light = lights.trails(count, log_uniform(rng, 0.05, 2.0) * _level_dn(plan.world))
-    return _lit(plan, light, hard=True)
+    brightness_dn = log_uniform(rng, 0.05, 2.0) * _level_dn(plan.world)
+
+    def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
+        rows, columns = signal.shape
+        y, x = np.mgrid[:rows, :columns].astype(float)
+        for _ in range(count):
+            angle = rng.uniform(0.0, math.pi)
+            through = rng.uniform([0.0, 0.0], [columns, rows])
+            away = (x - through[0]) * math.sin(angle) - (y - through[1]) * math.cos(angle)
+            height = brightness_dn * rng.uniform(0.3, 1.0)
+            signal = signal + height * np.exp(-0.5 * (away / _FLARE_WIDTH_PX) ** 2)
+        return signal
+
+    return _lit(plan, add, hard=True)
 
 
 def reverse_columns(plan: Plan, rng: np.random.Generator) -> Plan:
     """Columns in the wrong order."""
-    return _read(plan, readouts.reverse_columns, hard=True)
+    return _read(plan, lambda pixels, rng: np.ascontiguousarray(pixels[:, ::-1]), hard=True)
 
 
 def reverse_rows(plan: Plan, rng: np.random.Generator) -> Plan:
     """Rows in the wrong order."""
-    return _read(plan, readouts.reverse_rows, hard=True)
+    return _read(plan, lambda pixels, rng: np.ascontiguousarray(pixels[::-1]), hard=True)
 
 
 def rows_shifted(plan: Plan, rng: np.random.Generator) -> Plan:
-    """Rows moved from one on, or each by its own."""
+    """Rows moved along columns: each by a few random pixels, or all from one on, as where clock pulses were lost."""
     if rng.uniform() < 0.5:
-        return _read(plan, readouts.jittered_rows(log_uniform(rng, 0.7, 6.0)), hard=True)
+        sigma_px = log_uniform(rng, 0.7, 6.0)
+
+        def shake(pixels: Float, rng: np.random.Generator) -> Float:
+            steps = np.round(sigma_px * rng.normal(size=len(pixels))).astype(int)
+            return np.stack([np.roll(row, step) for row, step in zip(pixels, steps, strict=True)])
+
+        return _read(plan, shake, hard=True)
     first = int(_break_row(plan, rng.uniform(-1.0, 1.0)))
-    shift = int(np.ceil(log_uniform(rng, 1.0, 40.0)) * rng.choice([-1, 1]))
-    return _read(plan, readouts.shifted_rows(first, shift), hard=True)
+    shift_px = int(np.ceil(log_uniform(rng, 1.0, 40.0)) * rng.choice([-1, 1]))
+
+    def shift(pixels: Float, rng: np.random.Generator) -> Float:
+        result = pixels.copy()
+        result[first:] = np.roll(pixels[first:], shift_px, axis=1)
+        return result
+
+    return _read(plan, shift, hard=True)
 
 
 def _break_row(plan: Plan, place: float) -> float:
@@ -220,5 +292,9 @@ def _break_row(plan: Plan, place: float) -> float:
 def eight_bit(plan: Plan, rng: np.random.Generator, *, square_root: bool) -> Plan:
     """Values on 255 steps, and a detector assumed in the new unit; the square-root coding is undeclared."""
     full = min(FULL_DN, BIAS_DN + _level_dn(plan.world) * log_uniform(rng, 1.2, 3.0))
-    readout = readouts.eight_bits(full, square_root=square_root)
-    return _read(plan, readout, hard=False).but(told={"dn_scale": 255.0 / full}, hard=square_root)
+
+    def put(pixels: Float, rng: np.random.Generator) -> Float:
+        share = np.clip(pixels / full, 0.0, 1.0)
+        return np.round(255.0 * (np.sqrt(share) if square_root else share))
+
+    return _read(plan, put, hard=False).but(told={"dn_scale": 255.0 / full}, hard=square_root)

@@ -15,8 +15,6 @@ from giantlike.core.arrays import Float
 from giantlike.gauntlet.plan import Light, World, log_uniform
 from giantlike.independent import Body, EllipsoidBody, Pose, Sampling, background, render_body
 
-_FLARE_WIDTH_PX = 1.5
-"""Half width of a satellite trail, px: a little out of focus."""
 _OPENING_RAD = 0.5
 """Half opening angle of the brighter, sunward fan of a coma, rad."""
 
@@ -68,11 +66,6 @@ def shift_image(image: Float, shift_px: tuple[int, int]) -> Float:
             max(-y, 0) : rows - max(y, 0), max(-x, 0) : columns - max(x, 0)
         ]
     return result
-
-
-def transfer_smear(share: float) -> Light:
-    """Transfer smear: every pixel of a column gets light of all others while the frame is read."""
-    return lambda signal, world, rng: signal + share * signal.mean(axis=0, keepdims=True)
 
 
 def other_body(body: Body, position_camera_km: Float, brightness: float, *, in_front: bool = False) -> Light:
@@ -154,23 +147,6 @@ def coma(*, brightness: float, core_px: float, fan: float) -> Light:
         turned = np.abs(np.angle(np.exp(1j * angle)))
         side = 1.0 + fan * np.exp(-0.5 * (turned / _OPENING_RAD) ** 2)
         return np.asarray(signal + brightness * world.peak_dn * core_px / distance * side, dtype=float)
-
-    return add
-
-
-def trails(count: int, brightness_dn: float) -> Light:
-    """Straight trails of satellites across the whole frame."""
-
-    def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
-        rows, columns = signal.shape
-        y, x = np.mgrid[:rows, :columns].astype(float)
-        for _ in range(count):
-            angle = rng.uniform(0.0, math.pi)
-            through = rng.uniform([0.0, 0.0], [columns, rows])
-            away = (x - through[0]) * math.sin(angle) - (y - through[1]) * math.cos(angle)
-            height = brightness_dn * rng.uniform(0.3, 1.0)
-            signal = signal + height * np.exp(-0.5 * (away / _FLARE_WIDTH_PX) ** 2)
-        return signal
 
     return add
 

@@ -58,9 +58,7 @@ def from_mission_frame(
 
     Where the image is mirrored, rows are counted from the last one instead: see :class:`ImportedCamera`.
 
-    References
-    ----------
-    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Table 1 (f_y < 0).
+    Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Table 1 (f_y < 0).
     """
     values = dict(parameters)
     for key in ("fx_px", "fy_px"):

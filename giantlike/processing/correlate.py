@@ -114,9 +114,7 @@ def find_peak(surface: Float, *, n_pixels: int = 0) -> CorrelationPeak | None:
     such as errors of the model, and excludes the error of the paraboloid itself, up to a few hundredths of a pixel for
     a peak as narrow as a point spread function.
 
-    References
-    ----------
-    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, "Template Matching".
+    Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, "Template Matching".
     """
     if np.isnan(surface).all():
         return None

@@ -61,10 +61,8 @@ def minimize(
     point. Damping grows tenfold after a step that increases the cost and shrinks tenfold after one that decreases it
     (step 4 of the paper).
 
-    References
-    ----------
-    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Camera Calibration,
-       steps 1-5.
+    Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Camera Calibration,
+    steps 1-5.
     """
     normal = linearize(state)
     if normal is None:

@@ -119,9 +119,7 @@ def fit_attitude(
     ``directions_inertial`` (n, 3), apparent unit vectors of the stars; ``points_px`` (n, 2); ``covariance_px2``
     (n, 2, 2), of centroid and catalog together, positive definite.
 
-    References
-    ----------
-    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Attitude Estimation.
+    Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Attitude Estimation.
     """
     weighted = method is AttitudeMethod.WEIGHTED
     require(weighted or scale is Scale.FIXED, f"method {method} cannot estimate the scale; use 'weighted'")

@@ -74,9 +74,7 @@ def identify_lost_in_space(
     ``points_px`` (m, 2), detections, brightest first; ``covariance_px2`` (m, 2, 2).
     ``until_s`` is the time of :func:`time.thread_time` at which the search ends.
 
-    References
-    ----------
-    .. [1] The ODIN paper (004 of the specification), Star Identification.
+    Source: The ODIN paper (004 of the specification), Star Identification.
     """
     until_s = time.thread_time() + options.time_limit_s if until_s is None else until_s
     return _solved_or_explained(_IdentificationProblem(points_px, covariance_px2, camera, sky, options, until_s))

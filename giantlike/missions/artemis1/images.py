@@ -112,9 +112,7 @@ def _shot(
 def lunar_share(phase_deg: float) -> float:
     """Fraction of the law of Lommel and Seeliger in the reflectance of the Moon; the rest is Lambert's.
 
-    References
-    ----------
-    .. [1] McEwen (1996), A precise lunar photometric function, Lunar and Planetary Science 27, 841: the cubic.
+    Source: McEwen (1996), A precise lunar photometric function, Lunar and Planetary Science 27, 841: the cubic.
     """
     return max(1.0 - 0.019 * phase_deg + 2.42e-4 * phase_deg**2 - 1.46e-6 * phase_deg**3, 0.0)
 

@@ -161,8 +161,6 @@ def sun_direction(phase_deg: float) -> Float:
 def preflight_sigmas_px(target: str, range_km: Float | float) -> Float:
     """Standard deviations (..., 3), px, of the models before flight: along the Sun, across it, radius.
 
-    References
-    ----------
-    .. [1] Holt, D'Souza and Saley (2018), eqs. 28 to 30 for the Moon and 34 to 36 for the Earth.
+    Source: Holt, D'Souza and Saley (2018), eqs. 28 to 30 for the Moon and 34 to 36 for the Earth.
     """
     return _PREFLIGHT[target].sigmas_px(range_km)

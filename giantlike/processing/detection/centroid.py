@@ -78,10 +78,8 @@ def fit_stars(
 
     ``flux_dn`` (n,); ``points_px`` (n, 2).
 
-    References
-    ----------
-    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, eq. 1 (a general
-       Gaussian; here it is round and integrated over pixels).
+    Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, eq. 1 (a general
+    Gaussian; here it is round and integrated over pixels).
     """
     psf = max(psf_sigma_px, MIN_PSF_SIGMA_PX)
     flux_dn, log_width = np.maximum(flux_dn, patches.noise_dn), np.full(len(flux_dn), math.log(psf))

@@ -51,9 +51,7 @@ def solve_wahba(
     ``camera_from_inertial_true = Rotation.from_rotvec(e) * camera_from_inertial``: the inverse of
     :math:`\sum_i \sigma_i^{-2} (I - b_i b_i^T)`.
 
-    References
-    ----------
-    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, eq. 2.
+    Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, eq. 2.
     """
     a, b = as_unit(vectors_inertial, "vectors_inertial"), as_unit(vectors_camera, "vectors_camera")
     require(a.ndim == 2 and a.shape == b.shape, f"vectors must both have shape (n, 3), got {a.shape} and {b.shape}")

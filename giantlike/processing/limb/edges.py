@@ -69,10 +69,8 @@ def scan_edges(
     ``pixels_dn`` (rows, columns); ``sunlight`` (2,), direction (x, y) in which sunlight travels in the image; returns
     (n, 2) px, pixels (x, y), each once.
 
-    References
-    ----------
-    .. [1] Inman et al., Artemis I optical navigation system performance, section III.A (scan in the direction of the
-       incoming sunlight for pixel-level limb points).
+    Source: Inman et al., Artemis I optical navigation system performance, section III.A (scan in the direction of the
+    incoming sunlight for pixel-level limb points).
     """
     require(pixels_dn.shape == usable.shape, f"pixels {pixels_dn.shape} and usable {usable.shape} differ in shape")
     along = as_finite(sunlight, (2,), "sunlight")

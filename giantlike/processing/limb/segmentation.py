@@ -171,10 +171,8 @@ def identify_blobs(
     et al. tell Moon from Earth, of its fluxes, over their standard deviations; the cheapest assignment of all bodies at
     once wins. It is tried about the shift of every possible first pair, so that a common error of pointing costs once.
 
-    References
-    ----------
-    .. [1] Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation, "OpNav Target
-       Identification".
+    Source: Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation, "OpNav Target
+    Identification".
     """
     require(len(expected) > 0, "identify_blobs needs at least one expected body")
     require(search_px > 0 and log_area_sigma > 0, "search_px and log_area_sigma must be > 0")
