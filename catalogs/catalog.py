@@ -15,8 +15,7 @@ from giantlike.catalogs.cells import Index, SkyIndex, sky_index
 from giantlike.catalogs.table import COLUMN_TYPES, StarTable
 from giantlike.core.arrays import as_unit, require
 
-Column = NDArray[Any] | float | bool
-"""Values (n,) of a column, in any precision, or the one value that all stars have."""
+Column = NDArray[Any] | float | bool  # values (n,) of a column, in any precision, or the one value that all stars have
 
 
 @runtime_checkable

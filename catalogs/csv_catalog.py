@@ -15,8 +15,7 @@ from giantlike.catalogs.readers.rows import REQUIRED, stars_of
 from giantlike.catalogs.readers.tabular import Table, text_table
 from giantlike.catalogs.table import COLUMN_TYPES
 
-TEXT_COLUMNS = ("name", "source", "comment")
-"""Columns for users, which are not read."""
+TEXT_COLUMNS = ("name", "source", "comment")  # columns for users, which are not read
 
 
 @reads("a star catalog in CSV")

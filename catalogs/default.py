@@ -53,8 +53,7 @@ from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, RAD_PER_MAS, SECONDS_PER
 
 _LOG = logging.getLogger("giantlike.catalogs")
 
-MATCH_RADIUS_ARCSEC = 3.0
-"""Gaia and Hipparcos positions of one star agree to this; 99.9 % of the pairs do to 1 arcsec."""
+MATCH_RADIUS_ARCSEC = 3.0  # Gaia and Hipparcos positions of one star agree to this; 99.9 % of the pairs do to 1 arcsec
 MATCH_MAGNITUDE = 1.3
 """Tolerance of G for one star: a combined magnitude of an equal pair is 0.75 off, variables and red stars add to it."""
 SAME_PLACE_ARCSEC = 0.3

@@ -14,10 +14,8 @@ from giantlike.catalogs.table import StarTable, et_of_julian_year, join_tables
 from giantlike.core.arrays import Mask, require
 from giantlike.core.units import RAD_PER_ARCSEC
 
-SAME_STAR_ARCSEC = 3.0
-"""Stars of two catalogs this close to each other at the epoch of the later one are the same star."""
-UNNAMED_BAND = "user"
-"""Magnitudes in this band are taken to be in the band of the first catalog."""
+SAME_STAR_ARCSEC = 3.0  # stars of two catalogs this close to each other at the epoch of the later one are the same star
+UNNAMED_BAND = "user"  # magnitudes in this band are taken to be in the band of the first catalog
 
 
 def join_catalogs(catalogs: Sequence[MemoryCatalog], *, name: str) -> MemoryCatalog:

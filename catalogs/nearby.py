@@ -28,8 +28,7 @@ import numpy as np
 from giantlike.catalogs.table import StarTable
 from giantlike.core.arrays import Float
 
-SIGMA_PM_GAIA_MAS_YR = 0.05
-"""Per axis, of the proper motions here, which are Gaia's."""
+SIGMA_PM_GAIA_MAS_YR = 0.05  # per axis, of the proper motions here, which are Gaia's
 
 
 @dataclass(frozen=True, slots=True)

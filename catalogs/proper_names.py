@@ -27,8 +27,7 @@ from giantlike.core.frames import direction_from_radec
 from giantlike.core.units import RAD_PER_ARCSEC
 
 _FILE = Path(__file__).with_name("iau_star_names.csv")
-_RADIUS_ARCSEC = 5.0
-"""Maximum distance of one star in two catalogs at J2000.0, orbits of double stars included."""
+_RADIUS_ARCSEC = 5.0  # maximum distance of one star in two catalogs at J2000.0, orbits of double stars included
 _MAGNITUDES = 2.0
 """Maximum difference of Hp and the magnitude of a named star in any band; much fainter companions do not get its
 name."""

@@ -19,14 +19,10 @@ from giantlike.core.values import Value
 
 __all__ = ["Flight", "PointMasses", "ThirdBody", "cislunar", "fly", "moon_position_km", "sun_position_km"]
 
-GM_EARTH_KM3_S2 = 398_600.435507
-"""km^3/s^2, of the ephemeris DE440."""
-GM_MOON_KM3_S2 = 4_902.800118
-"""km^3/s^2, of the ephemeris DE440."""
-GM_SUN_KM3_S2 = 132_712_440_041.279419
-"""km^3/s^2, of the ephemeris DE440."""
-SPLINE_STEP_S = 3600.0
-"""The Moon turns by 0.01 rad: a cubic spline errs by a fourth power of it, a centimeter or two."""
+GM_EARTH_KM3_S2 = 398_600.435507  # km^3/s^2, of the ephemeris DE440
+GM_MOON_KM3_S2 = 4_902.800118  # km^3/s^2, of the ephemeris DE440
+GM_SUN_KM3_S2 = 132_712_440_041.279419  # km^3/s^2, of the ephemeris DE440
+SPLINE_STEP_S = 3600.0  # the Moon turns by 0.01 rad: a cubic spline errs by a fourth power of it, a centimeter or two
 RELATIVE_TOLERANCE = 1e-11
 """Of the integrator: 4 mm at the distance of the Moon, a hundred-thousandth of the best optical range."""
 ABSOLUTE_TOLERANCE = 1e-9

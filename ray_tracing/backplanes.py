@@ -20,8 +20,7 @@ from giantlike.ray_tracing.options import DEFAULT_OPTIONS
 from giantlike.ray_tracing.sampling import RayGrid, Tile
 from giantlike.ray_tracing.trace import View, view_of
 
-_RAYS_AT_A_TIME = 100_000
-"""Rays traced together, to bound the memory."""
+_RAYS_AT_A_TIME = 100_000  # rays traced together, to bound the memory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

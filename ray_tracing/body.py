@@ -19,8 +19,7 @@ from giantlike.ray_tracing.tracer import Tracer, tracer_for
 from giantlike.shapes import Point, Shape, sphere
 from giantlike.shapes.detail import LevelsOfDetail
 
-_POINT_PX = 1e-3
-"""Diameter of the disk that is traced for a point: its phase moves the light by 3e-4 px at most."""
+_POINT_PX = 1e-3  # diameter of the disk that is traced for a point: its phase moves the light by 3e-4 px at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -68,5 +68,4 @@ class RenderOptions:
         require(self.sun_seed >= 0, f"sun_seed must be >= 0, got {self.sun_seed}")
 
 
-DEFAULT_OPTIONS = RenderOptions()
-"""Four rays a pixel and 256 across at least: see benchmarks/render_accuracy.py."""
+DEFAULT_OPTIONS = RenderOptions()  # four rays a pixel and 256 across at least: see benchmarks/render_accuracy.py

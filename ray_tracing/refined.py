@@ -14,8 +14,7 @@ from giantlike.ray_tracing.reflectance import Reflectance
 from giantlike.ray_tracing.sampling import AxisCells
 from giantlike.ray_tracing.trace import TracedRays, trace_rays
 
-UNEVEN = 0.1
-"""Range of the light of neighboring cells relative to the brightest, from which a cell is refined."""
+UNEVEN = 0.1  # range of the light of neighboring cells relative to the brightest, from which a cell is refined
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

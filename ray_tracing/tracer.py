@@ -30,8 +30,7 @@ _SPHERE_MARGIN = 1.0001  # radius of the sphere to which rays are moved, relativ
 _HULL_FACETS = 500  # directions of the points of a hull: they lie at most 1 % of the extent inside it
 _EDGE = 1e-5
 """Distance to an edge of a facet, across the ray and over the body radius, within which float64 chooses the facet."""
-_SHADOW_OFFSET = 1e-6
-"""Height over the surface at which a shadow ray starts, as a fraction of the body radius."""
+_SHADOW_OFFSET = 1e-6  # height over the surface at which a shadow ray starts, as a fraction of the body radius
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -291,8 +290,7 @@ def _approach(origins_body_km: ArrayLike, directions_body: ArrayLike, radius_km:
     return origins + reach * directions, directions
 
 
-Tracer: TypeAlias = MeshTracer | EllipsoidTracer
-"""A shape prepared for rays."""
+Tracer: TypeAlias = MeshTracer | EllipsoidTracer  # A shape prepared for rays
 
 _TRACERS: weakref.WeakKeyDictionary[TriangleMesh, MeshTracer] = weakref.WeakKeyDictionary()
 _TRACERS_LOCK = threading.Lock()

@@ -13,8 +13,7 @@ from giantlike.shapes.defects import Defects, defects_of, duplicate_facets, edge
 from giantlike.shapes.mesh import Faces
 from giantlike.shapes.surface import Surface, connected_labels
 
-_SAME_PLACE = 1e-9
-"""Vertices nearer than this fraction of the extent are one: poles and seams of grids, computed twice."""
+_SAME_PLACE = 1e-9  # vertices nearer than this fraction of the extent are one: poles and seams of grids, computed twice
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

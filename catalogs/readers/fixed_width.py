@@ -16,8 +16,7 @@ from giantlike.core.values import Value
 
 Places = Mapping[str, tuple[int, int]]
 """First and last byte of each column, counted from 1, as in the byte-by-byte descriptions of the CDS."""
-_LARGEST = 2.0**53
-"""Whole numbers beyond this are not exact as float64; no column of these catalogs holds one."""
+_LARGEST = 2.0**53  # whole numbers beyond this are not exact as float64; no column of these catalogs holds one
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -27,8 +27,7 @@ from giantlike.catalogs.table import COLUMN_TYPES
 from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
 
-Term = str | float
-"""``NAME`` or ``NAME*FACTOR`` of a column, or a number that all stars have in common."""
+Term = str | float  # ``NAME`` or ``NAME*FACTOR`` of a column, or a number that all stars have in common
 _SHOWN_COLUMNS = 30  # of the names of a table in an error message: enough to find the correct one on a screen
 _ARCHIVE_DEFAULTS = MappingProxyType({**DEFAULTS, "epoch_jyear": GAIA_EPOCH})
 

@@ -24,8 +24,7 @@ from giantlike.core.errors import DataError
 from giantlike.core.fits_structure import require_whole_fits
 from giantlike.core.values import Value
 
-MISSING = ("", "null", "nan", "none", "na", "n/a", "--", "\\n")
-"""Words that stand for a missing value, in lower case."""
+MISSING = ("", "null", "nan", "none", "na", "n/a", "--", "\\n")  # words that stand for a missing value, in lower case
 _DEEPEST_XML = 100  # elements within elements of a VOTable, which has 6
 _LONGEST_CELL = 100_000  # values of one cell of a VOTable: catalogs have numbers and names
 

@@ -22,8 +22,7 @@ _KEPT_BYTES = 64 * 2**20
 _COLLECTED_AFTER = 10_000
 """Threshold of the garbage collector, in objects allocated and not freed: 80 collections in a campaign of 255 images.
 Python's default of 700 gives 2,000, which take 1 to 2 % of the CPU. Images leave few objects in cycles."""
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
-"""Numbers of these settings in ``mallopt`` of glibc (malloc.h)."""
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # numbers of these settings in ``mallopt`` of glibc (malloc.h)
 
 
 def process_count(workers: int | None, jobs: int) -> int:

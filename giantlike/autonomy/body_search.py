@@ -20,8 +20,7 @@ _AREA_OF_SECOND_MOMENT = 4.5
 
 4 for a disk after Lommel and Seeliger, 5 for Lambert: along the photometric latitude b brightness goes as cos^2 and
 cos^3 b, at any phase angle."""
-SIZE_SIGMA = 0.06
-"""Relative error of a radius from that: half the difference of the two laws, one sigma."""
+SIZE_SIGMA = 0.06  # relative error of a radius from that: half the difference of the two laws, one sigma
 _PIXEL_MOMENT = 1.0 / 12.0  # px^2: second moment of a pixel
 
 

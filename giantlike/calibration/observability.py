@@ -20,8 +20,7 @@ ENTANGLED = 0.99  # correlation: the sigma of the parameter alone is 7 times sma
 SINGULAR = 1e-12
 """Eigenvalue of a scaled information matrix below which it is zero but for rounding of sums of about ten thousand
 terms."""
-_SMALL_WEIGHT = 0.1
-"""Weights in a combination that are not named."""
+_SMALL_WEIGHT = 0.1  # weights in a combination that are not named
 
 
 class ParameterVerdict(StrEnum):

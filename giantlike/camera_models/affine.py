@@ -21,8 +21,7 @@ TEMPERATURE_NAMES = ("a1_per_c", "a2_per_c2", "a3_per_c3")
 _BLOCK = 8192  # points per block: its temporaries (64 kB each) stay in the processor's cache
 
 
-_LARGEST = 1e30
-"""Largest parameter of a model: far beyond any lens, and its powers in derivatives are finite."""
+_LARGEST = 1e30  # largest parameter of a model: far beyond any lens, and its powers in derivatives are finite
 
 
 @documented_by(CameraModel)

@@ -11,8 +11,7 @@ import numpy as np
 from giantlike.camera_models.affine import AffineModel
 from giantlike.core.arrays import Float
 
-Slopes = tuple[Float, Float, Float, Float]
-"""du/dx, du/dy, dv/dx, dv/dy of a map of the plane."""
+Slopes = tuple[Float, Float, Float, Float]  # du/dx, du/dy, dv/dx, dv/dy of a map of the plane
 
 MAX_NEWTON_STEPS = 40  # a few suffice inside; near the edge of the invertible region steps are halved
 LAST_STEP = 1e-8  # relative step at which Newton's method stops; the error left is its square times a curvature

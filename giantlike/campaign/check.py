@@ -75,8 +75,7 @@ _NARROW_DEG, _MANY_COLUMNS = 0.1, 256
 """Field of view below which, with so many columns, a pixel is finer than 1.4 arcsec: no navigation camera has that."""
 _FASTEST_KM_S = 1000.0
 """Speed relative to the Solar System barycenter, five times that of the fastest spacecraft at its perihelion."""
-_BEST_ARCSEC = 2.0
-"""Smallest sigma of attitudes in headers: star trackers on board reach a few arcsec."""
+_BEST_ARCSEC = 2.0  # smallest sigma of attitudes in headers: star trackers on board reach a few arcsec
 _OTHER_UNIT = 100.0
 """Ratio of two radii between a wrong unit, a factor of 1000, and different shapes of a body, logarithmically nearer to
 these."""

@@ -24,8 +24,7 @@ from giantlike.core.errors import InputError
 from giantlike.core.frames import direction_from_radec, radec_from_direction
 from giantlike.core.units import RAD_PER_DEG
 
-_SHOWN = 40
-"""Number of stars listed by default."""
+_SHOWN = 40  # number of stars listed by default
 
 
 Catalog = Annotated[str, typer.Argument(metavar="CATALOG", help="default, a built catalog, or a CSV catalog.")]

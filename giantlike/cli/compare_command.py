@@ -13,8 +13,7 @@ from giantlike.campaign.merge import merge_runs
 from giantlike.cli.arguments import Json, Run
 from giantlike.cli.outcome import ExitCode, print_json, show_result
 
-_WIDTH = 140
-"""Width, columns, of a table in a file: wide enough for all numbers."""
+_WIDTH = 140  # width, columns, of a table in a file: wide enough for all numbers
 
 
 def compare(

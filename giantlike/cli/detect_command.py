@@ -28,8 +28,7 @@ from giantlike.processing.detection.sequence import FixedPattern, compare_sequen
 from giantlike.processing.psf.estimate import PsfEstimate, estimate_psf, remeasure
 from giantlike.processing.psf.profile import PsfKind
 
-_SHOWN = 20
-"""Maximum detections of an image in the text table."""
+_SHOWN = 20  # maximum detections of an image in the text table
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,7 @@ import typer
 from giantlike.core.errors import OpNavError
 
 Arguments = ParamSpec("Arguments")
-Results: TypeAlias = list[dict[str, Any]]
-"""One object of a JSON list per file."""
+Results: TypeAlias = list[dict[str, Any]]  # one object of a JSON list per file
 
 
 class ExitCode(IntEnum):

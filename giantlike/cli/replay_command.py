@@ -16,8 +16,7 @@ from giantlike.cli.progress import progress_bar
 from giantlike.core.errors import InputError
 from giantlike.missions import REPLAYS, ReplaySettings, run_replay, save_replay
 
-_MANY_JOBS = 1000
-"""A replay has more jobs than any machine has cores."""
+_MANY_JOBS = 1000  # A replay has more jobs than any machine has cores
 
 
 def replay(

@@ -23,8 +23,7 @@ from giantlike.cli.outcome import ExitCode, print_json, say
 from giantlike.cli.progress import progress_bar
 from giantlike.core.outcomes import Outcome, Quality
 
-_MAX_DETAILS = 3
-"""Maximum failures printed for each reason, enough to see a common cause; the tables, or -v, have all."""
+_MAX_DETAILS = 3  # maximum failures printed for each reason, enough to see a common cause; the tables, or -v, have all
 _WITH_NOTE = set((Quality.WRONG_APRIORI | Quality.LARGE_RESIDUALS).names())
 """Flags of star attitudes that come with a note on the cause."""
 

@@ -44,8 +44,7 @@ _NUMBERS = MappingProxyType(
 _SIGMAS = ("sigma_x_arcsec", "sigma_y_arcsec", "sigma_z_arcsec")
 _MORE = ("n_detected", "n_rejected", "false_match_probability", "identification", *_SIGMAS, "quaternion_xyzw")
 """Additional keys in JSON; the quaternion is camera_from_inertial, the sigmas are about the camera axes."""
-_DEFAULT_FOV_ERROR = 0.2
-"""Value of the command line when --fov-error is not given."""
+_DEFAULT_FOV_ERROR = 0.2  # value of the command line when --fov-error is not given
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,8 +31,7 @@ Names = Annotated[
 RunOption = Annotated[
     Path | None, typer.Option("--run", metavar="RUN", help="Run folder, instead of the first argument.")
 ]
-_SHOWN = tuple(name for name in LAYERS if name != "terminator")
-"""Layers that need nothing but the run."""
+_SHOWN = tuple(name for name in LAYERS if name != "terminator")  # layers that need nothing but the run
 CampaignFile = Annotated[
     Path | None,
     typer.Option("--campaign", help="Campaign file, if it is not where the run found it.", metavar="CAMPAIGN.toml"),
@@ -148,8 +147,7 @@ def view(
     return ExitCode.DONE
 
 
-_MOST_LINES = 20
-"""Lines of differences that are printed; with --json all are."""
+_MOST_LINES = 20  # lines of differences that are printed; with --json all are
 
 
 def dossier(

@@ -11,12 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from giantlike.core.errors import InputError
 
 Scalar = TypeVar("Scalar", bound=np.generic)
-Float = NDArray[np.float64]
-"""A float64 array; its shape, unit and frame are in the docstring of whoever takes it."""
-Mask = NDArray[np.bool_]
-"""A boolean array; in the mask of an image True is a bad pixel."""
-Indices = NDArray[np.int64]
-"""An array of indices, or of whole numbers."""
+Float = NDArray[np.float64]  # A float64 array; its shape, unit and frame are in the docstring of whoever takes it
+Mask = NDArray[np.bool_]  # A boolean array; in the mask of an image True is a bad pixel
+Indices = NDArray[np.int64]  # an array of indices, or of whole numbers
 
 
 def as_floats(value: ArrayLike, last: tuple[int, ...], name: str) -> Float:

@@ -27,8 +27,7 @@ and ``sigmoid_limb``, which estimate the width, by less than 0.2 sigma; ``cross_
 _NOISE = ("gain_e_per_dn", "read_noise_e")
 _OF_IMAGES = ("estimated", "frame_noise_dn", "relative_noise", "noise_of_image")
 """Fields that are not keys of a camera file: they follow from images and their calibration frames."""
-_SPARSE = 101
-"""Step, pixels, of the sample that is tested first."""
+_SPARSE = 101  # step, pixels, of the sample that is tested first
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

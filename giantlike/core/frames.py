@@ -18,8 +18,7 @@ from giantlike.core.arrays import Float, as_finite, as_floats, require, unit
 from giantlike.core.errors import FrameMismatchError
 from giantlike.core.values import Value
 
-INERTIAL_FRAME = "J2000"
-"""Name that SPICE gives the axes of the ICRF."""
+INERTIAL_FRAME = "J2000"  # name that SPICE gives the axes of the ICRF
 INERTIAL_FROM_ECLIPTIC = Rotation.from_euler("x", 84381.448 / 3600.0, degrees=True)
 """To these axes from ECLIPJ2000 of SPICE: the obliquity at J2000, IAU 1976."""
 

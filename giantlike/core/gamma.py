@@ -16,8 +16,7 @@ Gamma: TypeAlias = float | Literal["srgb"]
 sRGB."""
 _LINEAR_END, _LINEAR_SLOPE, _OFFSET, _POWER = 0.04045, 12.92, 0.055, 2.4
 """Curve of sRGB, IEC 61966-2-1: linear below a value, a power law of the shifted value above."""
-_SAMPLES = 64
-"""Values at which the noise of light is taken, evenly spread."""
+_SAMPLES = 64  # values at which the noise of light is taken, evenly spread
 
 
 def checked_gamma(gamma: object) -> Gamma | None:

@@ -15,8 +15,7 @@ from giantlike.core.arrays import Float, Mask
 UNKNOWN_READ_NOISE_E = 5.0
 """Read noise, electrons, of a detector that declares none: the gain follows where an image does not show it."""
 
-_LEAST_VALUES = 16
-"""Different values that a common step needs: fewer have one by chance, 16 once in 30,000 images."""
+_LEAST_VALUES = 16  # different values that a common step needs: fewer have one by chance, 16 once in 30,000 images
 _SAMPLE = 16_384
 """Approximate number of pixels sampled for the step; enough to contain all steps between values of the sky."""
 _STEP_TOLERANCE = 0.05
@@ -24,13 +23,11 @@ _STEP_TOLERANCE = 0.05
 
 Numbers of 16 bits times a scale, in single precision, are rounded by 0.004 steps at most.
 """
-_STEP_PRECISION = 1e-5
-"""Relative error of the step, by which it may miss differences of many steps."""
+_STEP_PRECISION = 1e-5  # relative error of the step, by which it may miss differences of many steps
 _BLOCK_PX = 16
 """Side, px, of the blocks that noise is measured in: small compared with gradients of the sky; one gives it to 4.5
 %."""
-_BLOCKS = 4096
-"""Maximum number of sampled blocks: all of an image of 1024 x 1024 pixels."""
+_BLOCKS = 4096  # maximum number of sampled blocks: all of an image of 1024 x 1024 pixels
 _DARKEST = 0.25
 """Fraction of the blocks, darkest first, treated as sky.
 
@@ -41,8 +38,7 @@ _VARIED = 0.5
 _SMOOTHEST = 0.1
 """Quantile of the variances of bright blocks that is treated as noise: structure of a body only adds to it. The same
 quantile of chi-squared is divided out, so that blocks with noise alone give its variance."""
-_MIN_BRIGHT_BLOCKS = 16
-"""Bright blocks from which on noise is measured: the quantile of as many is known to 5 %."""
+_MIN_BRIGHT_BLOCKS = 16  # bright blocks from which on noise is measured: the quantile of as many is known to 5 %
 _BRIGHT, _BRIGHT_SIGMAS = 0.25, 10.0
 """Minimum signal of a bright block, relative to the brightest ones (quantile 0.99) and to the noise of a pixel of the
 sky: beyond both, it shows a body, not a gradient of the sky."""

@@ -20,10 +20,8 @@ UNIT_TOLERANCE = 1e-9
 """Largest error of the length of a unit vector: rounding of float64 leaves 1e-15, a table with ten digits 1e-10."""
 ASYMMETRY_TOLERANCE = 1e-9
 """Largest difference of two mirrored elements, divided by the product of their standard deviations."""
-EIGENVALUE_TOLERANCE = 1e-9
-"""Tolerance for negative eigenvalues of a correlation matrix, from rounding."""
-_FEW = 3
-"""Maximum rows of a matrix for which a check element by element is faster."""
+EIGENVALUE_TOLERANCE = 1e-9  # tolerance for negative eigenvalues of a correlation matrix, from rounding
+_FEW = 3  # maximum rows of a matrix for which a check element by element is faster
 
 
 AnyValue = TypeVar("AnyValue", bound="Value")

@@ -12,16 +12,11 @@ from giantlike.gauntlet import lights
 from giantlike.gauntlet.plan import BIAS_DN, FULL_DN, PSF_PX, Light, Plan, Readout, World, log_uniform
 from giantlike.independent import Defects, Psf
 
-_DECLARED_SHARE = 0.6
-"""Share of saturated images whose saturation is declared."""
-_MASKED_SHARE = 0.3
-"""Share of images with missing parts that come with a mask of them."""
-WORD_BITS = 14
-"""Bits of a pixel, the width of most converters."""
-_BLOCK_PX = 16
-"""Side of the blocks in which images are compressed and sent, px."""
-_FLARE_WIDTH_PX = 1.5
-"""Half width of a satellite trail, px: a little out of focus."""
+_DECLARED_SHARE = 0.6  # share of saturated images whose saturation is declared
+_MASKED_SHARE = 0.3  # share of images with missing parts that come with a mask of them
+WORD_BITS = 14  # bits of a pixel, the width of most converters
+_BLOCK_PX = 16  # side of the blocks in which images are compressed and sent, px
+_FLARE_WIDTH_PX = 1.5  # half width of a satellite trail, px: a little out of focus
 
 
 def _lit(plan: Plan, light: Light, *, hard: bool) -> Plan:

@@ -20,8 +20,7 @@ from giantlike.gauntlet.run import Gauntlet, ImageResult, summary_of
 from giantlike.gauntlet.trial import TrialRow
 from giantlike.io.tables import columns_of, write_rows
 
-SUMMARY, TABLE, PAGE, _PARTS = "gauntlet.json", "verdicts", "report.html", "images.jsonl"
-"""Names of the files."""
+SUMMARY, TABLE, PAGE, _PARTS = "gauntlet.json", "verdicts", "report.html", "images.jsonl"  # names of the files
 
 
 class _Line(BaseModel):

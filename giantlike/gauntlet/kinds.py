@@ -187,5 +187,4 @@ def _all_kinds() -> dict[str, Kind]:
     return {kind.name: kind for kind in (*_BODY_KINDS, *spoiled, *_STAR_KINDS, *stars)}
 
 
-KINDS: Mapping[str, Kind] = MappingProxyType(_all_kinds())
-"""Kinds by name."""
+KINDS: Mapping[str, Kind] = MappingProxyType(_all_kinds())  # kinds by name

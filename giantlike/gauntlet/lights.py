@@ -15,8 +15,7 @@ from giantlike.core.arrays import Float
 from giantlike.gauntlet.plan import Light, World, log_uniform
 from giantlike.independent import Body, EllipsoidBody, Pose, Sampling, background, render_body
 
-_OPENING_RAD = 0.5
-"""Half opening angle of the brighter, sunward fan of a coma, rad."""
+_OPENING_RAD = 0.5  # half opening angle of the brighter, sunward fan of a coma, rad
 
 
 def background_light(

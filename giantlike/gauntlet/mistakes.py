@@ -16,8 +16,7 @@ from giantlike.shapes import Ellipsoid
 
 _STATED_SHARE = 0.5
 """Fraction of the errors of size, focal length and attitude that are within their declared uncertainty."""
-_SEARCH_PX = 30.0
-"""Error of a prediction, px, that every search covers."""
+_SEARCH_PX = 30.0  # error of a prediction, px, that every search covers
 
 
 def _about_sight(plan: Plan, angle_rad: float) -> Rotation:

@@ -18,12 +18,9 @@ from giantlike.shapes import Shape
 
 FOCAL_PX, STAR_FOCAL_PX = 5000.0, 2500.0
 """Focal lengths of the cameras for bodies and for stars, px: fields of 3 to 6 and of 12 degrees."""
-READ_NOISE_DN = 5.0
-"""Read noise, DN (1 electron each), as in the other truths of the project."""
-BIAS_DN, FULL_DN = 100.0, 16383.0
-"""Value without light and largest value, DN, of a converter of 14 bits."""
-PSF_PX = 0.7
-"""Width of the point spread function, px: typical of cameras in use."""
+READ_NOISE_DN = 5.0  # read noise, DN (1 electron each), as in the other truths of the project
+BIAS_DN, FULL_DN = 100.0, 16383.0  # value without light and largest value, DN, of a converter of 14 bits
+PSF_PX = 0.7  # width of the point spread function, px: typical of cameras in use
 ATTITUDE_SIGMA_DEG = 0.02
 """Sigma of the a priori attitude, deg about each axis: 1.7 px for bodies, as of a star tracker and its alignment."""
 FOCAL_SIGMA, CENTER_SIGMA_PX = 5e-5, 0.02
@@ -32,10 +29,8 @@ EPHEMERIS_SIGMA = (5e-4, 2e-3)
 """Sigma of the ephemeris along each axis, as a fraction of the range, minimum and maximum: 2.5 to 10 px."""
 LARGEST_SIGMAS = 3.0
 """Priors are normal and cut off here: the prediction stays within 30 px and 0.6 % of range, inside every search."""
-DECLARED_SHARE = 0.75
-"""Fraction of the images with a declared uncertainty of the ephemeris."""
-SPEED_KM_S = 30.0
-"""Speed of the observer, km/s, as of the Earth."""
+DECLARED_SHARE = 0.75  # fraction of the images with a declared uncertainty of the ephemeris
+SPEED_KM_S = 30.0  # speed of the observer, km/s, as of the Earth
 FAINTEST_MAG, BRIGHTEST_MAG, STARS = 8.5, 2.0, 110
 """Star fields: about 70 stars in the frame, of signal-to-noise ratios from 40 up."""
 
@@ -180,10 +175,8 @@ class Base:
     largest_frame_px: int = 512
 
 
-LARGEST_ROCK_PX = 130.0
-"""Diameter of the largest rocks, px: their rays march, at 1 s for 150 px."""
-POINT_PX = (1.0, 3.0)
-"""Diameters of bodies that are points of light, px."""
+LARGEST_ROCK_PX = 130.0  # diameter of the largest rocks, px: their rays march, at 1 s for 150 px
+POINT_PX = (1.0, 3.0)  # diameters of bodies that are points of light, px
 _MARGIN, _LEAST_FRAME_PX, _STAR_FRAME_PX = 1.6, 256, 512
 """Ratio of frame to diameter of the body; the smallest frame; the frame of the star camera, px."""
 

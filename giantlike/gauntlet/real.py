@@ -31,8 +31,7 @@ from giantlike.relative import ESTIMATORS
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Shape
 
-REAL_KIND = "real_negative"
-"""Name of the kind in tables."""
+REAL_KIND = "real_negative"  # name of the kind in tables
 SUFFIXES = (".fits", ".fit", ".png", ".tif", ".tiff", ".jpg", ".jpeg", ".img", ".lbl")
 """Ends of the names of image files."""
 _DIAMETER_PX = (30.0, 150.0)

@@ -18,8 +18,7 @@ from giantlike.core.outcomes import Reason
 from giantlike.gauntlet.plan import READ_NOISE_DN, Plan
 from giantlike.shapes import Ellipsoid
 
-STARS = "stars"
-"""Name of the star chain among the estimators."""
+STARS = "stars"  # name of the star chain among the estimators
 
 
 class Verdict(StrEnum):
@@ -50,14 +49,10 @@ POINT_PX, TEMPLATE_PX, LIMB_PX, ELLIPSE_PX = 3.0, 15.0, 40.0, 60.0
 prediction."""
 LEAST_LIMB_PX, LEAST_STARS = 60.0, 15
 """Minimum length of illuminated limb, px, and number of catalog stars in the frame for which an answer is required."""
-MARGIN_PX = 10.0
-"""Sky around a body that is wholly in the frame, px."""
-_OUTLINE_POINTS = 360
-"""Points of the outline of a sphere, every degree."""
-_NEARLY_FULL = 0.95
-"""Share of the largest value above which noise takes some pixels to it."""
-_DIM_STAR_DN = 400.0
-"""Signal of stars that count, DN over all pixels: signal to noise ratios from 15 up."""
+MARGIN_PX = 10.0  # sky around a body that is wholly in the frame, px
+_OUTLINE_POINTS = 360  # points of the outline of a sphere, every degree
+_NEARLY_FULL = 0.95  # share of the largest value above which noise takes some pixels to it
+_DIM_STAR_DN = 400.0  # signal of stars that count, DN over all pixels: signal to noise ratios from 15 up
 
 
 @dataclass(frozen=True, kw_only=True)

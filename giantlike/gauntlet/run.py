@@ -29,12 +29,10 @@ from giantlike.gauntlet.stage import kind_of, stage_of
 from giantlike.gauntlet.trial import NAMES, TrialRow, trial
 from giantlike.image import Image
 
-THUMBNAIL_PX = 96
-"""Side of a thumbnail, px: a thousand of them fill 3 MB of a page."""
+THUMBNAIL_PX = 96  # side of a thumbnail, px: a thousand of them fill 3 MB of a page
 _FAINT, _BRIGHT, _GAMMA = 1.0, 99.8, 0.5
 """Percentiles of the values shown as black and white, and the power between: faint light is to be seen."""
-_QUALITY = 60
-"""Quality of the JPEG of a thumbnail, percent."""
+_QUALITY = 60  # quality of the JPEG of a thumbnail, percent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -171,8 +169,7 @@ def _results(workers: int, jobs: Sequence[_Job]) -> Iterator[ImageResult | None]
         raise InputError("a worker process was ended; run with one worker to see the image that does it") from error
 
 
-COUNTED = (*(str(verdict) for verdict in Verdict),)
-"""Names of the counts of a breakdown."""
+COUNTED = (*(str(verdict) for verdict in Verdict),)  # names of the counts of a breakdown
 
 
 def counts_of(rows: Iterable[TrialRow]) -> dict[str, int]:

@@ -14,12 +14,9 @@ from giantlike.gauntlet.bodies import EclipsedBody, ellipsoid, markings, rock
 from giantlike.gauntlet.plan import Plan, World, log_uniform, star_plan, sun_at
 from giantlike.independent import Body, EllipsoidBody, ReliefBody, Sampling
 
-_THINNEST_DEG = 1.0
-"""Minimum distance of the phase angle from 180, deg."""
-_CRESCENT = Sampling(cells=6, edge_rays=10)
-"""Rays for thin crescents: 3,600 a pixel at the edge."""
-_DUST_CORE = 0.5
-"""Distance, in radii of the nucleus, within which a coma does not rise any more."""
+_THINNEST_DEG = 1.0  # minimum distance of the phase angle from 180, deg
+_CRESCENT = Sampling(cells=6, edge_rays=10)  # rays for thin crescents: 3,600 a pixel at the edge
+_DUST_CORE = 0.5  # distance, in radii of the nucleus, within which a coma does not rise any more
 
 
 def _moved_target(plan: Plan, place_px: Float, *, sun: Float | None = None, predicted: bool = True) -> Plan:

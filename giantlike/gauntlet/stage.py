@@ -24,14 +24,11 @@ from giantlike.image import Image, ObserverState
 from giantlike.independent import Pose, StarField, record, render_body, star_image
 from giantlike.scene import Scene, Target, TargetUncertainty
 
-TARGET = "TARGET"
-"""Name of the body."""
-ZERO_POINT_DN = 1e6
-"""Signal of a star of magnitude 0, DN over all pixels: 400 DN at the limit of the catalog."""
+TARGET = "TARGET"  # name of the body
+ZERO_POINT_DN = 1e6  # signal of a star of magnitude 0, DN over all pixels: 400 DN at the limit of the catalog
 _AU_KM = 1.495978707e8
 _EPOCH_ET = 5.05e8  # s past J2000: 2016.0, the epoch of the catalog
-_DECK, _BASE, _DISTURB, _EXPOSE = range(4)
-"""Streams of random numbers of a seed, and of an image of it."""
+_DECK, _BASE, _DISTURB, _EXPOSE = range(4)  # streams of random numbers of a seed, and of an image of it
 
 
 @lru_cache(maxsize=8)

@@ -23,20 +23,15 @@ from giantlike.stars import StarNavigation
 RIGHT_SIGMAS, WRONG_SIGMAS = 4.0, 5.0
 """Limits, sigma: an ok answer within the first is correct, beyond the second an undetected failure if it also
 matters."""
-WRONG_PX, WRONG_RANGE = 0.5, 0.005
-"""Errors of the center, px, and of the range, relative, from which on they matter."""
-VAGUE_FACTOR = 3.0
-"""Ratio of sigma to the nominal one above which an answer is vague."""
-NAMES = (*ESTIMATORS, STARS)
-"""Names of all estimators of the gauntlet, the star chain last."""
+WRONG_PX, WRONG_RANGE = 0.5, 0.005  # errors of the center, px, and of the range, relative, from which on they matter
+VAGUE_FACTOR = 3.0  # ratio of sigma to the nominal one above which an answer is vague
+NAMES = (*ESTIMATORS, STARS)  # names of all estimators of the gauntlet, the star chain last
 _STATED = (Cause.CAMERA, Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN, Cause.ORIENTATION, Cause.ABERRATION, Cause.EPOCH)
 """Parts of a covariance that are declared with the image, not measured in it."""
 _SURFACE_PX = 180.0
 """Minimum diameter, px, of bodies on which surface_features is tried: landmarks need a few hundred facets each."""
-_SMALL_PX = 12.0
-"""Largest diameter, px, of bodies on which unresolved is tried."""
-Outcome: TypeAlias = AttitudeFix | CenterFix | Failure
-"""Result of the star chain or an estimator."""
+_SMALL_PX = 12.0  # largest diameter, px, of bodies on which unresolved is tried
+Outcome: TypeAlias = AttitudeFix | CenterFix | Failure  # result of the star chain or an estimator
 _OK, _SUSPECT, _FAILED, _RAISED = "ok", "suspect", "failed", "raised"
 
 

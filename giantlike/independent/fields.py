@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from giantlike.independent.laws import Float
 
-CELLS = 768
-"""Cells along the side of the octahedral table, about 0.2 degrees each: 0.5 px on a disk of 300 px."""
+CELLS = 768  # cells along the side of the octahedral table, about 0.2 degrees each: 0.5 px on a disk of 300 px
 
-FAINTEST = -16.0
-"""Exponent below which a bump is left out: 1e-7 of its height."""
+FAINTEST = -16.0  # exponent below which a bump is left out: 1e-7 of its height
 
 
 def _unfold(directions: Float) -> tuple[Float, Float]:

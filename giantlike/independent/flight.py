@@ -16,12 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-STEP_S = 60.0
-"""Longest step: processes of hours are sampled a hundred times, and Runge-Kutta errs by meters in days."""
-STEP_OF_PERIOD = 0.01
-"""Longest step near the Earth, of the time in which a circular orbit there turns by one radian."""
-LONGEST_STEP_S = 21_600.0
-"""Longest step far from a small body, where the tide of the Sun changes in days."""
+STEP_S = 60.0  # longest step: processes of hours are sampled a hundred times, and Runge-Kutta errs by meters in days
+STEP_OF_PERIOD = 0.01  # longest step near the Earth, of the time in which a circular orbit there turns by one radian
+LONGEST_STEP_S = 21_600.0  # longest step far from a small body, where the tide of the Sun changes in days
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,9 @@ from giantlike.independent.views import PinholeView
 TOP_SCALE_HEIGHTS = 14.0
 """Height of the top of the haze, in scale heights over where a vertical ray has met a depth of 1: 1e-6 is above."""
 
-STEPS = 96
-"""Places along a ray, denser near its lowest point: light of a limb is right to 1e-3."""
+STEPS = 96  # places along a ray, denser near its lowest point: light of a limb is right to 1e-3
 
-CELLS = 3
-"""Cells along the side of a pixel."""
+CELLS = 3  # cells along the side of a pixel
 
 RAYS_AT_ONCE = 4_000
 """Rays in one call: keeps the arrays of a batch, a number for each of the steps along a ray, within a cache."""

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from giantlike.independent.laws import Float
 
-LIGHT_KM_S = 299_792.458
-"""Speed of light, km/s (exact by definition of the meter)."""
+LIGHT_KM_S = 299_792.458  # speed of light, km/s (exact by definition of the meter)
 
 
 @dataclass(frozen=True, eq=False)

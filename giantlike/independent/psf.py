@@ -11,11 +11,9 @@ from scipy.special import erf
 
 from giantlike.independent.laws import Float
 
-WIDTHS = 6.0
-"""Widths of a Gaussian beyond which its light (2e-9) is left out."""
+WIDTHS = 6.0  # widths of a Gaussian beyond which its light (2e-9) is left out
 
-SMEAR_STEP_PX = 0.25
-"""Distance of the points that stand for a smeared star, px."""
+SMEAR_STEP_PX = 0.25  # distance of the points that stand for a smeared star, px
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,7 @@ CELLS_ACROSS_LIGHT, MOST_CELLS = 16, 40
 SMALL_PX = 1.5
 """Distance from the center within which pixels count as edges: smaller bodies may miss the centers of all pixels."""
 
-RAYS_AT_ONCE = 60_000
-"""Rays in one call: keeps the arrays of a batch within a processor's cache and memory small."""
+RAYS_AT_ONCE = 60_000  # rays in one call: keeps the arrays of a batch within a processor's cache and memory small
 
 
 @dataclass(frozen=True, eq=False)

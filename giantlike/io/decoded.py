@@ -16,8 +16,7 @@ from giantlike.core.values import Value
 if TYPE_CHECKING:
     from astropy.time import Time
 
-HeaderValue: TypeAlias = str | int | float | bool
-"""Value of a header or label item."""
+HeaderValue: TypeAlias = str | int | float | bool  # value of a header or label item
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -21,8 +21,7 @@ from giantlike.io.label_times import add_seconds, midpoint
 if TYPE_CHECKING:
     from astropy.time import Time
 
-QUATERNION_KEYS = ("GL_QX", "GL_QY", "GL_QZ", "GL_QW")
-"""Keywords of camera_from_inertial, scalar last."""
+QUATERNION_KEYS = ("GL_QX", "GL_QY", "GL_QZ", "GL_QW")  # keywords of camera_from_inertial, scalar last
 OBSERVER_KEYS = ("GL_OBSX", "GL_OBSY", "GL_OBSZ", "GL_OBSVX", "GL_OBSVY", "GL_OBSVZ")
 """Keywords of the spacecraft's position (km) and velocity (km/s), solar system barycenter, ICRF."""
 

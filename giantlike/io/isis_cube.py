@@ -24,8 +24,7 @@ from giantlike.io.decoded import DecodedImage
 from giantlike.io.label_times import label_epoch, label_exposure_s
 from giantlike.io.pds3 import parse_pds3
 
-CUBE_START = re.compile(rb"\s*Object\s*=\s*IsisCube\b")
-"""First words of the label of a cube."""
+CUBE_START = re.compile(rb"\s*Object\s*=\s*IsisCube\b")  # first words of the label of a cube
 
 _INSTRUMENT = "IsisCube.Instrument."
 LABEL_NAMES = {"StartTime": "START_TIME", "StopTime": "STOP_TIME", "ExposureDuration": "EXPOSURE_DURATION"}

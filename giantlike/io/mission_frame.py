@@ -13,8 +13,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.camera_models.affine import AffineModel
 from giantlike.core.arrays import require
 
-Boresight = Literal["+z", "-z"]
-"""Direction of the z axis of a mission's camera frame: to the scene, or into the camera."""
+Boresight = Literal["+z", "-z"]  # direction of the z axis of a mission's camera frame: to the scene, or into the camera
 
 _LETTERS_X = ("fx_px", "p2", "s1", "s2", "e6")
 _LETTERS_Y = ("fy_px", "skew_px", "p1", "s3", "s4", "e5")

@@ -25,8 +25,7 @@ from giantlike.core.errors import DataError
 from giantlike.core.values import Value
 from giantlike.io.tables import arrow_schema, column, columns_of
 
-FORMAT, FORMAT_VERSION = "giantlike observables", "1"
-"""Metadata of the file: its kind, and the version of its columns."""
+FORMAT, FORMAT_VERSION = "giantlike observables", "1"  # metadata of the file: its kind, and the version of its columns
 ROWS_OF_A_GROUP = 4096
 _ROW_BYTES = 1000  # of memory of a row: a hundred columns, most of them numbers
 """Rows of a group of the Parquet file: some megabytes, at any number of images."""

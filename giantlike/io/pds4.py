@@ -30,8 +30,7 @@ PRODUCT_START = re.compile(rb"(?:\xef\xbb\xbf)?\s*<\?xml[^>]*>[\s\S]{0,20000}?<P
 _FILE_NAME = re.compile(rb"<file_name>([^<]*+)</file_name>")
 LABEL_NAMES = {"start_date_time": "START_TIME", "stop_date_time": "STOP_TIME"}
 """Elements of a label with times, and their names in PDS3 labels."""
-_SECONDS = {"s": 1.0, "ms": 1e-3, "microseconds": 1e-6, "min": 60.0}
-"""Units of time of the information model, s."""
+_SECONDS = {"s": 1.0, "ms": 1e-3, "microseconds": 1e-6, "min": 60.0}  # units of time of the information model, s
 
 
 @reads("a PDS4 label")

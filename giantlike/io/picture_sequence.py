@@ -25,10 +25,8 @@ from giantlike.core.time import time_from_et, utc_text
 from giantlike.core.values import Value
 from giantlike.core.version import VERSION
 
-_CAMERA = "A"
-"""Name of the one camera of a file: names are letters."""
-_TWIST_OF_EAST_DEG = 90.0
-"""Twist of a camera whose columns run to the east; it grows towards the north."""
+_CAMERA = "A"  # name of the one camera of a file: names are letters
+_TWIST_OF_EAST_DEG = 90.0  # twist of a camera whose columns run to the east; it grows towards the north
 _N_COMMENTS = 3
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 

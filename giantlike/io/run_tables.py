@@ -8,8 +8,7 @@ from functools import partial
 
 from giantlike.io.tables import column
 
-_parquet = partial(column, csv=False)
-"""A column that only the Parquet file has."""
+_parquet = partial(column, csv=False)  # A column that only the Parquet file has
 _CAMERA = "camera"
 _IMAGE = "distorted image"
 _INERTIAL = "inertial (ICRF)"

@@ -21,8 +21,7 @@ from giantlike.io.spc_sumfile import FIRST_PIXEL, Sumfile, numbers_line, read_ax
 
 _SECTIONS = ("PICTURES", "MAP OVERLAPS", "LIMB FITS", "END FILE")
 _NAME_LENGTH, _IMAGE_LENGTH = 6, 12
-_SAME_PX = 0.01
-"""Largest difference of a pixel between an LMK file and a SUMFILE: three digits, and both rounded."""
+_SAME_PX = 0.01  # largest difference of a pixel between an LMK file and a SUMFILE: three digits, and both rounded
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -32,8 +32,7 @@ _INTEGER = re.compile(r"[+-]?\d+")
 _INTEGER_SAMPLES = {"BYTE": "u1", "HALF": "i2", "WORD": "i2", "FULL": "i4", "LONG": "i4"}
 _REAL_BYTES = {"REAL": 4, "DOUB": 8}
 _SYSTEM = "SYSTEM"
-_RESAMPLED = "GEOM"
-"""Part of the names of the programs of VICAR that resample images: GEOMA, LGEOM, MGEOM."""
+_RESAMPLED = "GEOM"  # part of the names of the programs of VICAR that resample images: GEOMA, LGEOM, MGEOM
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, as_finite, as_floats, require, require_number
 from giantlike.core.values import Value, check_covariance
 
-MAX_POINTS = 500_000
-"""Points of a network: each takes 2 kB, and as many again where their covariances are asked for."""
+MAX_POINTS = 500_000  # points of a network: each takes 2 kB, and as many again where their covariances are asked for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

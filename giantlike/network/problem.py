@@ -23,8 +23,7 @@ from giantlike.network.options import NetworkOptions
 from giantlike.network.photos import Photo, Tracks
 from giantlike.network.rotation import Rotating
 
-POSE = 6
-"""Unknowns of an image: rotation vector about the camera axes, then position."""
+POSE = 6  # unknowns of an image: rotation vector about the camera axes, then position
 _SINGULAR = 1e-12  # eigenvalue of an a priori correlation matrix that is zero but for rounding
 
 

@@ -31,15 +31,12 @@ from giantlike.passes.normal import (
 )
 from giantlike.passes.terms import PassOptions, PassTerm
 
-WEAK = 30.0
-"""Inflation from which a combination is reported: its parts then correlate by more than 0.999."""
-_JITTER_REACH = 1e3
-"""Factor, down and up, within which the jitter is searched around the first guess."""
+WEAK = 30.0  # inflation from which a combination is reported: its parts then correlate by more than 0.999
+_JITTER_REACH = 1e3  # factor, down and up, within which the jitter is searched around the first guess
 _LARGEST_NOISE = 10.0
 """Ratio of residuals to stated noise from which a pass is refused: noise is measured in each image, to better than a
 factor of ten."""
-_LOG_STEP = 0.05
-"""Step in the logarithm of the jitter by which the curvature of its likelihood is taken."""
+_LOG_STEP = 0.05  # step in the logarithm of the jitter by which the curvature of its likelihood is taken
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

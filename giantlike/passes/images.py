@@ -22,8 +22,7 @@ from giantlike.relative.horizon.geometry import Figure, PixelRays, ray_residuals
 
 ROTATION, DISPLACEMENT, ALTITUDE, OFFSET = slice(0, 3), slice(3, 6), 6, 7
 """Places of an error of one image among its effects: rad about camera axes, km in camera axes, km, px outward."""
-EFFECTS = 8
-"""Number of these; errors that limbs share come after."""
+EFFECTS = 8  # number of these; errors that limbs share come after
 _ALTITUDE_STEP = 1e-4  # of the smallest radius
 _SMOOTH_WAVES = 12
 """Waves around the limb that stand for a smooth error: 95 % of the power at a correlation length of half a radius."""

@@ -35,8 +35,7 @@ _UNITS = {
     PassTerm.INTERLOCK: "rad",
     PassTerm.TIMETAG_BIAS: "s",
 }
-LIMB_ERRORS = "limb errors"
-"""Name of the term of all errors that limbs share; each has unit variance."""
+LIMB_ERRORS = "limb errors"  # name of the term of all errors that limbs share; each has unit variance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -34,8 +34,7 @@ class PassTerm(StrEnum):
     """Time, s, by which exposures are later than their tags."""
 
 
-TRAJECTORY = "trajectory"
-"""Name of the term whose parameters and covariance come with the pass."""
+TRAJECTORY = "trajectory"  # name of the term whose parameters and covariance come with the pass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

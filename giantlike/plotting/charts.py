@@ -22,16 +22,11 @@ if TYPE_CHECKING:
 _UNITS_PER_IN = 72.0 * UNITS_PER_POINT
 _LEFT, _RIGHT, _TOP, _BOTTOM = 68.0, 14.0, 30.0, 42.0
 """Room around a chart, SVG units: labels of the ordinate, nothing, a title, numbers and label of the abscissa."""
-_GAP = 10.0
-"""Between charts above each other, which have one abscissa."""
-_LEGEND = 20.0
-"""Height of a line of a legend."""
-_LETTER = 6.4
-"""Mean width of a letter of 12 units."""
-_TICKS_PER_UNIT = 1 / 70.0
-"""Most numbers along an axis, a unit."""
-_EXACT = 6
-"""Digits from which numbers are written with an exponent."""
+_GAP = 10.0  # between charts above each other, which have one abscissa
+_LEGEND = 20.0  # height of a line of a legend
+_LETTER = 6.4  # mean width of a letter of 12 units
+_TICKS_PER_UNIT = 1 / 70.0  # most numbers along an axis, a unit
+_EXACT = 6  # digits from which numbers are written with an exponent
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,10 +13,8 @@ from giantlike.core.values import Value
 
 UNITS_PER_POINT = 110.0 / 72.0
 """SVG units per point: 110 per inch, so that a panel of 4.6 inches is 506 wide; cards of the report have 480 px."""
-MANY_POINTS = 3000
-"""Points of a chart from which those that fall on one place are drawn once, to keep a page small."""
-_HEAD, _HEAD_SLOPE = 4.0, 0.5
-"""Length of the head of an arrow, SVG units, and its half width over the length."""
+MANY_POINTS = 3000  # points of a chart from which those that fall on one place are drawn once, to keep a page small
+_HEAD, _HEAD_SLOPE = 4.0, 0.5  # length of the head of an arrow, SVG units, and its half width over the length
 
 
 class MarkShape(StrEnum):

@@ -22,14 +22,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _SIDE_IN = 5.2
-_NODES = 41
-"""Points along the longer side of the frame between which lines of equal angle are drawn."""
-_MARGIN_PX = 12.0
-"""Around a body, px."""
-_MOST_ARROWS = 500
-"""More hide one another in a figure of :data:`_SIDE_IN`."""
-_ARROW_SHARE = 1 / 22
-"""Length of the arrow of a typical residual over the width of the field."""
+_NODES = 41  # points along the longer side of the frame between which lines of equal angle are drawn
+_MARGIN_PX = 12.0  # around a body, px
+_MOST_ARROWS = 500  # more hide one another in a figure of :data:`_SIDE_IN`
+_ARROW_SHARE = 1 / 22  # length of the arrow of a typical residual over the width of the field
 
 
 @paints(Image)

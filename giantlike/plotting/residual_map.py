@@ -13,18 +13,13 @@ from giantlike.core.arrays import Float
 from giantlike.plotting.charts import Axis
 from giantlike.plotting.style import GRAY, INK
 
-_SIDE = 200.0
-"""Longer side of a map, SVG units."""
+_SIDE = 200.0  # longer side of a map, SVG units
 _LEFT, _TOP, _BOTTOM, _RIGHT = 40.0, 22.0, 52.0, 12.0
 """Room for numbers, a title, numbers with a scale of colors, and nothing, SVG units."""
-_LETTER = 6.8
-"""Mean width of a letter of the title, SVG units."""
-_BAR, _BAR_WIDTH = 8.0, 110.0
-"""Height and width of the scale of colors, SVG units."""
-_TICKS = 5
-"""Most numbers along a side."""
-_FULL_SHARE = 0.98
-"""Fraction of the cells inside the limits of the color scale: single outliers do not stretch it."""
+_LETTER = 6.8  # mean width of a letter of the title, SVG units
+_BAR, _BAR_WIDTH = 8.0, 110.0  # height and width of the scale of colors, SVG units
+_TICKS = 5  # most numbers along a side
+_FULL_SHARE = 0.98  # fraction of the cells inside the limits of the color scale: single outliers do not stretch it
 _ENDS_BGR = np.array([[150.0, 70.0, 20.0], [245.0, 245.0, 245.0], [30.0, 30.0, 180.0]])
 """Colors of the lower end, of zero and of the upper end."""
 _SCALE = np.linspace(-1.0, 1.0, 64)

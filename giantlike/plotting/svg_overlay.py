@@ -18,12 +18,9 @@ from giantlike.plotting.style import GRAY, INK
 _UNITS_PER_IN = 72.0 * UNITS_PER_POINT
 _LEFT, _TOP, _BOTTOM, _RIGHT = 40, 26, 22, 8
 """Margins of a panel, SVG units: for numbers of four digits and a title of one line."""
-_JPEG_QUALITY = 82
-"""Of 100: grain of noise stays visible, a picture of 506 x 506 pixels takes about 40 kB."""
-_ENLARGED = 3.0
-"""Units to a pixel from which pixels are shown as squares, not blurred."""
-_TICKS = 5
-"""Most numbers along a side."""
+_JPEG_QUALITY = 82  # of 100: grain of noise stays visible, a picture of 506 x 506 pixels takes about 40 kB
+_ENLARGED = 3.0  # units to a pixel from which pixels are shown as squares, not blurred
+_TICKS = 5  # most numbers along a side
 
 
 def overlay_svg(panels: Sequence[OverlayPanel], name: str) -> str:

@@ -26,16 +26,12 @@ _CLIP_SIGMA = 4.0
 """Distance from the median, in noise of one exposure, beyond which a pixel of it is left out (a particle, a star)."""
 _HOT_SIGMA = 8.0
 """Excess of a dark pixel over its neighbors, in noise of the frame, from which on it is bad: no white noise has it."""
-_DEAD_RESPONSE = 0.5
-"""Response relative to the neighbors below which a pixel is bad: dust dims by up to a third."""
-_SAME_EXPOSURE = 0.01
-"""Relative difference of exposures up to which a dark frame needs no scaling."""
-_CALM = 0.999
-"""Fraction of the pixels, lowest scatter first, whose scatter counts as noise: the others flicker."""
+_DEAD_RESPONSE = 0.5  # response relative to the neighbors below which a pixel is bad: dust dims by up to a third
+_SAME_EXPOSURE = 0.01  # relative difference of exposures up to which a dark frame needs no scaling
+_CALM = 0.999  # fraction of the pixels, lowest scatter first, whose scatter counts as noise: the others flicker
 _NO_SHOT_NOISE = 1e30
 """Gain, electron/DN, that leaves the noise of the frames alone: the scatter of flats holds their shot noise already."""
-_BLOCK_ROWS = 64
-"""Rows of all exposures that are combined at a time, to bound the memory."""
+_BLOCK_ROWS = 64  # rows of all exposures that are combined at a time, to bound the memory
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -13,8 +13,7 @@ from giantlike.core.elimination import solve_normal, solve_symmetric
 from giantlike.core.statistics import MAD_TO_SIGMA
 from giantlike.core.values import Value
 
-_ITERATIONS = 20
-"""Maximum iterations of robust weights; they end earlier when the residuals converge."""
+_ITERATIONS = 20  # maximum iterations of robust weights; they end earlier when the residuals converge
 _START_REST, _REST = 0.5, 0.01
 """Motion of the residuals, over a tenth of their median sigma, below which robust weights need no more iterations: on
 the way to a start, and from there."""
@@ -26,8 +25,7 @@ _LENGTH_STEP = 3.0
 """Ratio of neighboring correlation lengths of the grid: solutions are averaged over it, which needs no finer one."""
 _LEAST_SCALE = 1e-12
 """Minimum ratio of the variance to the predicted one, so that residuals of exactly zero have a likelihood too."""
-_SINGULAR = 1e-12
-"""Minimum pivot of a normal matrix of trace 1 that determines all parameters, far above rounding."""
+_SINGULAR = 1e-12  # minimum pivot of a normal matrix of trace 1 that determines all parameters, far above rounding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

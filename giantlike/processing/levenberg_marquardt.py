@@ -11,8 +11,7 @@ from giantlike.core.outcomes import Failure, Reason
 _FIRST_DAMPING = 1e-3  # relative to the diagonal of the normal matrix: nearly Gauss-Newton
 _SMALLEST_DAMPING, _LARGEST_DAMPING = 1e-15, 1e12  # below the rounding of float64; steps of 1e-12 of a gradient step
 _FACTOR = 10.0  # of the damping after a step, as in step 4 of the paper
-_CONVERGED, ROUGHLY = 1e-8, 1e-2
-"""Predicted decrease of chi-square at which a fit, and a rough fit, has converged."""
+_CONVERGED, ROUGHLY = 1e-8, 1e-2  # predicted decrease of chi-square at which a fit, and a rough fit, has converged
 _ROUNDING = 1e-12  # relative increase of the cost that is rounding and does not refuse a step
 
 

@@ -17,21 +17,16 @@ from giantlike.core.arrays import Float, require
 from giantlike.core.statistics import nearest_covariance
 from giantlike.core.values import Value
 
-_MOST_BINS = 24
-"""Maximum number of bins along an outline, in which residuals are averaged before spectra are compared."""
-_GAP = 3.0
-"""Maximum distance between neighbors, in medians of all: longer gaps are not counted as limb."""
+_MOST_BINS = 24  # maximum number of bins along an outline, in which residuals are averaged before spectra are compared
+_GAP = 3.0  # maximum distance between neighbors, in medians of all: longer gaps are not counted as limb
 _RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 1e8, 25)])
 """Variance of relief / mean variance of the noise: up to 1e4 sigmas, as for limbs accurate to 0.003 px."""
-_LENGTH_STEP = 3.0
-"""Ratio of neighboring lengths; averages over them need no finer grid."""
+_LENGTH_STEP = 3.0  # ratio of neighboring lengths; averages over them need no finer grid
 _SMOOTH_DEGREES = (3.0, 6.0, 12.0)
 """Degrees about which the power of smooth relief ends: bumps and old craters of 20, 10 and 5 deg (one sigma)."""
 _SMOOTH = len(_SMOOTH_DEGREES)
-_ROUGH_SHARE = 0.02
-"""Fraction of rough relief in the variance of smooth relief."""
-_LEAST_WAVES = 0.9
-"""Minimum number of waves, of the degree about which smooth relief ends, in the visible outline."""
+_ROUGH_SHARE = 0.02  # fraction of rough relief in the variance of smooth relief
+_LEAST_WAVES = 0.9  # minimum number of waves, of the degree about which smooth relief ends, in the visible outline
 _LEAST_LENGTH = 1.0 / 12.0
 """Correlation length / radius below which a sphere is treated as flat: errors are due to pixels and albedo."""
 _MOST_DEGREE, _ANGLES = 400, 1501

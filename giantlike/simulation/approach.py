@@ -34,8 +34,7 @@ from giantlike.simulation.incident import SimulationOptions, Sources, visible_pe
 from giantlike.simulation.orbits import CircularOrbit, Rendezvous
 from giantlike.simulation.shot import Shot, make_black_image
 
-_FIRST_DAY_UTC = "2024-03-02T06:00:00"
-"""Epoch of the first visit; chosen, any other moves the body along its orbit."""
+_FIRST_DAY_UTC = "2024-03-02T06:00:00"  # epoch of the first visit; chosen, any other moves the body along its orbit
 _RAYS = 5  # along a pixel's side, in images of the body
 _STAR_IMAGE_RAYS = 2  # along a pixel's side in star images, where the body is saturated
 _DIRECTION_STEP_DEG = 25.0  # turn of the camera's direction about the Sun from visit to visit

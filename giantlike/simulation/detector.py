@@ -23,8 +23,7 @@ from giantlike.simulation.effects import DarkCurrent, FlatField, FrameTransfer, 
 _BRIGHTEST_E = 1e15  # electrons; Poisson numbers are 64 bit integers, which end at 9e18
 _DECADES = 1.0  # range of hot pixel rates about their median, powers of ten: a factor of ten in all
 
-Seed = int | tuple[int, ...]
-"""One or several whole numbers >= 0: equal seeds give equal images."""
+Seed = int | tuple[int, ...]  # one or several whole numbers >= 0: equal seeds give equal images
 
 
 class Stream(IntEnum):

@@ -38,8 +38,7 @@ ESTIMATORS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Estimators that the campaign runs on each target."""
 
 
-STAR_IMAGE, BODY_IMAGE = "stars", "body"
-"""Purpose of an image, in ``truth.csv``."""
+STAR_IMAGE, BODY_IMAGE = "stars", "body"  # purpose of an image, in ``truth.csv``
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,8 +62,7 @@ class TruthRow:
     phase_deg: float = column("Angle Sun - body - camera", unit="deg")
 
 
-TRUTH_COLUMNS = tuple(each.name for each in columns_of(TruthRow))
-"""Columns of ``truth.csv``."""
+TRUTH_COLUMNS = tuple(each.name for each in columns_of(TruthRow))  # columns of ``truth.csv``
 
 
 def write_approach(

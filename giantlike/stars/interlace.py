@@ -9,12 +9,10 @@ from scipy.special import stdtrit
 
 from giantlike.core.arrays import Float, Mask
 
-_FALSE_ALARM = 1e-3
-"""Rate of false alarms, as for fixes of bodies."""
+_FALSE_ALARM = 1e-3  # rate of false alarms, as for fixes of bodies
 _REACH_SIGMAS, _ROOM_PX = 3, 2
 """Half width of the windows: standard deviations of the point spread function, and px for the shift."""
-_LEAST_STARS = 8
-"""Minimum number of stars: scatter estimated from fewer is too uncertain."""
+_LEAST_STARS = 8  # minimum number of stars: scatter estimated from fewer is too uncertain
 
 
 def is_interlaced(

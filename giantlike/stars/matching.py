@@ -19,8 +19,7 @@ from giantlike.core.values import Value
 from giantlike.stars.field import half_diagonal_px
 
 _MOST_CELLS = 256  # along each axis: cells of a few pixels, and a table of them that stays in the cache
-BLEND_PX = 4.0
-"""Distance below which two stars shift each other's centroid, px: five widths of a star of 0.8 px."""
+BLEND_PX = 4.0  # distance below which two stars shift each other's centroid, px: five widths of a star of 0.8 px
 _SHIFTS = 24  # displacements at which random matches are counted: 24 samples of every detection
 _SAMPLES = 2500  # maximum of these: a probability of 1 % is then known to 20 % of itself
 _DISTORTION = 0.05  # of the half size of the image: bound on the distortion that a fit of k1 can absorb

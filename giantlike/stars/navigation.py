@@ -57,8 +57,7 @@ _LARGE_BLUR = 1.3
 motion of one pixel, 1.42-1.78 out of focus; the PSF varies over the field by 0.1-0.2."""
 _CLEAR_SNR = 10.0
 """Minimum signal-to-noise ratio of stars in which odd and even rows are compared: centroids to a tenth of a width."""
-_ROUND = 0.25
-"""Growth of the minor axis of stars relative to the major axis, above which a blur is isotropic."""
+_ROUND = 0.25  # growth of the minor axis of stars relative to the major axis, above which a blur is isotropic
 _UNMATCHED = (Reason.TOO_FEW_MATCHES, Reason.NO_PATTERN_MATCH, Reason.AMBIGUOUS, Reason.FOV_MISMATCH)
 """Reasons of stars that match nowhere near the a priori attitude."""
 _RADIAL_SHARE, _RADIAL_STARS = 0.5, 12

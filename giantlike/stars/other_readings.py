@@ -22,10 +22,8 @@ from giantlike.stars.field import Sky
 from giantlike.stars.options import StarOptions
 from giantlike.stars.refine import depth_for
 
-_BRIGHTEST = 200
-"""Detections that are matched, brightest first: twice those that vote for a shift."""
-_ALONG_AXIS = 0.999
-"""Smallest component along an axis, to 2.6 degrees, from which a rotation is named by it."""
+_BRIGHTEST = 200  # detections that are matched, brightest first: twice those that vote for a shift
+_ALONG_AXIS = 0.999  # smallest component along an axis, to 2.6 degrees, from which a rotation is named by it
 
 
 @dataclass(frozen=True, slots=True)

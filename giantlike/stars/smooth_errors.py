@@ -18,10 +18,8 @@ from giantlike.core.arrays import Float
 from giantlike.core.statistics import whiten
 from giantlike.core.values import Value
 
-MOST_WEIGHED = 50
-"""Stars up to which each is weighed by itself; more are gathered in cells."""
-_CELLS = 5
-"""Cells along the sides of the field in which more stars are gathered: as many as 25 stars."""
+MOST_WEIGHED = 50  # stars up to which each is weighed by itself; more are gathered in cells
+_CELLS = 5  # cells along the sides of the field in which more stars are gathered: as many as 25 stars
 _NONE = 0.5
 """A priori probability of no errors beyond those of the stars themselves. The rest is shared equally by underestimated
 noise, errors of each star, a scale error of the camera, and errors that neighbors share."""
@@ -36,8 +34,7 @@ count; and errors of any kind against none, above which all count, weighted by p
 _SEEN = 0.01
 """Fraction of the power of the positions under a scale that the parameters of the fit do not absorb; below it the scale
 is one of them (0 but for rounding where the focal length is estimated)."""
-_NEGLIGIBLE = 0.1
-"""Probability of shared errors below which they are ignored."""
+_NEGLIGIBLE = 0.1  # probability of shared errors below which they are ignored
 _LEAST, _MOST, _BEYOND, _SIZES = 0.03, 3.0, 10.0, 24
 """Sizes of the errors tried, equally likely by their logarithm: minimum and maximum relative to the median standard
 deviation of the stars, maximum relative to the root mean square of the residuals, and their number."""

@@ -291,8 +291,7 @@ def _brightest(catalog: StarCatalog, count: int, max_magnitude: float | None) ->
         limit = min(limit + max(step, 0.3), deepest)
 
 
-_UNIT = 1e-9
-"""Maximum departure of the norm of a direction from one: rounding leaves 1e-15."""
+_UNIT = 1e-9  # maximum departure of the norm of a direction from one: rounding leaves 1e-15
 
 
 def _read(path: Path, pattern: Pattern, radius_rad: float) -> StarIndex | None:

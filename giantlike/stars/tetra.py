@@ -22,8 +22,7 @@ from giantlike.stars.pattern_search import Hypothesis
 
 MIN_FOV_DEG = 1.0
 """Narrowest field of view, degrees: narrower ones hold too few stars of the pattern catalog (Gaia to G = 10)."""
-MAX_FOV_DEG = 70.0
-"""Widest field of view, degrees: of wider images the inner part is searched."""
+MAX_FOV_DEG = 70.0  # widest field of view, degrees: of wider images the inner part is searched
 _STEP = 1.15  # ratio of neighboring fields of view: one database serves cameras within half a step
 _FORMAT = 1  # of the files in the cache; raise it when the settings of databases change
 _MATCH_RADIUS = 0.01  # match radius of tetra3rs over the field of view

@@ -17,16 +17,12 @@ from giantlike.core.values import Value
 from giantlike.io.height_maps import HeightGrid, joined_grid, read_height_grid, require_usable, write_height_archive
 from giantlike.shapes import TriangleMesh
 
-_TILE = 256
-"""Samples along the side of a tile that is kept: a quarter of a megabyte."""
-_TILES_KEPT = 256
-"""Tiles in memory, 67 MB: all of a map with 16 samples to the degree, and a limb zone of one with 32."""
-_SAMPLED_TILES = 48
-"""Tiles that are looked at for what is true of the whole map."""
+_TILE = 256  # samples along the side of a tile that is kept: a quarter of a megabyte
+_TILES_KEPT = 256  # tiles in memory, 67 MB: all of a map with 16 samples to the degree, and a limb zone of one with 32
+_SAMPLED_TILES = 48  # tiles that are looked at for what is true of the whole map
 _LEAST_GROWTH, _MOST_GROWTH = 1.1, 16.0
 """Growth of the variance that a grid twice as coarse does not resolve: between that of noise, and that of slopes."""
-_EARTH_LIKE = 1.3
-"""How far the extremes of a map may lie beyond those of the tiles that were looked at."""
+_EARTH_LIKE = 1.3  # how far the extremes of a map may lie beyond those of the tiles that were looked at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -23,10 +23,8 @@ from giantlike.terrain.height_map import HeightMap
 
 _LEAST_ANGLES, _MOST_ANGLES = 360, 7200
 """Position angles of a profile: every degree, and every 0.05 deg, a pixel on a limb of 1100 px."""
-_MOST_ALONG = 640
-"""Places along a line of sight; with more, neighbors are farther apart than this."""
-_ALONG_AT_ONCE = 400_000
-"""Places that are looked up at once: some 50 MB of working memory."""
+_MOST_ALONG = 640  # places along a line of sight; with more, neighbors are farther apart than this
+_ALONG_AT_ONCE = 400_000  # places that are looked up at once: some 50 MB of working memory
 _CANDIDATES, _LEVELS, _REACH_SIGMAS = 24, 25, 4.0
 """Places along a line of sight that may be its highest, and heights at which the chance of each is summed."""
 _PARTS = 3

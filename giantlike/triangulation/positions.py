@@ -19,8 +19,7 @@ from giantlike.core.values import Value
 from giantlike.ephemeris import Ephemeris
 from giantlike.triangulation.sightlines import Sightline, without_aberration
 
-CHANCE = 1e-4
-"""Chance of a larger chi-square below which residuals are flagged: one in 10,000 sound positions."""
+CHANCE = 1e-4  # chance of a larger chi-square below which residuals are flagged: one in 10,000 sound positions
 _LIGHT_TIME_STEPS = 8  # each gains a factor v/c; from the solar system barycenter at 50 au three suffice
 _SETTLED = 1e-12  # step over the range at which the maximum likelihood stops: rounding of float64 leaves 1e-15
 

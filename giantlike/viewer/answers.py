@@ -42,10 +42,8 @@ COLOR_MAPS: Mapping[str, int | None] = {
 }
 STRETCHES = ("auto", "linear", "sqrt", "log")
 _THUMBNAIL_PX = 96
-_LONGEST_PX = 2048
-"""Pictures of longer images are reduced to this, px: as much as a screen shows."""
-_KEPT_IMAGES = 4
-"""Number of images whose backplanes and templates are cached, for a user who switches between them."""
+_LONGEST_PX = 2048  # pictures of longer images are reduced to this, px: as much as a screen shows
+_KEPT_IMAGES = 4  # number of images whose backplanes and templates are cached, for a user who switches between them
 _DIFFERENCE_PERCENT = 99.5
 """Percentile of the differences at which their gray scale ends: the noise of a bright body stays gray."""
 

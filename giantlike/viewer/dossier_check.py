@@ -20,8 +20,7 @@ from giantlike.core.version import VERSION
 from giantlike.viewer.dossier import DOSSIER_FILE
 
 _TABLES = ("attitudes.csv", "observations.csv")
-_TIME_COLUMN = "time_s"
-"""Column of the tables that differs from run to run."""
+_TIME_COLUMN = "time_s"  # column of the tables that differs from run to run
 
 
 class _Input(BaseModel):

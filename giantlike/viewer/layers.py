@@ -19,8 +19,7 @@ from giantlike.plotting.layers import Layer, MarkShape
 from giantlike.plotting.overlays import CENTERS, MARKS, three_sigma_ellipse
 from giantlike.viewer.session import SeenImage
 
-_LONGEST_NUMBER = 9
-"""Maximum digits of a catalog number next to a mark: enough for Hipparcos, Tycho-2 and UCAC4."""
+_LONGEST_NUMBER = 9  # maximum digits of a catalog number next to a mark: enough for Hipparcos, Tycho-2 and UCAC4
 TERMINATOR = "#ff7ad9"
 """Color of the line where the Sun is at the horizon of the surface."""
 START = "#ffd84d"
@@ -381,8 +380,7 @@ _MAKERS: Mapping[str, Callable[[SeenImage], list[MarkLayer]]] = MappingProxyType
 )
 _OF_STARS = ("detections", "catalog", "matches", "rejected")
 _OF_FIXES = ("fitted", "centers", "limb", "limb-rejected", "landmarks", "landmarks-rejected")
-LAYERS: tuple[str, ...] = tuple(_MAKERS)
-"""Names of the layers, in the order in which they are drawn."""
+LAYERS: tuple[str, ...] = tuple(_MAKERS)  # names of the layers, in the order in which they are drawn
 
 
 def _fixes(seen: SeenImage) -> list[ObservationRecord]:

@@ -16,10 +16,8 @@ from giantlike.viewer.session import Session
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MOST_NAMES = 30
-"""Maximum number of names written in a layer, most important first: more would cover each other."""
-_LONGEST_PX = 2048
-"""Longer sides of images are reduced to this; a page is not wider."""
+MOST_NAMES = 30  # maximum number of names written in a layer, most important first: more would cover each other
+_LONGEST_PX = 2048  # longer sides of images are reduced to this; a page is not wider
 
 
 def picture_of(

@@ -40,10 +40,8 @@ PLANES: Mapping[str, str] = MappingProxyType(
 
 
 _HORIZON_DEG = 90.0
-_BY_DAY = 0.5
-"""Minimum fraction of a piece of a terminator that borders on sunlit pixels."""
-_LEAST_PIECE = 0.05
-"""Minimum extent of a drawn piece of a terminator, relative to the longest."""
+_BY_DAY = 0.5  # minimum fraction of a piece of a terminator that borders on sunlit pixels
+_LEAST_PIECE = 0.05  # minimum extent of a drawn piece of a terminator, relative to the longest
 
 
 def backplanes_of(session: Session, file: str, *, estimator: str | None = None, predicted: bool = False) -> Backplanes:

@@ -12,8 +12,7 @@ from giantlike.campaign.store.edits import Edited, mask_of
 from giantlike.core.arrays import Float
 from giantlike.viewer.session import SeenImage, Session
 
-MAX_POINTS = 2000
-"""Points of a run that the page gets, the largest in sigmas."""
+MAX_POINTS = 2000  # points of a run that the page gets, the largest in sigmas
 
 
 def largest_residuals(session: Session) -> dict[str, Any]:

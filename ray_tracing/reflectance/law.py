@@ -11,10 +11,8 @@ from numpy.typing import ArrayLike
 
 from giantlike.core.arrays import Float, require
 
-_HORIZON = 1e-200
-"""Smallest cosine that counts as above the horizon, so that no quotient of cosines overflows."""
-_BLOCK = 8192
-"""Rays at a time: temporary arrays of 64 kB stay in the cache, several times faster than fresh memory."""
+_HORIZON = 1e-200  # smallest cosine that counts as above the horizon, so that no quotient of cosines overflows
+_BLOCK = 8192  # rays at a time: temporary arrays of 64 kB stay in the cache, several times faster than fresh memory
 
 
 class Reflectance(Protocol):

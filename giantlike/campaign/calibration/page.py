@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
     from giantlike.plotting.charts import ChartSheet
 
-_MAX_REJECTED = 200
-"""Rejected observations listed in the page, the worst first; ``calibration.json`` holds all."""
+_MAX_REJECTED = 200  # rejected observations listed in the page, the worst first; ``calibration.json`` holds all
 _TRENDS = {
     "image": "image",
     "magnitude": "magnitude",

@@ -44,8 +44,7 @@ _COLUMNS = (
     "file", "star", "x_px", "y_px", "predicted_x_px", "predicted_y_px", "sigma_px", "magnitude", "temperature_c",
     "used",
 )  # fmt: skip
-_ARRAYS = CalibrationRecord.points_of
-"""Arrays of a star image that its record holds as lists, by the same names."""
+_ARRAYS = CalibrationRecord.points_of  # arrays of a star image that its record holds as lists, by the same names
 _FEWEST_FOR_DRIFT = 4
 """Images from which a drift of the alignment is estimated: its 6 unknowns take two, twice as many leave a check."""
 

@@ -14,8 +14,7 @@ from giantlike.campaign.store.results import group_by
 from giantlike.core.arrays import Float
 from giantlike.io.csv_rows import write_csv_rows
 
-_BEYOND = 3.0
-"""Combined sigmas beyond which a difference is counted apart: of correct ones, 3 in 1,000."""
+_BEYOND = 3.0  # combined sigmas beyond which a difference is counted apart: of correct ones, 3 in 1,000
 _COLUMNS = ("file", "what", "axis", "difference", "sigma", "ratio", "unit")
 
 

@@ -28,8 +28,7 @@ from giantlike.io.csv_rows import CsvRow, read_csv_rows
 from giantlike.io.spice import attitude as spice_attitude
 from giantlike.io.spice import load_kernels
 
-_SAME_TIME_S = 0.05
-"""Epochs at most so far apart are the same; chosen without a study: files round to milliseconds."""
+_SAME_TIME_S = 0.05  # epochs at most so far apart are the same; chosen without a study: files round to milliseconds
 _OBSERVABLES = (
     *("file", "epoch_utc", "et", "target", "x_px", "y_px", "sigma_x_px", "sigma_y_px"),
     *("ra_deg", "dec_deg", "sigma_arcsec", "range_km", "sigma_range_km"),

@@ -19,8 +19,7 @@ from giantlike.image import Image
 from giantlike.processing.calibration_frames import CalibrationFrames, combine_frames, flat_from
 
 _KEY = "calibration_frames"
-_SAME_EXPOSURE = 0.01
-"""Relative difference up to which darks count as of one exposure, as of shutters."""
+_SAME_EXPOSURE = 0.01  # relative difference up to which darks count as of one exposure, as of shutters
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,8 +27,7 @@ from giantlike.stars.options import StarOptions
 from giantlike.stars.transfer import TransferMethod
 
 _MOST_POLE_DEG = 25
-Radii: TypeAlias = tuple[float, float, float]
-"""Radii of an ellipsoid along its body-fixed x, y and z axes, km."""
+Radii: TypeAlias = tuple[float, float, float]  # radii of an ellipsoid along its body-fixed x, y and z axes, km
 
 
 def _checked_hdu(value: object) -> int | str:

@@ -24,8 +24,7 @@ from giantlike.shapes import Ellipsoid
 
 _ZERO_DEG = {"up": -90.0, "right": 0.0}
 _NOTHING = ImageGeometry(epoch=None, exposure_s=None, camera_from_inertial=None, observer=None, targets={})
-_SAME_SIZE = 0.05
-"""Largest relative difference of a stated range from the one by a diameter read off the picture."""
+_SAME_SIZE = 0.05  # largest relative difference of a stated range from the one by a diameter read off the picture
 
 
 class _Entry(Protocol):

@@ -25,12 +25,9 @@ from giantlike.plotting.residual_map import residual_map_svg
 from giantlike.plotting.style import BLUE, GRAY
 from giantlike.plotting.svg_overlay import overlay_svg
 
-_MAX_ARROWS = 150
-"""Stars whose residuals a card shows, evenly chosen: more arrows than that cover each other."""
-_ARROW_SHARE = 1 / 16
-"""Length of the arrow of a typical residual / width of the field."""
-_LEAST_SIGMA = 1e-9
-"""Standard deviations below this one have as many digits as it has."""
+_MAX_ARROWS = 150  # stars whose residuals a card shows, evenly chosen: more arrows than that cover each other
+_ARROW_SHARE = 1 / 16  # length of the arrow of a typical residual / width of the field
+_LEAST_SIGMA = 1e-9  # standard deviations below this one have as many digits as it has
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,10 +20,8 @@ from giantlike.plotting import star_residual_charts
 from giantlike.plotting.residuals import Series, series_charts
 
 _BODY_PANELS = ("x, px", "y, px", "range, %")
-_MAX_STAR_IMAGES = 500
-"""Images whose stars are in the residual figure: about 50,000 points; no result depends on it."""
-_PERCENT = np.array([1.0, 1.0, 100.0])
-"""Scale of center and logarithm of the range."""
+_MAX_STAR_IMAGES = 500  # images whose stars are in the residual figure: about 50,000 points; no result depends on it
+_PERCENT = np.array([1.0, 1.0, 100.0])  # scale of center and logarithm of the range
 _TIME_UNITS = ((86400.0, "days"), (3600.0, "hours"), (60.0, "minutes"), (1.0, "seconds"))
 """Units of a time axis, s, with their names; the largest that the axis holds more than twice is used."""
 
@@ -93,8 +91,7 @@ def _time_axis(result: RunResult) -> tuple[Callable[[int], float], str]:
     return lambda index: (times.get(index, start) - start) / unit_s, f"{unit} since {text[:19]} UTC"
 
 
-_Sample = tuple[float, Float, Float, bool]
-"""One point of a series: abscissa, values (k,), sigmas (k,), True if suspect."""
+_Sample = tuple[float, Float, Float, bool]  # one point of a series: abscissa, values (k,), sigmas (k,), True if suspect
 
 
 def _series(samples: Mapping[str, Sequence[_Sample]]) -> list[Series]:

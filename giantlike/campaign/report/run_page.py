@@ -18,8 +18,7 @@ from giantlike.core.outcomes import Outcome, Quality, Reason
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.version import VERSION
 
-_MAX_FAILURES = 300
-"""Failures listed one by one; all are counted by reason, and the tables hold the rest."""
+_MAX_FAILURES = 300  # failures listed one by one; all are counted by reason, and the tables hold the rest
 _MAX_FIXES = 4000
 """Maximum lines of the table of fixes, about 300 bytes each; beyond it, good fixes are only in the tables."""
 _FOUND = "a fix in an image that images.expect says to be empty"

@@ -37,13 +37,10 @@ _OUTLINE_ANGLES = 120
 _OUTLINE_MIN_RADIUS_PX = 2.0
 """Apparent radius, px, below which an overlay shows a cross alone: an outline would be hidden by it."""
 
-_SEARCHES = 3.0
-"""Multiple of ``search_px``: estimators of limbs widen their search to this where they find none."""
-_SURE = 3.0
-"""Number of standard deviations of the prediction beyond which a body is not expected."""
+_SEARCHES = 3.0  # multiple of ``search_px``: estimators of limbs widen their search to this where they find none
+_SURE = 3.0  # number of standard deviations of the prediction beyond which a body is not expected
 
-Work: TypeAlias = tuple[str, str]
-"""Target and estimator; an empty estimator denotes the a priori record of the target."""
+Work: TypeAlias = tuple[str, str]  # target and estimator; an empty estimator denotes the a priori record of the target
 BodyRecord: TypeAlias = ObservationRecord | TargetRecord
 
 

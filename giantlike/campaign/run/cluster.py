@@ -26,8 +26,7 @@ Answer = TypeVar("Answer")
 
 _QUEUED_PER_WORKER = 4
 """Jobs handed out per worker: one at work and some on the way, over networks that are slower than pipes."""
-_CONNECT_S = 30.0
-"""Longest wait for the scheduler to answer, and for its first worker."""
+_CONNECT_S = 30.0  # longest wait for the scheduler to answer, and for its first worker
 
 _campaigns: dict[str, Campaign] = {}
 _benches: dict[str, Workbench] = {}

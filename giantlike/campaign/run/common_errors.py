@@ -15,8 +15,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.frames import rotate
 from giantlike.core.time import time_from_et
 
-_SIGNIFICANT = 5.0
-"""Number of standard deviations from which an error is named."""
+_SIGNIFICANT = 5.0  # number of standard deviations from which an error is named
 _EXPLAINED = 0.25
 """Residual rms with a time offset relative to the rms without one, below which the offset explains the residuals."""
 _MIN_IMAGES = 3

@@ -46,15 +46,13 @@ from giantlike.core.outcomes import Reason
 
 Progress: TypeAlias = Callable[[str, int, int], None]
 """Called with the name of the step, the number of images done, and of all."""
-Announce: TypeAlias = Callable[[str], None]
-"""Called with a line for users."""
+Announce: TypeAlias = Callable[[str], None]  # called with a line for users
 
 _DIED = Problem(
     reason=Reason.INTERNAL_ERROR,
     detail="the worker process died twice on this image (killed from outside, out of memory, or a crash in a library)",
 )
-_FIRST_STARS, _ATTITUDES, _TARGETS = "calibration", "attitudes", "geometry"
-"""Names of the steps other than estimators."""
+_FIRST_STARS, _ATTITUDES, _TARGETS = "calibration", "attitudes", "geometry"  # names of the steps other than estimators
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,8 +22,7 @@ from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.records import Attitude
 from giantlike.core.version import VERSION
 
-_DIGITS = 20
-"""Hexadecimal digits of a hash, 80 bits: two of a million results coincide with a chance of 1e-12."""
+_DIGITS = 20  # hexadecimal digits of a hash, 80 bits: two of a million results coincide with a chance of 1e-12
 
 
 class Steps:

@@ -21,8 +21,7 @@ from giantlike.processing.calibration_frames import CalibrationFrames
 from giantlike.shapes import Shape
 from giantlike.stars import StarNavigation
 
-NETWORK_SHAPE = "[network]"
-"""Name of the shape of the landmarks of a network among those of the targets."""
+NETWORK_SHAPE = "[network]"  # name of the shape of the landmarks of a network among those of the targets
 
 
 class WithoutStars:

@@ -33,8 +33,7 @@ from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Outcome, Quality, Reason
 
 EDITS_FILE = "edits.jsonl"
-MAX_WORDS = 500
-"""Maximum length of a reason and of a name."""
+MAX_WORDS = 500  # maximum length of a reason and of a name
 
 
 class Edited(StrEnum):
@@ -50,8 +49,7 @@ class Edited(StrEnum):
     LANDMARK = "landmark"
 
 
-_WHOLE = (Edited.IMAGE, Edited.ATTITUDE, Edited.REVIEW)
-"""Things of which an image has one."""
+_WHOLE = (Edited.IMAGE, Edited.ATTITUDE, Edited.REVIEW)  # things of which an image has one
 _DECIDED: Mapping[str, tuple[Edited, ...]] = MappingProxyType({
     "reject": (Edited.IMAGE, Edited.STAR, Edited.FIX, Edited.LANDMARK),
     "accept": (Edited.ATTITUDE, Edited.FIX),
@@ -73,13 +71,10 @@ _GIVEN: Mapping[Edited, tuple[frozenset[str], ...]] = MappingProxyType({
     Edited.MASK: (frozenset({"area_px"}), frozenset({"area_px", "target", "estimator"})),
 })  # fmt: skip
 """Fields by which a thing is named; of others, none."""
-START_SIGMA_PX = 3.0
-"""Standard deviation of a center that was dragged by hand, px."""
-_SHIFT, _FAR_PX = 4, 1e6
-"""Binary digits of fractions of corners, px; where areas end that reach farther out."""
+START_SIGMA_PX = 3.0  # standard deviation of a center that was dragged by hand, px
+_SHIFT, _FAR_PX = 4, 1e6  # binary digits of fractions of corners, px; where areas end that reach farther out
 _ROUNDING_RAD = 1e-12
-Area: TypeAlias = tuple[tuple[float, float], ...]
-"""Corners of a polygon, px."""
+Area: TypeAlias = tuple[tuple[float, float], ...]  # corners of a polygon, px
 Thing: TypeAlias = tuple[Edited, str, int | None, str | None, str | None, str | None, Area]
 Decided = TypeVar("Decided", AttitudeRecord, ObservationRecord)
 

@@ -15,8 +15,7 @@ from giantlike.core.values import Value
 
 _OF_THE_BODY = (Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN, Cause.SUN)
 """Causes of one value for a body, in all images: each moves both fixes together."""
-_LEAST_SHARE = 1e-12
-"""Variance relative to the largest one, below which the difference has none but rounding."""
+_LEAST_SHARE = 1e-12  # variance relative to the largest one, below which the difference has none but rounding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

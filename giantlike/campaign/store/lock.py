@@ -16,8 +16,7 @@ from giantlike._system.atomic import write_text_atomic
 from giantlike.core.errors import DataError, InputError
 
 _LOCK, _HOLDER = ".lock", ".lock.json"
-_MIN_WAIT_S = 0.2
-"""Wait for another process that looks whether the folder is in use, which takes a millisecond."""
+_MIN_WAIT_S = 0.2  # wait for another process that looks whether the folder is in use, which takes a millisecond
 
 
 @contextlib.contextmanager

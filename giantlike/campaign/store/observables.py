@@ -43,8 +43,7 @@ from giantlike.observables import (
 )
 from giantlike.scene import Circumstances, TargetUncertainty
 
-OBSERVABLES_FILE = "observables.parquet"
-"""Name of the observables file in the run folder."""
+OBSERVABLES_FILE = "observables.parquet"  # name of the observables file in the run folder
 _IMAGES_OF_A_GROUP = 256
 """Maximum images of a group: about 40 MB with a few hundred landmarks each, which are not counted."""
 
@@ -335,10 +334,8 @@ def _digest(camera: Camera) -> str:
     return hashlib.sha256(json.dumps(optics, sort_keys=True).encode()).hexdigest()[:16]
 
 
-_MAX_GAP_S = 600.0
-"""Longest time to a neighbor: a prior."""
-_SAME_RATE = 0.1
-"""Largest difference of the rates before and after an image relative to the larger one: a prior."""
+_MAX_GAP_S = 600.0  # longest time to a neighbor: a prior
+_SAME_RATE = 0.1  # largest difference of the rates before and after an image relative to the larger one: a prior
 _SIGMAS = 3.0
 
 

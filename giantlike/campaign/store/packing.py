@@ -22,8 +22,7 @@ Record = TypeVar("Record", bound=ImageRecord)
 _FEWEST_NUMBERS = 16
 """Numbers from which a list is kept as an array: below, the description of the array is longer than the digits."""
 _KEY = "$array"
-_LEVEL = 1
-"""Of zlib: higher levels gain 1 % on positions of stars and take four times as long."""
+_LEVEL = 1  # of zlib: higher levels gain 1 % on positions of stars and take four times as long
 _NESTED = (dict, list, PlainRecord)
 _DTYPES = {"b": np.dtype("bool"), "i": np.dtype("<i8"), "f": np.dtype("<f8")}
 

@@ -35,8 +35,7 @@ CAMERA_FILE, CALIBRATION_FILE, RESIDUALS_FILE = "camera.toml", "calibration.json
 CALIBRATION_PAGE, REPORT_PAGE = "calibration.html", "report.html"
 RESULTS_FILE = "results.sqlite"
 NETWORK_FILE = "network/result.json"
-TRANSFER = "transfer"
-"""Step whose records, attitudes from neighbors in time, replace those of the step ``attitude``."""
+TRANSFER = "transfer"  # step whose records, attitudes from neighbors in time, replace those of the step ``attitude``
 _PROVENANCE = "provenance.json"
 _PARTS = "parts"
 _TRIED_AGAIN = frozenset({Reason.UNREADABLE_IMAGE, Reason.INTERNAL_ERROR})
@@ -250,8 +249,7 @@ def _unit(kind: type[ImageRecord], file: str, of: tuple[str, str], step: str | N
     return (step or kind.part, file, *of)
 
 
-_SHOWN = 4
-"""Number of names in a message."""
+_SHOWN = 4  # number of names in a message
 
 
 def find_image(name: str, files: Collection[str], run: Path) -> str:

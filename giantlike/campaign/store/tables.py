@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
 Row = TypeVar("Row", AttitudeRow, ObservationRow)
 
-_TOTAL = tuple(cause for cause in Cause if cause is not Cause.EPHEMERIS)
-"""Causes in ``covariance_with_attitude_px2``."""
+_TOTAL = tuple(cause for cause in Cause if cause is not Cause.EPHEMERIS)  # causes in ``covariance_with_attitude_px2``
 
 
 _UNITS = MappingProxyType({"px": "pix", "arcsec": "arcsec", "deg": "deg", "km": "km", "s": "s"})

@@ -21,8 +21,7 @@ from giantlike.io.pds3 import LABEL_START
 
 __all__ = ["HeightGrid", "joined_grid", "read_height_grid", "require_usable", "write_height_archive"]
 
-_LABEL_BYTES = 1_000_000
-"""Beginning of a file in which a label is searched; labels of maps have some kilobytes."""
+_LABEL_BYTES = 1_000_000  # beginning of a file in which a label is searched; labels of maps have some kilobytes
 
 
 def read_height_grid(

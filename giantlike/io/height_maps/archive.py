@@ -18,8 +18,7 @@ from giantlike.core.arrays import Float
 from giantlike.io.height_maps.grid import MOST_AT_ONCE, HeightGrid, Read, put, tiles_of
 
 _FORMAT, _VERSION = "giantlike heights", 1
-_TILE = 512
-"""Samples along the side of a tile that is written: a megabyte in single precision."""
+_TILE = 512  # samples along the side of a tile that is written: a megabyte in single precision
 _MOST_COMPRESSION = 100  # arrays over file: heights are compressed to a half to a tenth
 
 

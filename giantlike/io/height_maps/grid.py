@@ -24,8 +24,7 @@ MOST_AT_ONCE = 400_000_000
 RADIUS_SHARE = 0.3
 """Values beyond this fraction of the radius are radii, not heights: no body has relief of a third of its size."""
 _SMALLEST_STEP_RAD = 1e-12  # 2 micrometers on the Moon: a smaller one is invalid, and overflows
-_MOST_SAMPLES = 1 << 36
-"""Samples of a map at most; the finest global one, of the Moon with 256 to the degree, has 4e9."""
+_MOST_SAMPLES = 1 << 36  # samples of a map at most; the finest global one, of the Moon with 256 to the degree, has 4e9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -137,10 +136,8 @@ def put(result: NDArray[Any], corner: tuple[int, int], tile: NDArray[Any], tile_
         result[here] = tile[there]
 
 
-_SAME = 1e-6
-"""Relative difference up to which steps and radii of files are the same: digits of labels."""
-_ON_GRID = 0.01
-"""Samples by which a part may lie off the grid of the first: digits of labels."""
+_SAME = 1e-6  # relative difference up to which steps and radii of files are the same: digits of labels
+_ON_GRID = 0.01  # samples by which a part may lie off the grid of the first: digits of labels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

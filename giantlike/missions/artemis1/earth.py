@@ -29,8 +29,7 @@ from giantlike.relative.horizon.geometry import Altitude
 _LIGHT_PX = 0.3
 """Standard deviation of a shift of edges toward the Sun, by uneven brightness, as measured on full images."""
 _PAPER_KM = 25.0
-_SPIKE_SIGMAS = 4.0
-"""Robust standard deviations beyond which a residual stands out: one in 16,000 of normal ones."""
+_SPIKE_SIGMAS = 4.0  # robust standard deviations beyond which a residual stands out: one in 16,000 of normal ones
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -385,10 +384,8 @@ def _again_compared(flown: dict[int, FlownPass], again: dict[int, Float]) -> lis
 
 
 _PARAMETERS = 15
-_DIAMETER = 20
-"""State that is the bias of the diameter of the disk, in focal lengths."""
-_BIAS_SIGMA_KM = 20.0
-"""A priori standard deviation of the bias of the radius: most of the 35 km assumed at first."""
+_DIAMETER = 20  # state that is the bias of the diameter of the disk, in focal lengths
+_BIAS_SIGMA_KM = 20.0  # A priori standard deviation of the bias of the radius: most of the 35 km assumed at first
 
 
 def filter_bias_km(setting: Setting, flown: FlownPass) -> tuple[Float, Float]:

@@ -23,8 +23,7 @@ from giantlike.relative.horizon.geometry import Figure
 
 KM_PER_NMI = 1.852
 KM_PER_KFT = 0.3048
-DAY_S = 86400.0
-"""Passes are "approximately once per day"."""
+DAY_S = 86400.0  # passes are "approximately once per day"
 SUN_AZIMUTH_DEG = 180.0
 """Direction to the Sun in the image, from +x: "the illumination direction is approximately parallel" with it."""
 

@@ -13,13 +13,11 @@ from giantlike.independent import SphereField, rough
 from giantlike.missions.artemis1.passes import Pass, Setting
 from giantlike.terrain import HeightMap, limb_profile
 
-ANGLES = 720
-"""Position angles of a limb."""
+ANGLES = 720  # position angles of a limb
 _STEP_DEG = 1.0
 _WAVES, _CELLS, _LONGEST, _SHORTEST = 200, 128, 2.5, 60.0
 """Waves of the ground, cells of its table, and waves around the Moon: hills down to 90 km half across."""
-_REACH_RAD, _ALONG = 0.15, 151
-"""Ground to both sides of the limb that may stand above it, and places in it."""
+_REACH_RAD, _ALONG = 0.15, 151  # ground to both sides of the limb that may stand above it, and places in it
 _TURN_DEG = (137.5, 40.0)
 """Longitude from one pass to the next (the golden angle), and highest latitude, of the ground below the camera."""
 

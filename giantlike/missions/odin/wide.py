@@ -32,8 +32,7 @@ GEOMETRIC_ALBEDO = {"EARTH": 0.434, "MOON": 0.12}  # NASA planetary fact sheets
 LAW_OF_TRUTH = {"EARTH": "lambert", "MOON": "lunar_lambert"}
 ALBEDO_SIGMA = {"EARTH": 0.15, "MOON": 0.05}  # true scatter: clouds; maria on the side that is seen
 CALIBRATION_SIGMA = 0.05  # of the photometric calibration
-MOON_SCATTERING = 0.604
-"""Single-scattering albedo of a Chandrasekhar sphere with the Moon's geometric albedo of 0.12."""
+MOON_SCATTERING = 0.604  # Single-scattering albedo of a Chandrasekhar sphere with the Moon's geometric albedo of 0.12
 MODEL_SIGMA = {"EARTH": 0.25, "MOON": 0.15}
 """Relative errors of the models given to the identification: clouds, and the side of the Moon that is seen."""
 SUNLIT_EFFICIENCY = 0.397  # by which eq. 23 equals eq. 22 for sunlight on the sensor assumed here

@@ -13,8 +13,7 @@ from giantlike.cislunar import BodyErrorModel
 from giantlike.core.arrays import Float
 
 FOOT_KM = 3.048e-4
-MOON_KM, EARTH_KM = 1737.4, 6378.137
-"""Radii: mean of the Moon, equatorial of the Earth."""
+MOON_KM, EARTH_KM = 1737.4, 6378.137  # radii: mean of the Moon, equatorial of the Earth
 
 
 @cache
@@ -56,9 +55,6 @@ def _errors(numbers: dict[str, Any], relief_px_km: Float) -> BodyErrorModel:
     )
 
 
-ROUNDING = 0.005
-"""Relative: numbers that the paper gives with three digits."""
-ANALYSIS = 0.10
-"""Required relative agreement of linear covariance and flown runs."""
-MODEL = 0.5
-"""Relative: an error model fitted to other images of another renderer."""
+ROUNDING = 0.005  # relative: numbers that the paper gives with three digits
+ANALYSIS = 0.10  # required relative agreement of linear covariance and flown runs
+MODEL = 0.5  # relative: an error model fitted to other images of another renderer

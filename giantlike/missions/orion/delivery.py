@@ -15,11 +15,9 @@ from giantlike.missions.orion.return_plan import ReturnPlan, make_plan, with_ear
 from giantlike.missions.replay import DERIVED, INPUT, SELF_CHECK, Comparison, ReplaySettings, Stated
 
 RUNS, SMALL_RUNS = 500, 40
-STEP_S, SMALL_STEP_S = 900.0, 3600.0
-"""Longest steps of the filter, s; the unmodeled acceleration has 6 h."""
+STEP_S, SMALL_STEP_S = 900.0, 3600.0  # longest steps of the filter, s; the unmodeled acceleration has 6 h
 SMALL_IMAGES_S = 1800.0
-SEVERE_SIGMAS = 3.0
-"""A mean error of more than this many of the filter's own sigmas: it does not know how wrong it is."""
+SEVERE_SIGMAS = 3.0  # A mean error of more than this many of the filter's own sigmas: it does not know how wrong it is
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -23,8 +23,7 @@ from giantlike.missions.orion.return_plan import hours_before_entry
 from giantlike.missions.replay import ReplayFigure
 from giantlike.plotting.style import BLUE, GRAY, GREEN, INK, ORANGE, RED, SERIES, drawing
 
-WIDE, SQUARE = (6.4, 3.6), (4.8, 4.4)
-"""Inches."""
+WIDE, SQUARE = (6.4, 3.6), (4.8, 4.4)  # inches
 
 
 def _axes(size: tuple[float, float] = WIDE, columns: int = 1) -> tuple[Figure, list[Axes]]:

@@ -24,13 +24,10 @@ from giantlike.processing import detect_sources
 FOCAL_ERROR, K1, P1, P2 = 1.002, -0.08, 1e-4, -5e-5
 """Assumed lens: the paper shows the flight camera's in a figure only."""
 OFF_CENTER_PX = (3.2, -2.1)
-STAR_DN = 13_000.0
-"""Of a collimated point over all pixels: its peak of about 3,600 DN does not saturate."""
-FOCUSED_PX, STAKED_PX = 0.1, 0.7
-"""Blur of the lens in focus, and as it is staked."""
+STAR_DN = 13_000.0  # of a collimated point over all pixels: its peak of about 3,600 DN does not saturate
+FOCUSED_PX, STAKED_PX = 0.1, 0.7  # blur of the lens in focus, and as it is staked
 READ_NOISE_DN = 5.0
-MATCH_PX = 40.0
-"""Farther than the lens moves a point, nearer than half of the 255 px between points."""
+MATCH_PX = 40.0  # farther than the lens moves a point, nearer than half of the 255 px between points
 
 
 def gimbal_angles() -> tuple[Float, Float]:
@@ -142,10 +139,8 @@ def _nearest(places_px: Float, points_px: Float) -> tuple[NDArray[np.intp], Floa
     return nearest, distances[np.arange(len(places_px)), nearest]
 
 
-FIT_PX = 0.1
-"""Best accuracy of real-time centroids of bodies: a lens calibrated better than this adds nothing."""
-POINTS = {False: 20, True: 8}
-"""Points along a side, for the focus; fewer in a small run."""
+FIT_PX = 0.1  # best accuracy of real-time centroids of bodies: a lens calibrated better than this adds nothing
+POINTS = {False: 20, True: 8}  # points along a side, for the focus; fewer in a small run
 
 
 def grid_comparisons(grid: Grid) -> list[Comparison]:

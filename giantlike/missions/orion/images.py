@@ -36,15 +36,11 @@ from giantlike.relative import ESTIMATORS
 from giantlike.scene import Scene, Target
 from giantlike.shapes import Ellipsoid
 
-PSF_PX = 0.7
-"""One sigma: the lens is staked slightly out of focus so that light of a point falls on several pixels."""
-PEAK_DN = 3000.0
-"""Of 4095 of a 12 bit detector: exposures that do not saturate."""
+PSF_PX = 0.7  # one sigma: the lens is staked slightly out of focus so that light of a point falls on several pixels
+PEAK_DN = 3000.0  # of 4095 of a 12 bit detector: exposures that do not saturate
 READ_NOISE_DN = 5.0
-PREDICTION_PX, PREDICTION_RANGE = 4.0, 0.005
-"""Errors of the prediction that an estimator starts from."""
-FIELDS = 6
-"""Different made-up reliefs: tables of the sphere cost more than images."""
+PREDICTION_PX, PREDICTION_RANGE = 4.0, 0.005  # errors of the prediction that an estimator starts from
+FIELDS = 6  # different made-up reliefs: tables of the sphere cost more than images
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,15 +24,13 @@ from giantlike.missions.orion.images import EstimatorErrors, ImagedScene, measur
 from giantlike.missions.replay import DERIVED, INDEPENDENT, Comparison, ReplaySettings, Stated
 
 AXES = ("along the Sun", "across the Sun", "radius")
-FAMILY = "ellipsoid_cra"
-"""The estimator of the flight software's family, by the Christian-Robinson algorithm."""
+FAMILY = "ellipsoid_cra"  # the estimator of the flight software's family, by the Christian-Robinson algorithm
 MOON_RANGES_KM, EARTH_RANGES_KM = (1e5, 2e5, 3.5e5), (2e5, 3.5e5)
 RELIEF_RANGES_KM = (5e4, 1e5, 2e5)
 PHASES_DEG, NEARLY_FULL_DEG = (30.0, 60.0, 90.0, 110.0), (5.0,)
 DRAWS, SMALL_DRAWS = {"smooth Moon": 12, "Moon with relief": 6, "Earth": 8}, 2
 """Images at each range; a body with relief costs ten times as much."""
-RELIEF_KM = 2.0
-"""Root mean square of the made-up relief: the paper's variation of the terrain across the surface."""
+RELIEF_KM = 2.0  # root mean square of the made-up relief: the paper's variation of the terrain across the surface
 
 
 def images_of_bodies(settings: ReplaySettings) -> dict[str, list[EstimatorErrors]]:

@@ -16,8 +16,7 @@ CHANGES = {
     "range_known": "Predicted ranges of the study of range errors err by a twentieth as much.",
 }
 """Assumptions that can be altered."""
-_SMALL_CAMERAS, _SMALL_IMAGES = ("mapcam",), 4
-"""Cameras that a small replay calibrates, and the number of their images."""
+_SMALL_CAMERAS, _SMALL_IMAGES = ("mapcam",), 4  # cameras that a small replay calibrates, and the number of their images
 
 
 def replay(settings: ReplaySettings) -> Replay:

@@ -18,10 +18,8 @@ from giantlike.shapes.generate import geodesic_directions, surface_waves
 _WAVENUMBERS = (5.0, 12.0, 30.0)
 """Radians of phase per radian on the body, of the errors of a shape model: patches of 36, 15 and 6 degrees. The maplets
 that such models are made of overlap, so that errors go on from one to the next [assumed]."""
-_WAVES = 96
-"""Plane waves that make up a field; enough for its values to be nearly normal."""
-_SAMPLES = 12
-"""Points of the truth that a vertex of a model averages, within the facets around it."""
+_WAVES = 96  # plane waves that make up a field; enough for its values to be nearly normal
+_SAMPLES = 12  # points of the truth that a vertex of a model averages, within the facets around it
 
 
 def true_body(setup: SimpleNamespace, shape: Path | None, *, seed: int, cells: int) -> ReliefBody:

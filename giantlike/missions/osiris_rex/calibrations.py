@@ -23,12 +23,9 @@ from giantlike.missions.osiris_rex.setup import CameraSetup, MissionSetup
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.stars import StarNavigation, StarOptions
 
-_FIRST_UTC = "2017-09-20T00:00:00"
-"""Epoch of the first image, in cruise [assumed]."""
-_DAYS = 10.0
-"""Time from one image to the next [assumed]."""
-_CELLS = 4
-"""Cells along a side of the field in which means of residuals are tested."""
+_FIRST_UTC = "2017-09-20T00:00:00"  # epoch of the first image, in cruise [assumed]
+_DAYS = 10.0  # time from one image to the next [assumed]
+_CELLS = 4  # cells along a side of the field in which means of residuals are tested
 _SCALE_ERROR = 0.05
 """Largest error of the nominal focal length that the identification allows for; they are stated to two digits."""
 

@@ -35,8 +35,7 @@ from giantlike.missions.osiris_rex.trajectory import Flight
 from giantlike.shapes import TriangleMesh
 from giantlike.shapes.files.exchange import write_obj
 
-_STARS_SHARE = 0.9
-"""Exposures of at least this fraction of the long one are star images."""
+_STARS_SHARE = 0.9  # exposures of at least this fraction of the long one are star images
 _MODEL_FILE, _SKY_FILE = "model.obj", "sky.csv"
 _TRUTH = ("file", "et_s", "x_km", "y_km", "z_km", "vx_km_s", "vy_km_s", "vz_km_s", "qx", "qy", "qz", "qw")
 """Columns of ``truth.csv``: state of the spacecraft from Bennu, ICRF axes, and camera_from_inertial."""

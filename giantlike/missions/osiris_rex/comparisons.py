@@ -15,21 +15,16 @@ from giantlike.missions.osiris_rex.range_error import RangeErrorStudy
 from giantlike.missions.osiris_rex.setup import MissionSetup, PhaseSetup
 from giantlike.missions.replay import DERIVED, INDEPENDENT, INPUT, SELF_CHECK, Comparison, ComparisonKind, Stated
 
-AROUND = 2.0
-"""Factor within which a number agrees with one that the paper calls "near" or "around": it gives one digit."""
-TYPICAL_SHARE = 0.9
-"""Fraction of the residuals, per axis, required below the limit that the paper calls typical."""
-_FALSE_ALARM = 0.001
-"""Probability of chi-square below which errors contradict their covariance."""
+AROUND = 2.0  # factor within which a number agrees with one that the paper calls "near" or "around": it gives one digit
+TYPICAL_SHARE = 0.9  # fraction of the residuals, per axis, required below the limit that the paper calls typical
+_FALSE_ALARM = 0.001  # probability of chi-square below which errors contradict their covariance
 UNRESOLVED_PX = 5.0
 """Apparent diameter, px, up to which Bennu counts as unresolved, twice the width of the point spread function; the
 paper gives no limit."""
-LIMB_PX = 20.0
-"""Apparent diameter, px, from which limbs are looked at: about 60 px of outline."""
+LIMB_PX = 20.0  # apparent diameter, px, from which limbs are looked at: about 60 px of outline
 STAR_PX, CENTER_PX = 0.1, 1.0
 """The paper's words: star residuals "around 0.1 pixels", centers "typically less than 1 pixel"."""
-SIZE_SHARE = 0.2
-"""Relative difference up to which a size agrees that the paper calls "approximately"."""
+SIZE_SHARE = 0.2  # relative difference up to which a size agrees that the paper calls "approximately"
 
 
 def fixes(residuals: Sequence[Residual], estimators: Sequence[str]) -> tuple[Residual, ...]:

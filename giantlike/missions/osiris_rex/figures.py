@@ -22,8 +22,7 @@ from giantlike.viewer.comparison import match_of
 from giantlike.viewer.layers import layers_of
 from giantlike.viewer.session import Session
 
-_PICTURE_PX = 20.0
-"""Apparent diameter from which Bennu is shown."""
+_PICTURE_PX = 20.0  # apparent diameter from which Bennu is shown
 _HALF_IN, _HEIGHT_IN = 3.8, 2.2
 """Size of two panels side by side, inches, so that they are legible in half the width of a page."""
 

@@ -45,24 +45,18 @@ from giantlike.missions.osiris_rex.trajectory import Flight
 TARGET = "BENNU"
 DEEPEST_DEFAULT = 10.0
 """Faintest magnitude that the default catalog reaches; a camera that sees fainter stars gets a made-up sky."""
-_STARS_PER_DEG2 = 11.7
-"""Stars down to magnitude 10 in a square degree: 482,000 of the default catalog over the sky."""
-_BRIGHTEST = 5.0
-"""Magnitude of the brightest star of a made-up sky, of which there is one in 30 square degrees."""
+_STARS_PER_DEG2 = 11.7  # stars down to magnitude 10 in a square degree: 482,000 of the default catalog over the sky
+_BRIGHTEST = 5.0  # magnitude of the brightest star of a made-up sky, of which there is one in 30 square degrees
 BEYOND_LIMIT = 0.5
 """Magnitudes by which the sky of images is deeper than the stars used: fainter light is in images too [assumed]."""
 _SKY_MARGIN = 1.3
 """Radius of a made-up sky around an image, / half the diagonal of the frame: margin for errors of the pointing."""
-_SUN_MAGNITUDE = -26.74
-"""Of the Sun at 1 au, V: 2.5 log10 of the ratio to the zero point."""
+_SUN_MAGNITUDE = -26.74  # of the Sun at 1 au, V: 2.5 log10 of the ratio to the zero point
 _PEAK_OF_FULL_SCALE = 0.7
 """Signal of the brightest pixel of Bennu in short exposures, as a fraction of full scale above bias [assumed]."""
-_SHORTEST_S = 1e-4
-"""Shortest exposure, s [assumed]."""
-_USED_PART = 0.6
-"""Fraction of the free half frame over which Bennu is placed [assumed]."""
-_MARGIN_PX = 30.0
-"""Distance that Bennu keeps from the edge of the frame where it fits, px [assumed]."""
+_SHORTEST_S = 1e-4  # shortest exposure, s [assumed]
+_USED_PART = 0.6  # fraction of the free half frame over which Bennu is placed [assumed]
+_MARGIN_PX = 30.0  # distance that Bennu keeps from the edge of the frame where it fits, px [assumed]
 _LARGE_PX = 200.0
 """Apparent diameter from which two cells along the side of a pixel are enough: its edges get eight rays."""
 _SATURATED = Sampling(cells=1, edge_rays=2)

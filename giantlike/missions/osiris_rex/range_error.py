@@ -31,8 +31,7 @@ from giantlike.relative import CrossCorrelation
 from giantlike.relative.template.cross_correlation import CrossCorrelationOptions
 from giantlike.scene import Scene, Target, TargetGeometry
 
-_SIDE_PX, _FOCAL_PX = 400, 14737.0
-"""Size of the images, and the focal length of MapCam."""
+_SIDE_PX, _FOCAL_PX = 400, 14737.0  # size of the images, and the focal length of MapCam
 _DIAMETER_PX = 200.0
 """Apparent diameter: the maximum for template matching in the paper's Approach and Preliminary Survey."""
 _CENTER_ERROR_PX = np.array([6.3, -4.7])
@@ -42,10 +41,8 @@ _UNLISTED_RELIEF = 0.01
 _RANGE_ERRORS = (-0.08, -0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06, 0.08)
 _SMALL_RANGE_ERRORS = (-0.04, 0.0, 0.04)
 _PHASES_DEG = (20.0, 60.0, 90.0)
-_PSF_PX, _READ_NOISE_E, _GAIN, _PEAK_DN = 0.8, 14.0, 4.0, 2500.0
-"""Optics and detector as in ``mission.toml``."""
-_RAYS = 4
-"""Rays along a pixel's side of the template."""
+_PSF_PX, _READ_NOISE_E, _GAIN, _PEAK_DN = 0.8, 14.0, 4.0, 2500.0  # optics and detector as in ``mission.toml``
+_RAYS = 4  # rays along a pixel's side of the template
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -23,8 +23,7 @@ from giantlike.missions.osiris_rex.trajectory import Orbit, Waypoint
 
 _BELOW_THRESHOLD = 0.3
 """Magnitudes from the limit of detection to the end of the catalog: noise lifts fainter stars above it too."""
-_SHAPE_PATTERNS = ("*ennu*.obj", "*ennu*.ply", "*ennu*.bds")
-"""Names of shape files of Bennu, in km."""
+_SHAPE_PATTERNS = ("*ennu*.obj", "*ennu*.ply", "*ennu*.bds")  # names of shape files of Bennu, in km
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,8 +31,7 @@ _OBLIQUITY_RAD = math.radians(84381.448 / 3600.0)
 """rad, obliquity of the ecliptic of J2000 in the IAU 1976 system, in which the elements are stated."""
 _KERNEL_PATTERNS = ("naif*.tls", "bennu*.tpc", "orx_*ALT*.bsp")
 """Names of the kernels that are read, in loading order: leap seconds, orientation of Bennu, spacecraft."""
-_SPACECRAFT, _BENNU = "-64", "2101955"
-"""NAIF codes of OSIRIS-REx and of Bennu."""
+_SPACECRAFT, _BENNU = "-64", "2101955"  # NAIF codes of OSIRIS-REx and of Bennu
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -64,8 +64,7 @@ _HOT_PIXEL_WIDTH_PX = 0.3  # single bright pixels are fitted narrower than this
 _LEAST_MEASURED = 100
 """Minimum number of measured sources: attitudes from 100 and 2,000 bright stars agree to 0.0013 px
 (``max_sources``)."""
-_GROWTH = 1.1
-"""Minimum growth of their number where their information is too low: bounds the number of rounds."""
+_GROWTH = 1.1  # minimum growth of their number where their information is too low: bounds the number of rounds
 
 _STREAK_MIN_SIGNIFICANCE = 8.0  # of sources that show a common streak: three sigma above the detection limit
 _STREAK_LENGTH_SIGMAS, _STREAK_LENGTH_RELATIVE = 5.0, 0.25  # largest difference from the length of the common streak

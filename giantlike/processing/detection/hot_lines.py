@@ -9,8 +9,7 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.processing.detection.dead_lines import whole_lines
 from giantlike.processing.detection.frame_lines import FrameLines
 
-_REACH = 3
-"""Number of lines on either side whose median predicts a line: it follows gradients and edges of the signal."""
+_REACH = 3  # number of lines on either side whose median predicts a line: it follows gradients and edges of the signal
 _LEAST_SIGMAS = 2.0
 """Minimum excess of a hot line over its neighbors, in standard deviations of the noise without light: a smaller one is
 hidden by the noise of each pixel, and all lines of a detector differ a little."""
@@ -20,12 +19,9 @@ half of the excess, none of a line with a few bright stars."""
 _BLEED = 0.2
 """Maximum excess of the lines next to a hot one over those one farther, relative to its own: a PSF of 0.5 px gives 0.3.
 Smear below a bright body (Hayabusa2, 20151203_000006) has equally narrow peaks, of 0.8."""
-_WIDEST = 2
-"""Hot lines side by side, at most: optics of 0.6 px and more spread a line over three."""
-_LEAST_LENGTH = 16
-"""Minimum pixels of half a line: with fewer, the median is too noisy."""
-_MOST = 0.1
-"""Share of all lines beyond which they are a pattern of the image, not defects."""
+_WIDEST = 2  # hot lines side by side, at most: optics of 0.6 px and more spread a line over three
+_LEAST_LENGTH = 16  # minimum pixels of half a line: with fewer, the median is too noisy
+_MOST = 0.1  # share of all lines beyond which they are a pattern of the image, not defects
 
 
 def hot_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:

@@ -20,8 +20,7 @@ from giantlike.core.arrays import Float, Mask, Scalar
 from giantlike.core.statistics import IQR_PER_SIGMA
 from giantlike.core.values import Value
 
-NOISE_BOX_PX = 48
-"""Side of a box in which the noise is measured, px: it contains at least 100 samples."""
+NOISE_BOX_PX = 48  # side of a box in which the noise is measured, px: it contains at least 100 samples
 _BOX_HALF_WIDTHS = 6.0  # half side of the background box in star widths: loses 3 % of the signal to noise
 _KERNEL_HALF_WIDTHS = 3.0  # half side of the Gaussian in star widths: 99.5 % of its sum
 _MIN_NOISE_SAMPLES = 100  # per box: the quartiles give its sigma to 12 %

@@ -23,8 +23,7 @@ _LEVEL_BOX_PX = 31  # side of the box that smooths the level: larger than the la
 _SAMPLE_STEP = 3  # between the pixels sampled: a ninth of an image is enough for its noise
 _LEAST_COVERED = 16  # good covered pixels: their standard deviation is then known to 18 %
 
-Region = tuple[int, int, int, int]
-"""First column, first row, columns, rows; px."""
+Region = tuple[int, int, int, int]  # first column, first row, columns, rows; px
 
 
 class NoiseSource(StrEnum):

@@ -13,12 +13,10 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
 from giantlike.processing.correlated_fit import correlated_solution, generalized_solution
 
-MIN_POINTS = 6
-"""Fewest points of an ellipse: its five parameters and one degree of freedom."""
+MIN_POINTS = 6  # fewest points of an ellipse: its five parameters and one degree of freedom
 _LEAST_CORRELATED = 8  # the same where sigma and correlation length are estimated too
 _ROUNDS = 4  # of reweighting
-_SECOND_ORDER = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-"""Mean of the monomials of noise of unit variance."""
+_SECOND_ORDER = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.0])  # mean of the monomials of noise of unit variance
 _STEP = 1e-6  # of central differences, in standard deviations of the coefficients
 
 

@@ -13,8 +13,7 @@ from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float, Indices, Mask
 from giantlike.core.elimination import solve_normal
 
-_REFINEMENTS = 2
-"""Linear steps before the last one, after the search in multiples of the sampling step."""
+_REFINEMENTS = 2  # linear steps before the last one, after the search in multiples of the sampling step
 _DARK = 1e-100  # root of the information on a slope below which the expected profile is dark
 _FLAT = 1e-9  # spread of the values of a window over their size, below which it is flat
 _HELD = 1e12  # information relative to a line's: fixes a slope at zero

@@ -20,8 +20,7 @@ MIN_BRIGHTNESS = 0.1
 """Minimum brightness of used limb relative to the brightest; darker limb adds hardly any information."""
 GAIN_RANGE = (0.2, 5.0)
 """Limits of brightness / expected brightness of good points, in medians of all; others lie on something else."""
-UNSEEN = "masked, saturated or outside the frame"
-"""Reason of points without usable pixels."""
+UNSEEN = "masked, saturated or outside the frame"  # reason of points without usable pixels
 SATURATED_SHARE = 0.2
 """Share of saturated pixels near a limb above which saturation is named as the reason for its failure; no study yet."""
 

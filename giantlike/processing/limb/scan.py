@@ -25,8 +25,7 @@ from giantlike.processing.limb.view import in_frame
 
 SAMPLING_VARIANCE_PX2 = 1.0 / 3.0
 """Variance of the cubic B-spline through which lines are sampled: it widens every edge by so much."""
-PIXEL_VARIANCE_PX2 = 1.0 / 12.0
-"""Variance of a uniform distribution over a pixel, px^2."""
+PIXEL_VARIANCE_PX2 = 1.0 / 12.0  # variance of a uniform distribution over a pixel, px^2
 
 _SPLINE_NOISE = 0.479365  # sum of squares of a cubic B-spline over the pixels, mean over sub-pixel phases
 _SPLINE_NOISE_VARIANCE_PX2 = 2.0 / 3.0  # of its autocorrelation, along each axis

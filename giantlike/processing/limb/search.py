@@ -17,8 +17,7 @@ from giantlike.processing.limb.view import LimbView, PredictedLimb
 
 _COARSE_BLUR_PX = 1.0
 """Minimum blur of the searched image, px: half of the step, so that no limb falls between two steps."""
-_COARSE_STEP, _MAX_COARSE_STEP_PX = 0.05, 4.0
-"""First step / radius, and its maximum, px."""
+_COARSE_STEP, _MAX_COARSE_STEP_PX = 0.05, 4.0  # first step / radius, and its maximum, px
 _FINE_STEP_PX, _LEAST_STEP_PX, _FINER = 2.0, 0.5, 4
 """Minimum first step and last step, px; and the ratio of a step to the next."""
 _SKY_BLOCK = 5  # pixels along a block whose mean the level of the sky is found from: its noise is a fifth of theirs

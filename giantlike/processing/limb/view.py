@@ -14,8 +14,7 @@ from giantlike.core.detector import Detector
 from giantlike.core.values import Value
 from giantlike.ray_tracing import FocalPlane
 
-_PATCH_PX = 3
-"""Side, px, of the smallest square of saturated pixels that is treated as part of a body."""
+_PATCH_PX = 3  # side, px, of the smallest square of saturated pixels that is treated as part of a body
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -14,8 +14,7 @@ from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.values import Value
 from giantlike.processing.limb.edges import EdgePoints, Pixels, WindowEdges, measured_edges
 
-SIZES = (5, 7)
-"""Sides of the windows that have kernels, px."""
+SIZES = (5, 7)  # sides of the windows that have kernels, px
 _SUBPIXELS = 101  # along a pixel, for the integrals of the kernels
 _NODES, _REACH_SIGMAS = 41, 5.0  # nodes and range, sigmas, of the sum over the blur: a Gaussian is integrated to 1e-6
 _TABLE = np.linspace(-0.65, 0.65, 261)  # distance of the edge / radius of the window

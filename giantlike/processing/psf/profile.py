@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from giantlike.core.arrays import Float
 
-SHAPE_NAMES = ("ln_sigma", "e1", "e2", "inverse_beta")
-"""Names of the parameters of a shape."""
+SHAPE_NAMES = ("ln_sigma", "e1", "e2", "inverse_beta")  # names of the parameters of a shape
 N_SHAPE = len(SHAPE_NAMES)
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _OFFSETS, _SHARES = _NODES / 2.0, _WEIGHTS / 2.0  # nodes from the pixel center, px, and their weights
