@@ -153,7 +153,7 @@ def smear(plan: Plan, rng: np.random.Generator) -> Plan:
     share = log_uniform(rng, 0.003, 0.2)
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
-        return signal + share * signal.mean(axis=0, keepdims=True)
+        return np.asarray(signal + share * signal.mean(axis=0, keepdims=True))
 
     return _lit(plan, add, hard=share > 0.02)
 
