@@ -35,19 +35,15 @@ Index = NDArray[np.intp]
 class SkyIndex(Value):
     """Directions and cells of the stars of a catalog in this order.
 
-    directions: (3, n), inertial axes; unit vectors to the catalog positions.
     rank: (n,); position of each star when all are sorted by magnitude, so that stars of equal magnitude have an order
         too.
-    starts: (cells + 1,); first star of each cell; the last entry is where the fast stars begin.
-    slow_margin_rad: largest angle of the stars in cells from their catalog positions.
-    fast_margin_rad: (n_fast,); largest angle of each fast star.
     """
 
-    directions: NDArray[np.float32]
+    directions: NDArray[np.float32]  # (3, n), inertial axes; unit vectors to the catalog positions
     rank: NDArray[np.int32]
-    starts: NDArray[np.int64]
-    slow_margin_rad: float
-    fast_margin_rad: Float
+    starts: NDArray[np.int64]  # (cells + 1,); first star of each cell; the last entry is where the fast stars begin
+    slow_margin_rad: float  # largest angle of the stars in cells from their catalog positions
+    fast_margin_rad: Float  # (n_fast,); largest angle of each fast star
 
     def near(self, axis: Float, radius_rad: float) -> Index:
         """Return the stars of a cone, the fast ones last. ``axis`` in inertial axes, unit vector; returns (k,)."""

@@ -35,18 +35,15 @@ SIGMA_PM_GAIA_MAS_YR = 0.05  # per axis, of the proper motions here, which are G
 class NearbyStar:
     """Better values of one star; None keeps the value of the catalog.
 
-    star_id: identifier in the default catalog: Gaia DR3, or minus the Hipparcos number.
     motion_mas_yr: mas/yr; proper motion in right ascension (with cos(dec)) and declination.
-    parallax_mas: mas.
-    source: letters of the list above.
     """
 
     name: str
-    star_id: int
+    star_id: int  # identifier in the default catalog: Gaia DR3, or minus the Hipparcos number
     radial_velocity_km_s: float
     motion_mas_yr: tuple[float, float] | None
-    parallax_mas: float | None
-    source: str
+    parallax_mas: float | None  # mas
+    source: str  # letters of the list above
 
 
 NEARBY: Sequence[NearbyStar] = (

@@ -60,12 +60,9 @@ _REMEDY = "build the catalog again with `giantlike catalog build`"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """One of the files that a catalog was made of.
+    """One of the files that a catalog was made of."""
 
-    name: its name, without folders.
-    """
-
-    name: str
+    name: str  # its name, without folders
     sha256: str
 
 

@@ -29,9 +29,6 @@ _REACH = 3.0
 class Air:
     r"""Air whose density falls exponentially, over a surface.
 
-    scale_height: over the radius of the body.
-    optical_depth: vertical.
-
     Notes
     -----
     A ray that leaves the ground under the angle of cosine c is at the altitude ``c s + s^2 / (2 R)`` after a length
@@ -41,8 +38,8 @@ class Air:
     ``exp(-d^2 / (2 H / R))`` at the angle d below.
     """
 
-    scale_height: float
-    optical_depth: float
+    scale_height: float  # over the radius of the body
+    optical_depth: float  # vertical
 
     def __post_init__(self) -> None:
         require_number(self.scale_height, "scale_height", above=0.0)

@@ -31,15 +31,11 @@ that the point spread function is taken to be as much narrower."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BlockedPlane(Value):
-    """A focal plane, and the same in blocks of its pixels.
-
-    model: of images whose pixels are the blocks.
-    size_px: pixels along the side of a block; 2 at least.
-    """
+    """A focal plane, and the same in blocks of its pixels."""
 
     plane: FocalPlane
-    model: CameraModel
-    size_px: int
+    model: CameraModel  # of images whose pixels are the blocks
+    size_px: int  # pixels along the side of a block; 2 at least
 
 
 def block_templates(

@@ -28,17 +28,12 @@ class Trace(Value):
 
     Each ``with_`` method returns a new trace whose :meth:`template` equals, to the last bit, that of a
     :func:`~giantlike.ray_tracing.render` with that one thing changed.
-
-    view: body, Sun and options of the trace.
-    footprint: pixels and cells of the trace.
-    size_px: columns and rows of the frame.
-    tiles: rays of each tile of the footprint.
     """
 
-    view: View
-    footprint: Footprint
-    size_px: tuple[int, int]
-    tiles: tuple[TracedRays, ...] = field(repr=False)
+    view: View  # body, Sun and options of the trace
+    footprint: Footprint  # pixels and cells of the trace
+    size_px: tuple[int, int]  # columns and rows of the frame
+    tiles: tuple[TracedRays, ...] = field(repr=False)  # rays of each tile of the footprint
 
     @property
     def body(self) -> Body:

@@ -18,20 +18,14 @@ class Daylight(Value):
 
     A ray that ends in full shadow is dark, and one that ends in full illumination need not be
     followed to the Sun. Isolated bright spots and shadows narrower than a rough cell are lost.
-
-    cells: columns and rows of the rough trace.
-    lit: (columns, rows); cells whose ray ends on a point in sunlight.
-    center_px, traced_center_px: of the body, now and where it was traced roughly.
-    scale: ratio of the current size of the body to the size in the rough trace.
-    whole: False where rays were sent through a part of the cells: none is known to be dark.
     """
 
-    cells: tuple[AxisCells, AxisCells]
-    lit: Mask
-    center_px: Float
+    cells: tuple[AxisCells, AxisCells]  # columns and rows of the rough trace
+    lit: Mask  # (columns, rows); cells whose ray ends on a point in sunlight
+    center_px: Float  # center_px, traced_center_px: of the body, now and where it was traced roughly
     traced_center_px: Float
-    scale: float
-    whole: bool = True
+    scale: float  # ratio of the current size of the body to the size in the rough trace
+    whole: bool = True  # False where rays were sent through a part of the cells: none is known to be dark
 
     def classify(self, cells: tuple[AxisCells, AxisCells]) -> tuple[Mask, Mask]:
         """Where a finer trace can do without rays.

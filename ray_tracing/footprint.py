@@ -86,15 +86,13 @@ class FocalPlane(Value):
 class VisibleBox(Value):
     """Part of the image that a body can touch.
 
-    low_px, high_px: (2,); corners, cut at the edges of the detector and the margin that is sampled.
-    extent_px: narrow side of the whole body.
     outline_px: (k, 2); points whose hull, widened by ``pad_px``, contains the body; None where the camera model images
         only part of it.
     """
 
-    low_px: Float
+    low_px: Float  # low_px, high_px: (2,); corners, cut at the edges of the detector and the margin that is sampled
     high_px: Float
-    extent_px: float
+    extent_px: float  # narrow side of the whole body
     outline_px: Float | None
     pad_px: float
 
@@ -106,19 +104,13 @@ class VisibleBox(Value):
 
 @dataclass(frozen=True, kw_only=True, eq=False)  # without slots, which keep no cached property
 class Footprint(Value):
-    """Cells over the part of a focal plane that a body can touch, and the pixels that their light reaches.
-
-    cells: along x and y.
-    tiles: those parts of the cells that can meet the body.
-    corner_px: first pixel (x, y).
-    size_px: width and height.
-    """
+    """Cells over the part of a focal plane that a body can touch, and the pixels that their light reaches."""
 
     plane: FocalPlane
-    cells: tuple[AxisCells, AxisCells]
-    tiles: tuple[Tile, ...]
-    corner_px: NDArray[np.int64]
-    size_px: tuple[int, int]
+    cells: tuple[AxisCells, AxisCells]  # along x and y
+    tiles: tuple[Tile, ...]  # those parts of the cells that can meet the body
+    corner_px: NDArray[np.int64]  # first pixel (x, y)
+    size_px: tuple[int, int]  # width and height
 
     @cached_property
     def spread(self) -> tuple[Spread, Spread]:

@@ -39,14 +39,10 @@ _OPTIONS = RenderOptions(rays_per_pixel_side=1, min_rays_across=1)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NearRender(Value):
-    """Part of a frame in which a body was rendered near some points.
+    """Part of a frame in which a body was rendered near some points."""
 
-    images: (laws, h, w); brightness under each reflectance law; the part may reach beyond the frame.
-    corner_px: column and row of the first pixel in the frame.
-    """
-
-    images: Float
-    corner_px: Float
+    images: Float  # (laws, h, w); brightness under each reflectance law; the part may reach beyond the frame
+    corner_px: Float  # column and row of the first pixel in the frame
 
 
 def render_near(

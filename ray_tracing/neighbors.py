@@ -17,17 +17,12 @@ from giantlike.ray_tracing.tracer import Tracer
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Neighbor(Value):
-    """Another body, reached from the axes of the body that is rendered.
-
-    neighbor_from_body: (3, 3).
-    offset_km: from the origin of the neighbor to the origin of the body.
-    hides, shades: True if it can stand before the body, and between body and Sun.
-    """
+    """Another body, reached from the axes of the body that is rendered."""
 
     tracer: Tracer
-    neighbor_from_body: Float
-    offset_km: Float
-    hides: bool
+    neighbor_from_body: Float  # (3, 3)
+    offset_km: Float  # from the origin of the neighbor to the origin of the body
+    hides: bool  # hides, shades: True if it can stand before the body, and between body and Sun
     shades: bool
 
     def hidden(self, camera_body_km: Float, directions_body: Float, points_body_km: Float32) -> Mask:

@@ -19,18 +19,13 @@ UNEVEN = 0.1  # range of the light of neighboring cells relative to the brightes
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RefinedTrace(Value):
-    """A trace whose uneven cells are split into ``factor`` by ``factor``, one ray each; from :func:`refine_trace`.
+    """A trace whose uneven cells are split into ``factor`` by ``factor``, one ray each; from :func:`refine_trace`."""
 
-    trace: of all cells.
-    columns, rows: (n,); cells that are split.
-    rays: of their parts, column after column in each cell.
-    """
-
-    trace: Trace
+    trace: Trace  # of all cells
     factor: int
-    columns: Indices
+    columns: Indices  # columns, rows: (n,); cells that are split
     rows: Indices
-    rays: TracedRays = field(repr=False)
+    rays: TracedRays = field(repr=False)  # of their parts, column after column in each cell
 
     @property
     def cells(self) -> tuple[AxisCells, AxisCells]:

@@ -78,14 +78,13 @@ class Template(Value):
 class SceneRender(Value):
     """Several bodies, rendered.
 
-    columns, rows: size of the frame.
     templates: one for each body, in the order they were given: its visible part, with the shadows of the others. A body
         that is seen but wholly in shadow is a black template with a NaN photocenter, not a failure. Failures:
         ``OUT_OF_FRAME``, ``NO_SIGNAL`` for a body behind others, and ``DEGENERATE_GEOMETRY`` for one around the camera,
         which hides nothing.
     """
 
-    columns: int
+    columns: int  # columns, rows: size of the frame
     rows: int
     templates: tuple[Template | Failure, ...]
 
@@ -248,22 +247,15 @@ def shortest_turn(start: Float, stop: Float) -> Rotation:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShadedTile(Value):
-    """Light and coverage of a tile of cells.
-
-    light: (w, rows); by pixel columns of the template and rows of cells; blurred along x.
-    by_column: (columns,); brightness summed over the rows, for each column of cells of the tile.
-    by_row: (rows,).
-    cover: (height, columns); number of hits on the template's pixels, from row ``first_row`` on.
-    hits, lit: number of rays that meet the body, and of those that see the Sun too.
-    """
+    """Light and coverage of a tile of cells."""
 
     tile: Tile
-    light: Float
-    by_column: Float
-    by_row: Float
-    cover: NDArray[np.int64]
+    light: Float  # (w, rows); by pixel columns of the template and rows of cells; blurred along x
+    by_column: Float  # (columns,); brightness summed over the rows, for each column of cells of the tile
+    by_row: Float  # (rows,)
+    cover: NDArray[np.int64]  # (height, columns); number of hits on the template's pixels, from row ``first_row`` on
     first_row: int
-    hits: int
+    hits: int  # hits, lit: number of rays that meet the body, and of those that see the Sun too
     lit: int
 
 

@@ -230,36 +230,27 @@ def _chord_normals(outline: EdgeOutline, center_px: Float, angles_rad: Float, ed
 class Crossings(Value):
     """Outermost intersections of lines in the image with a shape.
 
-    radii_px: (k,); from the start of each line; NaN where it meets no edge, as all that follows.
-    points_camera_km: (k, 3); on the shape.
     normals_camera: (k, 3); outward and perpendicular to the ray: of an ellipsoid, or of the plane through the camera
         and the edge of a mesh.
-    facets: (k,); facet at the edge that faces the camera, 0 on an ellipsoid; -1 for none.
     """
 
-    radii_px: Float
-    points_camera_km: Float
+    radii_px: Float  # (k,); from the start of each line; NaN where it meets no edge, as all that follows
+    points_camera_km: Float  # (k, 3); on the shape
     normals_camera: Float
-    facets: Indices
+    facets: Indices  # (k,); facet at the edge that faces the camera, 0 on an ellipsoid; -1 for none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeOutline(Value):
-    """Silhouette edges of a mesh in the image.
-
-    starts_km, stops_km: (e, 3), camera axes; ends of the edges that the model images.
-    starts_px, stops_px: (e, 2).
-    facets: (e,).
-    complete: the model images all edges, so that the outermost one along a line is the outline.
-    """
+    """Silhouette edges of a mesh in the image."""
 
     model: CameraModel
-    starts_km: Float
+    starts_km: Float  # starts_km, stops_km: (e, 3), camera axes; ends of the edges that the model images
     stops_km: Float
-    starts_px: Float
-    stops_px: Float
-    facets: Indices
-    complete: bool
+    starts_px: Float  # (e, 2)
+    stops_px: Float  # (e, 2)
+    facets: Indices  # (e,)
+    complete: bool  # the model images all edges, so that the outermost one along a line is the outline
 
     @classmethod
     def from_mesh(cls, body: Body, mesh: TriangleMesh, model: CameraModel) -> EdgeOutline:
@@ -324,23 +315,16 @@ class EdgeOutline(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EllipseOutline(Value):
-    """The limb of an ellipsoid in the image: ``middle_km + cos(t) first_km + sin(t) second_km``.
-
-    middle_km, first_km, second_km: in camera axes.
-    center_km: in camera axes; center of the ellipsoid.
-    shape_matrix: (3, 3) 1/km^2, camera axes; points of the surface about that center have ``x.A.x == 1``.
-    corners_px: (c, 2); points of the limb at even steps of t, NaN where the model has no image.
-    complete: the model images all of them.
-    """
+    """The limb of an ellipsoid in the image: ``middle_km + cos(t) first_km + sin(t) second_km``."""
 
     model: CameraModel
-    middle_km: Float
+    middle_km: Float  # middle_km, first_km, second_km: in camera axes
     first_km: Float
     second_km: Float
-    center_km: Float
-    shape_matrix: Float
-    corners_px: Float
-    complete: bool
+    center_km: Float  # in camera axes; center of the ellipsoid
+    shape_matrix: Float  # (3, 3) 1/km^2, camera axes; points of the surface about that center have ``x.A.x == 1``
+    corners_px: Float  # (c, 2); points of the limb at even steps of t, NaN where the model has no image
+    complete: bool  # the model images all of them
 
     @classmethod
     def from_ellipsoid(cls, body: Body, ellipsoid: Ellipsoid, model: CameraModel) -> EllipseOutline:

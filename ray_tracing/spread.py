@@ -14,16 +14,11 @@ from giantlike.core.values import Value
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spread(Value):
-    """Fractions of the light of cells, side by side, that fall on pixels.
+    """Fractions of the light of cells, side by side, that fall on pixels."""
 
-    shares: (k, w); of a cell on w pixels, in k kinds that follow each other over and over.
-    first: (n,); first of these pixels, for each of n cells; light on other pixels is lost.
-    count_px: number of pixels.
-    """
-
-    shares: Float
-    first: NDArray[np.int64]
-    count_px: int
+    shares: Float  # (k, w); of a cell on w pixels, in k kinds that follow each other over and over
+    first: NDArray[np.int64]  # (n,); first of these pixels, for each of n cells; light on other pixels is lost
+    count_px: int  # number of pixels
 
     def apply(self, light: Float) -> Float:
         """Light (count_px, m) on the pixels, from the light of the cells (n, m)."""

@@ -31,13 +31,10 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View(Value):
-    """A body before a camera, the Sun and its neighbors: everything that rays meet.
-
-    sun_body: (4,); unit vector to the Sun and a zero: see ``Sight``.
-    """
+    """A body before a camera, the Sun and its neighbors: everything that rays meet."""
 
     body: Body
-    sun_body: Float
+    sun_body: Float  # (4,); unit vector to the Sun and a zero: see ``Sight``
     neighbors: tuple[Neighbor, ...]
     options: RenderOptions
 
@@ -57,34 +54,22 @@ def view_of(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sunlight(Value):
-    """Points of the surface, or of the air over it, on which one point of the Sun shines.
+    """Points of the surface, or of the air over it, on which one point of the Sun shines."""
 
-    seen: (k,); numbers in the arrays of a ``Sight``.
-    cos_incidence: (k,).
-    phase_rad: (k,).
-    """
-
-    seen: Indices
-    cos_incidence: Float32
-    phase_rad: Float
+    seen: Indices  # (k,); numbers in the arrays of a ``Sight``
+    cos_incidence: Float32  # (k,)
+    phase_rad: Float  # (k,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TracedRays(Value):
-    """Rays of a camera, traced to the body and on to the Sun.
+    """Rays of a camera, traced to the body and on to the Sun."""
 
-    sight: surface met by the rays.
-    directions: (n, 4), body axes; of all rays.
-    light: one for each point of the Sun that rays are bounced to.
-    albedo: (k,); relative albedo at the points of ``sight``; None where it is 1 throughout.
-    air: over the surface.
-    """
-
-    sight: Sight
-    directions: Float
-    light: tuple[Sunlight, ...]
-    albedo: Float | None
-    air: Air | None = None
+    sight: Sight  # surface met by the rays
+    directions: Float  # (n, 4), body axes; of all rays
+    light: tuple[Sunlight, ...]  # one for each point of the Sun that rays are bounced to
+    albedo: Float | None  # (k,); relative albedo at the points of ``sight``; None where it is 1 throughout
+    air: Air | None = None  # over the surface
 
     @property
     def lit(self) -> int:

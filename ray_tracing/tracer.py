@@ -35,18 +35,12 @@ _SHADOW_OFFSET = 1e-6  # height over the surface at which a shadow ray starts, a
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hits(Value):
-    """First intersections of rays with a surface.
+    """First intersections of rays with a surface."""
 
-    hit: (n,).
-    points_km: (n, 3), body axes; NaN where nothing was hit.
-    facets: (n,); facet numbers, -1 where nothing was hit and 0 on an ellipsoid.
-    normals: (n, 3), body axes; outward, NaN where nothing was hit.
-    """
-
-    hit: Mask
-    points_km: Float
-    facets: Indices
-    normals: Float
+    hit: Mask  # (n,)
+    points_km: Float  # (n, 3), body axes; NaN where nothing was hit
+    facets: Indices  # (n,); facet numbers, -1 where nothing was hit and 0 on an ellipsoid
+    normals: Float  # (n, 3), body axes; outward, NaN where nothing was hit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,19 +48,13 @@ class Sight(Value):
     """Surface seen by a camera along the rays of an image: k of them meet the body.
 
     Vectors are float32 with a fourth column of zeros, so that their rows move fast: see ``embree.pad_vectors``.
-
-    rays: (k,); numbers of those rays.
-    facets: (k,); facet numbers, 0 on an ellipsoid.
-    points_km: (k, 4), body axes; good to 1e-6 of the body's radius.
-    normals: (k, 4), body axes; outward.
-    cos_emission: (k,); cosine of the angle from the normal to the camera.
     """
 
-    rays: Indices
-    facets: NDArray[np.int32]
-    points_km: Float32
-    normals: Float32
-    cos_emission: Float32
+    rays: Indices  # (k,); numbers of those rays
+    facets: NDArray[np.int32]  # (k,); facet numbers, 0 on an ellipsoid
+    points_km: Float32  # (k, 4), body axes; good to 1e-6 of the body's radius
+    normals: Float32  # (k, 4), body axes; outward
+    cos_emission: Float32  # (k,); cosine of the angle from the normal to the camera
 
     def only(self, keep: Mask) -> Sight:
         """Return the part for which ``keep`` (k,) is True."""

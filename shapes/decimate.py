@@ -26,12 +26,11 @@ class Deviation:
 
     rms_km, max_km: distances of the vertices of each surface from the other one; the maximum over both is the Hausdorff
         distance of the vertices.
-    volume_change: volume of the second / volume of the first, minus 1.
     """
 
     rms_km: float
     max_km: float
-    volume_change: float
+    volume_change: float  # volume of the second / volume of the first, minus 1
 
 
 def decimate_mesh(mesh: TriangleMesh, facets: int) -> TriangleMesh:

@@ -19,27 +19,17 @@ class Defects:
 
     Coincident vertices are merged before anything that has to do with edges is counted: they are the normal state
     of an STL file. Edges belong to the facets that remain without invalid, degenerate and duplicate ones.
-
-    nonfinite_vertices: vertices with a coordinate that is NaN or infinite.
-    unreferenced_vertices: vertices that no facet uses.
-    invalid_facets: facets with a vertex that does not exist or is not finite.
-    degenerate_facets: facets without area.
-    duplicate_facets: facets with the same corners as one before them, whichever way round.
-    boundary_edges: edges of one facet only: the rims of holes.
-    holes: connected rims.
-    nonmanifold_edges: edges of more than two facets.
-    inconsistent_edges: edges whose two facets are wound against each other.
     """
 
-    nonfinite_vertices: int
-    unreferenced_vertices: int
-    invalid_facets: int
-    degenerate_facets: int
-    duplicate_facets: int
-    boundary_edges: int
-    holes: int
-    nonmanifold_edges: int
-    inconsistent_edges: int
+    nonfinite_vertices: int  # vertices with a coordinate that is NaN or infinite
+    unreferenced_vertices: int  # vertices that no facet uses
+    invalid_facets: int  # facets with a vertex that does not exist or is not finite
+    degenerate_facets: int  # facets without area
+    duplicate_facets: int  # facets with the same corners as one before them, whichever way round
+    boundary_edges: int  # edges of one facet only: the rims of holes
+    holes: int  # connected rims
+    nonmanifold_edges: int  # edges of more than two facets
+    inconsistent_edges: int  # edges whose two facets are wound against each other
 
     def __bool__(self) -> bool:
         return any(getattr(self, field.name) for field in fields(self))
@@ -59,16 +49,13 @@ class Defects:
 class Edges(Value):
     """The edges of a surface, each once.
 
-    ends: (e, 2); vertices, the smaller number first.
     of_side: (3 m,); the edge of each side of a facet; side k of facet i, from corner k to the next, is number 3 i + k.
-    forward: (3 m,); True if a side runs from the smaller vertex number to the larger.
-    facets: (e,); number of facets at an edge.
     """
 
-    ends: Faces
+    ends: Faces  # (e, 2); vertices, the smaller number first
     of_side: NDArray[np.int64]
-    forward: Mask
-    facets: NDArray[np.int64]
+    forward: Mask  # (3 m,); True if a side runs from the smaller vertex number to the larger
+    facets: NDArray[np.int64]  # (e,); number of facets at an edge
 
     @property
     def inconsistent(self) -> Mask:

@@ -25,14 +25,10 @@ _STEP = 4  # a facet of the next level is twice as long
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
 class LevelsOfDetail(Value):
-    """One body as meshes of several resolutions; all quantities but ray intersections come from the finest.
+    """One body as meshes of several resolutions; all quantities but ray intersections come from the finest."""
 
-    meshes: from the coarsest to the finest.
-    facet_px: largest size of the facets in an image; see the notes of :func:`levels_of_detail`.
-    """
-
-    meshes: tuple[TriangleMesh, ...]
-    facet_px: float = 0.5
+    meshes: tuple[TriangleMesh, ...]  # from the coarsest to the finest
+    facet_px: float = 0.5  # largest size of the facets in an image; see the notes of :func:`levels_of_detail`
     facet_sizes_km: tuple[float, ...] = field(init=False)
 
     def __post_init__(self) -> None:

@@ -32,12 +32,11 @@ _FORMAT, _VERSION = "giantlike landmarks", 1
 class Landmark(Value):
     """A landmark: a local map around a point on a body.
 
-    map: heights, and albedo if it is known; its z axis is the normal of the point.
     texture: contrast to match with: rms tilt of the surface, rad, about a uniform curvature, and rms relative albedo,
         added in quadrature.
     """
 
-    map: LocalMap
+    map: LocalMap  # heights, and albedo if it is known; its z axis is the normal of the point
     texture: float
 
     def __post_init__(self) -> None:
@@ -83,15 +82,11 @@ class Landmark(Value):
 
 @dataclass(frozen=True, eq=False)
 class LandmarkCatalog(Value):
-    """Landmarks of one body.
-
-    body_name: name of the body; empty where it is not known.
-    shape_sha256: hash of the shape that they were taken from; empty for maps from elsewhere.
-    """
+    """Landmarks of one body."""
 
     landmarks: tuple[Landmark, ...]
-    body_name: str = ""
-    shape_sha256: str = ""
+    body_name: str = ""  # name of the body; empty where it is not known
+    shape_sha256: str = ""  # hash of the shape that they were taken from; empty for maps from elsewhere
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "landmarks", tuple(self.landmarks))

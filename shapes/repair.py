@@ -18,16 +18,12 @@ _SAME_PLACE = 1e-9  # vertices nearer than this fraction of the extent are one: 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Repair(Value):
-    """A repaired surface and the changes made.
-
-    before, after: defects that were found, and those that remain.
-    facets_turned: facets that were wound the other way.
-    """
+    """A repaired surface and the changes made."""
 
     surface: Surface
-    before: Defects
+    before: Defects  # before, after: defects that were found, and those that remain
     after: Defects
-    facets_turned: int
+    facets_turned: int  # facets that were wound the other way
     holes_filled: int
     facets_added: int
 

@@ -17,18 +17,12 @@ from giantlike.shapes.mesh import Faces
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Surface(Value):
-    """Vertices and triangles that may be broken in any way, to be looked at or repaired.
+    """Vertices and triangles that may be broken in any way, to be looked at or repaired."""
 
-    vertices: (n, 3); body axes, in the unit of the file or in km, as the function that returns it says.
-    faces: (m, 3); corners of each triangle, from 0; may point at vertices that do not exist.
-    in_km: True if the vertices are known to be in km.
-    albedo: relative albedo, where the file has one.
-    """
-
-    vertices: Float
-    faces: Faces
-    in_km: bool = False
-    albedo: VertexAlbedo | FacetAlbedo | None = None
+    vertices: Float  # (n, 3); body axes, in the unit of the file or in km, as the function that returns it says
+    faces: Faces  # (m, 3); corners of each triangle, from 0; may point at vertices that do not exist
+    in_km: bool = False  # True if the vertices are known to be in km
+    albedo: VertexAlbedo | FacetAlbedo | None = None  # relative albedo, where the file has one
 
     def __post_init__(self) -> None:
         for name, array in (("vertices", self.vertices), ("faces", self.faces)):

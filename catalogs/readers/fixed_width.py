@@ -21,12 +21,9 @@ _LARGEST = 2.0**53  # whole numbers beyond this are not exact as float64; no col
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FileLines(Value):
-    """Lines of a file.
+    """Lines of a file."""
 
-    text: (n, width) bytes; one byte in each element; short lines are padded with blanks.
-    """
-
-    text: NDArray[np.bytes_]
+    text: NDArray[np.bytes_]  # (n, width) bytes; one byte in each element; short lines are padded with blanks
 
     def words(self, place: tuple[int, int]) -> NDArray[np.bytes_]:
         """Text (n,) of a column, without blanks around it."""

@@ -54,15 +54,11 @@ LIMITS: Mapping[str, tuple[float, float]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReadStars:
-    """Stars of one file.
-
-    band: photometric band of the magnitudes.
-    left_out: number of entries without a position or a magnitude.
-    """
+    """Stars of one file."""
 
     stars: StarTable
-    band: str
-    left_out: int
+    band: str  # photometric band of the magnitudes
+    left_out: int  # number of entries without a position or a magnitude
 
 
 def stars_of(

@@ -26,16 +26,11 @@ _PIXEL_MOMENT = 1.0 / 12.0  # px^2: second moment of a pixel
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchOptions:
-    """Options of :func:`find_patches`.
+    """Options of :func:`find_patches`."""
 
-    threshold_sigma: level over the background, in sigmas of its noise.
-    min_area_px: least number of pixels: a planet or a star in a wide camera covers fewer.
-    margin_px: pixels around a patch that belong to its sum: the wings of the optics.
-    """
-
-    threshold_sigma: float = 10.0
-    min_area_px: int = 5
-    margin_px: int = 4
+    threshold_sigma: float = 10.0  # level over the background, in sigmas of its noise
+    min_area_px: int = 5  # least number of pixels: a planet or a star in a wide camera covers fewer
+    margin_px: int = 4  # pixels around a patch that belong to its sum: the wings of the optics
 
     def __post_init__(self) -> None:
         require_number(self.threshold_sigma, "threshold_sigma", least=3.0)
@@ -47,22 +42,17 @@ class SearchOptions:
 class SeenPatch(Value):
     """A patch of light in a wide image.
 
-    center_px: center of light.
-    dn: sum minus background.
-    sigma_dn: its noise.
     second_moment_rad2: (2, 2); of the light around its center, along :attr:`axes_camera`, pixel and optics taken out.
-    axes_camera: (2, 3); two axes across the direction.
-    on_edge: it touches the edge of the frame: part of the body may lie outside.
     """
 
-    center_px: Float
+    center_px: Float  # center of light
     direction_camera: Float
-    dn: float
-    sigma_dn: float
+    dn: float  # sum minus background
+    sigma_dn: float  # its noise
     saturated: bool
     second_moment_rad2: Float
-    axes_camera: Float
-    on_edge: bool = False
+    axes_camera: Float  # (2, 3); two axes across the direction
+    on_edge: bool = False  # it touches the edge of the frame: part of the body may lie outside
 
     def half_angle_rad(self, sun_direction_camera: Float) -> float:
         """Angular radius of the sphere that this is, from its light along the cusps.

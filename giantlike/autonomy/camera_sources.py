@@ -20,12 +20,9 @@ IMAGE_SUFFIXES = (".fits", ".fit", ".png", ".tif", ".tiff", ".jpg", ".img")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExposureRequest:
-    """Requested exposure of a camera.
+    """Requested exposure of a camera."""
 
-    et: middle of the exposure.
-    """
-
-    et: float
+    et: float  # middle of the exposure
     exposure_s: float
 
     def __post_init__(self) -> None:
@@ -48,13 +45,10 @@ class CameraSource(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SimulatedCamera:
-    """A camera whose images a function makes.
-
-    make: takes an :class:`ExposureRequest`, returns an Image.
-    """
+    """A camera whose images a function makes."""
 
     camera: Camera
-    make: Callable[[ExposureRequest], Image]
+    make: Callable[[ExposureRequest], Image]  # takes an :class:`ExposureRequest`, returns an Image
 
     def take(self, request: ExposureRequest) -> Image | Failure:
         """Make an image."""
@@ -67,15 +61,13 @@ class FolderCamera:
 
     wait_s: 0 for a folder that is complete; else how long to wait for the next file, which is taken as whole when its
         size did not change between two looks.
-    poll_s: time between two looks.
-    sleep: takes seconds.
     """
 
     camera: Camera
     folder: Path
     wait_s: float = 0.0
-    poll_s: float = 0.2
-    sleep: Callable[[float], None] = time.sleep
+    poll_s: float = 0.2  # time between two looks
+    sleep: Callable[[float], None] = time.sleep  # takes seconds
     _taken: set[str] = field(default_factory=set, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -117,11 +109,10 @@ class FolderCamera:
 class TriggerPlan:
     """Order of two cameras, and how much later the second one starts.
 
-    primary: 0 or 1: the camera with the longer exposure, which triggers the other.
     delay_s: from the start of the primary to the start of the secondary: the middles of both exposures then coincide.
     """
 
-    primary: int
+    primary: int  # 0 or 1: the camera with the longer exposure, which triggers the other
     delay_s: float
 
 

@@ -30,36 +30,24 @@ class Mode(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Slew:
-    """Rotation of the vehicle that puts a target into a narrow camera.
-
-    camera: narrow camera, 0 or 1.
-    new_from_old: of the instrument's axes.
-    """
+    """Rotation of the vehicle that puts a target into a narrow camera."""
 
     target: str
-    camera: int
-    new_from_old: Rotation
+    camera: int  # narrow camera, 0 or 1
+    new_from_old: Rotation  # of the instrument's axes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstrumentState:
-    """Knowledge of an instrument between two cycles.
+    """Knowledge of an instrument between two cycles."""
 
-    cameras: the narrow cameras, rough at first.
-    interlock: second narrow camera from the first, once calibrated.
-    target: the body that a narrow camera sees.
-    target_camera: the narrow camera that sees it.
-    slew: requested by the last target determination.
-    pose: the last one.
-    """
-
-    cameras: tuple[Camera, Camera]
+    cameras: tuple[Camera, Camera]  # the narrow cameras, rough at first
     mode: Mode = Mode.IDLE
-    interlock: Interlock | None = None
-    target: str | None = None
-    target_camera: int = 1
-    slew: Slew | None = None
-    pose: PairPose | None = None
+    interlock: Interlock | None = None  # second narrow camera from the first, once calibrated
+    target: str | None = None  # the body that a narrow camera sees
+    target_camera: int = 1  # the narrow camera that sees it
+    slew: Slew | None = None  # requested by the last target determination
+    pose: PairPose | None = None  # the last one
 
 
 Task = Callable[[InstrumentState], InstrumentState | Failure]
@@ -68,17 +56,12 @@ Task = Callable[[InstrumentState], InstrumentState | Failure]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Telemetry:
-    """Report of a cycle or a command.
+    """Report of a cycle or a command."""
 
-    mode: in which it was made.
-    detail: result, or the reason of the failure.
-    cpu_s: time of the processor that it took.
-    """
-
-    mode: Mode
+    mode: Mode  # in which it was made
     done: bool
-    detail: str
-    cpu_s: float = 0.0
+    detail: str  # result, or the reason of the failure
+    cpu_s: float = 0.0  # time of the processor that it took
 
 
 @dataclass(frozen=True, slots=True)

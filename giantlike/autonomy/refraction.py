@@ -22,17 +22,12 @@ _STEPS = 6  # of the inverse: each gains a factor of the refraction's slope, bel
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SiteAtmosphere:
-    """Air at the camera.
+    """Air at the camera."""
 
-    pressure_hpa: hPa; at the site, not reduced to sea level; 0: no atmosphere.
-    humidity: relative, 0 to 1.
-    wavelength_um: effective wavelength of camera and source.
-    """
-
-    pressure_hpa: float = 1013.25
+    pressure_hpa: float = 1013.25  # hPa; at the site, not reduced to sea level; 0: no atmosphere
     temperature_c: float = 15.0
-    humidity: float = 0.5
-    wavelength_um: float = 0.55
+    humidity: float = 0.5  # relative, 0 to 1
+    wavelength_um: float = 0.55  # effective wavelength of camera and source
 
     def __post_init__(self) -> None:
         require_number(self.pressure_hpa, "pressure_hpa", least=0.0, most=1200.0)

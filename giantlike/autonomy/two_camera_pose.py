@@ -37,23 +37,17 @@ class Interlock(Value):
 class PairPose(Value):
     """Attitude of the camera on a body, and position of the body, from a pair of images.
 
-    camera_from_inertial: of the camera that sees the body.
-    covariance_attitude_rad2: stars and interlock.
-    position_camera_km: apparent, from the camera to the body: light time and aberration not removed.
-    covariance_camera_km2: without the attitude.
-    position_inertial_km: in ICRF axes; the same vector.
-    covariance_inertial_km2: in ICRF axes; with the attitude.
     parts: mapping of Cause to (3, 3) km^2, ICRF axes; ``noise`` (limb, models and camera) and ``attitude``, which sum
         to it.
     """
 
     target: str
-    camera_from_inertial: Rotation
-    covariance_attitude_rad2: Float
-    position_camera_km: Float
-    covariance_camera_km2: Float
-    position_inertial_km: Float
-    covariance_inertial_km2: Float
+    camera_from_inertial: Rotation  # of the camera that sees the body
+    covariance_attitude_rad2: Float  # stars and interlock
+    position_camera_km: Float  # apparent, from the camera to the body: light time and aberration not removed
+    covariance_camera_km2: Float  # without the attitude
+    position_inertial_km: Float  # in ICRF axes; the same vector
+    covariance_inertial_km2: Float  # in ICRF axes; with the attitude
     parts: Mapping[Cause, Float]
 
 

@@ -35,30 +35,21 @@ MAX_CONDITION = 1e13
 class Data(Value):
     """Observations of m images, n in all, with the unknowns and their a priori values.
 
-    targets: (n, 3); unit vectors or points, reference axes.
-    points_px: (n, 2).
-    sigma_px: (n,); per axis.
-    offsets: (m + 1,); first observation of each image, and n.
-    temperatures_c: (m,).
-    pose: unknowns of an image: 3 (orientation) or 6 (orientation and position).
-    estimated: (k,); indices of the estimated parameters of the model.
     prior, prior_sigma: (k,); a priori values and standard deviations, infinite for none, in the units of the
         parameters.
-    start: a priori orientations of the m images.
-    attitude_weight: (m,) 1/rad^2; inverse variance per axis of the a priori orientations, 0 for none.
     """
 
-    targets: Float
-    points_px: Float
-    sigma_px: Float
-    offsets: NDArray[np.intp]
-    temperatures_c: Float
-    pose: int
-    estimated: NDArray[np.intp]
+    targets: Float  # (n, 3); unit vectors or points, reference axes
+    points_px: Float  # (n, 2)
+    sigma_px: Float  # (n,); per axis
+    offsets: NDArray[np.intp]  # (m + 1,); first observation of each image, and n
+    temperatures_c: Float  # (m,)
+    pose: int  # unknowns of an image: 3 (orientation) or 6 (orientation and position)
+    estimated: NDArray[np.intp]  # (k,); indices of the estimated parameters of the model
     prior: Float
     prior_sigma: Float
-    start: Rotation
-    attitude_weight: Float
+    start: Rotation  # a priori orientations of the m images
+    attitude_weight: Float  # (m,) 1/rad^2; inverse variance per axis of the a priori orientations, 0 for none
 
     @classmethod
     def from_images(

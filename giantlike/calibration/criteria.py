@@ -18,8 +18,6 @@ class CalibrationCriteria:
 
     max_residual_px: largest radial residual rms of the observations kept, with their weights in the fit. Default 0.5:
         real frames have 0.16 to 0.26.
-    max_image_residual_px: largest residual rms of a single image. Default 1: twice the limit for all.
-    max_rejected: largest fraction of observations rejected. Default a quarter; no study yet.
     max_map_sigma_px: largest uncertainty of the camera map over the field (radial, modulo a rotation). Default 0.5, as
         the residuals.
     min_observations_per_parameter: smallest number of observations kept per parameter of the camera. Default 3, six
@@ -28,8 +26,8 @@ class CalibrationCriteria:
     """
 
     max_residual_px: float = 0.5
-    max_image_residual_px: float = 1.0
-    max_rejected: float = 0.25
+    max_image_residual_px: float = 1.0  # largest residual rms of a single image. Default 1: twice the limit for all.
+    max_rejected: float = 0.25  # largest fraction of observations rejected. Default a quarter; no study yet.
     max_map_sigma_px: float = 0.5
     min_observations_per_parameter: float = 3.0
     min_covered: float = 0.6

@@ -95,16 +95,11 @@ def map_difference(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FieldSensitivity(Value):
-    """Derivatives of pixels over the field by the parameters of a model.
+    """Derivatives of pixels over the field by the parameters of a model."""
 
-    points_px: (n, 2).
-    by_parameter: (n, 2, p); by every parameter of the model.
-    unrotated: (n, 2, p); the same minus the part that is equivalent to a rotation of the camera.
-    """
-
-    points_px: Float
-    by_parameter: Float
-    unrotated: Float
+    points_px: Float  # (n, 2)
+    by_parameter: Float  # (n, 2, p); by every parameter of the model
+    unrotated: Float  # (n, 2, p); the same minus the part that is equivalent to a rotation of the camera
 
     @classmethod
     def from_model(cls, model: CameraModel, *, columns: int, rows: int, temperature_c: float = 0.0) -> FieldSensitivity:

@@ -39,23 +39,20 @@ class ParameterVerdict(StrEnum):
 class ParameterSupport:
     """Estimate, effect and classification of one parameter.
 
-    value, start, sigma: in the unit of the parameter.
     effect_px: largest effect of the value over the field (for focal length and principal point: of its change from the
         start).
     sigma_effect_px: largest effect of one sigma of this parameter alone. Far above the uncertainty of the map if other
         parameters compensate it.
-    partner: parameter with the highest correlation; empty for a single parameter.
-    correlation: correlation with the partner.
     """
 
     name: str
-    value: float
+    value: float  # value, start, sigma: in the unit of the parameter
     start: float
     sigma: float
     effect_px: float
     sigma_effect_px: float
-    partner: str
-    correlation: float
+    partner: str  # parameter with the highest correlation; empty for a single parameter
+    correlation: float  # correlation with the partner
     verdict: ParameterVerdict
 
 

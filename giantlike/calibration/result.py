@@ -22,9 +22,6 @@ from giantlike.core.values import Estimate, Value
 class ImageCalibration(Value):
     """One image of a calibration.
 
-    covariance_rad2: of the small rotation about the camera axes, the uncertainty of the camera included.
-    position_reference: vector from the camera to the board, camera axes, if the targets are finite; else zero.
-    rms_px: radial; NaN where nothing was kept.
     influence_px: shift of the camera map (rms over the field, modulo a rotation) when this image is left out; infinite
         if the other images do not determine a parameter.
     influence: squared shift of the parameters in units of their covariance, over their number (Cook's distance). Above
@@ -34,11 +31,11 @@ class ImageCalibration(Value):
     name: str
     temperature_c: float
     camera_from_reference: Rotation
-    covariance_rad2: Float
-    position_reference: Float
+    covariance_rad2: Float  # of the small rotation about the camera axes, the uncertainty of the camera included
+    position_reference: Float  # vector from the camera to the board, camera axes, if the targets are finite; else zero
     n_used: int
     n_rejected: int
-    rms_px: float
+    rms_px: float  # radial; NaN where nothing was kept
     influence_px: float
     influence: float
 
@@ -47,20 +44,16 @@ class ImageCalibration(Value):
 class RejectedObservation:
     """A rejected observation.
 
-    image: name of the image.
-    label: label of the target.
-    distance_px: NaN if the model cannot project the target.
-    sigmas: distance over the sigma of the observation.
     cause: ``outlier``, ``not_imaged`` (the model cannot project the target) or ``image`` (the whole image was rejected,
         because too few of its observations agree).
     """
 
-    image: str
-    label: int
+    image: str  # name of the image
+    label: int  # label of the target
     observed_px: tuple[float, float]
     predicted_px: tuple[float, float]
-    distance_px: float
-    sigmas: float
+    distance_px: float  # NaN if the model cannot project the target
+    sigmas: float  # distance over the sigma of the observation
     cause: str
 
 

@@ -41,10 +41,7 @@ class StarImage(Estimate):
     """Sources, sky and first identification of a star image for calibration.
 
     points_px, covariance_px2, snr: (m, 2), (m, 2, 2), (m,); sources without flags of ``NOT_A_STAR``, brightest first.
-    camera_from_inertial: first solution.
-    focal_length_px: focal length that the first solution found.
     star_ids, source_indices: (k,); stars of the first solution, and the indices of their sources.
-    sigma_px: (k,); standard deviation of these stars per axis.
     """
 
     name: str
@@ -52,44 +49,36 @@ class StarImage(Estimate):
     points_px: Float
     covariance_px2: Float
     snr: Float
-    camera_from_inertial: Rotation
-    focal_length_px: float
+    camera_from_inertial: Rotation  # first solution
+    focal_length_px: float  # focal length that the first solution found
     star_ids: NDArray[np.int64]
     source_indices: NDArray[np.int64]
-    sigma_px: Float
+    sigma_px: Float  # (k,); standard deviation of these stars per axis
     temperature_c: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AllStars:
-    """Stars of all brightnesses that agree with the attitudes found with a calibrated camera.
+    """Stars of all brightnesses that agree with the attitudes found with a calibrated camera."""
 
-    min_snr: limit of the stars used for calibration; the others here include fainter ones.
-    rms_px: radial residual; larger than in the calibration, because faint stars have more noise.
-    noise_px: radial rms expected from their sigmas.
-    """
-
-    min_snr: float
+    min_snr: float  # limit of the stars used for calibration; the others here include fainter ones
     count: int
-    rms_px: float
-    noise_px: float
+    rms_px: float  # radial residual; larger than in the calibration, because faint stars have more noise
+    noise_px: float  # radial rms expected from their sigmas
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarCalibration(Estimate):
     """A calibration from star images.
 
-    rounds: of identification and calibration.
-    settled: True if the matches stopped changing.
     failed: images whose stars could not be identified with the calibrated camera, and why.
-    all_stars: residuals of stars of all brightnesses; None for other targets than stars.
     """
 
     result: CalibrationResult
-    rounds: int
-    settled: bool
+    rounds: int  # of identification and calibration
+    settled: bool  # True if the matches stopped changing
     failed: tuple[tuple[str, Failure], ...]
-    all_stars: AllStars | None = None
+    all_stars: AllStars | None = None  # residuals of stars of all brightnesses; None for other targets than stars
 
     @property
     def fix(self) -> CalibrationResult:

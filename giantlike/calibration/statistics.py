@@ -16,24 +16,16 @@ _FEWEST = 2  # observations that can be grouped
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResidualGroup:
-    """Statistics of the residuals of a group of observations.
+    """Statistics of the residuals of a group of observations."""
 
-    kind: ``image``, ``magnitude``, ``radius_px`` (from the image center) or ``temperature_c``.
-    label: name of the image, or the range.
-    middle: median of the quantity in the group; for images their number, from 0.
-    rms_px: radial.
-    mean_x_px, mean_y_px: observed minus predicted.
-    noise_px: radial rms expected from the sigmas.
-    """
-
-    kind: str
-    label: str
-    middle: float
+    kind: str  # ``image``, ``magnitude``, ``radius_px`` (from the image center) or ``temperature_c``
+    label: str  # name of the image, or the range
+    middle: float  # median of the quantity in the group; for images their number, from 0
     count: int
-    rms_px: float
-    mean_x_px: float
+    rms_px: float  # radial
+    mean_x_px: float  # mean_x_px, mean_y_px: observed minus predicted
     mean_y_px: float
-    noise_px: float
+    noise_px: float  # radial rms expected from the sigmas
 
 
 def residual_statistics(result: CalibrationResult) -> tuple[ResidualGroup, ...]:

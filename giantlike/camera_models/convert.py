@@ -29,14 +29,12 @@ _SAME_LETTERS = frozenset({"pinhole", "brown", "opencv"})
 class Conversion(Value):
     """A camera model of another type, with its residuals against the original.
 
-    model: the fitted model; temperature terms as in the original.
-    points_px: (rows, columns, 2); grid of pixels at which the two are compared.
     residuals_px: (rows, columns, 2); pixel of the fitted model minus pixel of the original, for the same direction; NaN
         where one of them has none.
     """
 
-    model: AffineModel
-    points_px: Float
+    model: AffineModel  # the fitted model; temperature terms as in the original
+    points_px: Float  # (rows, columns, 2); grid of pixels at which the two are compared
     residuals_px: Float
 
     @property

@@ -32,18 +32,14 @@ class PartModel:
 
     ``pixel = (base pixel - (x0_px, y0_px)) / size_px``: directions go through the model, pixels through this map.
     :attr:`parameters` belong to the model.
-
-    base: of the whole image.
-    x0_px, y0_px: pixel of the model at the center of the first pixel.
-    size_px: pixels of the model along one side of a pixel.
     """
 
     type_name: ClassVar[str] = "part"
 
-    base: CameraModel
-    x0_px: float = 0.0
+    base: CameraModel  # of the whole image
+    x0_px: float = 0.0  # x0_px, y0_px: pixel of the model at the center of the first pixel
     y0_px: float = 0.0
-    size_px: float = 1.0
+    size_px: float = 1.0  # pixels of the model along one side of a pixel
 
     def __post_init__(self) -> None:
         require_number(self.size_px, "size_px", above=0.0)

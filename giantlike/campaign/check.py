@@ -83,21 +83,14 @@ these."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mistake:
-    """Something that is wrong, or probably not meant.
-
-    line: line of the campaign file; None where the problem concerns another file, or the whole file.
-    key: of the campaign file; may be empty.
-    text: the finding, the expectation, the remedy.
-    fatal: False where a run would continue.
-    image: the image whose error it is; None for one that reaches every image.
-    """
+    """Something that is wrong, or probably not meant."""
 
     file: Path
-    line: int | None
-    key: str
-    text: str
-    fatal: bool = True
-    image: str | None = None
+    line: int | None  # line of the campaign file; None where the problem concerns another file, or the whole file
+    key: str  # of the campaign file; may be empty
+    text: str  # the finding, the expectation, the remedy
+    fatal: bool = True  # False where a run would continue
+    image: str | None = None  # the image whose error it is; None for one that reaches every image
 
     def __str__(self) -> str:
         place = str(self.file) if self.line is None else f"{self.file}:{self.line}"

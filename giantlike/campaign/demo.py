@@ -69,12 +69,11 @@ _WHY = MappingProxyType(
 class Goal:
     """A requirement on the demonstration.
 
-    value: value reached; NaN if nothing could be measured.
     low, high: limits, inclusive.
     """
 
     text: str
-    value: float
+    value: float  # value reached; NaN if nothing could be measured
     high: float
     low: float = 0.0
     unit: str = ""
@@ -87,16 +86,11 @@ class Goal:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DemoReport(Value):
-    """Result of the demonstration.
+    """Result of the demonstration."""
 
-    output: folder with everything that was written.
-    comparison: every attitude and every observation against the truth.
-    simulate_s, run_s: computing time of the images and of the campaign.
-    """
-
-    output: Path
-    comparison: TruthComparison
-    simulate_s: float
+    output: Path  # folder with everything that was written
+    comparison: TruthComparison  # every attitude and every observation against the truth
+    simulate_s: float  # simulate_s, run_s: computing time of the images and of the campaign
     run_s: float
 
     def attitude_scores(self) -> dict[str, ErrorSummary]:

@@ -121,38 +121,28 @@ EXPORT_NAMES: Mapping[ExportFormat, str] = MappingProxyType(
 class ExportOptions:
     """Options of an export.
 
-    suspect: write suspect attitudes as well.
-    stars_only: leave out attitudes that were transferred from other images.
-    max_gap_s: CK, AEM and SPK: longest gap to interpolate over. The default is not from a study.
-    instrument_id: CK: NAIF code of the camera frame.
     frame_name: CK and AEM: name of the camera frame; default: the mission's frame, or the name of the camera.
-    sclk: CK: clock kernel of the spacecraft; without it, one is made.
-    ck_type: CK: 3, continuous, or 1, discrete.
     object_name, object_id, originator: AEM: see :func:`~giantlike.io.ccsds_aem.write_aem`. TDM, PSF: the spacecraft,
         and who writes the message.
-    angles: TDM: corrections removed from the angles.
-    inertial: AEM, TDM: name of the inertial axes.
-    sip_order: WCS: order of the polynomials, 2 to 9.
-    ades: ADES: TOML file with a table ``[ades]``, such as the campaign file.
     spacecraft_id, target_id: SPK: NAIF codes; that of the target for a run with one, by default by its name.
     landmarks: SUMFILE: catalog of landmarks or folder of their maps, of which LMK files are written.
     """
 
     pointing: PointingSource = PointingSource.STARS
-    suspect: bool = False
-    stars_only: bool = False
-    max_gap_s: float = 600.0
-    instrument_id: int | None = None
+    suspect: bool = False  # write suspect attitudes as well
+    stars_only: bool = False  # leave out attitudes that were transferred from other images
+    max_gap_s: float = 600.0  # CK, AEM and SPK: longest gap to interpolate over. The default is not from a study.
+    instrument_id: int | None = None  # CK: NAIF code of the camera frame
     frame_name: str | None = None
-    sclk: Path | None = None
-    ck_type: int = 3
+    sclk: Path | None = None  # CK: clock kernel of the spacecraft; without it, one is made
+    ck_type: int = 3  # CK: 3, continuous, or 1, discrete
     object_name: str = "UNKNOWN"
     object_id: str = "UNKNOWN"
     originator: str = "UNKNOWN"
-    angles: Angles = Angles.ASTROMETRIC
-    inertial: InertialFrame = InertialFrame.ICRF
-    sip_order: int = 5
-    ades: Path | None = None
+    angles: Angles = Angles.ASTROMETRIC  # TDM: corrections removed from the angles
+    inertial: InertialFrame = InertialFrame.ICRF  # AEM, TDM: name of the inertial axes
+    sip_order: int = 5  # WCS: order of the polynomials, 2 to 9
+    ades: Path | None = None  # ADES: TOML file with a table ``[ades]``, such as the campaign file
     spacecraft_id: int | None = None
     target_id: int | None = None
     landmarks: Path | None = None
@@ -164,14 +154,11 @@ class ExportOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exported:
-    """Result of an export.
-
-    left_out: number of attitudes left out, by reason.
-    """
+    """Result of an export."""
 
     files: tuple[Path, ...]
     n_attitudes: int = 0
-    left_out: Mapping[str, int] = field(default_factory=dict)
+    left_out: Mapping[str, int] = field(default_factory=dict)  # number of attitudes left out, by reason
     n_observations: int = 0
 
 

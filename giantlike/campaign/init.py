@@ -26,15 +26,12 @@ _LONG_S = 1.0  # exposure, s, from which an image is proposed as one of stars, w
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraChoice:
-    """Camera of a new campaign: a file, a preset, a mission, or a rough field of view.
-
-    fov_deg: along x.
-    """
+    """Camera of a new campaign: a file, a preset, a mission, or a rough field of view."""
 
     file: Path | None = None
     preset: str | None = None
     mission: str | None = None
-    fov_deg: float | None = None
+    fov_deg: float | None = None  # along x
 
     def __post_init__(self) -> None:
         given = [name for name in (self.file, self.preset, self.mission, self.fov_deg) if name is not None]

@@ -29,22 +29,14 @@ _AXES = ("x", "y", "z")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class InterlockResult(Value):
-    """Alignment of two sensors from pairs of attitudes taken at the same time.
+    """Alignment of two sensors from pairs of attitudes taken at the same time."""
 
-    alignment: ``second_from_first``.
-    et: (n,); times of the first sensor.
-    names: names of the attitudes of each pair.
-    rotation_angles_rad: (n,); angle of ``second_from_first``, pair by pair.
-    sigma_rad: (n, 3); standard deviations of each pair about the axes of the second sensor.
-    unpaired: attitudes of the first sensor without one of the second at their time, or without an epoch.
-    """
-
-    alignment: AlignmentResult
-    et: Float
-    names: tuple[tuple[str, str], ...]
-    rotation_angles_rad: Float
-    sigma_rad: Float
-    unpaired: int
+    alignment: AlignmentResult  # ``second_from_first``
+    et: Float  # (n,); times of the first sensor
+    names: tuple[tuple[str, str], ...]  # names of the attitudes of each pair
+    rotation_angles_rad: Float  # (n,); angle of ``second_from_first``, pair by pair
+    sigma_rad: Float  # (n, 3); standard deviations of each pair about the axes of the second sensor
+    unpaired: int  # attitudes of the first sensor without one of the second at their time, or without an epoch
 
     def summary(self) -> dict[str, Any]:
         """Content of ``interlock.json``."""

@@ -20,39 +20,26 @@ _LOG_TAIL_BYTES = 20_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepStatus:
-    """Results of a step that the run folder holds.
-
-    expected: None where it follows from the images themselves.
-    statuses: number of results by :class:`~giantlike.core.reasons.Outcome`.
-    reasons: of everything without a result.
-    example: detail of the first one, by reason.
-    """
+    """Results of a step that the run folder holds."""
 
     done: int
-    expected: int | None
-    statuses: Mapping[str, int]
-    reasons: Mapping[str, int]
-    example: Mapping[str, str]
+    expected: int | None  # None where it follows from the images themselves
+    statuses: Mapping[str, int]  # number of results by :class:`~giantlike.core.reasons.Outcome`
+    reasons: Mapping[str, int]  # of everything without a result
+    example: Mapping[str, str]  # detail of the first one, by reason
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunStatus:
-    """State of a run.
-
-    state: ``running``, ``finished`` or ``interrupted``.
-    holder: the process at work.
-    images: of the campaign.
-    edits: decisions in effect.
-    last_event: time of the last line of the log.
-    """
+    """State of a run."""
 
     folder: str
-    state: str
-    holder: str | None
-    images: int
+    state: str  # ``running``, ``finished`` or ``interrupted``
+    holder: str | None  # the process at work
+    images: int  # of the campaign
     steps: Mapping[str, StepStatus] = field(default_factory=dict)
-    edits: int = 0
-    last_event: str | None = None
+    edits: int = 0  # decisions in effect
+    last_event: str | None = None  # time of the last line of the log
 
 
 def status_of_run(path: Path) -> RunStatus:

@@ -31,18 +31,15 @@ from giantlike.core.values import Value
 class BatchSolution(Value):
     """States at both ends of an arc.
 
-    first_mean, last_mean: (21,); at the start, and at the last image.
-    covariance_first, covariance_last: (21, 21); of their errors.
-    residuals: (m, 3); measured minus predicted.
     squared_residual: normalized by the covariance of all data and of the a priori state: its mean is the number of
         measurements.
     """
 
-    first_mean: Float
+    first_mean: Float  # first_mean, last_mean: (21,); at the start, and at the last image
     last_mean: Float
-    covariance_first: Float
+    covariance_first: Float  # covariance_first, covariance_last: (21, 21); of their errors
     covariance_last: Float
-    residuals: Float
+    residuals: Float  # (m, 3); measured minus predicted
     squared_residual: float
     iterations: int
 

@@ -121,11 +121,10 @@ class TangentCamera(Value):
     """Pixels of an ideal camera and the tangents of angles.
 
     focal_px: (2,); focal length over pixel pitch along x and y; negative where a coordinate grows against its tangent.
-    principal_px: (2,); pixel of the boresight.
     """
 
     focal_px: Float
-    principal_px: Float
+    principal_px: Float  # (2,); pixel of the boresight
 
     def __post_init__(self) -> None:
         focal_px = as_finite(self.focal_px, (2,), "focal_px")

@@ -37,13 +37,10 @@ from giantlike.core.arrays import Float, as_finite
 
 
 class Dispersed(NamedTuple):
-    """Dispersion of truth and estimate, and the filter on the reference.
-
-    state: its mean is the reference.
-    """
+    """Dispersion of truth and estimate, and the filter on the reference."""
 
     joint: JointDispersion
-    state: FilterState
+    state: FilterState  # its mean is the reference
 
 
 def reference_steps(model: FilterModel, et: float, mean: Float, until: float) -> list[Transition]:

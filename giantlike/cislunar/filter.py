@@ -140,23 +140,15 @@ class FilterState(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transition(Value):
-    """A linear step of the 21 states: of a flight or a maneuver.
+    """A linear step of the 21 states: of a flight or a maneuver."""
 
-    et: at the end.
-    mean: (..., 21); at the end.
-    by_state: (..., 6, 6); position and velocity at the end by those at the start.
-    by_parameters: (..., 6, 15); the same by the parameters at the start.
-    decay, variance: (15,); factor of each parameter, and variance of its noise.
-    velocity_variance: in km^2/s^2; of independent noise of each component of the velocity.
-    """
-
-    et: float
-    mean: Float
-    by_state: Float
-    by_parameters: Float
-    decay: Float
+    et: float  # at the end
+    mean: Float  # (..., 21); at the end
+    by_state: Float  # (..., 6, 6); position and velocity at the end by those at the start
+    by_parameters: Float  # (..., 6, 15); the same by the parameters at the start
+    decay: Float  # decay, variance: (15,); factor of each parameter, and variance of its noise
     variance: Float
-    velocity_variance: float = 0.0
+    velocity_variance: float = 0.0  # in km^2/s^2; of independent noise of each component of the velocity
 
     def matrix(self) -> Float:
         """Return the transition matrix of all states. Returns (..., 21, 21)."""
@@ -320,12 +312,11 @@ class Innovations(Value):
 
     values, variances: (..., 3); each given those before it, with its variance: independent where the filter is
         consistent.
-    used: (..., 3); False where the measurement was left out.
     """
 
     values: Float
     variances: Float
-    used: Mask
+    used: Mask  # (..., 3); False where the measurement was left out
 
     def squared(self) -> Float:
         """Normalized squared innovation: in a consistent filter its mean is the number of measurements."""

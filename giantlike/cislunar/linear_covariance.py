@@ -17,14 +17,10 @@ from giantlike.core.values import Value
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointDispersion(Value):
-    """Truth and estimate, each minus the reference.
+    """Truth and estimate, each minus the reference."""
 
-    mean: (2 n,); of the truth, then of the estimate.
-    covariance: (2 n, 2 n).
-    """
-
-    mean: Float
-    covariance: Float
+    mean: Float  # (2 n,); of the truth, then of the estimate
+    covariance: Float  # (2 n, 2 n)
 
     @classmethod
     def at_start(cls, covariance_true: Float, covariance_error: Float) -> JointDispersion:

@@ -19,14 +19,10 @@ from giantlike.core.values import Value, check_covariance
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UduFactors(Value):
-    """Factors of covariances.
+    """Factors of covariances."""
 
-    upper: (..., n, n); upper triangular with ones on the diagonal.
-    diagonal: (..., n); not negative.
-    """
-
-    upper: Float
-    diagonal: Float
+    upper: Float  # (..., n, n); upper triangular with ones on the diagonal
+    diagonal: Float  # (..., n); not negative
 
     def composed(self) -> Float:
         """Return the covariance ``U D U^T``. Returns (..., n, n)."""
@@ -131,16 +127,11 @@ def gauss_markov_step(factors: UduFactors, index: int, decay: ArrayLike, varianc
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScalarUpdate(Value):
-    """Effect of one scalar measurement on a covariance.
+    """Effect of one scalar measurement on a covariance."""
 
-    factors: after the measurement.
-    gain: (..., n); change of the states per unit of the innovation.
-    variance: (...); of the innovation.
-    """
-
-    factors: UduFactors
-    gain: Float
-    variance: Float
+    factors: UduFactors  # after the measurement
+    gain: Float  # (..., n); change of the states per unit of the innovation
+    variance: Float  # (...); of the innovation
 
 
 def scalar_update(factors: UduFactors, partials: ArrayLike, noise_variance: ArrayLike) -> ScalarUpdate:

@@ -17,15 +17,13 @@ from giantlike.cli.outcome import command
 class Entry:
     """A command: the function with its arguments, or a group of commands.
 
-    summary: line in the list of commands.
     module, function: module in ``giantlike.cli``, and the function in it that returns an exit code; empty for a group.
-    commands: those of a group.
     """
 
-    summary: str
+    summary: str  # line in the list of commands
     module: str = ""
     function: str = ""
-    commands: Mapping[str, Entry] = field(default_factory=dict)
+    commands: Mapping[str, Entry] = field(default_factory=dict)  # those of a group
 
 
 _CAMERA = {

@@ -43,24 +43,17 @@ class DetectedImage:
 class DetectRequest:
     """Options of a search for sources, shared by all images.
 
-    camera: its PSF and detector are used, and images of another size fail.
-    psf_sigma_px: instead of the camera's; by default it is estimated from each image.
-    min_snr: detections of a lower signal-to-noise ratio are left out.
-    hdu: of FITS files.
-    reader: opens the images.
-    sequence: the images are of one camera: a fixed pattern is removed, and detections are compared.
     psf: estimate a point spread function of this kind from each image, and the positions of stars with it.
-    psf_degree: of the polynomials with which it varies over the field.
     """
 
-    camera: Camera | None = None
-    psf_sigma_px: float | None = None
-    min_snr: float = 0.0
-    hdu: int | str | None = None
-    reader: ImageReader
-    sequence: bool = False
+    camera: Camera | None = None  # its PSF and detector are used, and images of another size fail
+    psf_sigma_px: float | None = None  # instead of the camera's; by default it is estimated from each image
+    min_snr: float = 0.0  # detections of a lower signal-to-noise ratio are left out
+    hdu: int | str | None = None  # of FITS files
+    reader: ImageReader  # opens the images
+    sequence: bool = False  # the images are of one camera: a fixed pattern is removed, and detections are compared
     psf: PsfKind | None = None
-    psf_degree: int = 0
+    psf_degree: int = 0  # of the polynomials with which it varies over the field
     options: DetectionOptions = field(default_factory=DetectionOptions)
 
     def __post_init__(self) -> None:

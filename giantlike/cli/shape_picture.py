@@ -34,16 +34,14 @@ _LARGEST_PX = 8192  # 64 megapixels; bounds the memory of a picture
 class PictureView:
     """Viewing and illumination geometry of a picture of a shape.
 
-    phase_deg: angle at the body between Sun and camera; the Sun is to the right.
     longitude_deg, latitude_deg: east longitude and latitude of the point that faces the camera; body north is up.
-    law: name of the reflectance law.
     """
 
-    phase_deg: float
+    phase_deg: float  # angle at the body between Sun and camera; the Sun is to the right
     longitude_deg: float
     latitude_deg: float
     size_px: int
-    law: str
+    law: str  # name of the reflectance law
 
     def __post_init__(self) -> None:
         require(0.0 <= self.phase_deg < 180.0, f"--phase must be in [0, 180) degrees, got {self.phase_deg:g}")

@@ -189,18 +189,15 @@ class Corrections(_Stated):
     Numbers are rounded to the digits with which the provenance of the fix reports them, so that a fix recomputed from
     its provenance is the same. ``one | other`` has the corrections of both; the second takes precedence.
 
-    response: response by which values were linearized.
-    smear: motion of the body in the image during the exposure.
-    trails: charge that arrives late.
     limb_altitude_km: altitude above the shape at which the limb is seen.
     altitude_sigma_km: standard deviation of the altitude, by haze or an atmosphere.
     limb_blur_px2: variance of the blur of the limb in excess of the camera's.
     seen_size: ratio of the size of the body to its size at the predicted range, of fixes without a range.
     """
 
-    response: Response | None = None
-    smear: Smear | None = None
-    trails: Trails | None = None
+    response: Response | None = None  # response by which values were linearized
+    smear: Smear | None = None  # motion of the body in the image during the exposure
+    trails: Trails | None = None  # charge that arrives late
     limb_altitude_km: float | None = field(default=None, metadata={"digits": 6})
     altitude_sigma_km: float | None = field(default=None, metadata={"digits": 6})
     limb_blur_px2: float | None = field(default=None, metadata={"digits": 4})
@@ -224,18 +221,15 @@ class Findings(_Stated):
     terrain_misfit: RMS of the limb residuals, normalized by noise and the errors of the height map.
     checks: statistics of the tests made on every fix, see :class:`~giantlike.relative.judge.Judgement`, and the
         variance inflation factor that they gave (``tension``).
-    chosen, because: estimator that ``auto`` chose, and the reason.
-    checked_by: estimators whose fixes confirm the chosen one.
     agreement: p-value of the difference of these two fixes.
-    weight: weight of the first of two fixes in their mean.
     """
 
     terrain_mean_km: float | None = field(default=None, metadata={"digits": 6})
     terrain_log_odds: float | None = field(default=None, metadata={"digits": 3})
     terrain_misfit: float | None = field(default=None, metadata={"digits": 3})
     checks: Mapping[str, float] = field(default_factory=dict, metadata={"digits": 3})
-    chosen: str = ""
+    chosen: str = ""  # chosen, because: estimator that ``auto`` chose, and the reason
     because: str = ""
-    checked_by: str = ""
+    checked_by: str = ""  # estimators whose fixes confirm the chosen one
     agreement: float | None = field(default=None, metadata={"digits": 3})
-    weight: float | None = field(default=None, metadata={"digits": 3})
+    weight: float | None = field(default=None, metadata={"digits": 3})  # weight of the first of two fixes in their mean

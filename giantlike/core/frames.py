@@ -33,7 +33,6 @@ def require_same_frame(have: str, need: str) -> None:
 class FrameRotation(Value):
     """A rotation ``target_from_source`` between two frames with names that every product checks.
 
-    rotation: one or n rotations that take vectors in ``source`` axes to ``target`` axes.
     target, source: names of the frames, such as ``"CASSINI_ISS_NAC"`` and ``"J2000"``; empty where a name is not known.
 
     Examples
@@ -44,7 +43,7 @@ class FrameRotation(Value):
     'CAMERA'
     """
 
-    rotation: Rotation
+    rotation: Rotation  # one or n rotations that take vectors in ``source`` axes to ``target`` axes
     target: str
     source: str
 

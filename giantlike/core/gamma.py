@@ -35,8 +35,6 @@ def checked_gamma(gamma: object) -> Gamma | None:
 class GammaCurve:
     """Light of coded values; 0 and the full scale remain as they are, and negative noise stays negative.
 
-    full_scale_dn: value above bias of the brightest signal.
-
     Examples
     --------
     >>> curve = GammaCurve(gamma="srgb", full_scale_dn=255.0)
@@ -45,7 +43,7 @@ class GammaCurve:
     """
 
     gamma: Gamma
-    full_scale_dn: float
+    full_scale_dn: float  # value above bias of the brightest signal
 
     def __post_init__(self) -> None:
         require(checked_gamma(self.gamma) is not None, "a gamma is needed")

@@ -15,12 +15,9 @@ from giantlike.core.values import Value
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PixelBox:
-    """A box of pixels; it may reach over the edges of the image.
+    """A box of pixels; it may reach over the edges of the image."""
 
-    x, y: in px; column and row of its first pixel.
-    """
-
-    x: int
+    x: int  # x, y: in px; column and row of its first pixel
     y: int
     width: int
     height: int
@@ -71,17 +68,14 @@ class PixelBox:
 class BoxPixels(Value):
     """Pixels of an image or a box of it, and their noise.
 
-    values_dn: (h, w); bias subtracted.
-    usable: (h, w); neither bad nor saturated.
     censored: (h, w); saturated and not bad: the pixel is at least as bright as its value. None without such pixels.
-    corner_px: column and row of the first element in the image.
     noise_variance_dn2: variance, DN^2, of the noise of pixels for a given signal of the body.
     """
 
-    values_dn: Float
-    usable: Mask
+    values_dn: Float  # (h, w); bias subtracted
+    usable: Mask  # (h, w); neither bad nor saturated
     censored: Mask | None = None
-    corner_px: tuple[int, int] = (0, 0)
+    corner_px: tuple[int, int] = (0, 0)  # column and row of the first element in the image
     noise_variance_dn2: Callable[[Float], Float]
 
     def cut(self, box: PixelBox) -> BoxPixels:

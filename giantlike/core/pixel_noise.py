@@ -101,8 +101,6 @@ class EightBitValues:
 class EstimatedNoise:
     """Noise of an image whose detector is not declared, as its own pixels show it.
 
-    read_noise_dn: standard deviation of a pixel without signal, quantization not included.
-    gain_e_per_dn: ratio of the signal to the variance that it adds.
     in_sky: the read noise was measured in the sky. False where the sky is constant, as in clipped images: it is then
         the standard deviation of quantization, or 5 steps where the signal has no noise either.
     in_light: the gain was measured in the smoothest bright parts. False where too few pixels are bright, or where their
@@ -110,8 +108,8 @@ class EstimatedNoise:
         electrons.
     """
 
-    read_noise_dn: float
-    gain_e_per_dn: float
+    read_noise_dn: float  # standard deviation of a pixel without signal, quantization not included
+    gain_e_per_dn: float  # ratio of the signal to the variance that it adds
     in_sky: bool
     in_light: bool
 

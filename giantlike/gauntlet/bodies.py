@@ -78,19 +78,13 @@ def scale_shape(shape: Shape, factor: float) -> Shape:
 
 @dataclass(frozen=True, eq=False)
 class EclipsedBody(Value):
-    """A body with the round shadow of another one on it.
-
-    sun: body-fixed; unit vector to the Sun.
-    through_km: body-fixed; a point on the axis of the shadow.
-    radius_km: of the shadow.
-    penumbra_km: length over which light falls off.
-    """
+    """A body with the round shadow of another one on it."""
 
     body: Body
-    sun: Float
-    through_km: Float
-    radius_km: float
-    penumbra_km: float
+    sun: Float  # body-fixed; unit vector to the Sun
+    through_km: Float  # body-fixed; a point on the axis of the shadow
+    radius_km: float  # of the shadow
+    penumbra_km: float  # length over which light falls off
 
     @property
     def bounding_radius_km(self) -> float:

@@ -22,24 +22,16 @@ Disturb = Callable[[Plan, np.random.Generator], Plan]
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of image.
-
-    summary: the disturbance, in a line.
-    disturb: (plan, random numbers) to plan.
-    base: limits of the undisturbed image of a body.
-    body, stars: True if there is a body for the estimators, or stars for the star chain.
-    weight: number of occurrences in a deck of all kinds.
-    undisturbed: True for an image without a disturbance: its sigmas are the nominal ones.
-    """
+    """A kind of image."""
 
     name: str
-    summary: str
-    disturb: Disturb
-    base: Base = field(default_factory=Base)
-    body: bool = True
+    summary: str  # the disturbance, in a line
+    disturb: Disturb  # (plan, random numbers) to plan
+    base: Base = field(default_factory=Base)  # limits of the undisturbed image of a body
+    body: bool = True  # body, stars: True if there is a body for the estimators, or stars for the star chain
     stars: bool = False
-    weight: int = 2
-    undisturbed: bool = False
+    weight: int = 2  # number of occurrences in a deck of all kinds
+    undisturbed: bool = False  # True for an image without a disturbance: its sigmas are the nominal ones
 
 
 def _as_it_is(plan: Plan, rng: np.random.Generator) -> Plan:

@@ -29,19 +29,14 @@ _LISTED = (Verdict.SILENT_WRONG, Verdict.NEEDLESS_REFUSAL, Verdict.MISLEADING)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WallCard:
-    """An image on the wall.
-
-    picture: JPEG as base64.
-    worst: the worst verdict; empty where no estimator ran.
-    dots: verdict of each estimator, and a line about it.
-    """
+    """An image on the wall."""
 
     index: int
     kind: str
     summary: str
-    picture: str
-    worst: str
-    dots: tuple[tuple[str, str], ...]
+    picture: str  # JPEG as base64
+    worst: str  # the worst verdict; empty where no estimator ran
+    dots: tuple[tuple[str, str], ...]  # verdict of each estimator, and a line about it
 
 
 def page_of(report: Mapping[str, Any], results: Sequence[ImageResult]) -> str:

@@ -47,33 +47,26 @@ Readout = Callable[[Float, np.random.Generator], Float]
 class World(Value):
     """An image as it comes about.
 
-    view: the camera.
-    attitude: ``camera_from_inertial``.
-    body: the target; None where it is not in the image at all.
     position_camera_km: of the target, whether it is in the image or not.
     sun: in camera axes; unit vector from the body to the Sun.
-    peak_dn: brightest pixel of the body.
-    velocity_km_s: in inertial axes; of the observer.
-    lights: in their order, before the detector.
-    readouts: in their order, after the detector.
     """
 
-    view: PinholeView
-    attitude: Rotation
-    body: Body | None = None
+    view: PinholeView  # the camera
+    attitude: Rotation  # ``camera_from_inertial``
+    body: Body | None = None  # the target; None where it is not in the image at all
     position_camera_km: Float = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     camera_from_body: Rotation = field(default_factory=Rotation.identity)
     sun: Float = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
     law: str = "mcewen"
     psf: Psf = field(default_factory=lambda: Psf(PSF_PX))
     sampling: Sampling | None = None
-    peak_dn: float = 3000.0
+    peak_dn: float = 3000.0  # brightest pixel of the body
     sky: StarField | None = None
-    velocity_km_s: Float = field(default_factory=lambda: np.zeros(3))
-    lights: tuple[Light, ...] = ()
+    velocity_km_s: Float = field(default_factory=lambda: np.zeros(3))  # in inertial axes; of the observer
+    lights: tuple[Light, ...] = ()  # in their order, before the detector
     recorder: Recorder = RECORDER
     defects: Defects = field(default_factory=Defects)
-    readouts: tuple[Readout, ...] = ()
+    readouts: tuple[Readout, ...] = ()  # in their order, after the detector
 
     @property
     def range_km(self) -> float:
@@ -95,56 +88,39 @@ class World(Value):
 class Told(Value):
     """A priori data for the estimators, with declared uncertainties.
 
-    shape: None without a target.
     position_camera_km: in true camera axes; prediction, before the error of the attitude.
-    camera_from_body: before the error of the attitude.
-    sun: in true camera axes.
-    ephemeris_sigma_km: 0 where it is not declared.
-    scale_sigma: relative.
     attitude_error: ``told camera_from_inertial = attitude_error * true camera_from_inertial``.
-    attitude_sigma_deg: declared.
-    focal_factor: ratio of the assumed to the true focal length.
-    center_shift_px: assumed minus true center.
-    focal_sigma: declared, relative.
-    saturation_dn: declared.
-    dn_scale: DN of the image for each DN of the detector: below 1 after requantization.
     mask: bad pixels that are declared: from the pixels that were read (rows, columns) to (rows, columns) bool.
-    observer_known: False where the velocity of the observer is not declared.
-    observer_factor: ratio of the assumed to the true velocity.
-    catalog: assumed stars.
     """
 
-    shape: Shape | None = None
+    shape: Shape | None = None  # None without a target
     law: str = "mcewen"
     psf_px: float = PSF_PX
     position_camera_km: Float = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
-    camera_from_body: Rotation = field(default_factory=Rotation.identity)
-    sun: Float = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
-    ephemeris_sigma_km: float = 0.0
-    scale_sigma: float = 0.0
+    camera_from_body: Rotation = field(default_factory=Rotation.identity)  # before the error of the attitude
+    sun: Float = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))  # in true camera axes
+    ephemeris_sigma_km: float = 0.0  # 0 where it is not declared
+    scale_sigma: float = 0.0  # relative
     attitude_error: Rotation = field(default_factory=Rotation.identity)
-    attitude_sigma_deg: float = ATTITUDE_SIGMA_DEG
-    focal_factor: float = 1.0
-    center_shift_px: Float = field(default_factory=lambda: np.zeros(2))
-    focal_sigma: float = FOCAL_SIGMA
-    saturation_dn: float = FULL_DN
-    dn_scale: float = 1.0
+    attitude_sigma_deg: float = ATTITUDE_SIGMA_DEG  # declared
+    focal_factor: float = 1.0  # ratio of the assumed to the true focal length
+    center_shift_px: Float = field(default_factory=lambda: np.zeros(2))  # assumed minus true center
+    focal_sigma: float = FOCAL_SIGMA  # declared, relative
+    saturation_dn: float = FULL_DN  # declared
+    dn_scale: float = 1.0  # DN of the image for each DN of the detector: below 1 after requantization
     mask: Callable[[Float], Any] | None = None
-    observer_known: bool = True
-    observer_factor: float = 1.0
-    catalog: StarField | None = None
+    observer_known: bool = True  # False where the velocity of the observer is not declared
+    observer_factor: float = 1.0  # ratio of the assumed to the true velocity
+    catalog: StarField | None = None  # assumed stars
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan(Value):
-    """An image to be made.
-
-    hard: True where the drawn disturbance justifies a refusal.
-    """
+    """An image to be made."""
 
     world: World
     told: Told
-    hard: bool = False
+    hard: bool = False  # True where the drawn disturbance justifies a refusal
 
     def but(self, *, world: dict[str, Any] | None = None, told: dict[str, Any] | None = None, hard: bool) -> Plan:
         """Return a plan with some fields of the world and of the a priori data changed."""
@@ -160,19 +136,14 @@ class Base:
     """Limits from which the undisturbed image is drawn.
 
     diameter_px: minimum and maximum, drawn uniformly in the logarithm; rocks only up to :data:`LARGEST_ROCK_PX`.
-    phase_deg: smallest and largest.
-    rocks: fraction of bodies of irregular shape.
-    points: fraction of bodies of 1 to 3 px.
-    declared: fraction of images with a declared uncertainty of the ephemeris.
-    largest_frame_px: side of the largest frame; smaller bodies have smaller ones.
     """
 
     diameter_px: tuple[float, float] = (20.0, 250.0)
-    phase_deg: tuple[float, float] = (5.0, 125.0)
-    rocks: float = 0.3
-    points: float = 0.0
-    declared: float = DECLARED_SHARE
-    largest_frame_px: int = 512
+    phase_deg: tuple[float, float] = (5.0, 125.0)  # smallest and largest
+    rocks: float = 0.3  # fraction of bodies of irregular shape
+    points: float = 0.0  # fraction of bodies of 1 to 3 px
+    declared: float = DECLARED_SHARE  # fraction of images with a declared uncertainty of the ephemeris
+    largest_frame_px: int = 512  # side of the largest frame; smaller bodies have smaller ones
 
 
 LARGEST_ROCK_PX = 130.0  # diameter of the largest rocks, px: their rays march, at 1 s for 150 px

@@ -57,38 +57,24 @@ _DIM_STAR_DN = 400.0  # signal of stars that count, DN over all pixels: signal t
 
 @dataclass(frozen=True, kw_only=True)
 class Facts:
-    """Properties of an image that the generator knows before it is solved.
+    """Properties of an image that the generator knows before it is solved."""
 
-    hard: the kind allows a refusal.
-    undisturbed: the image has no disturbance.
-    absent: the target is not in the image.
-    damaged: values were damaged after the detector.
-    diameter_px, told_diameter_px: of a sphere of the same volume: true, assumed.
-    snr: of the brightest pixel of the body.
-    whole: the whole body is in the frame, with :data:`MARGIN_PX` around it.
-    limb_px: length of illuminated limb in the frame.
-    offset_px: error of the predicted center, error of the attitude included.
-    range_error: relative error of the predicted range.
-    saturated: some signal exceeds the largest value.
-    stars: stars of the catalog in the frame.
-    """
-
-    hard: bool
-    undisturbed: bool = False
-    absent: bool = False
-    damaged: bool = False
-    diameter_px: float = 0.0
+    hard: bool  # the kind allows a refusal
+    undisturbed: bool = False  # the image has no disturbance
+    absent: bool = False  # the target is not in the image
+    damaged: bool = False  # values were damaged after the detector
+    diameter_px: float = 0.0  # diameter_px, told_diameter_px: of a sphere of the same volume: true, assumed
     told_diameter_px: float = 0.0
     phase_deg: float = 0.0
     told_phase_deg: float = 0.0
-    snr: float = 0.0
-    whole: bool = False
-    limb_px: float = 0.0
+    snr: float = 0.0  # of the brightest pixel of the body
+    whole: bool = False  # the whole body is in the frame, with :data:`MARGIN_PX` around it
+    limb_px: float = 0.0  # length of illuminated limb in the frame
     told_ellipsoid: bool = False
-    offset_px: float = 0.0
-    range_error: float = 0.0
-    saturated: bool = False
-    stars: int = 0
+    offset_px: float = 0.0  # error of the predicted center, error of the attitude included
+    range_error: float = 0.0  # relative error of the predicted range
+    saturated: bool = False  # some signal exceeds the largest value
+    stars: int = 0  # stars of the catalog in the frame
 
 
 def facts_of(plan: Plan, signal_dn: Float, *, undisturbed: bool) -> Facts:

@@ -37,24 +37,15 @@ _QUALITY = 60  # quality of the JPEG of a thumbnail, percent
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Gauntlet(Value):
-    """Selection of the images and estimators to run.
+    """Selection of the images and estimators to run."""
 
-    images: number of images.
-    seed: of everything.
-    kinds: kinds to run: the first so many images of these; all if empty.
-    estimators: estimators to run; all if empty.
-    indices: images to run, by their number; the first ones if empty.
-    workers: processes.
-    real: folder of real images that do not show the target; they come after the others.
-    """
-
-    images: int
-    seed: int
-    kinds: tuple[str, ...] = ()
-    estimators: tuple[str, ...] = ()
-    indices: tuple[int, ...] = ()
-    workers: int = 1
-    real: Path | None = None
+    images: int  # number of images
+    seed: int  # of everything
+    kinds: tuple[str, ...] = ()  # kinds to run: the first so many images of these; all if empty
+    estimators: tuple[str, ...] = ()  # estimators to run; all if empty
+    indices: tuple[int, ...] = ()  # images to run, by their number; the first ones if empty
+    workers: int = 1  # processes
+    real: Path | None = None  # folder of real images that do not show the target; they come after the others
 
     def __post_init__(self) -> None:
         require(self.images >= 1, f"images must be >= 1, got {self.images}")
@@ -76,18 +67,13 @@ class Gauntlet(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageResult:
-    """Results of one image.
-
-    rows: one per estimator.
-    cpu_s: of estimators, renderer and comparison.
-    thumbnail: JPEG.
-    """
+    """Results of one image."""
 
     index: int
     kind: str
-    rows: tuple[TrialRow, ...]
-    cpu_s: float
-    thumbnail: bytes
+    rows: tuple[TrialRow, ...]  # one per estimator
+    cpu_s: float  # of estimators, renderer and comparison
+    thumbnail: bytes  # JPEG
 
 
 def run_image(seed: int, index: int, estimators: Sequence[str] = ()) -> ImageResult:

@@ -40,27 +40,19 @@ def deck(seed: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stage(Value):
-    """An image, its a priori data, and the truth.
-
-    plan, base: True world and a priori data; the same without the disturbance.
-    signal_dn: (rows, columns); without noise.
-    pixels_dn: (rows, columns); as they arrive.
-    camera: as assumed.
-    scene: as assumed; None for images of stars.
-    catalog: as assumed; None for images of bodies.
-    """
+    """An image, its a priori data, and the truth."""
 
     seed: int
     index: int
     kind: Kind
-    plan: Plan
+    plan: Plan  # plan, base: True world and a priori data; the same without the disturbance
     base: Plan
-    signal_dn: Float
-    pixels_dn: Float
+    signal_dn: Float  # (rows, columns); without noise
+    pixels_dn: Float  # (rows, columns); as they arrive
     image: Image
-    camera: Camera
-    scene: Scene | None
-    catalog: MemoryCatalog | None
+    camera: Camera  # as assumed
+    scene: Scene | None  # as assumed; None for images of stars
+    catalog: MemoryCatalog | None  # as assumed; None for images of bodies
 
     @property
     def world(self) -> World:

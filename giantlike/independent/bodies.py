@@ -24,16 +24,11 @@ SHADOW_START = 2e-5
 
 @dataclass(frozen=True, eq=False)
 class RayHits:
-    """Where rays meet a body.
+    """Where rays meet a body."""
 
-    hit: (n,); rays that meet it.
-    points: (m, 3) km, body-fixed; first points, of the rays that hit, in their order.
-    normals: (m, 3), body-fixed; outward unit normals.
-    """
-
-    hit: NDArray[np.bool_]
-    points: Float
-    normals: Float
+    hit: NDArray[np.bool_]  # (n,); rays that meet it
+    points: Float  # (m, 3) km, body-fixed; first points, of the rays that hit, in their order
+    normals: Float  # (m, 3), body-fixed; outward unit normals
 
 
 class Body(Protocol):
@@ -70,14 +65,10 @@ def _unit_sphere_hits(origin: Float, directions: Float, radius: float = 1.0) -> 
 
 @dataclass(frozen=True, eq=False)
 class EllipsoidBody:
-    """Triaxial ellipsoid; rays meet it in closed form.
+    """Triaxial ellipsoid; rays meet it in closed form."""
 
-    radii_km: half axes.
-    albedo: relative albedo less one, by direction from the center.
-    """
-
-    radii_km: ArrayLike
-    albedo: SphereField | None = None
+    radii_km: ArrayLike  # half axes
+    albedo: SphereField | None = None  # relative albedo less one, by direction from the center
     _radii: Float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -116,17 +107,13 @@ class EllipsoidBody:
 class ReliefBody:
     """Ellipsoid with heights: the surface lies at ``radii u (1 + h(u))`` for unit vectors u. Rays march to it.
 
-    radii_km: half axes of the base.
-    relief: heights over the base, as a share of the radius, by the direction u.
-    albedo: relative albedo less one, by the direction u.
-
     Marching is safe: a height above the ground divided by the steepest slope of the distance function is a step that
     cannot cross the ground; what is left is found by bisection.
     """
 
-    radii_km: ArrayLike
-    relief: SphereField
-    albedo: SphereField | None = None
+    radii_km: ArrayLike  # half axes of the base
+    relief: SphereField  # heights over the base, as a share of the radius, by the direction u
+    albedo: SphereField | None = None  # relative albedo less one, by the direction u
     _radii: Float = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -43,13 +43,10 @@ class SphereField:
     """Scalar function of direction, its values and surface gradient interpolated bilinearly in a table.
 
     The table is the function: a renderer and a mesh that both read it see one and the same body.
-
-    values: (cells + 1, cells + 1); values at the nodes of the octahedral map.
-    gradients: (cells + 1, cells + 1, 3); derivatives along the sphere, per radian, at the nodes.
     """
 
-    values: Float
-    gradients: Float
+    values: Float  # (cells + 1, cells + 1); values at the nodes of the octahedral map
+    gradients: Float  # (cells + 1, cells + 1, 3); derivatives along the sphere, per radian, at the nodes
 
     def _corners(self, directions: Float) -> tuple[NDArray[np.int64], Float, Float]:
         cells = self.values.shape[0] - 1

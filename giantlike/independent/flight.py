@@ -23,16 +23,12 @@ LONGEST_STEP_S = 21_600.0  # longest step far from a small body, where the tide 
 
 @dataclass(frozen=True)
 class PullingBodies:
-    """The bodies that pull.
+    """The bodies that pull."""
 
-    earth_gm, moon_gm, sun_gm: in km^3/s^2.
-    moon_km, sun_km: places (3,) from the Earth, km, at a time in seconds.
-    """
-
-    earth_gm: float
+    earth_gm: float  # earth_gm, moon_gm, sun_gm: in km^3/s^2
     moon_gm: float
     sun_gm: float
-    moon_km: Callable[[float], Array]
+    moon_km: Callable[[float], Array]  # moon_km, sun_km: places (3,) from the Earth, km, at a time in seconds
     sun_km: Callable[[float], Array]
 
     def gravity(self, time: float, places: Array) -> Array:
@@ -125,21 +121,14 @@ def _rotate(rotations: Array, vectors: Array) -> Array:
 
 @dataclass(frozen=True)
 class SmallBodyField:
-    """What moves a spacecraft near a small body: its gravity, the tide of the Sun, and sunlight on the spacecraft.
+    """What moves a spacecraft near a small body: its gravity, the tide of the Sun, and sunlight on the spacecraft."""
 
-    gm, sun_gm: in km^3/s^2.
-    zonals: by degree, the zonal coefficient J times that power of its radius, km.
-    pole: unit vector (3,) of the spin axis.
-    sun_km: place (3,) of the Sun from the body, km, at a time in seconds.
-    sunlight: acceleration away from the Sun at 1 au, km/s^2.
-    """
-
-    gm: float
+    gm: float  # gm, sun_gm: in km^3/s^2
     sun_gm: float
-    zonals: Mapping[int, float]
-    pole: Array
-    sun_km: Callable[[float], Array]
-    sunlight: float
+    zonals: Mapping[int, float]  # by degree, the zonal coefficient J times that power of its radius, km
+    pole: Array  # unit vector (3,) of the spin axis
+    sun_km: Callable[[float], Array]  # place (3,) of the Sun from the body, km, at a time in seconds
+    sunlight: float  # acceleration away from the Sun at 1 au, km/s^2
 
     def acceleration(self, time: float, places: Array) -> Array:
         """Acceleration (runs, 3), km/s^2, at places (runs, 3) from the body, km; zonals by Legendre polynomials."""

@@ -27,14 +27,10 @@ HEIGHTS, COSINES, TO_SUN = 81, 241, 200
 
 @dataclass(frozen=True)
 class HazeSunlight:
-    """Share of sunlight that reaches places in haze, tabulated over height and cosine of incidence.
+    """Share of sunlight that reaches places in haze, tabulated over height and cosine of incidence."""
 
-    high_km: height of the top of the haze.
-    width: cosines are tabulated at ``width sinh(v)``, for v in even steps up to ``end`` either way.
-    """
-
-    high_km: float
-    width: float
+    high_km: float  # height of the top of the haze
+    width: float  # cosines are tabulated at ``width sinh(v)``, for v in even steps up to ``end`` either way
     end: float
     table: Float
 
@@ -70,14 +66,13 @@ class HazeSunlight:
 class Haze:
     """Haze whose extinction falls exponentially with height.
 
-    vertical_depth: optical depth of all of it.
     albedo: share of the light that is scattered, alike in all directions, over the brightness of the ground at normal
         incidence and emission.
     twilight: haze is lit wherever the sphere does not stand before the Sun; else only where the ground below is.
     """
 
     scale_height_km: float
-    vertical_depth: float
+    vertical_depth: float  # optical depth of all of it
     albedo: float = 0.25
     twilight: bool = False
 

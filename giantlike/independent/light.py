@@ -17,13 +17,12 @@ LIGHT_KM_S = 299_792.458  # speed of light, km/s (exact by definition of the met
 class Motion:
     """Velocities with respect to the frame in which light and clocks are described (the solar system barycenter).
 
-    observer_km_s: in camera axes; velocity of the camera.
-    body_km_s: in camera axes; velocity of the body; constant while its light travels. Its turning in that time
-        (an angle of rate times light time) is left to the orientation given, and its own contraction
-        (v^2 / c^2 / 2, 5e-9 at 30 km/s) is left out.
+    body_km_s: in camera axes; velocity of the body; constant while its light travels. Its turning in that time (an
+        angle of rate times light time) is left to the orientation given, and its own contraction (v^2 / c^2 / 2, 5e-9
+        at 30 km/s) is left out.
     """
 
-    observer_km_s: ArrayLike = (0.0, 0.0, 0.0)
+    observer_km_s: ArrayLike = (0.0, 0.0, 0.0)  # in camera axes; velocity of the camera
     body_km_s: ArrayLike = (0.0, 0.0, 0.0)
 
     @property

@@ -18,18 +18,12 @@ SMEAR_STEP_PX = 0.25  # distance of the points that stand for a smeared star, px
 
 @dataclass(frozen=True)
 class Psf:
-    """Optical point spread function; the pixel is not part of it.
+    """Optical point spread function; the pixel is not part of it."""
 
-    sigma_px: width of the Gaussian core.
-    wing_share: share of the light in the wings, a second, wider Gaussian.
-    wing_sigma_px: width of the wings.
-    motion_px: path of the image on the detector during the exposure, centered.
-    """
-
-    sigma_px: float = 0.7
-    wing_share: float = 0.0
-    wing_sigma_px: float = 3.0
-    motion_px: tuple[float, float] = (0.0, 0.0)
+    sigma_px: float = 0.7  # width of the Gaussian core
+    wing_share: float = 0.0  # share of the light in the wings, a second, wider Gaussian
+    wing_sigma_px: float = 3.0  # width of the wings
+    motion_px: tuple[float, float] = (0.0, 0.0)  # path of the image on the detector during the exposure, centered
 
     @property
     def reach_px(self) -> int:

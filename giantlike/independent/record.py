@@ -14,57 +14,36 @@ Bool = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Recorder:
-    """Properties of a detector.
+    """Properties of a detector."""
 
-    gain_e_per_dn: e-/DN; electrons per DN.
-    read_noise_e: e-.
-    bias_dn: level without light.
-    saturation_dn: highest value.
-    quantized: round to whole DN.
-    blooms: charge above saturation flows to both sides along its column.
-    """
-
-    gain_e_per_dn: float = 1.0
-    read_noise_e: float = 5.0
-    bias_dn: float = 0.0
-    saturation_dn: float = np.inf
-    quantized: bool = True
-    blooms: bool = False
+    gain_e_per_dn: float = 1.0  # e-/DN; electrons per DN
+    read_noise_e: float = 5.0  # e-
+    bias_dn: float = 0.0  # level without light
+    saturation_dn: float = np.inf  # highest value
+    quantized: bool = True  # round to whole DN
+    blooms: bool = False  # charge above saturation flows to both sides along its column
 
 
 @dataclass(frozen=True)
 class Defects:
-    """Bad pixels.
+    """Bad pixels."""
 
-    dead_columns, dead_rows: without signal.
-    hot_pixels: number of pixels at random places with extra charge.
-    hot_dn: mean of that charge (exponential).
-    cosmic_rays: number of tracks at random places.
-    cosmic_dn: mean signal of a pixel of a track.
-    cosmic_length_px: mean length of a track.
-    """
-
-    dead_columns: tuple[int, ...] = ()
+    dead_columns: tuple[int, ...] = ()  # dead_columns, dead_rows: without signal
     dead_rows: tuple[int, ...] = ()
-    hot_pixels: int = 0
-    hot_dn: float = 500.0
-    cosmic_rays: int = 0
-    cosmic_dn: float = 800.0
-    cosmic_length_px: float = 5.0
+    hot_pixels: int = 0  # number of pixels at random places with extra charge
+    hot_dn: float = 500.0  # mean of that charge (exponential)
+    cosmic_rays: int = 0  # number of tracks at random places
+    cosmic_dn: float = 800.0  # mean signal of a pixel of a track
+    cosmic_length_px: float = 5.0  # mean length of a track
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """Image as read out.
+    """Image as read out."""
 
-    pixels: in DN; values.
-    saturated: at the highest value, by light or by blooming.
-    bad: dead, hot, or hit by a cosmic ray.
-    """
-
-    pixels: Float
-    saturated: Bool
-    bad: Bool = field(repr=False)
+    pixels: Float  # in DN; values
+    saturated: Bool  # at the highest value, by light or by blooming
+    bad: Bool = field(repr=False)  # dead, hot, or hit by a cosmic ray
 
 
 def background(

@@ -31,29 +31,22 @@ RAYS_AT_ONCE = 60_000  # rays in one call: keeps the arrays of a batch within a 
 class Pose:
     """Where a body is and from where it is lit.
 
-    position_camera_km: center of the body.
-    camera_from_body: its orientation.
-    sun_direction_camera: unit vector from the body to the Sun.
     motion: velocities, for aberration and light time ray by ray; the position is then the geometric one at the time of
         reception.
     """
 
-    position_camera_km: ArrayLike
-    camera_from_body: Rotation
-    sun_direction_camera: ArrayLike
+    position_camera_km: ArrayLike  # center of the body
+    camera_from_body: Rotation  # its orientation
+    sun_direction_camera: ArrayLike  # unit vector from the body to the Sun
     motion: Motion | None = None
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """Rays by pixel.
+    """Rays by pixel."""
 
-    cells: cells along the side of every pixel, one ray each; also the grid on which the optics blur.
-    edge_rays: rays along the side of each cell in pixels with an edge: limb, shadow, terminator.
-    """
-
-    cells: int = 3
-    edge_rays: int = 4
+    cells: int = 3  # cells along the side of every pixel, one ray each; also the grid on which the optics blur
+    edge_rays: int = 4  # rays along the side of each cell in pixels with an edge: limb, shadow, terminator
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,14 +20,10 @@ down to 10 mag in the Galaxy, where dust and the disk end the growth."""
 
 @dataclass(frozen=True, eq=False)
 class StarField:
-    """Catalog without motion and parallax.
+    """Catalog without motion and parallax."""
 
-    directions: (n, 3), ICRF; unit vectors.
-    magnitudes: (n,) mag; brightness.
-    """
-
-    directions: Float
-    magnitudes: Float
+    directions: Float  # (n, 3), ICRF; unit vectors
+    magnitudes: Float  # (n,) mag; brightness
 
 
 def random_stars(

@@ -14,24 +14,20 @@ from giantlike.independent.laws import Float
 class PinholeView:
     """Camera that maps ``(X / Z, Y / Z)`` to pixels, with radial and tangential distortion after Brown (1966).
 
-    focal_px: focal length.
-    center_px: pixel of the boresight: (column, row), (0, 0) the center of the first pixel.
-    columns, rows: size of the detector.
     k1, k2, k3: radial terms: ``(1 + k1 r^2 + k2 r^4 + k3 r^6)``, r in units of the focal length.
     p1, p2: tangential terms: ``x + 2 p1 x y + p2 (r^2 + 2 x^2)``, ``y + p1 (r^2 + 2 y^2) + 2 p2 x y``.
-    aspect: focal length along columns by that along rows.
     """
 
-    focal_px: float
-    center_px: tuple[float, float]
-    columns: int
+    focal_px: float  # focal length
+    center_px: tuple[float, float]  # pixel of the boresight: (column, row), (0, 0) the center of the first pixel
+    columns: int  # columns, rows: size of the detector
     rows: int
     k1: float = 0.0
     k2: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
-    aspect: float = 1.0
+    aspect: float = 1.0  # focal length along columns by that along rows
 
     def _distort(self, plane: Float) -> Float:
         x, y = plane[..., 0], plane[..., 1]

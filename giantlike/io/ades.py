@@ -41,21 +41,16 @@ _UTC = re.compile(r"\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2}(\.\d{1,6})?")
 class AdesContext:
     """Observatory, people and telescope of a submission.
 
-    station: code of the observatory, three or four characters.
-    submitter: name, as initials and family name.
-    measurers: names.
     design, detector: of the telescope, such as ``Refractor`` and ``CCD``.
-    aperture_m: its aperture.
-    star_catalog: of the attitudes, one of :data:`STAR_CATALOGS`.
     """
 
-    station: str
-    submitter: str
-    measurers: tuple[str, ...]
+    station: str  # code of the observatory, three or four characters
+    submitter: str  # name, as initials and family name
+    measurers: tuple[str, ...]  # names
     design: str
-    aperture_m: float
+    aperture_m: float  # its aperture
     detector: str = "CCD"
-    star_catalog: str = "Gaia3"
+    star_catalog: str = "Gaia3"  # of the attitudes, one of :data:`STAR_CATALOGS`
 
     def __post_init__(self) -> None:
         _require_text(self.station, "station", least=3, most=4)
@@ -75,33 +70,23 @@ class AdesContext:
 class AdesObservation(Value):
     """One observation, astrometric: light time in, aberration out, in ICRF.
 
-    identification: name of the element (``permID``, ``provID`` or ``trkSub``) and its text.
-    epoch_utc: mid-exposure, ISO 8601, to microseconds.
-    ra_deg, dec_deg: of the object.
-    sigma_ra_arcsec: of right ascension times the cosine of the declination.
-    sigma_dec_arcsec, correlation: of the declination, and of both.
     position_km, velocity_km_s: (3,); of the spacecraft from the geocenter, ICRF, geometric, at the epoch.
-    position_covariance_km2: (3, 3), positive definite.
-    sigma_time_s: of the epoch.
-    exposure_s: exposure.
-    n_stars: stars of the attitude.
-    remarks: one line.
     """
 
-    identification: tuple[str, str]
-    epoch_utc: str
-    ra_deg: float
+    identification: tuple[str, str]  # name of the element (``permID``, ``provID`` or ``trkSub``) and its text
+    epoch_utc: str  # mid-exposure, ISO 8601, to microseconds
+    ra_deg: float  # ra_deg, dec_deg: of the object
     dec_deg: float
-    sigma_ra_arcsec: float
-    sigma_dec_arcsec: float
+    sigma_ra_arcsec: float  # of right ascension times the cosine of the declination
+    sigma_dec_arcsec: float  # sigma_dec_arcsec, correlation: of the declination, and of both
     correlation: float
     position_km: Float
     velocity_km_s: Float
-    position_covariance_km2: Float | None = None
-    sigma_time_s: float | None = None
-    exposure_s: float | None = None
-    n_stars: int | None = None
-    remarks: str = "positions in ICRF"
+    position_covariance_km2: Float | None = None  # (3, 3), positive definite
+    sigma_time_s: float | None = None  # of the epoch
+    exposure_s: float | None = None  # exposure
+    n_stars: int | None = None  # stars of the attitude
+    remarks: str = "positions in ICRF"  # one line
 
     def __post_init__(self) -> None:
         kind, name = self.identification

@@ -25,20 +25,13 @@ _COLUMNS = ("name", "epoch_utc", "et", *_QUATERNION, *_COVARIANCE)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AttitudeSeries(Value):
-    """Attitudes in order of time.
+    """Attitudes in order of time."""
 
-    et: (n,); increasing; no two are equal.
-    camera_from_inertial: n of them.
-    covariance_rad2: (n, 3, 3); of the small rotations about the camera axes; not a number where unknown.
-    names: names of the images.
-    frame: name of the axes that the attitudes refer to; empty when unknown.
-    """
-
-    et: Float
-    camera_from_inertial: Rotation
-    covariance_rad2: Float
-    names: tuple[str, ...]
-    frame: str = ""
+    et: Float  # (n,); increasing; no two are equal
+    camera_from_inertial: Rotation  # n of them
+    covariance_rad2: Float  # (n, 3, 3); of the small rotations about the camera axes; not a number where unknown
+    names: tuple[str, ...]  # names of the images
+    frame: str = ""  # name of the axes that the attitudes refer to; empty when unknown
 
     def __post_init__(self) -> None:
         count = len(self.names)
@@ -94,15 +87,11 @@ class AttitudeSeries(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class UntimedAttitude(Value):
-    """Attitude of an image whose time is not known.
+    """Attitude of an image whose time is not known."""
 
-    name: of the image.
-    covariance_rad2: not a number where unknown.
-    """
-
-    name: str
+    name: str  # of the image
     camera_from_inertial: Rotation
-    covariance_rad2: Float
+    covariance_rad2: Float  # not a number where unknown
 
 
 def write_attitude_csv(

@@ -34,40 +34,31 @@ class SipCamera(Value):
     """Camera and attitude of a TAN-SIP header.
 
     camera: ``rows_reversed`` where the header describes a mirrored array, as sky images stored from the bottom are.
-    camera_from_inertial: attitude, boresight at CRVAL, x along increasing columns.
-    conversion: differences of the fitted lens from the polynomials, over the frame.
     """
 
     camera: ImportedCamera
-    camera_from_inertial: Rotation
-    conversion: Conversion
+    camera_from_inertial: Rotation  # attitude, boresight at CRVAL, x along increasing columns
+    conversion: Conversion  # differences of the fitted lens from the polynomials, over the frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PosedModel:
-    """A camera model with the size of its image and its attitude, to be written as world coordinates.
-
-    columns, rows: size of the image.
-    """
+    """A camera model with the size of its image and its attitude, to be written as world coordinates."""
 
     model: CameraModel
-    columns: int
+    columns: int  # columns, rows: size of the image
     rows: int
     camera_from_inertial: Rotation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SipHeader:
-    """TAN-SIP keywords of a camera model and an attitude, and the errors of their polynomials.
-
-    max_px, rms_px: of the forward polynomials against the model, over the frame.
-    inverse_max_px: of the inverse polynomials (AP, BP) against the forward ones.
-    """
+    """TAN-SIP keywords of a camera model and an attitude, and the errors of their polynomials."""
 
     cards: Mapping[str, str | int | float]
-    max_px: float
+    max_px: float  # max_px, rms_px: of the forward polynomials against the model, over the frame
     rms_px: float
-    inverse_max_px: float
+    inverse_max_px: float  # of the inverse polynomials (AP, BP) against the forward ones
 
 
 @reads("a FITS header with TAN-SIP coordinates")

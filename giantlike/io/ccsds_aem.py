@@ -25,19 +25,13 @@ _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])  # signs of the quaternion x, y, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AemNames:
-    """Names in the header and metadata of an AEM.
+    """Names in the header and metadata of an AEM."""
 
-    object_name, object_id: spacecraft and its international designator.
-    originator: organization that writes the message.
-    frame: ``REF_FRAME_B``, the camera.
-    inertial: ``REF_FRAME_A``: ``ICRF`` or, with the same axes, ``GCRF``.
-    """
-
-    object_name: str = "UNKNOWN"
+    object_name: str = "UNKNOWN"  # object_name, object_id: spacecraft and its international designator
     object_id: str = "UNKNOWN"
-    originator: str = "UNKNOWN"
-    frame: str = "INSTRUMENT_1"
-    inertial: str = "ICRF"
+    originator: str = "UNKNOWN"  # organization that writes the message
+    frame: str = "INSTRUMENT_1"  # ``REF_FRAME_B``, the camera
+    inertial: str = "ICRF"  # ``REF_FRAME_A``: ``ICRF`` or, with the same axes, ``GCRF``
 
     def __post_init__(self) -> None:
         _require_lines([getattr(self, field.name) for field in fields(self)])

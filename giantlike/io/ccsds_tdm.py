@@ -21,38 +21,25 @@ ABERRATION_REMOVED = "stellar aberration is removed"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TdmPoint:
-    """One observation.
+    """One observation."""
 
-    epoch_utc: when the light was received, ISO 8601.
-    ra_deg, dec_deg: in ICRF.
-    range_km: one way, of light.
-    errors: standard deviations and correlations, in words; a TDM has no place for them but comments.
-    remarks: one line, or nothing.
-    """
-
-    epoch_utc: str
-    ra_deg: float
+    epoch_utc: str  # when the light was received, ISO 8601
+    ra_deg: float  # ra_deg, dec_deg: in ICRF
     dec_deg: float
-    range_km: float | None = None
-    errors: str = ""
-    remarks: str = ""
+    range_km: float | None = None  # one way, of light
+    errors: str = ""  # standard deviations and correlations, in words; a TDM has no place for them but comments
+    remarks: str = ""  # one line, or nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TdmSegment:
-    """Observations of one target from one spacecraft.
+    """Observations of one target from one spacecraft."""
 
-    spacecraft, target: names of the participants.
-    points: in order of time; at least one.
-    comments: lines for the metadata: effects removed from the angles.
-    frame: of the angles: ``ICRF`` or, with the same axes, ``GCRF``.
-    """
-
-    spacecraft: str
+    spacecraft: str  # spacecraft, target: names of the participants
     target: str
-    points: Sequence[TdmPoint]
-    comments: Sequence[str] = ()
-    frame: str = "ICRF"
+    points: Sequence[TdmPoint]  # in order of time; at least one
+    comments: Sequence[str] = ()  # lines for the metadata: effects removed from the angles
+    frame: str = "ICRF"  # of the angles: ``ICRF`` or, with the same axes, ``GCRF``
 
     def __post_init__(self) -> None:
         require(len(self.points) > 0, f"{self.target}: a TDM needs an observation")

@@ -32,15 +32,11 @@ _UNIT_NORM = 1e-3  # unit vectors to this: some digits were rounded off; a large
 
 @dataclass(frozen=True, slots=True)
 class CsvRow:
-    """One row of a CSV file.
-
-    line: line in the file; the header is line 1.
-    cells: text by column, without blanks around it.
-    """
+    """One row of a CSV file."""
 
     path: Path
-    line: int
-    cells: dict[str, str]
+    line: int  # line in the file; the header is line 1
+    cells: dict[str, str]  # text by column, without blanks around it
 
     def error(self, column: str, problem: str) -> DataError:
         """Return a :class:`DataError` that names file, line, column and value."""

@@ -21,23 +21,14 @@ HeaderValue: TypeAlias = str | int | float | bool  # value of a header or label 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DecodedImage(Value):
-    """Pixels as stored, and the contents of the file's own header.
+    """Pixels as stored, and the contents of the file's own header."""
 
-    pixels: in DN; rows as stored, any byte order; may hold NaN.
-    format: ``fits``, ``png``, ``tiff``, ``jpeg``, ``vicar``, ``pds3``, ``pds4`` or ``isis``.
-    mask: True where the format itself declares a pixel missing; None where no pixel is.
-    epoch: Mid-exposure.
-    observer: spacecraft with respect to the solar system barycenter.
-    header: header or label items.
-    eight_bit: of 8-bit JPEG and PNG files.
-    """
-
-    pixels: NDArray[Any]
-    format: str
-    mask: Mask | None = None
-    epoch: Time | None = None
+    pixels: NDArray[Any]  # in DN; rows as stored, any byte order; may hold NaN
+    format: str  # ``fits``, ``png``, ``tiff``, ``jpeg``, ``vicar``, ``pds3``, ``pds4`` or ``isis``
+    mask: Mask | None = None  # True where the format itself declares a pixel missing; None where no pixel is
+    epoch: Time | None = None  # Mid-exposure
     exposure_s: float | None = None
     camera_from_inertial: Rotation | None = None
-    observer: ObserverState | None = None
-    header: dict[str, HeaderValue] = field(default_factory=dict)
-    eight_bit: EightBitValues | None = None
+    observer: ObserverState | None = None  # spacecraft with respect to the solar system barycenter
+    header: dict[str, HeaderValue] = field(default_factory=dict)  # header or label items
+    eight_bit: EightBitValues | None = None  # of 8-bit JPEG and PNG files

@@ -26,16 +26,11 @@ _BODY = ("body_qx", "body_qy", "body_qz", "body_qw")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EphemerisSamples(Value):
-    """Samples of an ephemeris, in order of time.
+    """Samples of an ephemeris, in order of time."""
 
-    et: (n,); strictly increasing, n >= 1.
-    position_km: (n, 3), inertial axes.
-    velocity_km_s: (n, 3), inertial axes.
-    """
-
-    et: Float
-    position_km: Float
-    velocity_km_s: Float | None
+    et: Float  # (n,); strictly increasing, n >= 1
+    position_km: Float  # (n, 3), inertial axes
+    velocity_km_s: Float | None  # (n, 3), inertial axes
     inertial_from_body: Rotation | None
 
 

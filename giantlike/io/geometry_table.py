@@ -67,37 +67,27 @@ COLUMNS = (
 class GeometryRow(Value):
     """One row of a geometry table; None for cells that are empty.
 
-    file: as written in the table.
-    epoch: Mid-exposure.
-    camera_from_inertial: a priori attitude.
-    target_position_inertial_km: apparent vector from camera to target center.
-    body_from_inertial: orientation of the target when the light left it.
-    sun_direction_inertial: unit vector from target to Sun.
-    observer: state of the spacecraft with respect to the solar system barycenter.
     target_velocity_inertial_km_s: velocity of the target with respect to the barycenter when the light left it.
-    line: line in the file, 0 for a row that was not read from one.
     """
 
-    file: str
-    epoch: Time | None = None
+    file: str  # as written in the table
+    epoch: Time | None = None  # Mid-exposure
     exposure_s: float | None = None
-    camera_from_inertial: Rotation | None = None
+    camera_from_inertial: Rotation | None = None  # a priori attitude
     target: str | None = None
-    target_position_inertial_km: Float | None = None
-    body_from_inertial: Rotation | None = None
-    sun_direction_inertial: Float | None = None
-    observer: ObserverState | None = None
+    target_position_inertial_km: Float | None = None  # apparent vector from camera to target center
+    body_from_inertial: Rotation | None = None  # orientation of the target when the light left it
+    sun_direction_inertial: Float | None = None  # unit vector from target to Sun
+    observer: ObserverState | None = None  # state of the spacecraft with respect to the solar system barycenter
     target_velocity_inertial_km_s: Float | None = None
-    line: int = 0
+    line: int = 0  # line in the file, 0 for a row that was not read from one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageGeometry(Value):
     """Geometry of one image, from all its rows of a table.
 
-    targets: the rows with a target, by its name.
     seen: geometry in camera axes of targets without a row, by name.
-    covariance_attitude_rad2: of the attitude that follows from them, about the camera axes.
     in_body_axes: all that is known is in axes of the body: SPICE gives the attitude, or these axes are inertial.
     """
 
@@ -105,9 +95,9 @@ class ImageGeometry(Value):
     exposure_s: float | None
     camera_from_inertial: Rotation | None
     observer: ObserverState | None
-    targets: Mapping[str, GeometryRow]
+    targets: Mapping[str, GeometryRow]  # the rows with a target, by its name
     seen: Mapping[str, StatedGeometry] = field(default_factory=dict)
-    covariance_attitude_rad2: Float | None = None
+    covariance_attitude_rad2: Float | None = None  # of the attitude that follows from them, about the camera axes
     in_body_axes: bool = False
 
 

@@ -39,17 +39,12 @@ class ControlMeasure:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ControlPoint(Value):
-    """A point of a control network.
-
-    type: ``Free``, ``Constrained`` or ``Fixed``.
-    position_km: (3,); a priori, body axes; NaN where the file has none.
-    covariance_km2: (3, 3) of this, where the file has one, else None.
-    """
+    """A point of a control network."""
 
     name: str
-    type: str
-    position_km: Float
-    covariance_km2: Float | None
+    type: str  # ``Free``, ``Constrained`` or ``Fixed``
+    position_km: Float  # (3,); a priori, body axes; NaN where the file has none
+    covariance_km2: Float | None  # (3, 3) of this, where the file has one, else None
     measures: tuple[ControlMeasure, ...]
 
 
@@ -67,11 +62,7 @@ class ControlNetwork:
 class ImageSupport(Value):
     """State and optics of a frame camera, as an ISD has them.
 
-    camera_from_inertial, body_from_inertial: ISIS camera axes; body-fixed axes.
-    position_km: (3,); of the camera from the center of the body, J2000.
     center: (2,); sample and line of the optical axis of the whole detector, from 1; NaN where the file has none.
-    pixels_per_mm: (2, 2); sample and line by x and y of the focal plane.
-    distortion: coefficients by name.
     """
 
     platform: str
@@ -81,13 +72,13 @@ class ImageSupport(Value):
     et: float
     focal_length_mm: float
     center: Float
-    pixels_per_mm: Float
+    pixels_per_mm: Float  # (2, 2); sample and line by x and y of the focal plane
     first: tuple[float, float]
     summing: tuple[float, float]
-    camera_from_inertial: Rotation
+    camera_from_inertial: Rotation  # camera_from_inertial, body_from_inertial: ISIS camera axes; body-fixed axes
     body_from_inertial: Rotation
-    position_km: Float
-    distortion: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    position_km: Float  # (3,); of the camera from the center of the body, J2000
+    distortion: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # coefficients by name
 
     def ideal_mm(self, sample_line: Float) -> Float:
         """Focal-plane coordinates (n, 2), mm, without distortion, of pixels (n, 2) of the whole detector."""

@@ -22,16 +22,13 @@ _FOLDER = files("giantlike.io") / "missions"
 class Mission:
     """A priori information on the images of one camera.
 
-    about: images that it describes, and values that it does not give.
-    sources: where the numbers come from.
-    kernels: patterns of the names of SPICE kernels, in loading order.
     defaults: keys of the tables ``camera``, ``images`` and ``spice`` of a campaign file that holds none.
     """
 
     name: str
-    about: str
-    sources: tuple[str, ...]
-    kernels: tuple[str, ...]
+    about: str  # images that it describes, and values that it does not give
+    sources: tuple[str, ...]  # where the numbers come from
+    kernels: tuple[str, ...]  # patterns of the names of SPICE kernels, in loading order
     defaults: Mapping[str, Mapping[str, Any]]
 
 

@@ -296,16 +296,11 @@ class ObservableRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObservableBlock(Value):
-    """Rows of which many cells are the same, column by column: the stars of an image.
+    """Rows of which many cells are the same, column by column: the stars of an image."""
 
-    count: number of rows, n.
-    shared: cells that all rows have.
-    columns: mapping of str to (n,) or (n, size); cells that differ.
-    """
-
-    count: int
-    shared: Mapping[str, Any]
-    columns: Mapping[str, NDArray[Any]]
+    count: int  # number of rows, n
+    shared: Mapping[str, Any]  # cells that all rows have
+    columns: Mapping[str, NDArray[Any]]  # mapping of str to (n,) or (n, size); cells that differ
 
     def rows(self) -> Iterator[ObservableRow]:
         """Yield the rows one by one."""

@@ -31,15 +31,11 @@ _OF_POSITION = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OrbitCovariance(Value):
-    """Covariance of a relative position, or of a relative state, by epoch.
-
-    et: (n,); strictly increasing, n >= 1.
-    covariances: (n, 3, 3) or (n, 6, 6), km and km/s, ICRF axes.
-    """
+    """Covariance of a relative position, or of a relative state, by epoch."""
 
     path: Path
-    et: Float
-    covariances: Float
+    et: Float  # (n,); strictly increasing, n >= 1
+    covariances: Float  # (n, 3, 3) or (n, 6, 6), km and km/s, ICRF axes
 
     @property
     def largest_sigma_km(self) -> float:

@@ -34,28 +34,19 @@ _BIG, _LITTLE = ("MSB_", "SUN_", "MAC_"), ("LSB_", "PC_", "VAX_")
 
 @dataclass(frozen=True, slots=True)
 class Pds3Label:
-    """A parsed PDS3 label.
+    """A parsed PDS3 label."""
 
-    values: items by name; those inside an object or group as ``OBJECT.NAME``.
-    raw: the values as written, pointers (``^IMAGE``) among them.
-    units: the unit of an item, where the label states one.
-    """
-
-    values: dict[str, HeaderValue]
-    raw: dict[str, str]
-    units: dict[str, str]
+    values: dict[str, HeaderValue]  # items by name; those inside an object or group as ``OBJECT.NAME``
+    raw: dict[str, str]  # the values as written, pointers (``^IMAGE``) among them
+    units: dict[str, str]  # the unit of an item, where the label states one
 
 
 @dataclass(frozen=True, slots=True)
 class ImagePointer:
-    """Location of the image that a label describes.
+    """Location of the image that a label describes."""
 
-    file: name of the file; None for the file of the label itself.
-    offset_bytes: first byte of the image, from 0.
-    """
-
-    file: str | None
-    offset_bytes: int
+    file: str | None  # name of the file; None for the file of the label itself
+    offset_bytes: int  # first byte of the image, from 0
 
 
 @reads("a PDS3 label")

@@ -42,48 +42,34 @@ class PictureObject(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PsfCamera(Value):
-    """A camera: ``(pixel, line) = center_px + pixels_per_mm (x, y)``, with x and y in mm in the focal plane.
-
-    focal_length_mm: mm.
-    pixels_per_mm: (2, 2) px/mm.
-    """
+    """A camera: ``(pixel, line) = center_px + pixels_per_mm (x, y)``, with x and y in mm in the focal plane."""
 
     columns: int
     rows: int
-    focal_length_mm: float
+    focal_length_mm: float  # mm
     center_px: Float
-    pixels_per_mm: Float
+    pixels_per_mm: Float  # (2, 2) px/mm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PsfImage(Value):
-    """Place of a body or star in a picture.
-
-    number: NAIF code of a body, catalog number of a star; 0 where there is none.
-    observed_px: (2,); measured pixel and line.
-    correction_px: (2,); shift by the lens: without it the camera of the file holds.
-    sigma_px: (2,).
-    radec_deg: of a star: its catalog position at the epoch, without aberration.
-    """
+    """Place of a body or star in a picture."""
 
     kind: PictureObject
     name: str
-    number: int
-    observed_px: Float
-    correction_px: Float
-    sigma_px: Float
-    radec_deg: tuple[float, float] | None = None
+    number: int  # NAIF code of a body, catalog number of a star; 0 where there is none
+    observed_px: Float  # (2,); measured pixel and line
+    correction_px: Float  # (2,); shift by the lens: without it the camera of the file holds
+    sigma_px: Float  # (2,)
+    radec_deg: tuple[float, float] | None = None  # of a star: its catalog position at the epoch, without aberration
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PsfPicture(Value):
-    """A picture with its pointing.
-
-    et: Mid-exposure.
-    """
+    """A picture with its pointing."""
 
     name: str
-    et: float
+    et: float  # Mid-exposure
     exposure_s: float
     camera_from_inertial: Rotation
     images: tuple[PsfImage, ...]

@@ -28,29 +28,20 @@ _SAME_PX = 0.01  # largest difference of a pixel between an LMK file and a SUMFI
 class Lmk(Value):
     """Content of an LMK file.
 
-    name: of the landmark, up to 6 characters.
-    has_topography: whether it has a map of heights.
-    half_size: pixels of its map from the center to the edge: the map has ``2 half_size + 1`` along each side.
-    scale_km: of a pixel of the map.
-    horizon: no longer used.
-    sigma_km, rms_km: error of the position, and RMS of the landmark.
-    position_body_km: of its center.
-    body_from_local: from the axes of its map, the third one outward; their unit vectors are its columns.
-    sigma_body_km: errors of the position along the body axes.
     pictures_px, limbs_px: mapping of str to (2,); places in images by their names; 0 is the center of the first pixel.
     overlaps: mapping of str to (3,); offsets to other landmarks by name.
     """
 
-    name: str
-    half_size: int
-    scale_km: float
-    position_body_km: Float
-    body_from_local: Rotation
-    sigma_body_km: Float
-    has_topography: bool = True
-    sigma_km: float = 0.0
+    name: str  # of the landmark, up to 6 characters
+    half_size: int  # pixels of its map from the center to the edge: the map has ``2 half_size + 1`` along each side
+    scale_km: float  # of a pixel of the map
+    position_body_km: Float  # of its center
+    body_from_local: Rotation  # from the axes of its map, the third one outward; their unit vectors are its columns
+    sigma_body_km: Float  # errors of the position along the body axes
+    has_topography: bool = True  # whether it has a map of heights
+    sigma_km: float = 0.0  # sigma_km, rms_km: error of the position, and RMS of the landmark
     rms_km: float = 0.0
-    horizon: tuple[int, int, int, int] = (-1, -1, -1, -1)
+    horizon: tuple[int, int, int, int] = (-1, -1, -1, -1)  # no longer used
     pictures_px: Mapping[str, Float] = field(default_factory=dict)
     overlaps: Mapping[str, Float] = field(default_factory=dict)
     limbs_px: Mapping[str, Float] = field(default_factory=dict)

@@ -34,32 +34,23 @@ _ORTHOGONAL = (
 class Sumfile(Value):
     """Content of a SUMFILE.
 
-    name: of the image; SPC takes up to 12 characters.
-    epoch: mid-exposure; written to the millisecond.
-    thresholds_dn: least and largest valid pixel value.
-    focal_length_mm: mm.
-    center_px: optical axis in the image; 0 is the center of the first pixel.
     pixels_per_mm: (2, 3); ``K``: the image of a point at (x, y) mm of the focal plane is at ``center + K (x, y, x y)``.
-    target_km: in body axes; from the spacecraft to the center of the body, as it is seen.
-    sun_direction_body: from the body to the Sun.
-    sigma_target_km: in body axes.
-    sigma_pointing_rad: (3,), camera axes.
     landmarks_px: mapping of str to (2,); places of landmarks in the image by name; 0 is the center of the first pixel.
     """
 
-    name: str
-    epoch: Time
+    name: str  # of the image; SPC takes up to 12 characters
+    epoch: Time  # mid-exposure; written to the millisecond
     columns: int
     rows: int
-    thresholds_dn: tuple[int, int]
-    focal_length_mm: float
-    center_px: Float
+    thresholds_dn: tuple[int, int]  # least and largest valid pixel value
+    focal_length_mm: float  # mm
+    center_px: Float  # optical axis in the image; 0 is the center of the first pixel
     pixels_per_mm: Float
-    target_km: Float
+    target_km: Float  # in body axes; from the spacecraft to the center of the body, as it is seen
     camera_from_body: Rotation
-    sun_direction_body: Float
-    sigma_target_km: Float
-    sigma_pointing_rad: Float
+    sun_direction_body: Float  # from the body to the Sun
+    sigma_target_km: Float  # in body axes
+    sigma_pointing_rad: Float  # (3,), camera axes
     landmarks_px: Mapping[str, Float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

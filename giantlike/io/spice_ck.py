@@ -44,11 +44,10 @@ class CkTarget:
 
     instrument_id: NAIF code of the camera frame, such as -64361; its thousands are the spacecraft and its clock, such
         as -64.
-    frame_name: name for the frame kernel: capitals, digits, underscores; at most 26.
     """
 
     instrument_id: int
-    frame_name: str
+    frame_name: str  # name for the frame kernel: capitals, digits, underscores; at most 26
 
     def __post_init__(self) -> None:
         require(
@@ -185,19 +184,13 @@ _SEGMENT_NAME, _COMMENT = 40, 80  # characters, of a segment and of a line of co
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SpkArc(Value):
-    """States of a body along an arc.
+    """States of a body along an arc."""
 
-    body, center: NAIF codes.
-    et: (n,); TDB seconds past J2000, strictly increasing, n >= 2.
-    states: (n, 6), km and km/s, geometric, axes of J2000.
-    name: of the segment.
-    """
-
-    body: int
+    body: int  # body, center: NAIF codes
     center: int
-    et: Float
-    states: Float
-    name: str
+    et: Float  # (n,); TDB seconds past J2000, strictly increasing, n >= 2
+    states: Float  # (n, 6), km and km/s, geometric, axes of J2000
+    name: str  # of the segment
 
 
 def write_spk(path: str | Path, arcs: Sequence[SpkArc], comments: Sequence[str] = ()) -> None:

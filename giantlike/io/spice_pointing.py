@@ -24,20 +24,15 @@ _CODE = re.compile(r"-\d+")
 class LabelClock:
     """A count of the spacecraft clock in a label, from which the epoch of an image follows.
 
-    spacecraft: NAIF name or code of the spacecraft whose clock it is.
-    item: item of the label.
-    pattern: regular expression that is searched for in the value of the item.
-    count: clock count as SPICE reads it, with the groups of the expression as ``{0}``, ``{1}``, ...
     zero_utc: in place of ``count``, for a clock of seconds that needs no kernel: the UTC at which it read 0.
-    after_exposure_s: time from the closing of the shutter to that count.
     """
 
-    spacecraft: str
-    item: str
-    pattern: str
-    count: str | None
+    spacecraft: str  # NAIF name or code of the spacecraft whose clock it is
+    item: str  # item of the label
+    pattern: str  # regular expression that is searched for in the value of the item
+    count: str | None  # clock count as SPICE reads it, with the groups of the expression as ``{0}``, ``{1}``,
     zero_utc: str | None
-    after_exposure_s: float
+    after_exposure_s: float  # time from the closing of the shutter to that count
 
     def __post_init__(self) -> None:
         """Refuse an invalid expression or time, and a count of more groups than the expression has."""

@@ -31,23 +31,16 @@ _KINDS: Mapping[Any, str] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """A column of a table.
-
-    kind: text, true or false, integer, number, texts or numbers.
-    unit, frame: empty where there is none.
-    csv: True if the CSV file has the column as well as the Parquet file.
-    required: True if no cell may be empty.
-    size: of lists that all have the same length, that length; else 0.
-    """
+    """A column of a table."""
 
     name: str
-    kind: str
+    kind: str  # text, true or false, integer, number, texts or numbers
     description: str
-    unit: str
+    unit: str  # unit, frame: empty where there is none
     frame: str
-    csv: bool
-    required: bool
-    size: int = 0
+    csv: bool  # True if the CSV file has the column as well as the Parquet file
+    required: bool  # True if no cell may be empty
+    size: int = 0  # of lists that all have the same length, that length; else 0
 
 
 def column(description: str, unit: str = "", frame: str = "", *, csv: bool = True, size: int = 0) -> Any:

@@ -22,47 +22,32 @@ _SUN_TOLERANCE_DEG = 5.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StatedGeometry(Value):
-    """Geometry of one target in one image as a label or a table states it.
+    """Geometry of one target in one image as a label or a table states it."""
 
-    target: name of the target there.
-    position_camera_km: from the camera to the center of the target.
-    sun_direction_camera: from the target to the Sun.
-    camera_from_body: orientation of the target; None where it is not stated.
-    camera_from_inertial: attitude of the camera; None where it is not stated.
-    covariance_camera_km2: of the position; None where it is not stated.
-    """
-
-    target: str
-    position_camera_km: Float
-    sun_direction_camera: Float
-    camera_from_body: Rotation | None = None
-    camera_from_inertial: Rotation | None = None
-    covariance_camera_km2: Float | None = None
+    target: str  # name of the target there
+    position_camera_km: Float  # from the camera to the center of the target
+    sun_direction_camera: Float  # from the target to the Sun
+    camera_from_body: Rotation | None = None  # orientation of the target; None where it is not stated
+    camera_from_inertial: Rotation | None = None  # attitude of the camera; None where it is not stated
+    covariance_camera_km2: Float | None = None  # of the position; None where it is not stated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewingGeometry(Value):
     """Angles by which planetary images are described; azimuths are in the image, at the center of the body.
 
-    target: name.
-    center_px: pixel of the center of the body.
-    range_km: distance from the camera to that center.
     north_azimuth_rad: direction in which the body-fixed +z axis is projected, from the +x (columns) axis of the image
         to its +y (rows) axis: clockwise where the first row is on top.
-    observer_direction_body: to the camera, body-fixed axes: the sub-observer point.
-    sun_direction_body: to the Sun, body-fixed axes: the sub-solar point.
-    sun_azimuth_rad: direction in which the Sun is, counted as for the pole.
-    phase_angle_rad: angle at the body between camera and Sun.
     """
 
-    target: str
-    center_px: Float
-    range_km: float
+    target: str  # name
+    center_px: Float  # pixel of the center of the body
+    range_km: float  # distance from the camera to that center
     north_azimuth_rad: float | None = None
-    observer_direction_body: Float | None = None
-    sun_direction_body: Float | None = None
-    sun_azimuth_rad: float | None = None
-    phase_angle_rad: float | None = None
+    observer_direction_body: Float | None = None  # to the camera, body-fixed axes: the sub-observer point
+    sun_direction_body: Float | None = None  # to the Sun, body-fixed axes: the sub-solar point
+    sun_azimuth_rad: float | None = None  # direction in which the Sun is, counted as for the pole
+    phase_angle_rad: float | None = None  # angle at the body between camera and Sun
 
     def __post_init__(self) -> None:
         require_number(self.range_km, "the range", above=0.0)

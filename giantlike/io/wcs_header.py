@@ -68,13 +68,10 @@ def _stored_from_below(cards: Mapping[str, str | int | float], rows: int) -> dic
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WcsAttitude:
-    """Attitude of an image by its world coordinates.
-
-    rms_px: differences of the camera model at this attitude from the world coordinates, rms over the frame.
-    """
+    """Attitude of an image by its world coordinates."""
 
     camera_from_inertial: Rotation
-    rms_px: float
+    rms_px: float  # differences of the camera model at this attitude from the world coordinates, rms over the frame
 
 
 def attitude_of_wcs(

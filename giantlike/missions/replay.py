@@ -57,21 +57,16 @@ INPUT, DERIVED, SELF_CHECK, INDEPENDENT = ComparisonKind
 class Comparison:
     """A figure, table or number of the paper, and ours.
 
-    what: the quantity, with its unit.
-    paper: as the paper states it.
-    agrees: from a rule in the code of the replay; None where the size of a small replay decides.
-    reason: the rule and, where they differ, why.
-    reference: place in the paper, such as "Fig. 7".
     fails_with: the change, one of ``CHANGES`` of the mission, with which an independent comparison disagrees.
     """
 
-    what: str
-    paper: str | float
+    what: str  # the quantity, with its unit
+    paper: str | float  # as the paper states it
     ours: str | float
     kind: ComparisonKind
-    agrees: bool | None
-    reason: str
-    reference: str = ""
+    agrees: bool | None  # from a rule in the code of the replay; None where the size of a small replay decides
+    reason: str  # the rule and, where they differ, why
+    reference: str = ""  # place in the paper, such as "Fig. 7".
     fails_with: str = ""
 
     def __post_init__(self) -> None:
@@ -123,27 +118,20 @@ class Stated:
 
 @dataclass(frozen=True, slots=True)
 class ReplayFigure:
-    """A figure of the paper, reproduced.
+    """A figure of the paper, reproduced."""
 
-    reference: place in the paper, such as "Fig. 7".
-    figure: of matplotlib, made without pyplot.
-    """
-
-    reference: str
+    reference: str  # place in the paper, such as "Fig. 7".
     title: str
     caption: str
-    figure: Figure
+    figure: Figure  # of matplotlib, made without pyplot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """Part of a replay, such as a phase of the mission.
-
-    text: description, in a few sentences.
-    """
+    """Part of a replay, such as a phase of the mission."""
 
     title: str
-    text: str = ""
+    text: str = ""  # description, in a few sentences
     figures: tuple[ReplayFigure, ...] = ()
     comparisons: tuple[Comparison, ...] = ()
 
@@ -152,18 +140,14 @@ class Section:
 class Replay:
     """A finished replay.
 
-    name: one of ``REPLAYS``.
-    sections: in the order of the paper.
-    flown: what was simulated and processed, in two or three sentences, for the first page.
-    pictures: references of figures for the first page, such as "Fig. 7".
     assumptions: assumptions where the paper gives no values; a value tuned to meet a table is named as tuned.
     """
 
-    name: str
+    name: str  # one of ``REPLAYS``
     title: str
-    sections: tuple[Section, ...]
-    flown: str
-    pictures: tuple[str, ...]
+    sections: tuple[Section, ...]  # in the order of the paper
+    flown: str  # what was simulated and processed, in two or three sentences, for the first page
+    pictures: tuple[str, ...]  # references of figures for the first page, such as "Fig. 7".
     assumptions: tuple[str, ...]
 
     @property
@@ -186,22 +170,16 @@ def _no_progress(stage: str, done: int, total: int) -> None:
 class ReplaySettings:
     """Options of a replay.
 
-    output: folder for intermediate products, such as images and runs.
-    small: fewer images and draws: shows that it works, in seconds.
-    workers: number of processes.
-    seed: of all random numbers.
     data: folder with kernels and shapes of the mission; without it, the paper's numbers are simulated.
-    change: one of ``CHANGES`` of the mission: an assumption to alter, to see which comparisons depend on it.
-    progress: takes the name of a step, the number done, and of all.
     """
 
-    output: Path
-    small: bool = False
-    workers: int = 1
-    seed: int = 1
+    output: Path  # folder for intermediate products, such as images and runs
+    small: bool = False  # fewer images and draws: shows that it works, in seconds
+    workers: int = 1  # number of processes
+    seed: int = 1  # of all random numbers
     data: Path | None = None
-    change: str = ""
-    progress: Callable[[str, int, int], None] = _no_progress
+    change: str = ""  # one of ``CHANGES`` of the mission: an assumption to alter, to see which comparisons depend on it
+    progress: Callable[[str, int, int], None] = _no_progress  # takes the name of a step, the number done, and of all
 
 
 def run_replay(name: str, settings: ReplaySettings) -> Replay:

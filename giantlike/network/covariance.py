@@ -40,19 +40,13 @@ _CAUSES = {"pole_east": Cause.POLE, "pole_north": Cause.POLE, "w": Cause.SPIN, "
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Joint(Value):
-    """Covariance of the unknowns as ``z``.
+    """Covariance of the unknowns as ``z``."""
 
-    reduced: (r', r'); of poses and shared parameters, padded to whole blocks.
-    own: (p, 3, 3); of the points with all else known.
-    gain: (b, 3, 6); minus the change of a point with each of its blocks.
-    rows, first: as in the normal equations.
-    """
-
-    reduced: Float
-    own: Float
-    gain: Float
-    rows: NDArray[np.int64]
-    first: NDArray[np.int64]
+    reduced: Float  # (r', r'); of poses and shared parameters, padded to whole blocks
+    own: Float  # (p, 3, 3); of the points with all else known
+    gain: Float  # (b, 3, 6); minus the change of a point with each of its blocks
+    rows: NDArray[np.int64]  # as in the normal equations
+    first: NDArray[np.int64]  # as in the normal equations
 
     def points(self, matrix: Float) -> Float:
         """Covariance (p, 3, 3) of the points by a covariance (r, r) of the reduced unknowns."""

@@ -29,16 +29,11 @@ _SINGULAR = 1e-12  # eigenvalue of an a priori correlation matrix that is zero b
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prior(Value):
-    """A priori covariances of n blocks of d unknowns, as independent unknowns ``z``: ``unknowns = basis @ z``.
+    """A priori covariances of n blocks of d unknowns, as independent unknowns ``z``: ``unknowns = basis @ z``."""
 
-    basis: (n, d, d); a column is zero where a direction is held.
-    inverse: (n, d, d); ``z = inverse @ unknowns``.
-    known, held: (n, d); ``z`` of unit variance; ``z`` that are held. The others are free.
-    """
-
-    basis: Float
-    inverse: Float
-    known: Mask
+    basis: Float  # (n, d, d); a column is zero where a direction is held
+    inverse: Float  # (n, d, d); ``z = inverse @ unknowns``
+    known: Mask  # known, held: (n, d); ``z`` of unit variance; ``z`` that are held. The others are free.
     held: Mask
 
     @classmethod
@@ -62,18 +57,14 @@ class Prior(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class State(Value):
-    """Estimates: ``camera_from_inertial`` and positions (m, 3) of images, points (p, 3) before scaling, shared values.
-
-    turn: correction of the orientation of the body at the mean epoch, inertial axes.
-    shared: (k,); departures of the shared parameters from their a priori values (of pole and W: by ``turn``).
-    """
+    """Estimates: ``camera_from_inertial`` and positions (m, 3) of images, points (p, 3) before scaling, shared ones."""
 
     models: tuple[CameraModel, ...]
     rotation: Rotation
     position: Float
     points: Float
-    turn: Rotation
-    shared: Float
+    turn: Rotation  # correction of the orientation of the body at the mean epoch, inertial axes
+    shared: Float  # (k,); departures of the shared parameters from their a priori values (of pole and W: by ``turn``)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,15 +34,13 @@ class PointStatus(StrEnum):
 class FrameDirection:
     """One of the seven directions of the frame of a network that no pixel shows.
 
-    name: shift or rotation along or about a body axis, or scale.
     sigma: km, rad, or relative; of what the a priori values say about it; infinite where they say nothing, and the
         direction is held at the a priori poses.
-    share: of the variance of the points that it makes.
     """
 
-    name: str
+    name: str  # shift or rotation along or about a body axis, or scale
     sigma: float
-    share: float
+    share: float  # of the variance of the points that it makes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -45,14 +45,10 @@ class Angles(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tracked:
-    """Segments of a tracking data message.
+    """Segments of a tracking data message."""
 
-    segments: one for each target.
-    left_out: number of preferred fixes left out, by reason.
-    """
-
-    segments: tuple[TdmSegment, ...]
-    left_out: dict[str, int]
+    segments: tuple[TdmSegment, ...]  # one for each target
+    left_out: dict[str, int]  # number of preferred fixes left out, by reason
 
 
 def tracking_segments(
@@ -126,15 +122,12 @@ def plain_line(text: str) -> str:
 class AdesSource:
     """Inputs of an ADES file besides the rows.
 
-    objects: designations by target.
-    n_stars: stars of the attitudes, by image.
-    earth_kernel: SPK of the Earth.
     sigma_position_km, sigma_time_s: of the spacecraft along each axis, and of the epochs.
     """
 
-    earth_kernel: str
-    objects: Mapping[str, str] = field(default_factory=dict)
-    n_stars: Mapping[str, int] = field(default_factory=dict)
+    earth_kernel: str  # SPK of the Earth
+    objects: Mapping[str, str] = field(default_factory=dict)  # designations by target
+    n_stars: Mapping[str, int] = field(default_factory=dict)  # stars of the attitudes, by image
     sigma_position_km: float | None = None
     sigma_time_s: float | None = None
 

@@ -36,18 +36,15 @@ class Pointing(Value):
 
     covariance_rad2: in camera axes; of the small rotation about the camera axes; the errors of ephemeris, size, pole
         and camera are in it.
-    targets: bodies used.
-    n_used: number of bodies and landmarks.
-    n_turns: number of bodies whose turn about the line of sight was measured.
     chi2: squared residuals over their covariance; of 2 n_used + n_turns degrees of freedom with an a priori attitude,
         of 3 less without.
     """
 
     camera_from_inertial: Rotation
     covariance_rad2: Float
-    targets: tuple[str, ...]
-    n_used: int
-    n_turns: int
+    targets: tuple[str, ...]  # bodies used
+    n_used: int  # number of bodies and landmarks
+    n_turns: int  # number of bodies whose turn about the line of sight was measured
     chi2: float
 
 

@@ -17,14 +17,10 @@ _CHECKED = "auto"
 
 @dataclass(frozen=True, slots=True)
 class Preference:
-    """The preferred one of some fixes.
+    """The preferred one of some fixes."""
 
-    index: its index; None where none can be preferred.
-    reason: one line.
-    """
-
-    index: int | None
-    reason: str
+    index: int | None  # its index; None where none can be preferred
+    reason: str  # one line
 
 
 def preferred(fixes: Sequence[CenterFix], *, accepted: Collection[int] = ()) -> Preference:

@@ -34,20 +34,16 @@ _ESTIMATED_LATER = (Cause.EPHEMERIS,)
 class ImageContext(Value):
     """What all rows of an image have in common.
 
-    shared_camera: key of camera and calibration.
-    camera_from_inertial: the attitude used.
-    attitude_covariance_rad2: in camera axes.
     attitude_shares: star images that a transferred attitude is made of, and the share of each.
     accepted_by, accepted_why: user who accepted the result of the rows, which is suspect, and the reason.
-    camera_rate_rad_s: in rad/s; rotation rate of the camera.
     """
 
     file: str
     camera: Camera
-    shared_camera: str
-    camera_from_inertial: Rotation
+    shared_camera: str  # key of camera and calibration
+    camera_from_inertial: Rotation  # the attitude used
     attitude_source: str
-    attitude_covariance_rad2: Float | None = None
+    attitude_covariance_rad2: Float | None = None  # in camera axes
     attitude_errors: AttitudeErrors = field(default_factory=AttitudeErrors)
     attitude_shares: Mapping[str, float] = field(default_factory=dict)
     epoch_utc: str | None = None
@@ -55,7 +51,7 @@ class ImageContext(Value):
     exposure_s: float | None = None
     accepted_by: str | None = None
     accepted_why: str | None = None
-    camera_rate_rad_s: Float | None = None
+    camera_rate_rad_s: Float | None = None  # in rad/s; rotation rate of the camera
 
     @property
     def attitude_parts_rad2(self) -> dict[Cause, Float]:
@@ -89,13 +85,11 @@ class ImageContext(Value):
 class Sighting(Value):
     """What was known of a target in an image beforehand.
 
-    predicted_camera_km: apparent vector to the target by the a priori geometry.
-    camera_from_body: when the light left, by the attitude used.
     circumstances: states that light time and aberration are taken out by; without them the row is apparent alone.
     """
 
-    predicted_camera_km: Float
-    camera_from_body: Rotation
+    predicted_camera_km: Float  # apparent vector to the target by the a priori geometry
+    camera_from_body: Rotation  # when the light left, by the attitude used
     sun_direction_camera: Float
     uncertainty: TargetUncertainty = field(default_factory=TargetUncertainty)
     circumstances: Circumstances | None = None
@@ -125,33 +119,23 @@ class Sighting(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LandmarkSeen(Value):
-    """A landmark of a fix.
-
-    observed_px: (2,).
-    covariance_px2: of the measured place alone.
-    """
+    """A landmark of a fix."""
 
     name: str
     body_km: Float
-    observed_px: Float
-    covariance_px2: Float
+    observed_px: Float  # (2,)
+    covariance_px2: Float  # of the measured place alone
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarsSeen(Value):
-    """Stars of an attitude.
+    """Stars of an attitude."""
 
-    numbers: (n,); of the catalog.
-    magnitudes: (n,).
-    observed_px, predicted_px: (n, 2).
-    sigma_px: (n,); per axis.
-    """
-
-    numbers: NDArray[np.int64]
-    magnitudes: Float
-    observed_px: Float
-    predicted_px: Float
-    sigma_px: Float
+    numbers: NDArray[np.int64]  # (n,); of the catalog
+    magnitudes: Float  # (n,)
+    observed_px: Float  # (n, 2)
+    predicted_px: Float  # (n, 2)
+    sigma_px: Float  # (n,); per axis
 
 
 def row_of_body(

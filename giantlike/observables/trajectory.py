@@ -21,18 +21,15 @@ _MIN_EPOCHS = 4
 class RelativeArc(Value):
     """Measured states of the spacecraft relative to a target.
 
-    estimators: names, each once.
-    et: (n,); strictly increasing, n >= 2.
     states: (n, 6), km and km/s, geometric, ICRF axes; the velocities are a priori or, where these are not known, the
         derivative of a spline through the positions.
-    covariances_km2: (n, 3, 3); of the positions, NaN where unknown.
     """
 
     target: str
-    estimators: tuple[str, ...]
-    et: Float
+    estimators: tuple[str, ...]  # names, each once
+    et: Float  # (n,); strictly increasing, n >= 2
     states: Float
-    covariances_km2: Float
+    covariances_km2: Float  # (n, 3, 3); of the positions, NaN where unknown
 
 
 def relative_arcs(rows: Iterable[ObservableRow], *, max_gap_s: float) -> tuple[list[RelativeArc], dict[str, int]]:

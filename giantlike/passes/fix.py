@@ -20,17 +20,15 @@ class TermTest:
 
     statistic: squared departure in units of its covariance under the hypothesis, correlations and considered errors
         included; divided by ``count`` where the noise was scaled by the residuals.
-    count: number of parameters.
     freedom: degrees of freedom of the noise: the statistic is F with ``(count, freedom)``, or chi-square of ``count``
         where None.
-    p_value: probability of a statistic at least as large under the hypothesis.
     """
 
     term: str
     statistic: float
-    count: int
+    count: int  # number of parameters
     freedom: int | None
-    p_value: float
+    p_value: float  # probability of a statistic at least as large under the hypothesis
 
     def significant(self, level: float = 0.05) -> bool:
         """True if the hypothesis is rejected at a level."""
@@ -41,16 +39,13 @@ class TermTest:
 class TimetagJitter(Value):
     """Errors of the timetags in addition to their bias.
 
-    sigma_s: standard deviation of the errors.
     sigma_of_log: standard deviation of the natural logarithm of ``sigma_s``; 0 where it was given, not estimated.
-    p_value: of the hypothesis of no jitter; 1 where it was given.
-    errors_s, sigmas_s: (n,); error of each tag as the image shows it, and its standard deviation.
     """
 
-    sigma_s: float
+    sigma_s: float  # standard deviation of the errors
     sigma_of_log: float
-    p_value: float
-    errors_s: Float
+    p_value: float  # of the hypothesis of no jitter; 1 where it was given
+    errors_s: Float  # errors_s, sigmas_s: (n,); error of each tag as the image shows it, and its standard deviation
     sigmas_s: Float
 
 

@@ -164,17 +164,14 @@ class LimbPoints(Value):
 class MeasuredPosition(Value):
     """Position of a body as an estimator measured it in one image.
 
-    covariance_camera_km2: by errors that are new in every image.
-    radius_km: radius of the body without the altitude of the limb.
-    apparent_radius_px: radius in the image, by which shifts of the limb in px become shifts of the range.
     shared_km: mapping of str to (3, c), camera axes; shifts of the position by one standard deviation of each of c
         errors that all images with the same key have in common, in the same order.
     """
 
     position_camera_km: Float
-    covariance_camera_km2: Float
-    radius_km: float
-    apparent_radius_px: float
+    covariance_camera_km2: Float  # by errors that are new in every image
+    radius_km: float  # radius of the body without the altitude of the limb
+    apparent_radius_px: float  # radius in the image, by which shifts of the limb in px become shifts of the range
     shared_km: Mapping[str, Float] = field(default_factory=dict)
     _whiten: Float = field(init=False, repr=False)
 

@@ -42,22 +42,17 @@ LIMB_ERRORS = "limb errors"  # name of the term of all errors that limbs share; 
 class PassLayout(Value):
     """Parameters of a pass, k in all.
 
-    names, units, terms: of each parameter; ``terms`` names the term that it belongs to.
-    apriori: (k,); values before.
-    covariance_apriori: (k, k); of these; zero in rows of parameters of which nothing is known (``free``).
-    free: (k,).
-    estimated: (k,); the others are considered.
     maps: tuple of (8 + c, k), one for each image; errors of the image by the departure of the parameters from
         ``apriori``.
     """
 
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # names, units, terms: of each parameter; ``terms`` names the term that it belongs to
     units: tuple[str, ...]
     terms: tuple[str, ...]
-    apriori: Float
-    covariance_apriori: Float
-    free: Mask
-    estimated: Mask
+    apriori: Float  # (k,); values before
+    covariance_apriori: Float  # (k, k); of these; zero in rows of parameters of which nothing is known (``free``)
+    free: Mask  # (k,)
+    estimated: Mask  # (k,); the others are considered
     maps: tuple[Float, ...]
 
     @classmethod

@@ -16,20 +16,13 @@ from giantlike.passes.layout import PassLayout
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageSums(Value):
-    """Normal equations of one image for its 8 + c errors, and its q random errors.
+    """Normal equations of one image for its 8 + c errors, and its q random errors."""
 
-    information: (8 + c, 8 + c).
-    pull: (8 + c,).
-    squares: squared residuals, sigmas.
-    count: residuals used.
-    random: (8 + c, q); errors of the image by one standard deviation of each random error.
-    """
-
-    information: Float
-    pull: Float
-    squares: float
-    count: int
-    random: Float
+    information: Float  # (8 + c, 8 + c)
+    pull: Float  # (8 + c,)
+    squares: float  # squared residuals, sigmas
+    count: int  # residuals used
+    random: Float  # (8 + c, q); errors of the image by one standard deviation of each random error
 
     @property
     def inner(self) -> Float:
@@ -77,14 +70,10 @@ class ImageSums(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Normal(Value):
-    """Normal equations of a pass in its k parameters.
+    """Normal equations of a pass in its k parameters."""
 
-    information: (k, k).
-    pull: (k,).
-    """
-
-    information: Float
-    pull: Float
+    information: Float  # (k, k)
+    pull: Float  # (k,)
     squares: float
     log_determinant: float
     count: int

@@ -31,14 +31,10 @@ _EXACT = 6  # digits from which numbers are written with an exponent
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Axis:
-    """An axis of a chart.
+    """An axis of a chart."""
 
-    label: quantity and unit.
-    low, high: its ends, left or at the bottom first; ``low > high`` for an axis that runs down.
-    """
-
-    label: str
-    low: float
+    label: str  # quantity and unit
+    low: float  # low, high: its ends, left or at the bottom first; ``low > high`` for an axis that runs down
     high: float
     logarithmic: bool = False
 
@@ -83,31 +79,23 @@ class Axis:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Chart(Value):
-    """Layers between two axes.
-
-    layers: those with a label are in the legend.
-    equal: one unit is as long on both axes.
-    """
+    """Layers between two axes."""
 
     title: str
     x: Axis
     y: Axis
-    layers: Sequence[Layer]
-    equal: bool = False
+    layers: Sequence[Layer]  # those with a label are in the legend
+    equal: bool = False  # one unit is as long on both axes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ChartSheet(Value):
-    """Charts side by side, each with its legend below, or above each other with one abscissa and one legend below.
-
-    width_in, height_in: of a chart, without labels.
-    stacked: above each other.
-    """
+    """Charts side by side, each with its legend below, or above each other with one abscissa and one legend below."""
 
     charts: Sequence[Chart]
-    width_in: float
+    width_in: float  # width_in, height_in: of a chart, without labels
     height_in: float
-    stacked: bool = False
+    stacked: bool = False  # above each other
 
 
 def charts_svg(sheet: ChartSheet, name: str) -> str:

@@ -52,19 +52,15 @@ class Layer(Value):
     """Points of one meaning over an image or in a chart.
 
     points: (n, 2); over an image px, in a chart in the units of its axes; of ``BARS`` and ``ARROWS`` two for each.
-    size: points; diameter of a marker; of lines unused.
-    width: points; of strokes.
-    fill: color inside of a marker.
-    label: for a legend; empty for none.
     """
 
     points: Float
     shape: MarkShape
     color: str
-    size: float = 0.0
-    width: float = 1.0
-    fill: str = "none"
-    label: str = ""
+    size: float = 0.0  # points; diameter of a marker; of lines unused
+    width: float = 1.0  # points; of strokes
+    fill: str = "none"  # color inside of a marker
+    label: str = ""  # for a legend; empty for none
 
 
 def layer_svg(layer: Layer, name: str, points: Float) -> str:

@@ -54,15 +54,13 @@ _SOFTENING = 8.0  # level, in units of the noise, up to which the gray scale is 
 class StarMarks(Value):
     """Stars of an image, px.
 
-    detected_px: (n, 2); all detections.
     matched_px, predicted_px: (m, 2); identified stars as measured, and as the solution predicts them.
-    rejected_px: (k, 2); matches rejected as outliers.
     """
 
-    detected_px: Float
+    detected_px: Float  # (n, 2); all detections
     matched_px: Float
     predicted_px: Float
-    rejected_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    rejected_px: Float = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2); matches rejected as outliers
 
     @classmethod
     def of_detections(cls, detected_px: Float) -> StarMarks:
@@ -91,19 +89,13 @@ class CenterMark(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BodyMarks(Value):
-    """A body in an image, px.
-
-    predicted_px: A priori center.
-    radius_px: apparent radius of the sphere around it.
-    outline_px: (n, 2); A priori outline; empty for a body too small to have one.
-    lit: (n,); True for outline points in sunlight.
-    """
+    """A body in an image, px."""
 
     name: str
-    predicted_px: Float
-    radius_px: float
-    outline_px: Float
-    lit: Mask
+    predicted_px: Float  # A priori center
+    radius_px: float  # apparent radius of the sphere around it
+    outline_px: Float  # (n, 2); A priori outline; empty for a body too small to have one
+    lit: Mask  # (n,); True for outline points in sunlight
     centers: Sequence[CenterMark] = ()
 
 
@@ -129,17 +121,12 @@ def stretch_image(pixels: NDArray[np.generic], *, longest_px: int = 640) -> NDAr
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OverlayPanel(Value):
-    """An image or a part of it, and the layers drawn over it.
-
-    gray: (rows, columns); picture, stretched for viewing; empty where the panel shows no pixel.
-    picture_px: (4,); left, right, top and bottom edges of the picture in the image.
-    limits_px: (4,); left, right, top and bottom of the panel.
-    """
+    """An image or a part of it, and the layers drawn over it."""
 
     title: str
-    gray: NDArray[np.uint8]
-    picture_px: Float
-    limits_px: Float
+    gray: NDArray[np.uint8]  # (rows, columns); picture, stretched for viewing; empty where the panel shows no pixel
+    picture_px: Float  # (4,); left, right, top and bottom edges of the picture in the image
+    limits_px: Float  # (4,); left, right, top and bottom of the panel
     layers: Sequence[Layer] = ()
 
 

@@ -30,19 +30,13 @@ _MARKERS = (MarkShape.RING, MarkShape.SQUARE, MarkShape.TRIANGLE, MarkShape.DIAM
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Series(Value):
-    """One quantity of one source over a campaign.
-
-    at: (n,); time or number of the image.
-    values: (n, k); k quantities that get one panel each; NaN where there is none.
-    sigma: (n, k); their standard deviations; NaN where unknown.
-    suspect: (n,); drawn hollow.
-    """
+    """One quantity of one source over a campaign."""
 
     label: str
-    at: Float
-    values: Float
-    sigma: Float
-    suspect: Mask
+    at: Float  # (n,); time or number of the image
+    values: Float  # (n, k); k quantities that get one panel each; NaN where there is none
+    sigma: Float  # (n, k); their standard deviations; NaN where unknown
+    suspect: Mask  # (n,); drawn hollow
 
 
 def series_charts(series: Sequence[Series], panels: Sequence[str], at_label: str, title: str) -> ChartSheet:

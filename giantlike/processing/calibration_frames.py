@@ -36,18 +36,12 @@ _BLOCK_ROWS = 64  # rows of all exposures that are combined at a time, to bound 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CombinedFrame(Value):
-    """Several exposures of the same thing as one.
+    """Several exposures of the same thing as one."""
 
-    pixels: in DN; their mean; 0 where every exposure is bad.
-    mask: True where every exposure is bad.
-    noise: in DN; standard deviation of a pixel of the mean, root mean square over the frame.
-    count: number of exposures.
-    """
-
-    pixels: NDArray[np.float32]
-    mask: Mask
-    noise: float
-    count: int
+    pixels: NDArray[np.float32]  # in DN; their mean; 0 where every exposure is bad
+    mask: Mask  # True where every exposure is bad
+    noise: float  # in DN; standard deviation of a pixel of the mean, root mean square over the frame
+    count: int  # number of exposures
 
 
 def combine_frames(
@@ -123,14 +117,12 @@ def _is_near_median(block: Float, sigma: float) -> Mask:
 class CalibratedPixels(Value):
     """Pixels corrected for bias, dark current and differences of response, with their mask and detector.
 
-    pixels: in DN; 0 where the mask is True.
-    mask: True where a pixel is bad.
     detector: noise and limits of these pixels: with the noise of the frames, without the bias that was subtracted.
         Saturation is as in the raw image.
     """
 
-    pixels: NDArray[np.float32]
-    mask: Mask
+    pixels: NDArray[np.float32]  # in DN; 0 where the mask is True
+    mask: Mask  # True where a pixel is bad
     detector: Detector
 
 
@@ -138,18 +130,15 @@ class CalibratedPixels(Value):
 class CalibrationFrames(Value):
     """Frames that correct the images of one detector: ``(raw - bias - dark * exposure ratio) / flat``.
 
-    bias: exposures of zero length.
-    dark: exposures without light.
-    dark_exposure_s: exposure of the dark; needed with a dark.
     dark_has_bias: True if the dark was not corrected for the bias, as raw exposures. Without a bias frame such a dark
         only applies to images of the same exposure.
     flat: response of the pixels to uniform light, without bias and dark; scaled to a median of 1.
     bad: True where a pixel is bad. Hot pixels of the dark and dead ones of the flat are added to it.
     """
 
-    bias: CombinedFrame | None = None
-    dark: CombinedFrame | None = None
-    dark_exposure_s: float | None = None
+    bias: CombinedFrame | None = None  # exposures of zero length
+    dark: CombinedFrame | None = None  # exposures without light
+    dark_exposure_s: float | None = None  # exposure of the dark; needed with a dark
     dark_has_bias: bool = True
     flat: CombinedFrame | None = None
     bad: Mask = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))

@@ -35,14 +35,12 @@ _CONTRAST_LIMIT = 1e-5  # minimum standard deviation / largest value that float3
 class CorrelationOptions:
     """Options of :func:`locate_template`.
 
-    search_px: largest distance from the predicted position, along each axis.
-    min_score: minimum correlation of a detection.
     min_overlap: minimum number of common pixels of image and template, relative to the largest such number in the
         search region.
     """
 
-    search_px: int = 40
-    min_score: float = 0.5
+    search_px: int = 40  # largest distance from the predicted position, along each axis
+    min_score: float = 0.5  # minimum correlation of a detection
     min_overlap: float = 0.3
 
     def __post_init__(self) -> None:
@@ -56,16 +54,13 @@ class CorrelationOptions:
 class CorrelationPeak(Value):
     """The highest point of a correlation surface.
 
-    offset_px: column and row of the peak in the surface, to a fraction of a pixel.
-    score: correlation at the pixel of the peak, -1 to 1.
-    at_edge: True if the peak lies on the border of the surface or of the part of it that is defined.
     covariance_px2: of ``offset_px``, from the noise of the image as the peak itself shows it: see :func:`find_peak`.
         Infinite where the surface has no rounded peak.
     """
 
-    offset_px: Float
-    score: float
-    at_edge: bool
+    offset_px: Float  # column and row of the peak in the surface, to a fraction of a pixel
+    score: float  # correlation at the pixel of the peak, -1 to 1
+    at_edge: bool  # True if the peak lies on the border of the surface or of the part of it that is defined
     covariance_px2: Float
 
 

@@ -30,20 +30,13 @@ _SINGULAR = 1e-12  # minimum pivot of a normal matrix of trace 1 that determines
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CorrelatedFit(Value):
-    """Parameters of a linear model and their covariance.
+    """Parameters of a linear model and their covariance."""
 
-    solution: (k,).
-    covariance: (k, k).
-    noise_scale: scatter of the independent part / given sigmas: 1 when noise explains it.
-    correlated_sigma: standard deviation of the part correlated between neighbors, unit of the residuals.
-    correlation_length: distance over which it falls to 1/e, unit of the points; most likely value.
-    """
-
-    solution: Float
-    covariance: Float
-    noise_scale: float
-    correlated_sigma: float
-    correlation_length: float
+    solution: Float  # (k,)
+    covariance: Float  # (k, k)
+    noise_scale: float  # scatter of the independent part / given sigmas: 1 when noise explains it
+    correlated_sigma: float  # standard deviation of the part correlated between neighbors, unit of the residuals
+    correlation_length: float  # distance over which it falls to 1/e, unit of the points; most likely value
 
     def residual_covariance(self, sigma: Float, points: Float) -> Float:
         """Covariance of residuals. ``sigma`` (n,); ``points`` (n, d); returns (n, n)."""

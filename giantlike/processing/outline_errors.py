@@ -41,17 +41,13 @@ class OutlineErrors(Value):
 
     noise_scale2: (g,); variance of the independent part / given variances, with each of g correlated errors: several
         kinds, each with several variances.
-    shared_variance: (g,); variance of the part correlated between neighbors, unit of the residuals squared.
-    log_likelihood: (g,).
-    lengths: (s,); correlation lengths of the first s kinds, unit of the points; the others are kinds of relief.
-    radius: of the outline, unit of the points.
     """
 
     noise_scale2: Float
-    shared_variance: Float
-    log_likelihood: Float
-    lengths: Float
-    radius: float
+    shared_variance: Float  # (g,); variance of the part correlated between neighbors, unit of the residuals squared
+    log_likelihood: Float  # (g,)
+    lengths: Float  # (s,); correlation lengths of the first s kinds, unit of the points; the others are kinds of relief
+    radius: float  # of the outline, unit of the points
 
     @property
     def chance(self) -> Float:
@@ -104,16 +100,11 @@ class OutlineErrors(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PointCovariances(Value):
-    """Covariances (n, n) of points along an outline, unit of the residuals squared.
+    """Covariances (n, n) of points along an outline, unit of the residuals squared."""
 
-    noise: (n, n); without relief: independent noise, and noise common to near neighbors.
-    relief: (n, n).
-    for_weights: (n, n); from which weights are made: without smooth relief.
-    """
-
-    noise: Float
-    relief: Float
-    for_weights: Float
+    noise: Float  # (n, n); without relief: independent noise, and noise common to near neighbors
+    relief: Float  # (n, n)
+    for_weights: Float  # (n, n); from which weights are made: without smooth relief
 
 
 def outline_errors(

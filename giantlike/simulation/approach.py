@@ -156,46 +156,30 @@ class ApproachOptions:
 class ApproachFrame(Value):
     """An image to be taken: its truth and its a priori knowledge.
 
-    shot: true exposure.
-    scene: true scene.
-    target: name of the body in view.
-    star_image: True for a long exposure, in which the body is saturated.
-    seed: (int, int); seed of the noise of this image.
-    apriori_camera_from_inertial: attitude with its error; None where the attitude is lost.
-    apriori_observer: observer with its error.
     apriori_geometry: geometry of the target with the error of the predicted position; orientation and Sun are exact.
     """
 
-    shot: Shot
-    scene: Scene
-    target: str
-    star_image: bool
-    seed: tuple[int, int]
-    apriori_camera_from_inertial: Rotation | None
-    apriori_observer: ObserverState
+    shot: Shot  # true exposure
+    scene: Scene  # true scene
+    target: str  # name of the body in view
+    star_image: bool  # True for a long exposure, in which the body is saturated
+    seed: tuple[int, int]  # (int, int); seed of the noise of this image
+    apriori_camera_from_inertial: Rotation | None  # attitude with its error; None where the attitude is lost
+    apriori_observer: ObserverState  # observer with its error
     apriori_geometry: ApparentGeometry
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Approach(Value):
-    """A simulated campaign whose images are not yet made.
+    """A simulated campaign whose images are not yet made."""
 
-    camera: the camera.
-    photometry: zero point of the camera.
-    sun_distance_au: of the bodies, au.
-    detector: effects of the detector.
-    targets: bodies with their true ephemerides.
-    frames: images in order of time.
-    options: options that the approach was planned with.
-    """
-
-    camera: Camera
-    photometry: Photometry
-    sun_distance_au: float
-    detector: DetectorModel
-    targets: tuple[Target, ...]
-    frames: tuple[ApproachFrame, ...]
-    options: ApproachOptions
+    camera: Camera  # the camera
+    photometry: Photometry  # zero point of the camera
+    sun_distance_au: float  # of the bodies, au
+    detector: DetectorModel  # effects of the detector
+    targets: tuple[Target, ...]  # bodies with their true ephemerides
+    frames: tuple[ApproachFrame, ...]  # images in order of time
+    options: ApproachOptions  # options that the approach was planned with
 
     def take(self, frame: ApproachFrame, catalog: StarCatalog) -> SimulatedImage:
         """Simulate the image of a frame; equal frames give equal images."""

@@ -28,39 +28,35 @@ _GRID = 5  # points along each side of the frame over which the shift of an atti
 class AttitudeError(Value):
     """Error of the attitude of one image.
 
-    file, source, status, reason: as in ``attitudes.csv``.
     error_px: (2,); root mean square shift of the image by the error, over the frame, per axis. None without an
         attitude.
     sigma_px: (2,); as above, for the reported covariance (the three sigmas about the camera axes).
-    normalized: (3,); errors about the camera axes over their reported sigmas.
     """
 
-    file: str
-    source: str
-    status: str
-    reason: str
+    file: str  # as in ``attitudes.csv``
+    source: str  # as in ``attitudes.csv``
+    status: str  # as in ``attitudes.csv``
+    reason: str  # as in ``attitudes.csv``
     error_px: Float | None = None
     sigma_px: Float | None = None
-    normalized: Float | None = None
+    normalized: Float | None = None  # (3,); errors about the camera axes over their reported sigmas
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObservationError(Value):
     """Error of one estimator on one image.
 
-    file, target, estimator, status, reason: as in ``observations.csv``.
-    diameter_px, phase_deg: True apparent diameter and phase angle.
     error_px, sigma_px: (2,); measured minus true center; reported sigmas. None without a fix.
     nees: squared error normalized by the reported covariance (2 x 2): 2 on average where the covariance is correct.
     range_error, range_sigma: measured minus true range, and its reported sigma, both divided by the true range.
     """
 
-    file: str
-    target: str
-    estimator: str
-    status: str
-    reason: str
-    diameter_px: float
+    file: str  # as in ``observations.csv``
+    target: str  # as in ``observations.csv``
+    estimator: str  # as in ``observations.csv``
+    status: str  # as in ``observations.csv``
+    reason: str  # as in ``observations.csv``
+    diameter_px: float  # diameter_px, phase_deg: True apparent diameter and phase angle
     phase_deg: float
     error_px: Float | None = None
     sigma_px: Float | None = None
@@ -71,12 +67,9 @@ class ObservationError(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TruthComparison(Value):
-    """Errors of a whole run: one entry per row of its tables, and the truth that they are counted from.
+    """Errors of a whole run: one entry per row of its tables, and the truth that they are counted from."""
 
-    truth: every image, whether the run holds it or not.
-    """
-
-    truth: tuple[TruthRow, ...]
+    truth: tuple[TruthRow, ...]  # every image, whether the run holds it or not
     attitudes: tuple[AttitudeError, ...]
     observations: tuple[ObservationError, ...]
 
@@ -85,29 +78,23 @@ class TruthComparison(Value):
 class ErrorSummary(Value):
     """Errors of many fixes and their reported sigmas.
 
-    n_images: rows in the table.
-    n_fixes: number of fixes with status ``ok``; only these count below.
-    n_suspect: number of fixes with status ``suspect``.
-    failures: number of failed rows by reason.
     rms_px, sigma_px: (2,); root mean square of errors and of reported sigmas, per axis; NaN without fixes.
-    chi2, dof: sum of squared normalized errors and number of them, without the range.
     range_rms, range_sigma, range_chi2: relative errors of the range, relative reported sigmas, sum of squared
         normalized errors; NaN without ranges.
-    n_ranges: number of ranges.
     """
 
-    n_images: int
-    n_fixes: int
-    n_suspect: int
-    failures: Mapping[str, int]
+    n_images: int  # rows in the table
+    n_fixes: int  # number of fixes with status ``ok``; only these count below
+    n_suspect: int  # number of fixes with status ``suspect``
+    failures: Mapping[str, int]  # number of failed rows by reason
     rms_px: Float
     sigma_px: Float
-    chi2: float
+    chi2: float  # chi2, dof: sum of squared normalized errors and number of them, without the range
     dof: int
     range_rms: float
     range_sigma: float
     range_chi2: float
-    n_ranges: int
+    n_ranges: int  # number of ranges
 
 
 def compare_run(run: Path, truth: Path, camera: Camera) -> TruthComparison:

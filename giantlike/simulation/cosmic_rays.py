@@ -21,21 +21,16 @@ class CosmicRays:
 
     The flux is isotropic, so that the squared sine of the angle of incidence is uniform.
 
-    rate_s_cm2: in 1/s/cm^2; rate through the area of the detector.
-    hits_per_image: mean number of hits in an image of any exposure, added to the rate.
-    pixel_um: pixel pitch.
-    thickness_um: depth in which charge is collected: with the incidence it gives the length of a track.
     charge_e_um: in electron/um; median charge per path length. The default, 80, is about the value of a minimum
         ionizing particle in silicon.
-    charge_spread: standard deviation of the natural logarithm of that charge, from particle to particle.
     """
 
-    rate_s_cm2: float = 0.0
-    hits_per_image: float = 0.0
-    pixel_um: float = 10.0
-    thickness_um: float = 15.0
+    rate_s_cm2: float = 0.0  # in 1/s/cm^2; rate through the area of the detector
+    hits_per_image: float = 0.0  # mean number of hits in an image of any exposure, added to the rate
+    pixel_um: float = 10.0  # pixel pitch
+    thickness_um: float = 15.0  # depth in which charge is collected: with the incidence it gives the length of a track
     charge_e_um: float = 80.0
-    charge_spread: float = 0.4
+    charge_spread: float = 0.4  # standard deviation of the natural logarithm of that charge, from particle to particle
 
     def __post_init__(self) -> None:
         for name in ("rate_s_cm2", "hits_per_image", "charge_spread"):
@@ -51,15 +46,11 @@ class CosmicRays:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tracks(Value):
-    """Tracks of particles.
+    """Tracks of particles."""
 
-    start_px, end_px: (n, 2); points at which each enters and leaves the layer that collects charge.
-    charge_e: (n,); charge of the whole track, spread evenly over its length.
-    """
-
-    start_px: Float
+    start_px: Float  # start_px, end_px: (n, 2); points at which each enters and leaves the layer that collects charge
     end_px: Float
-    charge_e: Float
+    charge_e: Float  # (n,); charge of the whole track, spread evenly over its length
 
     def deposited_e(self, columns: int, rows: int) -> Float:
         """Charge (rows, columns), electron, in the pixels; the parts of tracks outside the detector are left out."""

@@ -52,11 +52,10 @@ class HotPixels(Value):
     """Pixels with a high dark current.
 
     points_px: (n, 2) int64, px; column and row of each; those outside a frame are left out.
-    rate_e_s: (n,), electron/s; dark current of each.
     """
 
     points_px: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
-    rate_e_s: Float = field(default_factory=lambda: np.zeros(0))
+    rate_e_s: Float = field(default_factory=lambda: np.zeros(0))  # (n,), electron/s; dark current of each
 
     def __post_init__(self) -> None:
         require(
@@ -93,28 +92,19 @@ class DetectorModel(Value):
 
     By default only shot noise is on.
 
-    stray: stray light.
-    flat: response of the pixels.
-    transfer: smear of the frame transfer.
-    dark: dark current.
-    hot_pixels: pixels with a high dark current.
     dead_px: (n, 2) int64, px; column and row of pixels that hold no charge; those outside a frame are left out.
-    shot_noise: True to draw shot noise.
-    cosmic_rays: tracks of charged particles.
-    well: full-well capacity and blooming.
-    bits: bits of the converter, at most 16: numbers end at ``2^bits - 1``.
     """
 
-    stray: StrayLight = field(default_factory=StrayLight)
-    flat: FlatField = field(default_factory=FlatField)
-    transfer: FrameTransfer = field(default_factory=FrameTransfer)
-    dark: DarkCurrent = field(default_factory=DarkCurrent)
-    hot_pixels: HotPixels = field(default_factory=HotPixels)
+    stray: StrayLight = field(default_factory=StrayLight)  # stray light
+    flat: FlatField = field(default_factory=FlatField)  # response of the pixels
+    transfer: FrameTransfer = field(default_factory=FrameTransfer)  # smear of the frame transfer
+    dark: DarkCurrent = field(default_factory=DarkCurrent)  # dark current
+    hot_pixels: HotPixels = field(default_factory=HotPixels)  # pixels with a high dark current
     dead_px: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
-    shot_noise: bool = True
-    cosmic_rays: CosmicRays = field(default_factory=CosmicRays)
-    well: FullWell = field(default_factory=FullWell)
-    bits: int = 16
+    shot_noise: bool = True  # True to draw shot noise
+    cosmic_rays: CosmicRays = field(default_factory=CosmicRays)  # tracks of charged particles
+    well: FullWell = field(default_factory=FullWell)  # full-well capacity and blooming
+    bits: int = 16  # bits of the converter, at most 16: numbers end at ``2^bits - 1``
 
     def __post_init__(self) -> None:
         require(
@@ -143,16 +133,11 @@ class DetectorModel(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Readout(Value):
-    """Digital numbers of an image, and the mean charge and cosmic-ray charge behind them.
+    """Digital numbers of an image, and the mean charge and cosmic-ray charge behind them."""
 
-    pixels: in DN.
-    expected_e: (rows, columns); mean charge without any noise, before saturation.
-    cosmic_e: (rows, columns); charge left by cosmic rays.
-    """
-
-    pixels: NDArray[np.uint16]
-    expected_e: Float
-    cosmic_e: Float
+    pixels: NDArray[np.uint16]  # in DN
+    expected_e: Float  # (rows, columns); mean charge without any noise, before saturation
+    cosmic_e: Float  # (rows, columns); charge left by cosmic rays
 
 
 def expose(

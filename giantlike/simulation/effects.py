@@ -17,19 +17,13 @@ from giantlike.core.values import Value
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StrayLight:
-    """Stray light: a plane and a round glow.
+    """Stray light: a plane and a round glow."""
 
-    level_e_s: in electron/s; level of the plane at the center of the detector.
-    gradient_e_s_px: in electron/s/px; gradient of the plane along x and y.
-    glow_e_s: in electron/s; peak of a Gaussian glow.
-    glow_sigma_px: standard deviation of the glow.
-    """
-
-    level_e_s: float = 0.0
-    gradient_e_s_px: tuple[float, float] = (0.0, 0.0)
-    glow_e_s: float = 0.0
+    level_e_s: float = 0.0  # in electron/s; level of the plane at the center of the detector
+    gradient_e_s_px: tuple[float, float] = (0.0, 0.0)  # in electron/s/px; gradient of the plane along x and y
+    glow_e_s: float = 0.0  # in electron/s; peak of a Gaussian glow
     glow_center_px: tuple[float, float] = (0.0, 0.0)
-    glow_sigma_px: float = 100.0
+    glow_sigma_px: float = 100.0  # standard deviation of the glow
 
     def __post_init__(self) -> None:
         for number in (*self.gradient_e_s_px, *self.glow_center_px):
@@ -103,14 +97,13 @@ class FrameTransfer:
     """Smear of a frame-transfer detector without shutter, whose rows move under the light.
 
     row_time_s: time that a row spends under the light of each other row that it passes; 0 switches the smear off.
-    storage: edge towards which the rows move after the exposure.
     swept_before: True if the rows move in the same way right before the exposure, to clear the detector: then every row
         has passed all others, and the smear of a column is nearly constant. Else a row passes only those on its way
         out.
     """
 
     row_time_s: float = 0.0
-    storage: StorageSide = StorageSide.FIRST_ROW
+    storage: StorageSide = StorageSide.FIRST_ROW  # edge towards which the rows move after the exposure
     swept_before: bool = True
 
     def __post_init__(self) -> None:
@@ -138,16 +131,13 @@ class FrameTransfer:
 class DarkCurrent:
     """Dark current, the same in every pixel; hot pixels are added to it.
 
-    rate_e_s: in electron/s; rate per pixel at the reference temperature.
-    temperature_k: K; temperature of the detector; without one the rate is not scaled.
-    reference_temperature_k: K; temperature of the rate; 20 degrees Celsius by default.
     doubling_k: K; rise of temperature that doubles the rate. The default, 6.5, stands in until the value of the
         detector is known.
     """
 
-    rate_e_s: float = 0.0
-    temperature_k: float | None = None
-    reference_temperature_k: float = 293.15
+    rate_e_s: float = 0.0  # in electron/s; rate per pixel at the reference temperature
+    temperature_k: float | None = None  # K; temperature of the detector; without one the rate is not scaled
+    reference_temperature_k: float = 293.15  # K; temperature of the rate; 20 degrees Celsius by default
     doubling_k: float = 6.5
 
     def __post_init__(self) -> None:
@@ -168,12 +158,11 @@ class DarkCurrent:
 class FullWell:
     """Full-well capacity of the pixels and blooming.
 
-    capacity_e: charge that a pixel holds; infinite by default, so that only the converter saturates.
     blooming: True if excess charge spills along the column, half of it either way, into the nearest pixels that have
         room; charge that reaches an edge of the detector drains off. Without blooming the excess is lost at once.
     """
 
-    capacity_e: float = math.inf
+    capacity_e: float = math.inf  # charge that a pixel holds; infinite by default, so that only the converter saturates
     blooming: bool = False
 
     def __post_init__(self) -> None:

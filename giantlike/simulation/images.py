@@ -22,24 +22,18 @@ from giantlike.simulation.stars import DetectorStars
 class SimulatedImage(Value):
     """A simulated image and its truth.
 
-    image: pixels uint16, with the true attitude and observer.
-    shot: the exposure.
     bodies: true apparent geometry at mid-exposure of every target that is seen in the frame, by name.
-    templates: those bodies as rendered at mid-exposure, noise-free, PSF in.
     stars: stars whose light falls on the frame and that no body hides, with true positions at mid-exposure.
-    star_electrons: (n,), electron; light of each star.
-    readout: mean charge without noise and charge of cosmic rays, pixel by pixel.
-    seed: seed of everything random.
     """
 
-    image: Image
-    shot: Shot
+    image: Image  # pixels uint16, with the true attitude and observer
+    shot: Shot  # the exposure
     bodies: Mapping[str, TargetGeometry]
-    templates: Mapping[str, Template]
+    templates: Mapping[str, Template]  # those bodies as rendered at mid-exposure, noise-free, PSF in
     stars: DetectorStars = field(repr=False)
-    star_electrons: Float = field(repr=False)
-    readout: Readout = field(repr=False)
-    seed: Seed
+    star_electrons: Float = field(repr=False)  # (n,), electron; light of each star
+    readout: Readout = field(repr=False)  # mean charge without noise and charge of cosmic rays, pixel by pixel
+    seed: Seed  # seed of everything random
 
 
 def simulate_image(

@@ -84,15 +84,12 @@ class SimulationOptions:
 
     rays_per_pixel_side: rays along each side of a pixel. Each goes through a random position in its cell, so that no
         estimator's template shares the sampling.
-    max_magnitude: faintest star; by default all stars of the catalog.
-    sun_radius_rad: rad; angular radius of the Sun at the bodies, for penumbrae; 0 is a point.
-    min_rays_across: least number of rays across the narrow side of a body.
     """
 
     rays_per_pixel_side: int = 5
-    max_magnitude: float | None = None
-    sun_radius_rad: float = 0.0
-    min_rays_across: int = 256
+    max_magnitude: float | None = None  # faintest star; by default all stars of the catalog
+    sun_radius_rad: float = 0.0  # rad; angular radius of the Sun at the bodies, for penumbrae; 0 is a point
+    min_rays_across: int = 256  # least number of rays across the narrow side of a body
 
     def shared_among(self, moments: int) -> SimulationOptions:
         """Return options that spend the rays of one image on several moments, each with its own random rays."""
@@ -108,18 +105,14 @@ class SimulationOptions:
 class IncidentLight(Value):
     """Light on the pixels and its sources.
 
-    electrons: (rows, columns); mean number of photoelectrons of the exposure.
     bodies: true apparent geometry at mid-exposure of every target seen in the frame, by name.
-    templates: those bodies as rendered at mid-exposure.
-    stars: stars whose light falls on the frame, with true positions at mid-exposure.
-    star_electrons: (n,); light of each star, without the part that bodies hide.
     """
 
-    electrons: Float
+    electrons: Float  # (rows, columns); mean number of photoelectrons of the exposure
     bodies: Mapping[str, TargetGeometry]
-    templates: Mapping[str, Template]
-    stars: DetectorStars
-    star_electrons: Float
+    templates: Mapping[str, Template]  # those bodies as rendered at mid-exposure
+    stars: DetectorStars  # stars whose light falls on the frame, with true positions at mid-exposure
+    star_electrons: Float  # (n,); light of each star, without the part that bodies hide
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

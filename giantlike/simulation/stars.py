@@ -24,18 +24,12 @@ _CONE_MARGIN_RAD = 1e-3  # rad, added to the cone of stars: aberration (v/c, 1e-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DetectorStars(Value):
-    """Stars on a detector, in the order of the catalog: brightest first.
+    """Stars on a detector, in the order of the catalog: brightest first."""
 
-    ids: (n,) int64; catalog identifiers.
-    points_px: (n, 2), px; true positions in the distorted image.
-    magnitudes: (n,); catalog magnitudes.
-    directions_inertial: (n, 3), unitless, inertial; apparent unit vectors to them.
-    """
-
-    ids: NDArray[np.int64]
-    points_px: Float
-    magnitudes: Float
-    directions_inertial: Float
+    ids: NDArray[np.int64]  # (n,) int64; catalog identifiers
+    points_px: Float  # (n, 2), px; true positions in the distorted image
+    magnitudes: Float  # (n,); catalog magnitudes
+    directions_inertial: Float  # (n, 3), unitless, inertial; apparent unit vectors to them
 
     def select(self, index: ArrayLike) -> DetectorStars:
         """Return some of the stars.

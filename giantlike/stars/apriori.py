@@ -38,16 +38,11 @@ _VOTING_STARS, _VOTING_POINTS = 150, 100  # brightest stars and detections that 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Identification(Value):
-    """Attitude and matches found with an a priori attitude.
+    """Attitude and matches found with an a priori attitude."""
 
-    camera_from_inertial: attitude accurate enough for matching; the stars are not yet weighted.
-    matches: indices into the stars and detections that were given.
-    false_match_probability: upper bound of the probability that the matches are random.
-    """
-
-    camera_from_inertial: Rotation
-    matches: Matches
-    false_match_probability: float
+    camera_from_inertial: Rotation  # attitude accurate enough for matching; the stars are not yet weighted
+    matches: Matches  # indices into the stars and detections that were given
+    false_match_probability: float  # upper bound of the probability that the matches are random
 
 
 @one_thread()

@@ -40,36 +40,28 @@ class AttitudeSolution(Value):
 
     covariance_rad2: (3, 3), rad^2; of the small rotation about the camera axes, as in
         :class:`~giantlike.core.outcomes.AttitudeFix`; an estimated scale is marginalized.
-    model: camera model, with the estimated scale if there is one.
-    used: (n,); False for outliers.
-    predicted_px: (n, 2), px; stars projected by the solution.
-    sigma_px: (n,), px; standard deviation per axis by which each star was weighted.
     error_floor_px: px; standard deviation per axis, added in quadrature for every star to explain the residuals; 0 if
         they need none.
-    error_factor: factor on the standard deviations of the stars themselves, at least 1.
-    reduced_chi2: chi-square over degrees of freedom without the floor.
     hidden_floor_px: px; the floor that is likely where the noise explains the residuals: in the covariance, not in the
         weights. It matters where one star is far better than the others, so that the fit follows its unmodeled error.
     shared_error_px: px; standard deviation per axis of the errors that neighboring stars share, times the root of their
         probability; 0 where no error is likely. The covariance is the mean over all kinds, sizes and lengths of errors,
         each with its probability.
-    unmodeled_likely: whether errors beyond those of the stars and the floor are likely.
-    by_pixels: (3, k, 2), rad/px; derivative of the small rotation by the image positions of the k stars used.
     """
 
     camera_from_inertial: Rotation
     covariance_rad2: Float
-    model: CameraModel
-    used: Mask
-    predicted_px: Float
-    sigma_px: Float
+    model: CameraModel  # camera model, with the estimated scale if there is one
+    used: Mask  # (n,); False for outliers
+    predicted_px: Float  # (n, 2), px; stars projected by the solution
+    sigma_px: Float  # (n,), px; standard deviation per axis by which each star was weighted
     error_floor_px: float
-    error_factor: float
-    reduced_chi2: float
+    error_factor: float  # factor on the standard deviations of the stars themselves, at least 1
+    reduced_chi2: float  # chi-square over degrees of freedom without the floor
     hidden_floor_px: float
     shared_error_px: float
-    unmodeled_likely: bool
-    by_pixels: Float
+    unmodeled_likely: bool  # whether errors beyond those of the stars and the floor are likely
+    by_pixels: Float  # (3, k, 2), rad/px; derivative of the small rotation by the image positions of the k stars used
 
 
 class AttitudeMethod(StrEnum):

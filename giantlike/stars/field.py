@@ -22,16 +22,11 @@ _MARGIN = 1.05  # radius of the catalog cone / radius of the field of view: the 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarField(Value):
-    """Stars in and around the field of view, brightest first.
+    """Stars in and around the field of view, brightest first."""
 
-    stars: n stars.
-    directions_inertial: (n, 3), unitless, inertial; apparent unit vectors.
-    sigma_rad: (n,), rad; catalog error of the directions, per axis.
-    """
-
-    stars: StarTable
-    directions_inertial: Float
-    sigma_rad: Float
+    stars: StarTable  # n stars
+    directions_inertial: Float  # (n, 3), unitless, inertial; apparent unit vectors
+    sigma_rad: Float  # (n,), rad; catalog error of the directions, per axis
 
     def __len__(self) -> int:
         return len(self.stars)
@@ -48,20 +43,17 @@ class StarField(Value):
 class Sky(Value):
     """A star catalog as seen by an observer at one time.
 
-    et: s; TDB seconds past J2000; default: stars at ``EPOCH_WHEN_UNKNOWN``.
     observer_position_km: (3,), km, inertial; from the solar system barycenter; without it parallax is not applied.
     observer_velocity_km_s: (3,), km/s, inertial; relative to the solar system barycenter; without it aberration is not
         applied and becomes part of the attitude.
-    max_magnitude: faintest star, in the band of the catalog.
-    light_deflection: apply the deflection by the Sun; only where the position of the observer is known.
     """
 
     catalog: StarCatalog
-    et: float | None = None
+    et: float | None = None  # s; TDB seconds past J2000; default: stars at ``EPOCH_WHEN_UNKNOWN``
     observer_position_km: Float | None = None
     observer_velocity_km_s: Float | None = None
-    max_magnitude: float | None = None
-    light_deflection: bool = False
+    max_magnitude: float | None = None  # faintest star, in the band of the catalog
+    light_deflection: bool = False  # apply the deflection by the Sun; only where the position of the observer is known
 
     def field(
         self, camera: Camera, camera_from_inertial: Rotation, *, margin_px: float = 0.0, count: int | None = None

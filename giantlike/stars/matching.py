@@ -27,15 +27,11 @@ _DISTORTION = 0.05  # of the half size of the image: bound on the distortion tha
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Matches(Value):
-    """Pairs of a star and a detection, each in at most one pair.
+    """Pairs of a star and a detection, each in at most one pair."""
 
-    star_indices, detection_indices: (k,).
-    distance_px: (k,).
-    """
-
-    star_indices: NDArray[np.intp]
-    detection_indices: NDArray[np.intp]
-    distance_px: Float
+    star_indices: NDArray[np.intp]  # (k,)
+    detection_indices: NDArray[np.intp]  # (k,)
+    distance_px: Float  # (k,)
 
     def __len__(self) -> int:
         return int(self.star_indices.size)

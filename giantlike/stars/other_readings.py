@@ -28,14 +28,11 @@ _ALONG_AXIS = 0.999  # smallest component along an axis, to 2.6 degrees, from wh
 
 @dataclass(frozen=True, slots=True)
 class _Reading:
-    """An a priori attitude, or the pixels of an image, read in another way.
-
-    flip: factors (2,) of x and y about the center of the image.
-    """
+    """An a priori attitude, or the pixels of an image, read in another way."""
 
     text: str
     camera_from_inertial: Rotation
-    flip: Float = field(default_factory=lambda: np.ones(2))
+    flip: Float = field(default_factory=lambda: np.ones(2))  # factors (2,) of x and y about the center of the image
 
 
 def attitude_readings(apriori: Rotation) -> list[_Reading]:

@@ -26,16 +26,11 @@ _NARROWEST = 0.1  # width of a pattern relative to the widest: the relative erro
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scope(Value):
-    """Tolerances and focal lengths of a search for patterns.
+    """Tolerances and focal lengths of a search for patterns."""
 
-    tolerance_rad: largest error of the angle between two stars.
-    half_size_rad: angle from the center of the image to its edge: the lever arm of a roll error.
-    scales: (s,); focal lengths to try, relative to the camera's, ascending; a single 1 where it is known.
-    """
-
-    tolerance_rad: float
-    half_size_rad: float
-    scales: Float
+    tolerance_rad: float  # largest error of the angle between two stars
+    half_size_rad: float  # angle from the center of the image to its edge: the lever arm of a roll error
+    scales: Float  # (s,); focal lengths to try, relative to the camera's, ascending; a single 1 where it is known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,15 +38,12 @@ class Hypothesis(Value):
     """An attitude shared by several patterns of detections.
 
     camera_from_inertial: for the directions of the index, which has neither aberration nor the epoch of the image.
-    scale: focal length relative to the camera's.
-    star_ids: (k,); catalog identifiers.
-    detection_indices: (k,); detections of these stars.
     """
 
     camera_from_inertial: Rotation
-    scale: float
-    star_ids: NDArray[np.int64]
-    detection_indices: NDArray[np.intp]
+    scale: float  # focal length relative to the camera's
+    star_ids: NDArray[np.int64]  # (k,); catalog identifiers
+    detection_indices: NDArray[np.intp]  # (k,); detections of these stars
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,13 +194,10 @@ def _pair_stars(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Search(Value):
-    """Groups of detections that form patterns, and the radius of the caps of the index to use.
-
-    groups: tuple of (k,); indices of detections, brightest first.
-    """
+    """Groups of detections that form patterns, and the radius of the caps of the index to use."""
 
     radius_rad: float
-    groups: tuple[NDArray[np.intp], ...]
+    groups: tuple[NDArray[np.intp], ...]  # tuple of (k,); indices of detections, brightest first
 
 
 def searches(vectors: Float, half_fov_rad: float, pattern: Pattern) -> Iterator[Search]:

@@ -40,20 +40,13 @@ SMALLEST_GATE_PX = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RefinedAttitude(Value):
-    """An attitude, its stars, and the probability that their matches are random.
+    """An attitude, its stars, and the probability that their matches are random."""
 
-    field: stars that detections could be matched with.
-    solution: arrays in the order of ``matches``.
-    matches: indices into the star field and the detections; ``solution.used`` is False for outliers.
-    n_detections: number of detections that could be matched.
-    false_match_probability: upper bound of the probability that the matches are random.
-    """
-
-    field: StarField
-    solution: AttitudeSolution
-    matches: Matches
-    n_detections: int
-    false_match_probability: float
+    field: StarField  # stars that detections could be matched with
+    solution: AttitudeSolution  # arrays in the order of ``matches``
+    matches: Matches  # indices into the star field and the detections; ``solution.used`` is False for outliers
+    n_detections: int  # number of detections that could be matched
+    false_match_probability: float  # upper bound of the probability that the matches are random
 
 
 @one_thread()

@@ -54,15 +54,13 @@ count twice: 6 pi / (8 pi + 3 sqrt(3)), area of a disk / area of two through eac
 class UnmodeledErrors(Value):
     """Effect of unmodeled errors of stars on an attitude: the mean over sizes and correlation lengths.
 
-    likely: whether errors of any kind are more likely than none.
-    covariance_rad2: of the attitude, for these errors alone.
     own_px, scale_px, shared_px: root mean square per axis, over all hypotheses, of errors of single stars, of scale
         errors, and of errors that neighbors share (the part of smooth fields that differs from star to star). All are 0
         where no error is likely and no star decides alone.
     """
 
-    likely: bool
-    covariance_rad2: Float
+    likely: bool  # whether errors of any kind are more likely than none
+    covariance_rad2: Float  # of the attitude, for these errors alone
     own_px: float
     scale_px: float
     shared_px: float
@@ -70,21 +68,14 @@ class UnmodeledErrors(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AttitudeResiduals(Value):
-    """Residuals of a fit of n stars, and their derivatives.
+    """Residuals of a fit of n stars, and their derivatives."""
 
-    points_px, residuals_px: (n, 2).
-    covariance_px2: (n, 2, 2); of the stars themselves.
-    jacobian: (n, 2, k); derivative of the positions by the parameters of the fit.
-    scaling_px: (n, 2); derivative of the positions by the logarithm of the focal length.
-    by_pixels: (3, n, 2) rad/px; derivative of the attitude by the image positions of the stars.
-    """
-
-    points_px: Float
-    residuals_px: Float
-    covariance_px2: Float
-    jacobian: Float
-    scaling_px: Float
-    by_pixels: Float
+    points_px: Float  # (n, 2)
+    residuals_px: Float  # (n, 2)
+    covariance_px2: Float  # (n, 2, 2); of the stars themselves
+    jacobian: Float  # (n, 2, k); derivative of the positions by the parameters of the fit
+    scaling_px: Float  # (n, 2); derivative of the positions by the logarithm of the focal length
+    by_pixels: Float  # (3, n, 2) rad/px; derivative of the attitude by the image positions of the stars
 
     def alike(self, sigma_px: Float) -> bool:
         """Tell whether nearest neighbors have residuals in the same direction, significantly so. ``sigma_px`` (n,)."""

@@ -84,20 +84,16 @@ class Pattern(StrEnum):
 class StarIndex(Value):
     """Patterns of stars that can be looked up by shape.
 
-    radius_rad: radius of the caps; no pattern is wider than twice as much.
-    ids: (n,); catalog identifiers of the stars in patterns.
-    directions: (n, 3), inertial axes; unit vectors to the stars.
     patterns: (m, 3) or (m, 4) uint32; indices of stars, in the order of :func:`describe_triads` or
         :func:`describe_quads`.
-    cells: (m,) uint32; cell of each pattern's code, ascending.
     """
 
     pattern: Pattern
-    radius_rad: float
-    ids: NDArray[np.int64]
-    directions: Float
+    radius_rad: float  # radius of the caps; no pattern is wider than twice as much
+    ids: NDArray[np.int64]  # (n,); catalog identifiers of the stars in patterns
+    directions: Float  # (n, 3), inertial axes; unit vectors to the stars
     patterns: NDArray[np.uint32]
-    cells: NDArray[np.uint32]
+    cells: NDArray[np.uint32]  # (m,) uint32; cell of each pattern's code, ascending
 
     def __len__(self) -> int:
         return int(self.cells.size)

@@ -73,14 +73,13 @@ class StarAttitude(Value):
     """A star solution and its time.
 
     covariance_rad2: of the small rotation about the camera axes, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
-    apriori: a priori ``camera_from_inertial``.
     errors: by cause, and those shared with the camera, of which every solution of one camera has the same.
     """
 
     et: float
     camera_from_inertial: Rotation
     covariance_rad2: Float
-    apriori: Rotation | None = None
+    apriori: Rotation | None = None  # a priori ``camera_from_inertial``
     errors: AttitudeErrors = field(default_factory=AttitudeErrors)
 
     def __post_init__(self) -> None:
@@ -94,18 +93,14 @@ class TransferredAttitude(Value):
 
     covariance_rad2: of the small rotation about the camera axes: the propagated errors of the star solutions, and the
         drift.
-    used: indices of the star solutions used, one or two.
-    weights: fraction of each of them in the attitude; they sum to 1.
-    gap_s: time to the nearest of them.
-    errors: those of the star solutions carried along; the drift is noise.
     """
 
     camera_from_inertial: Rotation
     covariance_rad2: Float
-    used: tuple[int, ...]
-    weights: tuple[float, ...]
-    gap_s: float
-    errors: AttitudeErrors
+    used: tuple[int, ...]  # indices of the star solutions used, one or two
+    weights: tuple[float, ...]  # fraction of each of them in the attitude; they sum to 1
+    gap_s: float  # time to the nearest of them
+    errors: AttitudeErrors  # those of the star solutions carried along; the drift is noise
 
 
 def transfer_attitude(

@@ -24,19 +24,13 @@ _OUTLINE_ANGLES = 720
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RenderedMatch(Value):
-    """A body rendered at a fix of it, in the units of the image.
+    """A body rendered at a fix of it, in the units of the image."""
 
-    target, estimator: estimator is empty for the prediction.
-    model_dn: (rows, columns); rendered body, scaled to the image by least squares, on its background.
-    image_dn: (rows, columns).
-    region: (rows, columns); good pixels of the template and its border.
-    """
-
-    target: str
+    target: str  # target, estimator: estimator is empty for the prediction
     estimator: str
-    model_dn: Float
-    image_dn: Float
-    region: Mask
+    model_dn: Float  # (rows, columns); rendered body, scaled to the image by least squares, on its background
+    image_dn: Float  # (rows, columns)
+    region: Mask  # (rows, columns); good pixels of the template and its border
     template: Template
 
     @property
@@ -63,16 +57,11 @@ class RenderedMatch(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LimbResiduals(Value):
-    """Limb points of a fix, relative to the outline of the body there.
+    """Limb points of a fix, relative to the outline of the body there."""
 
-    points: (n, 2) px.
-    angle_deg: (n,); around the center of the fix, from +x towards +y.
-    distance_px: (n,); from the outline, positive outward.
-    """
-
-    points: Float
-    angle_deg: Float
-    distance_px: Float
+    points: Float  # (n, 2) px
+    angle_deg: Float  # (n,); around the center of the fix, from +x towards +y
+    distance_px: Float  # (n,); from the outline, positive outward
 
 
 def match_of(session: Session, file: str, target: str, estimator: str | None = None) -> RenderedMatch:

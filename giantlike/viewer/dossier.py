@@ -42,14 +42,10 @@ _EXPORTS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InputFile:
-    """An input file of a run.
+    """An input file of a run."""
 
-    role: role in the campaign: ``image``, ``camera``, ``kernel``, ...
-    path: relative to the dossier.
-    """
-
-    role: str
-    path: str
+    role: str  # role in the campaign: ``image``, ``camera``, ``kernel``,
+    path: str  # relative to the dossier
     sha256: str
 
 

@@ -48,17 +48,12 @@ class _Dossier(BaseModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DossierCheck:
-    """Comparison of a dossier and its inputs with their recorded hashes.
+    """Comparison of a dossier and its inputs with their recorded hashes."""
 
-    same: number of unchanged files.
-    changed, missing: roles and paths of inputs, and files of the dossier.
-    versions: packages that have another version here; they do not make the dossier wrong.
-    """
-
-    same: int
-    changed: tuple[str, ...]
+    same: int  # number of unchanged files
+    changed: tuple[str, ...]  # changed, missing: roles and paths of inputs, and files of the dossier
     missing: tuple[str, ...]
-    versions: tuple[str, ...]
+    versions: tuple[str, ...]  # packages that have another version here; they do not make the dossier wrong
 
     @property
     def holds(self) -> bool:

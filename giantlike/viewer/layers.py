@@ -33,25 +33,18 @@ LANDMARK, LANDMARK_REJECTED = "#22d3ff", MARKS["limb points rejected"]
 class MarkLayer(Value):
     """Marks of one meaning.
 
-    name: one of ``LAYERS``.
-    title: content, with target and estimator.
-    layer: points, shape and color.
-    labels: description of each point; empty where there is none.
     names: short text next to each point; empty where there is none. The most important points come first.
-    star_ids: number of each point in the catalog; empty where points are not stars.
-    rejected: True for what a user rejected.
-    subject: target and estimator of limb points.
     sigmas: residual of each point in its sigma, of limb points in the RMS of all; empty where there is none.
     """
 
-    name: str
-    title: str
-    layer: Layer
-    labels: Sequence[str] = ()
+    name: str  # one of ``LAYERS``
+    title: str  # content, with target and estimator
+    layer: Layer  # points, shape and color
+    labels: Sequence[str] = ()  # description of each point; empty where there is none
     names: Sequence[str] = ()
-    star_ids: Sequence[int] = field(default=())
-    rejected: bool = False
-    subject: tuple[str, str] = ("", "")
+    star_ids: Sequence[int] = field(default=())  # number of each point in the catalog; empty where points are not stars
+    rejected: bool = False  # True for what a user rejected
+    subject: tuple[str, str] = ("", "")  # target and estimator of limb points
     sigmas: Sequence[float] = ()
 
 

@@ -33,9 +33,6 @@ class SeenImage:
 
     points: lists of points as :meth:`~giantlike.campaign.store.run_folder.RunFolder.points` returns them, by target and
         estimator of an observation; the lists of the image itself by two empty names.
-    targets: A priori geometry and outlines.
-    edits: decisions in effect.
-    rejected_fixes: fixes that were rejected, as they were before.
     terminators: mapping of str to tuple of (n, 2) px; by target, where
         :func:`~giantlike.viewer.planes.with_terminators` traced them.
     """
@@ -43,9 +40,9 @@ class SeenImage:
     record: AttitudeRecord
     observations: tuple[ObservationRecord, ...]
     points: Mapping[tuple[str, str], Mapping[str, Any]]
-    targets: tuple[TargetRecord, ...]
-    edits: tuple[Edit, ...]
-    rejected_fixes: tuple[ObservationRecord, ...] = ()
+    targets: tuple[TargetRecord, ...]  # A priori geometry and outlines
+    edits: tuple[Edit, ...]  # decisions in effect
+    rejected_fixes: tuple[ObservationRecord, ...] = ()  # fixes that were rejected, as they were before
     terminators: Mapping[str, tuple[Float, ...]] = field(default_factory=dict)
 
     @property

@@ -32,16 +32,11 @@ _BYTES_PER_VERTEX, _BYTES_PER_PLATE = 24, 12  # three float64, three 32 bit inte
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DskIdentity:
-    """Identity that a DSK states besides its plates.
+    """Identity that a DSK states besides its plates."""
 
-    center: NAIF number of the body, such as 2101955 for Bennu.
-    frame: body-fixed frame that SPICE knows, built in or from kernels that are loaded, such as ``IAU_PHOBOS``.
-    surface: number of the surface, which tells several shapes of one body apart.
-    """
-
-    center: int
-    frame: str
-    surface: int = 1
+    center: int  # NAIF number of the body, such as 2101955 for Bennu
+    frame: str  # body-fixed frame that SPICE knows, built in or from kernels that are loaded, such as ``IAU_PHOBOS``
+    surface: int = 1  # number of the surface, which tells several shapes of one body apart
 
     def __post_init__(self) -> None:
         limit = 2**31

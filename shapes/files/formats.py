@@ -32,16 +32,13 @@ def read_text(path: Path) -> Surface:
 class ShapeFormat:
     """A format of shape files.
 
-    name: with its article, for messages.
-    read: takes a path and returns a :class:`~giantlike.shapes.surface.Surface`.
     write: takes a path and a mesh; None for a DSK, which needs its identity as well.
-    albedo: kinds of albedo that files can hold.
     """
 
-    name: str
-    read: Callable[[Path], Surface]
+    name: str  # with its article, for messages
+    read: Callable[[Path], Surface]  # takes a path and returns a :class:`~giantlike.shapes.surface.Surface`
     write: Callable[[Path, TriangleMesh], None] | None
-    albedo: tuple[type[Albedo], ...] = ()
+    albedo: tuple[type[Albedo], ...] = ()  # kinds of albedo that files can hold
 
 
 _DSK = ShapeFormat("a DSK file", read_dsk, None)

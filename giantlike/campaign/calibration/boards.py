@@ -29,20 +29,16 @@ _USUAL = frozenset(
 class BoardSetup:
     """Board, camera model and parameters of a calibration from images of a checkerboard.
 
-    across, down: inner corners of the board.
-    fov_deg: in degrees; rough field of view along x.
-    model_type: a key of :data:`~giantlike.camera_models.MODELS`.
     estimate: parameters; None: focal lengths, principal point and the lens terms that an ordinary series of boards
         supports (for a fisheye ``k1``, ``k2``).
-    sigma_px: standard deviation of a corner per axis.
     """
 
-    across: int
+    across: int  # across, down: inner corners of the board
     down: int
-    fov_deg: float
-    model_type: str
+    fov_deg: float  # in degrees; rough field of view along x
+    model_type: str  # a key of :data:`~giantlike.camera_models.MODELS`
     estimate: tuple[str, ...] | None = None
-    sigma_px: float = CORNER_SIGMA_PX
+    sigma_px: float = CORNER_SIGMA_PX  # standard deviation of a corner per axis
 
 
 def calibrate_boards(files: Sequence[Path], setup: BoardSetup, folder: Path) -> CampaignCalibration:

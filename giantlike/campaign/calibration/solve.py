@@ -53,17 +53,14 @@ _FEWEST_FOR_DRIFT = 4
 class CampaignCalibration(Value):
     """Result of the calibration of a campaign.
 
-    camera: the calibrated camera; None if calibration failed or was not accepted.
     alignment: alignment of the camera with respect to the a priori attitudes, if images have them.
-    lost: images that did not take part, and the reasons.
-    targets: word for the observed points: stars, or corners of a board.
     """
 
     outcome: StarCalibration | Failure
-    camera: Camera | None
+    camera: Camera | None  # the calibrated camera; None if calibration failed or was not accepted
     alignment: AlignmentResult | None
-    lost: tuple[tuple[str, str], ...]
-    targets: str = "stars"
+    lost: tuple[tuple[str, str], ...]  # images that did not take part, and the reasons
+    targets: str = "stars"  # word for the observed points: stars, or corners of a board
 
     @classmethod
     def from_outcome(
@@ -202,14 +199,10 @@ def write_calibration(folder: Path, result: CampaignCalibration, inputs: str = "
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeptCalibration:
-    """A calibration as the run folder holds it.
+    """A calibration as the run folder holds it."""
 
-    camera: None if it was not accepted.
-    summary: content of ``calibration.json``.
-    """
-
-    camera: Camera | None
-    summary: dict[str, Any]
+    camera: Camera | None  # None if it was not accepted
+    summary: dict[str, Any]  # content of ``calibration.json``
 
     @property
     def problem(self) -> str | None:

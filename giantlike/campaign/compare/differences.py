@@ -22,14 +22,12 @@ _COLUMNS = ("file", "what", "axis", "difference", "sigma", "ratio", "unit")
 class Difference:
     """A difference along one axis, first minus second.
 
-    file: image.
-    what: ``attitude``, or target and estimator.
     sigma: sigma of the difference: from both results, without their common errors; None where one of the two is
         unknown.
     """
 
-    file: str
-    what: str
+    file: str  # image
+    what: str  # ``attitude``, or target and estimator
     axis: str
     value: float
     sigma: float | None
@@ -43,18 +41,13 @@ class Difference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultComparison:
-    """Two sets of results, compared.
+    """Two sets of results, compared."""
 
-    first, second: names of the compared results.
-    shared: errors common to both, which cancel in the differences and are not in the sigmas.
-    only_first, only_second: results without a counterpart.
-    """
-
-    first: str
+    first: str  # first, second: names of the compared results
     second: str
     differences: tuple[Difference, ...]
-    shared: tuple[str, ...]
-    only_first: int
+    shared: tuple[str, ...]  # errors common to both, which cancel in the differences and are not in the sigmas
+    only_first: int  # only_first, only_second: results without a counterpart
     only_second: int
     notes: tuple[str, ...] = ()
 

@@ -50,14 +50,12 @@ class ExternalOptions:
 
     kernels: paths or patterns of the kernels that are needed in addition to the file: leap seconds, clock, frames,
         planets.
-    frame: C-kernel: frame of the camera in them.
-    camera_from_frame_xyzw: from that frame to the camera axes, scalar last.
     spacecraft, body: trajectory: NAIF names or codes; the body only where it is not the name of the target.
     """
 
     kernels: tuple[str, ...] = ()
-    frame: str | None = None
-    camera_from_frame_xyzw: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
+    frame: str | None = None  # C-kernel: frame of the camera in them
+    camera_from_frame_xyzw: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)  # from that frame to the camera axes, scalar last
     spacecraft: str | None = None
     body: str | None = None
 

@@ -44,33 +44,23 @@ from giantlike.stars.transfer import TransferMethod, TransferOptions
 
 @dataclass(frozen=True, slots=True)
 class ImageEntry:
-    """An image file of a campaign.
+    """An image file of a campaign."""
 
-    index: position in input order, from 0.
-    key: name in the tables: its base name or, where two files share one, its path relative to the campaign file.
-    """
-
-    index: int
-    key: str
+    index: int  # position in input order, from 0
+    key: str  # name in the tables: its base name or, where two files share one, its path relative to the campaign file
     path: Path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StarsSetup:
-    """Star processing of a campaign.
+    """Star processing of a campaign."""
 
-    catalog: ``default`` or the path of a catalog.
-    long_exposure_s: at or above, an image is a star image; None: all are.
-    transfer: of attitudes from star images to the others.
-    rates: table of angular rates for the transfer.
-    """
-
-    catalog: str
+    catalog: str  # ``default`` or the path of a catalog
     options: StarOptions
     detection: DetectionOptions
-    long_exposure_s: float | None
-    transfer: TransferOptions
-    rates: Path | None
+    long_exposure_s: float | None  # at or above, an image is a star image; None: all are
+    transfer: TransferOptions  # of attitudes from star images to the others
+    rates: Path | None  # table of angular rates for the transfer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,24 +24,17 @@ _SAME_EXPOSURE = 0.01  # relative difference up to which darks count as of one e
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameFiles:
-    """Files of the calibration frames of a campaign.
+    """Files of the calibration frames of a campaign."""
 
-    bias, dark, flat: empty where there are none.
-    dark_exposure_s: None where headers have it.
-    dark_has_bias, flat_has_bias: False where bias (and dark current) were subtracted.
-    hdu: FITS extension.
-    bottom_up: True if rows are reversed on reading.
-    """
-
-    bias: tuple[Path, ...]
+    bias: tuple[Path, ...]  # bias, dark, flat: empty where there are none
     dark: tuple[Path, ...]
     flat: tuple[Path, ...]
     bad_pixels: Path | None
-    dark_exposure_s: float | None
-    dark_has_bias: bool
+    dark_exposure_s: float | None  # None where headers have it
+    dark_has_bias: bool  # dark_has_bias, flat_has_bias: False where bias (and dark current) were subtracted
     flat_has_bias: bool
-    hdu: int | str | None
-    bottom_up: bool
+    hdu: int | str | None  # FITS extension
+    bottom_up: bool  # True if rows are reversed on reading
 
     def load(self, *, rows: int, columns: int) -> CalibrationFrames:
         """Read and combine the files."""

@@ -50,18 +50,14 @@ _RATE_STEP_S = 0.5
 class SpiceSetup:
     """SPICE kernels, the spacecraft and its camera frame.
 
-    kernels: in loading order.
-    spacecraft: NAIF name or code.
     camera_from_frame: from the camera frame of the kernels to camera axes; None: no attitude from SPICE.
-    ck_tolerance_s: largest distance in time to a single attitude of a CK.
-    clock: clock count in labels that have no epoch.
     """
 
-    kernels: tuple[Path, ...]
-    spacecraft: str
+    kernels: tuple[Path, ...]  # in loading order
+    spacecraft: str  # NAIF name or code
     camera_from_frame: FrameRotation | None
-    ck_tolerance_s: float = 0.0
-    clock: LabelClock | None = None
+    ck_tolerance_s: float = 0.0  # largest distance in time to a single attitude of a CK
+    clock: LabelClock | None = None  # clock count in labels that have no epoch
 
     def camera_from_inertial(self, et: float) -> FrameRotation | None:
         """Attitude of the camera by SPICE. Returns None without a camera frame."""
@@ -99,26 +95,18 @@ class SpiceSetup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TargetSetup:
-    """A body with its names resolved; the shape is loaded later, by each process that needs it.
-
-    shape: mesh file, or the radii of an ellipsoid, km.
-    units: of the mesh file: km, m or auto.
-    estimators: empty in a scene file.
-    spice_body, frame: NAIF name and body-fixed frame.
-    limb: height map, atmosphere and rings.
-    orbit: covariance of the predicted position by epoch.
-    """
+    """A body with its names resolved; the shape is loaded later, by each process that needs it."""
 
     name: str
-    shape: Path | Radii
-    units: str
+    shape: Path | Radii  # mesh file, or the radii of an ellipsoid, km
+    units: str  # of the mesh file: km, m or auto
     reflectance: Reflectance
-    estimators: tuple[Estimator, ...]
-    spice_body: str
+    estimators: tuple[Estimator, ...]  # empty in a scene file
+    spice_body: str  # spice_body, frame: NAIF name and body-fixed frame
     frame: str
     uncertainty: TargetUncertainty = field(default_factory=TargetUncertainty)
-    limb: LimbSetup = field(default_factory=LimbSetup)
-    orbit: OrbitCovariance | None = None
+    limb: LimbSetup = field(default_factory=LimbSetup)  # height map, atmosphere and rings
+    orbit: OrbitCovariance | None = None  # covariance of the predicted position by epoch
 
     def inertial_from_body(self, position_inertial_km: Float, et: float) -> Rotation:
         """Orientation by SPICE at the emission time of the observed light."""

@@ -15,18 +15,13 @@ from giantlike.terrain import HeightMap
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimbSetup:
-    """Limb of a target.
+    """Limb of a target."""
 
-    terrain: file of a height map.
-    terrain_sigma_km: sigma of its heights, where it differs from the file's.
-    air: True with air or haze, False without; None where the file does not declare it.
-    """
-
-    terrain: Path | None = None
-    terrain_sigma_km: float | None = None
+    terrain: Path | None = None  # file of a height map
+    terrain_sigma_km: float | None = None  # sigma of its heights, where it differs from the file's
     atmosphere: Atmosphere | None = None
     rings: Rings | None = None
-    air: bool | None = None
+    air: bool | None = None  # True with air or haze, False without; None where the file does not declare it
 
     @classmethod
     def from_section(cls, section: TargetSection, where: str, shape: str | Radii, terrain: Path | None) -> LimbSetup:

@@ -34,36 +34,27 @@ _LEAST_SIGMA = 1e-9  # standard deviations below this one have as many digits as
 class FixLine:
     """One fix of a card or of the table of fixes, as text.
 
-    center: x and y with their sigma, px; empty without a fix.
-    offset: observed minus computed x and y, px.
     range_km, range_offset: range with its sigma, km; observed minus computed, percent; empty where there is none.
-    words: status and sentence, for each reason, flag and remark.
     """
 
     record: ObservationRecord
-    center: tuple[str, ...]
-    offset: tuple[str, ...]
+    center: tuple[str, ...]  # x and y with their sigma, px; empty without a fix
+    offset: tuple[str, ...]  # observed minus computed x and y, px
     range_km: str
     range_offset: str
-    words: list[tuple[str, str]]
+    words: list[tuple[str, str]]  # status and sentence, for each reason, flag and remark
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageCard:
-    """One image of the report, with its results.
-
-    words: of the attitude.
-    picture: SVG; None if the image file is gone.
-    residuals: pictures of the residuals, SVG.
-    problem: the reason why there is no picture.
-    """
+    """One image of the report, with its results."""
 
     record: AttitudeRecord
-    words: list[tuple[str, str]]
+    words: list[tuple[str, str]]  # of the attitude
     fixes: list[FixLine]
-    picture: str | None = None
-    residuals: list[str]
-    problem: str | None = None
+    picture: str | None = None  # SVG; None if the image file is gone
+    residuals: list[str]  # pictures of the residuals, SVG
+    problem: str | None = None  # the reason why there is no picture
 
 
 def center_colors(result: RunResult) -> dict[str, str]:

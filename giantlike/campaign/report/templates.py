@@ -13,12 +13,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PageFigure:
-    """A figure of a page.
+    """A figure of a page."""
 
-    svg: the figure as SVG.
-    """
-
-    svg: str
+    svg: str  # the figure as SVG
     caption: str
 
     @classmethod

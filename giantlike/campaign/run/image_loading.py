@@ -39,13 +39,10 @@ _SUN_COLUMNS = "sun_x, sun_y, sun_z"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedImage(Value):
-    """An image with its a priori epoch and pose.
-
-    notes: requested data that could not be found.
-    """
+    """An image with its a priori epoch and pose."""
 
     image: Image
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # requested data that could not be found
 
 
 def open_image(campaign: Campaign, entry: ImageEntry, frames: CalibrationFrames | None = None) -> PreparedImage:

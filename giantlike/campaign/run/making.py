@@ -57,24 +57,18 @@ _FIRST_STARS, _ATTITUDES, _TARGETS = "calibration", "attitudes", "geometry"  # n
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunExecutor:
-    """The steps of a run.
-
-    progress, announce: see :func:`~giantlike.campaign.run.runner.run_campaign`.
-    goes_on: the folder held a run before.
-    camera: the calibrated camera.
-    counts: results computed and kept so far, by step.
-    """
+    """The steps of a run."""
 
     bench: Workbench
     folder: RunFolder
-    progress: Progress
+    progress: Progress  # progress, announce: see :func:`~giantlike.campaign.run.runner.run_campaign`
     announce: Announce
     edits: EditList
     measuring: Mapping[str, Measuring]
     identities: Identities
-    goes_on: bool
-    camera: Camera | None = None
-    counts: dict[str, StepCount] = field(default_factory=dict)
+    goes_on: bool  # the folder held a run before
+    camera: Camera | None = None  # the calibrated camera
+    counts: dict[str, StepCount] = field(default_factory=dict)  # results computed and kept so far, by step
 
     @property
     def campaign(self) -> Campaign:

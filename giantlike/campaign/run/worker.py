@@ -31,31 +31,23 @@ from giantlike.stars import StarNavigation
 class ImageJob:
     """Work on one image.
 
-    camera: the calibrated camera; None: the camera of the campaign.
-    measuring: decisions of users.
-    solve: the attitude is to be estimated; otherwise it is given.
     attitude: for the estimators: the one to use or, where it is to be estimated, the one that the kept results used.
-    bodies: targets and estimators to run.
-    bodies_if_turned: those to run only if the estimated attitude differs from ``attitude``.
     """
 
     entry: ImageEntry
-    camera: Camera | None = None
-    measuring: Measuring = field(default_factory=Measuring)
-    solve: bool = True
+    camera: Camera | None = None  # the calibrated camera; None: the camera of the campaign
+    measuring: Measuring = field(default_factory=Measuring)  # decisions of users
+    solve: bool = True  # the attitude is to be estimated; otherwise it is given
     attitude: Attitude | None = None
-    bodies: tuple[Work, ...] = ()
-    bodies_if_turned: tuple[Work, ...] = ()
+    bodies: tuple[Work, ...] = ()  # targets and estimators to run
+    bodies_if_turned: tuple[Work, ...] = ()  # those to run only if the estimated attitude differs from ``attitude``
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageAnswer:
-    """Results of an image.
+    """Results of an image."""
 
-    attitude: None if it was not to be estimated.
-    """
-
-    attitude: PackedRecord[AttitudeRecord] | None
+    attitude: PackedRecord[AttitudeRecord] | None  # None if it was not to be estimated
     bodies: list[PackedRecord[BodyRecord]] = field(default_factory=list)
 
     @classmethod

@@ -62,17 +62,13 @@ class WithoutStars:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Workbench(Value):
-    """Campaign with catalog, shapes and kernels loaded, once per process.
-
-    shapes: by target name, and that of the landmarks of a network.
-    frames: applied to every image.
-    """
+    """Campaign with catalog, shapes and kernels loaded, once per process."""
 
     campaign: Campaign
     navigation: StarNavigation | None
-    shapes: dict[str, Shape]
+    shapes: dict[str, Shape]  # by target name, and that of the landmarks of a network
     kernels: SpiceKernels | None
-    frames: CalibrationFrames | None = None
+    frames: CalibrationFrames | None = None  # applied to every image
 
     @classmethod
     def load(cls, campaign: Campaign, *, trusted: bool = False) -> Workbench:

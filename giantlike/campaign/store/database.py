@@ -46,26 +46,18 @@ WHERE step = ? AND images.place IS NOT NULL AND records.place IS NOT NULL ORDER 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A record as it is stored.
+    """A record as it is stored."""
 
-    light: JSON of the record without its lists of points.
-    points: the whole record, packed; None where it has no such lists.
-    """
-
-    light: str
-    points: bytes | None
+    light: str  # JSON of the record without its lists of points
+    points: bytes | None  # the whole record, packed; None where it has no such lists
 
 
 @dataclass(frozen=True, slots=True)
 class KnownImage:
-    """An image file as recorded in the run folder.
+    """An image file as recorded in the run folder."""
 
-    stamp: size and time of change.
-    sha256: of its content; empty if it could not be read.
-    """
-
-    stamp: str
-    sha256: str
+    stamp: str  # size and time of change
+    sha256: str  # of its content; empty if it could not be read
 
 
 class Database:

@@ -83,35 +83,28 @@ class Edit(BaseModel):
     """One edit.
 
     action: ``reject``, ``accept``, ``discuss``, ``start``, ``mask`` or ``restore``.
-    file: name of the image in the tables.
-    star: number of the star in the catalog.
     target, estimator: of the fix; the target alone of a start; of a mask, the estimator that it is for, if not for all.
-    landmark: name of a landmark of a fix.
-    area_px: (n, 2) list of float, px; corners of a mask.
     at_px: (2,) list of float, px; where the star was observed when it was rejected, so that it can still be shown;
         center of a fix that was accepted; where estimators are to start.
-    sigma_px: of such a start.
-    quaternion_xyzw: (4,); attitude that was accepted.
-    flags: names of the flags for which an accepted result is suspect.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     action: Literal["reject", "accept", "discuss", "start", "mask", "restore"]
     what: Edited
-    file: str
-    star: int | None = None
+    file: str  # name of the image in the tables
+    star: int | None = None  # number of the star in the catalog
     target: str | None = None
     estimator: str | None = None
-    landmark: str | None = None
-    area_px: list[Pair] | None = None
+    landmark: str | None = None  # name of a landmark of a fix
+    area_px: list[Pair] | None = None  # (n, 2) list of float, px; corners of a mask
     who: str
     when_utc: str
     why: str
     at_px: Pair | None = None
-    sigma_px: Annotated[float, Field(gt=0, le=1000)] | None = None
-    quaternion_xyzw: UnitQuaternion | None = None
-    flags: list[FlagName] = Field(default_factory=list)
+    sigma_px: Annotated[float, Field(gt=0, le=1000)] | None = None  # of such a start
+    quaternion_xyzw: UnitQuaternion | None = None  # (4,); attitude that was accepted
+    flags: list[FlagName] = Field(default_factory=list)  # names of the flags for which an accepted result is suspect
 
     @field_serializer("star", when_used="json-unless-none")
     def _star_text(self, star: int) -> str:
@@ -203,14 +196,12 @@ class Start:
 class Measuring:
     """Decisions that change how an image is measured.
 
-    rejected_stars: numbers of stars that are not to be used.
-    starts: by target.
     areas: masks by target and estimator; by two empty names those of the image.
     landmarks: names of those that are not to be used, by target and estimator.
     """
 
-    rejected_stars: frozenset[int] = frozenset()
-    starts: Mapping[str, Start] = field(default_factory=dict)
+    rejected_stars: frozenset[int] = frozenset()  # numbers of stars that are not to be used
+    starts: Mapping[str, Start] = field(default_factory=dict)  # by target
     areas: Mapping[tuple[str, str], tuple[Area, ...]] = field(default_factory=dict)
     landmarks: Mapping[tuple[str, str], frozenset[str]] = field(default_factory=dict)
 

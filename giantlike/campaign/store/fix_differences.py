@@ -20,14 +20,10 @@ _LEAST_SHARE = 1e-12  # variance relative to the largest one, below which the di
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FixDifference(Value):
-    """First minus second fix.
+    """First minus second fix."""
 
-    offset: (k,); of x and y, px, and, where both have a range (k = 3), of its natural logarithm.
-    covariance: (k, k); of the offset.
-    """
-
-    offset: Float
-    covariance: Float
+    offset: Float  # (k,); of x and y, px, and, where both have a range (k = 3), of its natural logarithm
+    covariance: Float  # (k, k); of the offset
 
     @property
     def sigma(self) -> Float:

@@ -119,23 +119,16 @@ class ObservableGroups:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageRecords:
-    """All that the observables of an image are made of.
+    """All that the observables of an image are made of."""
 
-    results: file that the records are from, for errors.
-    shared_camera: key of camera and calibration.
-    rate_rad_s: rotation rate of the camera, by a CK or by the images before and after.
-    stars: points of the attitude, packed.
-    fixes: points of fixes by target and estimator, packed.
-    """
-
-    results: Path
+    results: Path  # file that the records are from, for errors
     camera: Camera
-    shared_camera: str
+    shared_camera: str  # key of camera and calibration
     attitude: AttitudeRecord
-    rate_rad_s: list[float] | None
+    rate_rad_s: list[float] | None  # rotation rate of the camera, by a CK or by the images before and after
     bodies: ObservationsRecord | None
-    stars: bytes | None
-    fixes: dict[tuple[str, str], bytes | None]
+    stars: bytes | None  # points of the attitude, packed
+    fixes: dict[tuple[str, str], bytes | None]  # points of fixes by target and estimator, packed
 
     def rows(self) -> Iterator[ObservableRow | ObservableBlock]:
         """Yield the observables of the image."""

@@ -29,14 +29,10 @@ _DTYPES = {"b": np.dtype("bool"), "i": np.dtype("<i8"), "f": np.dtype("<f8")}
 
 @dataclass(frozen=True, slots=True)
 class PackedRecord(Generic[Record]):
-    """A record as workers hand it over: they pack it, and the process that writes the run folder need not unpack it.
+    """A record as workers hand it over: they pack it, and the process that writes the run folder need not unpack it."""
 
-    light: without its lists of points.
-    row: as it is stored.
-    """
-
-    light: Record
-    row: Row
+    light: Record  # without its lists of points
+    row: Row  # as it is stored
 
     @classmethod
     def from_record(cls, record: Record) -> PackedRecord[Record]:

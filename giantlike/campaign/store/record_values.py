@@ -55,66 +55,52 @@ class PlainRecord(BaseModel):
 class StarMatches(PlainRecord):
     """Stars of one solution, for residual plots and overlays.
 
-    observed_px, predicted_px: (n, 2).
-    sigma_px, magnitudes: (n,) px and magnitudes.
-    rejected_px: (m, 2); matches rejected as outliers.
     star_names: (n,) list of str; proper names, empty for stars without one; no list in runs made before there were
         names.
     """
 
     star_ids: list[int]
-    observed_px: list[Pair]
-    predicted_px: list[Pair]
-    sigma_px: Vector
+    observed_px: list[Pair]  # (n, 2)
+    predicted_px: list[Pair]  # (n, 2)
+    sigma_px: Vector  # sigma_px, magnitudes: (n,) px and magnitudes
     magnitudes: Vector
-    rejected_px: list[Pair] = Field(default_factory=list)
+    rejected_px: list[Pair] = Field(default_factory=list)  # (m, 2); matches rejected as outliers
     star_names: list[str] = Field(default_factory=list)
 
 
 class Landmarks(PlainRecord):
     """Landmarks of one fix.
 
-    names: (n,) list of str.
-    observed_px, predicted_px: (n, 2); measured, and projected by the pose that they give.
     covariance_px2: list of n (2, 2) lists; covariance of each alone: noise and the excess of the residuals.
-    body_km: (n, 3), body-fixed axes.
-    rejected_names: (k,) list of str; of those looked for and not used.
-    rejected_px: (k, 2); projected by the pose.
-    rejected_because: (k,) list of str.
     """
 
-    names: list[str]
-    observed_px: list[Pair]
+    names: list[str]  # (n,) list of str
+    observed_px: list[Pair]  # observed_px, predicted_px: (n, 2); measured, and projected by the pose that they give
     predicted_px: list[Pair]
     covariance_px2: list[TwoByTwo]
-    body_km: list[Triple]
-    rejected_names: list[str] = Field(default_factory=list)
-    rejected_px: list[Pair] = Field(default_factory=list)
-    rejected_because: list[str] = Field(default_factory=list)
+    body_km: list[Triple]  # (n, 3), body-fixed axes
+    rejected_names: list[str] = Field(default_factory=list)  # (k,) list of str; of those looked for and not used
+    rejected_px: list[Pair] = Field(default_factory=list)  # (k, 2); projected by the pose
+    rejected_because: list[str] = Field(default_factory=list)  # (k,) list of str
 
 
 class TurnRecord(PlainRecord):
-    """Rotation of a body about the line of sight, and its position with this rotation.
+    """Rotation of a body about the line of sight, and its position with this rotation."""
 
-    turn_rad, center_px, covariance, by_rotation: as in :class:`~giantlike.core.outcomes.BodyTurn`.
-    """
-
-    turn_rad: float
-    center_px: Pair
-    covariance: Covariance
-    by_rotation: Covariance
+    turn_rad: float  # as in :class:`~giantlike.core.outcomes.BodyTurn`
+    center_px: Pair  # as in :class:`~giantlike.core.outcomes.BodyTurn`
+    covariance: Covariance  # as in :class:`~giantlike.core.outcomes.BodyTurn`
+    by_rotation: Covariance  # as in :class:`~giantlike.core.outcomes.BodyTurn`
 
 
 class Residuals(PlainRecord):
     """Residuals of a fix with their positions in the image, for pictures.
 
-    at_px: (n, 2).
-    values: (n,); as in :class:`~giantlike.core.outcomes.CenterFix`.
     cell_px: 0: all residuals one by one. Else each value is the mean over a square of this side around its position.
     """
 
-    at_px: list[Pair]
-    values: Vector
+    at_px: list[Pair]  # (n, 2)
+    values: Vector  # (n,); as in :class:`~giantlike.core.outcomes.CenterFix`
     cell_px: float
 
 

@@ -39,17 +39,12 @@ from giantlike.core.outcomes import AttitudeErrors, Failure, Outcome, Quality, R
 
 
 class Problem(PlainRecord):
-    """The reason why there is no result.
-
-    detail: as in :class:`~giantlike.core.outcomes.Failure`.
-    traceback: of a programming error.
-    kind: ``failed``, or the reason why it does not count as a failure.
-    """
+    """The reason why there is no result."""
 
     reason: Reason
-    detail: str
-    traceback: str | None = None
-    kind: Outcome = Outcome.FAILED
+    detail: str  # as in :class:`~giantlike.core.outcomes.Failure`
+    traceback: str | None = None  # of a programming error
+    kind: Outcome = Outcome.FAILED  # ``failed``, or the reason why it does not count as a failure
 
     @classmethod
     def from_failure(cls, failure: Failure) -> Self:
@@ -79,43 +74,31 @@ class Acceptance(PlainRecord):
 
 
 class RunSummary(PlainRecord):
-    """Section ``run`` of the provenance of a finished run.
+    """Section ``run`` of the provenance of a finished run."""
 
-    name: of the campaign.
-    hdu: FITS extension that was read.
-    bottom_up: True if the rows were reversed on reading.
-    max_overlays: number of images shown in the report.
-    time_s: of the last part of the run.
-    empty_images: images that are expected to hold nothing.
-    """
-
-    name: str
-    hdu: int | str | None
-    bottom_up: bool = False
-    max_overlays: int
+    name: str  # of the campaign
+    hdu: int | str | None  # FITS extension that was read
+    bottom_up: bool = False  # True if the rows were reversed on reading
+    max_overlays: int  # number of images shown in the report
     warnings: list[str]
-    time_s: float
-    empty_images: list[str] = Field(default_factory=list)
+    time_s: float  # of the last part of the run
+    empty_images: list[str] = Field(default_factory=list)  # images that are expected to hold nothing
 
 
 class Attitude(PlainRecord):
     """An attitude and its covariance.
 
-    source: a value of :class:`~giantlike.image.AttitudeSource`.
-    quaternion_xyzw: (4,); ``camera_from_inertial``, scalar last.
-    covariance_rad2: of the small rotation about the camera axes; None where unknown.
     parts: mapping of Cause to (3, 3) rad^2; the covariance by cause; empty where all is noise.
     by_camera: (3, m) rad per unit of each parameter of the camera model; derivative of the small rotation, as in
         :class:`~giantlike.core.outcomes.AttitudeErrors`.
-    flags: names of the flags that fixes made with this attitude inherit.
     """
 
-    source: str
-    quaternion_xyzw: UnitQuaternion
-    covariance_rad2: Covariance | None = None
+    source: str  # a value of :class:`~giantlike.image.AttitudeSource`
+    quaternion_xyzw: UnitQuaternion  # (4,); ``camera_from_inertial``, scalar last
+    covariance_rad2: Covariance | None = None  # of the small rotation about the camera axes; None where unknown
     parts: dict[Cause, Covariance] = Field(default_factory=dict)
     by_camera: Rows | None = None
-    flags: list[FlagName] = Field(default_factory=list)
+    flags: list[FlagName] = Field(default_factory=list)  # names of the flags that fixes made with this attitude inherit
 
     @property
     def rotation(self) -> Rotation:
@@ -143,19 +126,15 @@ class Attitude(PlainRecord):
 
 
 class ImageRecord(PlainRecord):
-    """Base of the result of one step of a run for an image, or a target in it; one row in the run folder.
-
-    index: position in input order.
-    file: name in the tables.
-    """
+    """Base of the result of one step of a run for an image, or a target in it; one row in the run folder."""
 
     part: ClassVar[str]
     """Name of the step."""
     points_of: ClassVar[tuple[str, ...]] = ()
     """Fields that hold lists of points, which :meth:`light` leaves out."""
 
-    index: int
-    file: str
+    index: int  # position in input order
+    file: str  # name in the tables
 
     @property
     def problems(self) -> list[Problem]:
@@ -197,13 +176,10 @@ class _TriedRecord(ImageRecord):
 
 
 class _StatusRecord(_TriedRecord):
-    """Base of the results that stand in the tables.
-
-    accepted: of a suspect result; set where a run is read, from its edit list.
-    """
+    """Base of the results that stand in the tables."""
 
     status: Status
-    accepted: Acceptance | None = None
+    accepted: Acceptance | None = None  # of a suspect result; set where a run is read, from its edit list
 
     @property
     def outcome(self) -> Outcome:
@@ -216,30 +192,20 @@ class _StatusRecord(_TriedRecord):
 class AttitudeRecord(_StatusRecord):
     """The image itself, and its attitude.
 
-    path: image file relative to the run folder.
-    sha256, columns, rows: empty and 0 where the image could not be read.
     epoch_utc, et, exposure_s: mid-exposure (UTC; TDB seconds past J2000) and exposure, s.
     observer_position_km, observer_velocity_km_s: of the spacecraft with respect to the solar system barycenter, km and
         km/s, ICRF axes.
     star_image, body_image: True if its own stars were to be solved; True if estimators run on it.
-    transferred: True if the attitude was sought from its neighbors in time.
-    rate_rad_s: of the rotation of the camera about its axes, by SPICE.
-    apriori_xyzw: (4,); a priori ``camera_from_inertial``, scalar last.
-    attitude: the result; None when failed.
     attitude_shares: of a transferred attitude, its star images and the weight of each.
     n_detected, n_matched, n_rejected, rms_px, false_match_probability: of the star solution, as in
         :class:`~giantlike.core.outcomes.AttitudeFix`.
-    ra_deg, dec_deg, roll_deg, fov_deg: as in :class:`~giantlike.io.run_tables.AttitudeRow`.
-    time_s: time of reading and solving.
-    detected_px: (n, 2); everything that looked like a star.
-    notes: oddities.
     """
 
     part: ClassVar[str] = "attitude"
     points_of: ClassVar[tuple[str, ...]] = ("stars", "detected_px")
 
-    path: str
-    sha256: str = ""
+    path: str  # image file relative to the run folder
+    sha256: str = ""  # sha256, columns, rows: empty and 0 where the image could not be read
     columns: int = 0
     rows: int = 0
     epoch_utc: str | None = None
@@ -249,26 +215,26 @@ class AttitudeRecord(_StatusRecord):
     observer_velocity_km_s: Triple | None = None
     star_image: bool = False
     body_image: bool = True
-    transferred: bool = False
-    rate_rad_s: Triple | None = None
-    apriori_xyzw: UnitQuaternion | None = None
-    attitude: Attitude | None = None
+    transferred: bool = False  # True if the attitude was sought from its neighbors in time
+    rate_rad_s: Triple | None = None  # of the rotation of the camera about its axes, by SPICE
+    apriori_xyzw: UnitQuaternion | None = None  # (4,); a priori ``camera_from_inertial``, scalar last
+    attitude: Attitude | None = None  # the result; None when failed
     attitude_shares: dict[str, float] = Field(default_factory=dict)
     n_detected: int | None = None
     n_matched: int | None = None
     n_rejected: int | None = None
     rms_px: float | None = None
     false_match_probability: float | None = None
-    ra_deg: float | None = None
-    dec_deg: float | None = None
-    roll_deg: float | None = None
-    fov_deg: float | None = None
+    ra_deg: float | None = None  # as in :class:`~giantlike.io.run_tables.AttitudeRow`
+    dec_deg: float | None = None  # as in :class:`~giantlike.io.run_tables.AttitudeRow`
+    roll_deg: float | None = None  # as in :class:`~giantlike.io.run_tables.AttitudeRow`
+    fov_deg: float | None = None  # as in :class:`~giantlike.io.run_tables.AttitudeRow`
     flags: list[str] = Field(default_factory=list)
     provenance: dict[str, str] = Field(default_factory=dict)
-    time_s: float = 0.0
+    time_s: float = 0.0  # time of reading and solving
     stars: StarMatches | None = None
-    detected_px: list[Pair] = Field(default_factory=list)
-    notes: list[str] = Field(default_factory=list)
+    detected_px: list[Pair] = Field(default_factory=list)  # (n, 2); everything that looked like a star
+    notes: list[str] = Field(default_factory=list)  # oddities
 
     @property
     def readable(self) -> bool:
@@ -323,7 +289,6 @@ class NetworkRecord(_TriedRecord):
 
     pose, rendered: a priori, and of the templates: quaternion of ``camera_from_inertial`` (4), position (3), km,
         quaternion of ``inertial_from_body`` (4), epoch, direction to the Sun (3).
-    camera: parameters of the camera model.
     covariance_attitude_rad2, covariance_position_km2: of the a priori pose; None where nothing is declared.
     numbers, points_px, covariance_px2, scores: of the k landmarks; covariances as rows of four.
     """
@@ -333,7 +298,7 @@ class NetworkRecord(_TriedRecord):
     target: str
     pose: Vector = Field(default_factory=list)
     rendered: Vector = Field(default_factory=list)
-    camera: Vector = Field(default_factory=list)
+    camera: Vector = Field(default_factory=list)  # parameters of the camera model
     covariance_attitude_rad2: Covariance | None = None
     covariance_position_km2: Covariance | None = None
     numbers: list[int] = Field(default_factory=list)
@@ -402,25 +367,20 @@ class ObservationRecord(_StatusRecord):
 class TargetView(PlainRecord):
     """Predicted position of a target in an image, for overlays.
 
-    predicted_px: center.
-    radius_px: of the sphere around it.
     diameter_px: of the sphere of its volume, which the limits of estimators on limbs go by; None in older runs.
-    outline_px: (n, 2).
-    outline_lit: True for points in sunlight.
     """
 
     target: str
-    predicted_px: Pair
-    radius_px: float
+    predicted_px: Pair  # center
+    radius_px: float  # of the sphere around it
     diameter_px: float | None = None
-    outline_px: list[Pair]
-    outline_lit: list[bool]
+    outline_px: list[Pair]  # (n, 2)
+    outline_lit: list[bool]  # True for points in sunlight
 
 
 class TargetRecord(ImageRecord):
     """A priori data of a target in an image: its geometry, and its outline for the report.
 
-    sighting: None if the geometry is unknown.
     view: None if no picture is wanted, if the target cannot be imaged, or for the reason in ``note``.
     """
 
@@ -428,7 +388,7 @@ class TargetRecord(ImageRecord):
     points_of: ClassVar[tuple[str, ...]] = ("view",)
 
     target: str
-    sighting: SightingRecord | None = None
+    sighting: SightingRecord | None = None  # None if the geometry is unknown
     view: TargetView | None = None
     note: str | None = None
 
@@ -439,15 +399,10 @@ class TargetRecord(ImageRecord):
 
 
 class ObservationsRecord(PlainRecord):
-    """All observations of one image.
+    """All observations of one image."""
 
-    index, file: as in :class:`ImageRecord`.
-    sightings: of the targets whose geometry is known.
-    notes: oddities.
-    """
-
-    index: int
-    file: str
+    index: int  # as in :class:`ImageRecord`
+    file: str  # as in :class:`ImageRecord`
     observations: list[ObservationRecord] = Field(default_factory=list)
-    sightings: list[SightingRecord] = Field(default_factory=list)
-    notes: list[str] = Field(default_factory=list)
+    sightings: list[SightingRecord] = Field(default_factory=list)  # of the targets whose geometry is known
+    notes: list[str] = Field(default_factory=list)  # oddities

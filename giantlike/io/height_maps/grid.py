@@ -33,11 +33,6 @@ class HeightGrid(Value):
 
     first_latitude_rad, first_longitude_rad: of the center of the first sample; planetocentric, longitudes to the east.
     latitude_step_rad, longitude_step_rad: from one row or column to the next; negative towards south and west.
-    reference_radii_km: semi-axes of the ellipsoid above which the heights are.
-    read: stored values (r, c) of a slice of rows and one of columns, both with start and stop.
-    unit_km, offset_km: A height is ``unit_km value + offset_km``.
-    missing: stored values that stand for no height.
-    sigma_km: standard deviation of the heights, where the file gives it.
     """
 
     rows: int
@@ -46,13 +41,13 @@ class HeightGrid(Value):
     first_longitude_rad: float
     latitude_step_rad: float
     longitude_step_rad: float
-    reference_radii_km: Float
-    read: Read
-    unit_km: float = 1.0
+    reference_radii_km: Float  # semi-axes of the ellipsoid above which the heights are
+    read: Read  # stored values (r, c) of a slice of rows and one of columns, both with start and stop
+    unit_km: float = 1.0  # unit_km, offset_km: A height is ``unit_km value + offset_km``
     offset_km: float = 0.0
-    missing: tuple[float, ...] = ()
+    missing: tuple[float, ...] = ()  # stored values that stand for no height
     path: Path | None = None
-    sigma_km: float | None = None
+    sigma_km: float | None = None  # standard deviation of the heights, where the file gives it
 
     def __post_init__(self) -> None:
         if not (self.rows > 1 and self.columns > 1 and self.rows * self.columns <= _MOST_SAMPLES):

@@ -37,25 +37,16 @@ _EDGE_PX = 30.0  # stars nearer to the edge of the frame are not used
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Calibrations(Value):
-    """All calibrations: n iterations in all, k parameters.
+    """All calibrations: n iterations in all, k parameters."""
 
-    indices: (n,); of the iterations, three to a calibration.
-    values, sigmas: (n, k).
-    ground: (k,).
-    map_px: (n,); largest uncertainty of the map over the field.
-    interlock_arcsec: (2, n); change of the angle of each star tracker from the ground; NaN where there is none.
-    struck_sigmas: residual of a false star, sigmas of a centroid.
-    struck_accepted: the calibration with it is accepted once it is rejected.
-    """
-
-    indices: Float
-    values: Float
-    sigmas: Float
-    ground: Float
-    map_px: Float
-    interlock_arcsec: Float
-    struck_sigmas: float
-    struck_accepted: bool
+    indices: Float  # (n,); of the iterations, three to a calibration
+    values: Float  # (n, k)
+    sigmas: Float  # (n, k)
+    ground: Float  # (k,)
+    map_px: Float  # (n,); largest uncertainty of the map over the field
+    interlock_arcsec: Float  # (2, n); change of the angle of each star tracker from the ground; NaN where there is none
+    struck_sigmas: float  # residual of a false star, sigmas of a centroid
+    struck_accepted: bool  # the calibration with it is accepted once it is rejected
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

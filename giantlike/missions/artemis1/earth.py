@@ -34,13 +34,10 @@ _SPIKE_SIGMAS = 4.0  # robust standard deviations beyond which a residual stands
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AltitudeFound(Value):
-    """Altitude of the limb by a whole pass.
-
-    mean_km, sigma_km: over the images of the pass, at all exposures.
-    """
+    """Altitude of the limb by a whole pass."""
 
     fix: PassFix
-    mean_km: float
+    mean_km: float  # mean_km, sigma_km: over the images of the pass, at all exposures
     sigma_km: float
 
 

@@ -27,20 +27,13 @@ _RAYS = ((100.0, 4), (250.0, 3), (math.inf, 2))
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageWindow(Value):
-    """One image: the window around the body, and its truth.
+    """One image: the window around the body, and its truth."""
 
-    pixels_dn: (rows, columns).
-    model: of the window.
-    corner_px: first pixel of the window in the frame.
-    position_camera_km: True position of the body.
-    radius_px: apparent radius.
-    """
-
-    pixels_dn: Float
-    model: PinholeModel
-    corner_px: Float
-    position_camera_km: Float
-    radius_px: float
+    pixels_dn: Float  # (rows, columns)
+    model: PinholeModel  # of the window
+    corner_px: Float  # first pixel of the window in the frame
+    position_camera_km: Float  # True position of the body
+    radius_px: float  # apparent radius
 
 
 def detected_altitude_km(setting: Setting, exposure_us: float, wavelength_nm: float | None = None) -> float:

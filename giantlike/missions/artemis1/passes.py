@@ -46,32 +46,22 @@ _CHANGED = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pass:
-    """One row of Table 1, and the assumptions about it.
-
-    target: ``earth`` or ``moon``.
-    range_km: in the middle of the pass.
-    range_rate_km_s: from the ranges of the same target a day before and after.
-    certification: a pass of two hours.
-    """
+    """One row of Table 1, and the assumptions about it."""
 
     number: int
-    target: str
-    range_km: float
-    range_rate_km_s: float
+    target: str  # ``earth`` or ``moon``
+    range_km: float  # in the middle of the pass
+    range_rate_km_s: float  # from the ranges of the same target a day before and after
     phase_deg: float
-    certification: bool
+    certification: bool  # a pass of two hours
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Setting(Value):
-    """All that is given: passes, camera, bodies, errors.
+    """All that is given: passes, camera, bodies, errors."""
 
-    data: of ``artemis1.toml``.
-    passes: the 23 that the paper uses.
-    """
-
-    data: Mapping[str, Any]
-    passes: tuple[Pass, ...]
+    data: Mapping[str, Any]  # of ``artemis1.toml``
+    passes: tuple[Pass, ...]  # the 23 that the paper uses
     model: PinholeModel
     detector: Detector
     psf: GaussianPsf

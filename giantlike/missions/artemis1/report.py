@@ -16,13 +16,10 @@ BLUE, RED, GRAY = "#1f5fa8", "#b5342c", "#555555"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Dots(Value):
-    """Points of a plot.
+    """Points of a plot."""
 
-    x, y: (n,).
-    """
-
-    x: Float
-    y: Float
+    x: Float  # (n,)
+    y: Float  # (n,)
     color: str = BLUE
     label: str = ""
 

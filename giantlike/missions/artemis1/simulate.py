@@ -30,35 +30,23 @@ VELOCITY_SIGMA_KM_S = 2e-4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EdgeErrors:
-    """Errors of edges in images, relative to the limb of an ellipsoid.
+    """Errors of edges in images, relative to the limb of an ellipsoid."""
 
-    toward_sun_px, outward_px: shift of the fitted center along the Sun, and of the radius.
-    scatter_px: root mean square of the points about the fit.
-    """
-
-    toward_sun_px: float
+    toward_sun_px: float  # toward_sun_px, outward_px: shift of the fitted center along the Sun, and of the radius
     outward_px: float
-    scatter_px: float
+    scatter_px: float  # root mean square of the points about the fit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Track(Value):
-    """Truth and knowledge of n images of a pass.
+    """Truth and knowledge of n images of a pass."""
 
-    times_s: (n,); tags, about the middle of the pass.
-    true_km: (n, 3), camera axes; position of the body when the shutter was open.
-    known_km: (n, 3), camera axes; by trajectory and attitude at the tag.
-    rates_km_s: (n, 3), camera axes; of the known position.
-    exposures_us: (n,), microseconds.
-    heights_km: (m,); of the limb at even position angles.
-    """
-
-    times_s: Float
-    true_km: Float
-    known_km: Float
-    rates_km_s: Float
-    exposures_us: Float
-    heights_km: Float
+    times_s: Float  # (n,); tags, about the middle of the pass
+    true_km: Float  # (n, 3), camera axes; position of the body when the shutter was open
+    known_km: Float  # (n, 3), camera axes; by trajectory and attitude at the tag
+    rates_km_s: Float  # (n, 3), camera axes; of the known position
+    exposures_us: Float  # (n,), microseconds
+    heights_km: Float  # (m,); of the limb at even position angles
 
 
 def track_of(setting: Setting, one: Pass, ground: Ground, rng: np.random.Generator) -> Track:
@@ -181,17 +169,14 @@ def residuals_of(setting: Setting, one: Pass, found_km: Float, known_km: Float) 
 class FlownPass(Value):
     """A pass with its measurements.
 
-    track: of the n images that were simulated.
-    points_px: tuple of (m, 2); limb points of each image.
-    edges: by exposure, microseconds.
     residuals_px: (n, 3); of the algorithm that does not iterate, with the altitude of the limb that flew: along the
         Sun, across, radius.
     """
 
     one: Pass
-    track: Track
-    points_px: tuple[Float, ...]
-    edges: Mapping[float, EdgeErrors]
+    track: Track  # of the n images that were simulated
+    points_px: tuple[Float, ...]  # tuple of (m, 2); limb points of each image
+    edges: Mapping[float, EdgeErrors]  # by exposure, microseconds
     residuals_px: Float
 
 

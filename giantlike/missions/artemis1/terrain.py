@@ -24,14 +24,10 @@ _TURN_DEG = (137.5, 40.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ground(Value):
-    """Ground of a made-up Moon.
+    """Ground of a made-up Moon."""
 
-    field: heights over the radius.
-    heights: the same by a map with a degree between its samples.
-    """
-
-    field: SphereField
-    heights: HeightMap
+    field: SphereField  # heights over the radius
+    heights: HeightMap  # the same by a map with a degree between its samples
     radius_km: float
 
 

@@ -106,12 +106,9 @@ def shell_refraction() -> tuple[Float, Float]:
 
 @dataclass(frozen=True)
 class RefractedView(PinholeView):
-    """A camera on the ground: it sees every direction raised toward the zenith.
+    """A camera on the ground: it sees every direction raised toward the zenith."""
 
-    zenith_camera: (3,).
-    """
-
-    zenith_camera: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    zenith_camera: tuple[float, float, float] = (0.0, 0.0, 1.0)  # (3,)
 
     def _refract(self, vectors: Float, sign: float) -> Float:
         up = np.asarray(self.zenith_camera)

@@ -49,18 +49,12 @@ def lens() -> PinholeView:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Grid(Value):
-    """The composite of all images, measured.
+    """The composite of all images, measured."""
 
-    azimuth_rad: (n,); of the points that fell on the detector and were found.
-    points_px: (n, 2).
-    eq39_px: (n,); error of eq. 39: centroids against tangents of the gimbal's angles.
-    residuals_px: (n, 2); after the fit of a Brown model to the same centroids.
-    """
-
-    azimuth_rad: Float
-    points_px: Float
-    eq39_px: Float
-    residuals_px: Float
+    azimuth_rad: Float  # (n,); of the points that fell on the detector and were found
+    points_px: Float  # (n, 2)
+    eq39_px: Float  # (n,); error of eq. 39: centroids against tangents of the gimbal's angles.
+    residuals_px: Float  # (n, 2); after the fit of a Brown model to the same centroids
 
 
 def measure_grid(seed: int) -> Grid:

@@ -32,22 +32,15 @@ _SCALE_ERROR = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraCalibration(Value):
-    """A calibration and its truth.
+    """A calibration and its truth."""
 
-    key, label: of the camera.
-    truth: (k,); parameters of Table 1, in the order of ``result.estimated``.
-    found: (k,).
-    camera: the calibrated camera, at 0 degrees Celsius.
-    images: number of star images taken.
-    """
-
-    key: str
+    key: str  # key, label: of the camera
     label: str
-    truth: Float
-    found: Float
+    truth: Float  # (k,); parameters of Table 1, in the order of ``result.estimated``
+    found: Float  # (k,)
     result: CalibrationResult
-    camera: Camera
-    images: int
+    camera: Camera  # the calibrated camera, at 0 degrees Celsius
+    images: int  # number of star images taken
 
     @property
     def squared_distance(self) -> float:

@@ -48,15 +48,13 @@ class StarResiduals(Value):
     """Residuals of all stars that attitudes rest on.
 
     points_px, residuals_px: (n, 2); observed, and observed minus predicted with the estimated attitude.
-    magnitudes, sigma_px: (n,); of the catalog; standard deviation per axis, px.
-    solved, images: star images with an attitude, and all.
     """
 
     points_px: Float
     residuals_px: Float
-    magnitudes: Float
+    magnitudes: Float  # magnitudes, sigma_px: (n,); of the catalog; standard deviation per axis, px
     sigma_px: Float
-    solved: int
+    solved: int  # solved, images: star images with an attitude, and all
     images: int
 
 
@@ -64,41 +62,32 @@ class StarResiduals(Value):
 class CampaignResult(Value):
     """What a campaign of one camera in one phase found.
 
-    camera, label: key and name of the camera.
-    folder: of the run.
-    diameters_px: apparent diameter of the sphere of Bennu's volume, by image file.
     preferred, every: fixes of images with an attitude from stars, from the observables file alone.
-    columns, rows: size of the detector.
     """
 
-    camera: str
+    camera: str  # camera, label: key and name of the camera
     label: str
-    folder: Path
-    diameters_px: dict[str, float]
+    folder: Path  # of the run
+    diameters_px: dict[str, float]  # apparent diameter of the sphere of Bennu's volume, by image file
     stars: StarResiduals
     preferred: tuple[Observation, ...]
     every: tuple[Observation, ...]
-    columns: int
+    columns: int  # columns, rows: size of the detector
     rows: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CampaignJob(Value):
-    """Inputs of a campaign.
-
-    declared: the camera as it was calibrated.
-    model: shape model of the phase.
-    folder: for images, campaign and run.
-    """
+    """Inputs of a campaign."""
 
     planner: Planner
     setup: CampaignSetup
     ets: tuple[float, ...]
     flight: Flight
     truth: ReliefBody
-    declared: Camera
-    model: TriangleMesh
-    folder: Path
+    declared: Camera  # the camera as it was calibrated
+    model: TriangleMesh  # shape model of the phase
+    folder: Path  # for images, campaign and run
     workers: int
 
     def run(self, progress: Callable[[str, int, int], None]) -> CampaignResult:

@@ -65,19 +65,14 @@ _SATURATED = Sampling(cells=1, edge_rays=2)
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Exposure(Value):
-    """An exposure as it was made.
-
-    exposure_s: 0 where it follows from the brightness of Bennu.
-    state_km: (6,), km and km/s, ICRF axes; of the spacecraft from Bennu.
-    rate_rad_s: (3,), camera axes.
-    """
+    """An exposure as it was made."""
 
     name: str
     et: float
-    exposure_s: float
+    exposure_s: float  # 0 where it follows from the brightness of Bennu
     camera_from_inertial: Rotation
-    state_km: Float
-    rate_rad_s: Float
+    state_km: Float  # (6,), km and km/s, ICRF axes; of the spacecraft from Bennu
+    rate_rad_s: Float  # (3,), camera axes
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

@@ -27,24 +27,18 @@ _LATERAL_SUNLIGHT = 0.2  # A priori sigma of each component of the acceleration 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Residual(Value):
-    """A fix against the orbit fitted to the observables of its phase, and against the true one.
-
-    days: since the first image of the phase.
-    fit_px, truth_px: (2,); observed minus expected center.
-    fit_percent, truth_percent: the range, in percent of it; NaN without one.
-    sigma_px, sigma_percent: of the fix.
-    """
+    """A fix against the orbit fitted to the observables of its phase, and against the true one."""
 
     file: str
     estimator: str
     status: str
-    days: float
+    days: float  # since the first image of the phase
     diameter_px: float
-    fit_px: Float
+    fit_px: Float  # fit_px, truth_px: (2,); observed minus expected center
     truth_px: Float
-    fit_percent: float
+    fit_percent: float  # fit_percent, truth_percent: the range, in percent of it; NaN without one
     truth_percent: float
-    sigma_px: Float
+    sigma_px: Float  # sigma_px, sigma_percent: of the fix
     sigma_percent: float
 
 
@@ -84,13 +78,12 @@ class PhaseResult(Value):
 class PhaseInputs(Value):
     """Inputs common to all phases.
 
-    truth: Bennu as it is.
     calibrated: calibrated cameras; an uncalibrated one is declared exactly, but for the width of its point spread
         function.
     """
 
     mission: MissionSetup
-    truth: ReliefBody
+    truth: ReliefBody  # Bennu as it is
     calibrated: Mapping[str, Camera]
     settings: ReplaySettings
 

@@ -49,14 +49,12 @@ _RAYS = 4  # rays along a pixel's side of the template
 class RangeErrorStudy(Value):
     """Errors of the center against the error of the predicted range.
 
-    range_errors: (n,); predicted / true range - 1.
-    phases_deg: (p,).
     correlation_px, fitted_px: (p, n, 2); measured minus true center: by the peak of the correlation, and with the range
         fitted; NaN where none was found.
     """
 
-    range_errors: Float
-    phases_deg: Float
+    range_errors: Float  # (n,); predicted / true range - 1
+    phases_deg: Float  # (p,)
     correlation_px: Float
     fitted_px: Float
 

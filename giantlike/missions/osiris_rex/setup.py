@@ -28,29 +28,21 @@ _SHAPE_PATTERNS = ("*ennu*.obj", "*ennu*.ply", "*ennu*.bds")  # names of shape f
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraSetup:
-    """A camera of Table 1.
-
-    model: Table 1 in our axes: rows run down, so that f_y is positive and p_1 has the other sign.
-    table: Table 1 as printed, but for a misprint.
-    estimated: parameters that the paper's calibration estimates.
-    zero_point_e_s: in electron/s; signal of a star of magnitude 0.
-    temperatures_c: coldest and warmest calibration image.
-    printed_fy_px: the paper's own f_y where it was treated as a misprint.
-    """
+    """A camera of Table 1."""
 
     key: str
     label: str
-    model: BrownModel
-    table: Mapping[str, float]
-    estimated: tuple[str, ...]
+    model: BrownModel  # Table 1 in our axes: rows run down, so that f_y is positive and p_1 has the other sign
+    table: Mapping[str, float]  # Table 1 as printed, but for a misprint
+    estimated: tuple[str, ...]  # parameters that the paper's calibration estimates
     columns: int
     rows: int
-    zero_point_e_s: float
+    zero_point_e_s: float  # in electron/s; signal of a star of magnitude 0
     long_exposure_s: float
     longest_short_s: float
     calibration_images: int
-    temperatures_c: tuple[float, float]
-    printed_fy_px: float | None = None
+    temperatures_c: tuple[float, float]  # coldest and warmest calibration image
+    printed_fy_px: float | None = None  # the paper's own f_y where it was treated as a misprint
 
     def view(self, temperature_c: float = 0.0) -> PinholeView:
         """Return the camera as the independent renderer has it: Table 1 with y turned to rows that run down."""

@@ -36,26 +36,19 @@ _SPACECRAFT, _BENNU = "-64", "2101955"  # NAIF codes of OSIRIS-REx and of Bennu
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Orbit:
-    """Ecliptic osculating elements of Bennu, and its rotation.
+    """Ecliptic osculating elements of Bennu, and its rotation."""
 
-    epoch_jd_tdb: d; of the elements.
-    a_au, e: semi-major axis, au, and eccentricity.
-    pole_ra_deg, pole_dec_deg: spin axis.
-    meridian_deg: angle of the prime meridian at J2000.
-    spin_deg_day: in deg/day.
-    """
-
-    epoch_jd_tdb: float
-    a_au: float
+    epoch_jd_tdb: float  # d; of the elements
+    a_au: float  # a_au, e: semi-major axis, au, and eccentricity
     e: float
     i_deg: float
     node_deg: float
     perihelion_deg: float
     mean_anomaly_deg: float
-    pole_ra_deg: float
+    pole_ra_deg: float  # pole_ra_deg, pole_dec_deg: spin axis
     pole_dec_deg: float
-    meridian_deg: float
-    spin_deg_day: float
+    meridian_deg: float  # angle of the prime meridian at J2000
+    spin_deg_day: float  # in deg/day
 
     def state(self, et: float) -> tuple[Float, Float]:
         """Position (3,), km, and velocity (3,), km/s, with respect to the Sun at ``et``, ICRF axes."""
@@ -88,17 +81,12 @@ class Orbit:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waypoint:
-    """Place of the spacecraft at a time.
+    """Place of the spacecraft at a time."""
 
-    utc: time, ISO 8601.
-    phase_deg: angle Sun - Bennu - camera.
-    turn_deg: direction of the camera about the direction of the Sun, from the north of the ICRF.
-    """
-
-    utc: str
+    utc: str  # time, ISO 8601
     range_km: float
-    phase_deg: float
-    turn_deg: float
+    phase_deg: float  # angle Sun - Bennu - camera
+    turn_deg: float  # direction of the camera about the direction of the Sun, from the north of the ICRF
 
     def place(self, orbit: Orbit) -> tuple[float, Float, Float]:
         """Time, position (3,) from Bennu, km, and direction (3,) of a polar orbit about the Sun's direction there."""
@@ -113,15 +101,11 @@ class Waypoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Flight(Value):
-    """A flown phase: true states of the spacecraft from Bennu by time, and the maneuvers as planned and as executed.
+    """A flown phase: true states of the spacecraft from Bennu by time, and the maneuvers as planned and as executed."""
 
-    states: (6,), km and km/s, ICRF axes, by TDB seconds past J2000.
-    executed_km_s: (m, 3).
-    """
-
-    states: Mapping[float, Float]
+    states: Mapping[float, Float]  # (6,), km and km/s, ICRF axes, by TDB seconds past J2000
     maneuvers: tuple[Maneuver, ...]
-    executed_km_s: Float
+    executed_km_s: Float  # (m, 3)
 
 
 def fly(

@@ -25,29 +25,20 @@ _ROWS = 64  # of the image compared with its threshold at a time
 class Candidates(Value):
     """Peaks of the filtered image, most significant first.
 
-    peaks_px: (n, 2); brightest pixel (x, y) of each.
     points_px: (n, 2); maximum of the Gaussian through that pixel and its neighbors: the position of a star to about
         0.03 px and noise.
-    flux_dn: (n,); flux of a star with that maximum.
-    noise_dn: (n,).
-    significance: (n,); peak / noise.
-    area_px: (n,); area of the component: connected pixels above the threshold.
-    extended: (n,); True where the area is far larger than a star.
-    plateau: (n,); True where a pixel of the peak or a neighbor is saturated.
-    alone: (n,); True for the only peak of its component.
-    first: (n,); True for its strongest peak.
     """
 
-    peaks_px: NDArray[np.int64]
+    peaks_px: NDArray[np.int64]  # (n, 2); brightest pixel (x, y) of each
     points_px: Float
-    flux_dn: Float
-    noise_dn: Float
-    significance: Float
-    area_px: NDArray[np.int64]
-    extended: Mask
-    plateau: Mask
-    alone: Mask
-    first: Mask
+    flux_dn: Float  # (n,); flux of a star with that maximum
+    noise_dn: Float  # (n,)
+    significance: Float  # (n,); peak / noise
+    area_px: NDArray[np.int64]  # (n,); area of the component: connected pixels above the threshold
+    extended: Mask  # (n,); True where the area is far larger than a star
+    plateau: Mask  # (n,); True where a pixel of the peak or a neighbor is saturated
+    alone: Mask  # (n,); True for the only peak of its component
+    first: Mask  # (n,); True for its strongest peak
 
     def __len__(self) -> int:
         return len(self.flux_dn)

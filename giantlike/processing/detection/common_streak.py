@@ -35,14 +35,10 @@ _USUAL_WIDTH, _FOR_WIDTH = 1.0, 8  # first width, px, and number of streaks from
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommonStreak:
-    """Streak common to the stars of an image.
+    """Streak common to the stars of an image."""
 
-    half_px: vector (x, y) from the middle to one end.
-    sigma_px: width of the point spread function across it.
-    """
-
-    half_px: tuple[float, float]
-    sigma_px: float
+    half_px: tuple[float, float]  # vector (x, y) from the middle to one end
+    sigma_px: float  # width of the point spread function across it
 
 
 def find_common_streak(

@@ -65,14 +65,10 @@ NOT_A_STAR = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class UnmeasuredSources(Value):
-    """Sources found in an image and not fitted.
+    """Sources found in an image and not fitted."""
 
-    peaks_px: (n, 2); brightest pixels of the filtered image.
-    sigma_px: (n,); standard deviation per axis that a fit of a star so bright would have.
-    """
-
-    peaks_px: NDArray[np.int64]
-    sigma_px: Float
+    peaks_px: NDArray[np.int64]  # (n, 2); brightest pixels of the filtered image
+    sigma_px: Float  # (n,); standard deviation per axis that a fit of a star so bright would have
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -23,23 +23,15 @@ _FLOAT_FLOOR = 1e-6  # of the range of the image: noise below it is rounding in 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame(Value):
-    """An image to search for sources.
+    """An image to search for sources."""
 
-    pixels: in DN; as stored, finite.
-    flat: (rows, columns) DN; the image minus its median, in single precision: input of the matched filter.
-    detector: an integer image also saturates at the end of its dtype.
-    noise_floor_dn: lower bound of the noise of a pixel: quantization.
-    noise_dn: (rows, columns); noise of a pixel; None where it is measured on the filtered image.
-    any_saturated: True if a good pixel is saturated.
-    """
-
-    pixels: NDArray[Any]
+    pixels: NDArray[Any]  # in DN; as stored, finite
     bad: Mask | None
-    flat: Image32
-    detector: Detector
-    noise_floor_dn: float
-    noise_dn: Image32 | None
-    any_saturated: bool
+    flat: Image32  # (rows, columns) DN; the image minus its median, in single precision: input of the matched filter
+    detector: Detector  # an integer image also saturates at the end of its dtype
+    noise_floor_dn: float  # lower bound of the noise of a pixel: quantization
+    noise_dn: Image32 | None  # (rows, columns); noise of a pixel; None where it is measured on the filtered image
+    any_saturated: bool  # True if a good pixel is saturated
 
     def patches(self, points_px: NDArray[np.int64], half_px: int, noise_dn: ArrayLike = 1.0) -> Patches:
         """Cut-outs of ``2 half_px + 1`` pixels around pixels (n, 2), of background noise (n,), DN."""

@@ -15,20 +15,13 @@ from giantlike.core.values import Value
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameLines(Value):
-    """A frame without its bias, and maxima and means of its rows and columns.
+    """A frame without its bias, and maxima and means of its rows and columns."""
 
-    light_dn: (rows, columns).
-    largest_dn: (rows,); of each row.
-    means_dn: (2, rows); of the first and the second half of each row.
-    across_largest_dn: (columns,).
-    across_means_dn: (2, columns); as above, for columns.
-    """
-
-    light_dn: Float
-    largest_dn: Float
-    means_dn: Float
-    across_largest_dn: Float
-    across_means_dn: Float
+    light_dn: Float  # (rows, columns)
+    largest_dn: Float  # (rows,); of each row
+    means_dn: Float  # (2, rows); of the first and the second half of each row
+    across_largest_dn: Float  # (columns,)
+    across_means_dn: Float  # (2, columns); as above, for columns
 
     @classmethod
     def from_frame(cls, pixels: NDArray[Any], bias_dn: float) -> FrameLines:

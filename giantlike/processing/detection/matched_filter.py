@@ -34,19 +34,14 @@ class FilteredImage(Value):
     """Image after a zero-sum matched filter.
 
     response: (rows, columns); filtered image; times ``flux_per_response`` it is the flux of a star at that pixel.
-    noise_dn: (rows, columns); local noise of a pixel: white noise of the same effect on the filtered image.
-    response_noise: standard deviation of the response to white noise of 1 DN per pixel.
-    flux_per_response: in DN.
-    width_px: Gaussian width of a recorded star that the filter matches.
-    reach_px: distance over which a source changes the response: half the side of the background box.
     """
 
     response: Image32
-    noise_dn: Image32
-    response_noise: float
-    flux_per_response: float
-    width_px: float
-    reach_px: int
+    noise_dn: Image32  # (rows, columns); local noise of a pixel: white noise of the same effect on the filtered image
+    response_noise: float  # standard deviation of the response to white noise of 1 DN per pixel
+    flux_per_response: float  # in DN
+    width_px: float  # Gaussian width of a recorded star that the filter matches
+    reach_px: int  # distance over which a source changes the response: half the side of the background box
 
 
 def recorded_width_px(psf_sigma_px: float) -> float:

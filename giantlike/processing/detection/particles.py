@@ -43,14 +43,10 @@ _LINE_PX2, _LINE_GROWTH, _LINE_MOST_PX2 = 0.08, 0.3, 0.4  # limit of the second 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FewPixels(Value):
-    """Comparison of n sources with light in a few pixels.
+    """Comparison of n sources with light in a few pixels."""
 
-    not_star: (n,); True if light in a few pixels explains the source and a star does not.
-    n_pixels: (n,); number of these pixels; 0 for sources that a star explains.
-    """
-
-    not_star: Mask
-    n_pixels: NDArray[np.int64]
+    not_star: Mask  # (n,); True if light in a few pixels explains the source and a star does not
+    n_pixels: NDArray[np.int64]  # (n,); number of these pixels; 0 for sources that a star explains
 
 
 def core_of(patches: Patches, points_px: Float, psf_sigma_px: float) -> Mask:

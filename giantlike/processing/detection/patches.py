@@ -28,22 +28,16 @@ noise alone exceeds them once in 30,000 sources."""
 class Patches(Value):
     """Square cut-outs of an image, one around each of n sources.
 
-    values_dn: (n, w, w).
-    valid: (n, w, w); True inside the image where the pixel is not bad.
-    saturated: (n, w, w).
-    corner_px: (n, 2); (x, y) of the first pixel of each.
-    noise_dn: (n,); standard deviation of the background of a pixel.
-    gain_e_per_dn: for the shot noise of the source.
     relative_noise: error of the response of a pixel, relative to the light on it
         (:class:`~giantlike.core.detector.Detector`).
     """
 
-    values_dn: Float
-    valid: Mask
-    saturated: Mask
-    corner_px: NDArray[np.int64]
-    noise_dn: Float
-    gain_e_per_dn: float
+    values_dn: Float  # (n, w, w)
+    valid: Mask  # (n, w, w); True inside the image where the pixel is not bad
+    saturated: Mask  # (n, w, w)
+    corner_px: NDArray[np.int64]  # (n, 2); (x, y) of the first pixel of each
+    noise_dn: Float  # (n,); standard deviation of the background of a pixel
+    gain_e_per_dn: float  # for the shot noise of the source
     relative_noise: float = 0.0
 
     @property

@@ -45,16 +45,11 @@ _CHANCES = 2  # images that must show the position of a source for it to be a co
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FixedPattern(Value):
-    """Fixed pattern of a detector, the same in all images of a sequence.
+    """Fixed pattern of a detector, the same in all images of a sequence."""
 
-    level_dn: (rows, columns); relative to the median over the detector.
-    hot: (rows, columns); pixels far brighter than those around, in all images.
-    n_images: number of images in the median.
-    """
-
-    level_dn: NDArray[np.float32]
-    hot: Mask
-    n_images: int
+    level_dn: NDArray[np.float32]  # (rows, columns); relative to the median over the detector
+    hot: Mask  # (rows, columns); pixels far brighter than those around, in all images
+    n_images: int  # number of images in the median
 
     def removed_from(self, pixels: ArrayLike, *, saturation_dn: float = np.inf) -> NDArray[np.float32]:
         """Subtract the pattern from an image."""

@@ -42,16 +42,11 @@ measured. It bounds fits of bodies, which otherwise diverge to thousands of px."
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StreakGuesses(Value):
-    """Lines of light, n of them: a first guess.
+    """Lines of light, n of them: a first guess."""
 
-    centers_px: (n, 2); middle of each.
-    halves_px: (n, 2); vector from the middle to one end.
-    flux_dn, background_dn: (n,); light of each, and level underneath.
-    """
-
-    centers_px: Float
-    halves_px: Float
-    flux_dn: Float
+    centers_px: Float  # (n, 2); middle of each
+    halves_px: Float  # (n, 2); vector from the middle to one end
+    flux_dn: Float  # flux_dn, background_dn: (n,); light of each, and level underneath
     background_dn: Float
 
     def select(self, which: NDArray[np.integer]) -> StreakGuesses:
@@ -63,25 +58,18 @@ class StreakGuesses(Value):
 class LineFits(Value):
     """Fitted lines of n sources.
 
-    centers_px: (n, 2); middle of each.
-    halves_px: (n, 2); vector from the middle to one end, of the two the one with x (or else y) not negative.
-    covariance_px2: (n, 4, 4); of center x, y and half x, y.
-    flux_dn, background_dn: (n,); light, and level of the background in the middle.
     planes: (n, 3) DN, DN/px, DN/px; background of each patch: level of its central pixel, and slopes along x and y.
-    chi2: (n,); weighted square residual.
-    n_pixels: (n,); pixels used.
-    converged: (n,).
     """
 
-    centers_px: Float
-    halves_px: Float
-    covariance_px2: Float
-    flux_dn: Float
+    centers_px: Float  # (n, 2); middle of each
+    halves_px: Float  # (n, 2); vector from the middle to one end, of the two the one with x (or else y) not negative
+    covariance_px2: Float  # (n, 4, 4); of center x, y and half x, y
+    flux_dn: Float  # flux_dn, background_dn: (n,); light, and level of the background in the middle
     background_dn: Float
     planes: Float
-    chi2: Float
-    n_pixels: NDArray[np.int64]
-    converged: Mask
+    chi2: Float  # (n,); weighted square residual
+    n_pixels: NDArray[np.int64]  # (n,); pixels used
+    converged: Mask  # (n,)
 
     @property
     def lengths_px(self) -> Float:

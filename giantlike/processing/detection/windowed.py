@@ -16,15 +16,11 @@ _SETTLED_PX = 1e-5  # last step, px: a hundredth of the best centroids
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WindowedCentroid(Value):
-    """Windowed centroid of a source.
-
-    covariance_px2: from the noise of the pixels alone.
-    snr: windowed flux / standard deviation.
-    """
+    """Windowed centroid of a source."""
 
     point_px: Float
-    covariance_px2: Float
-    snr: float
+    covariance_px2: Float  # from the noise of the pixels alone
+    snr: float  # windowed flux / standard deviation
 
 
 def windowed_centroid(

@@ -24,13 +24,11 @@ _STEP = 1e-6  # of central differences, in standard deviations of the coefficien
 class ConicFit(Value):
     """An ellipse ``A x^2 + 2 B x y + C y^2 + 2 D x + 2 E y + F = 0``.
 
-    coefficients: (6,); A to F, of norm one and positive inside.
-    covariance: of the coefficients, across their own direction.
     residuals: (n,); distances of the points from the ellipse to first order, positive outside; unit of the points.
     """
 
-    coefficients: Float
-    covariance: Float
+    coefficients: Float  # (6,); A to F, of norm one and positive inside
+    covariance: Float  # of the coefficients, across their own direction
     residuals: Float
 
     @property

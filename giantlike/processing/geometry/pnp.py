@@ -37,17 +37,14 @@ class PnpOptions:
         (default).
     max_samples: number of random samples. Default 200: with half of the points wrong, all samples of three contain a
         wrong one with probability 3e-12.
-    min_inliers: fewest points that must agree. Default 5: two more than fix a pose.
-    max_iterations: largest number of Gauss-Newton steps, default 30.
-    seed: seed of the samples: equal input gives equal output.
     """
 
     inlier_px: float = 2.0
     attitude_sigma_rad: float = math.inf
     max_samples: int = 200
-    min_inliers: int = 5
-    max_iterations: int = 30
-    seed: int = 0
+    min_inliers: int = 5  # fewest points that must agree. Default 5: two more than fix a pose.
+    max_iterations: int = 30  # largest number of Gauss-Newton steps, default 30
+    seed: int = 0  # seed of the samples: equal input gives equal output
 
     def __post_init__(self) -> None:
         require(self.inlier_px > 0.0, f"inlier_px must be > 0, got {self.inlier_px}")
@@ -66,19 +63,16 @@ class PnpOptions:
 class PnpFix(Value):
     """Pose of a body from its points.
 
-    position_camera_km: from the camera to the origin of the body axes.
     covariance: in km and rad; of the position and of the small rotation ``e`` about the camera axes with
         ``camera_from_body_true = Rotation.from_rotvec(e) * camera_from_body``; zero for a fixed attitude.
-    inliers: (n,); True for points that agree.
-    residuals_px: (n, 2); measured minus projected, of all points.
     floor_px: standard deviation per axis of the errors beyond the given covariances; included in ``covariance``.
     """
 
-    position_camera_km: Float
+    position_camera_km: Float  # from the camera to the origin of the body axes
     camera_from_body: Rotation
     covariance: Float
-    inliers: Mask
-    residuals_px: Float
+    inliers: Mask  # (n,); True for points that agree
+    residuals_px: Float  # (n, 2); measured minus projected, of all points
     floor_px: float
 
 

@@ -29,22 +29,14 @@ _MOST_ROWS = 1 << 31  # of an image: column and row of a pixel are one number of
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EdgePoints(Value):
-    """Edges measured to a fraction of a pixel.
+    """Edges measured to a fraction of a pixel."""
 
-    pixels_px: (n, 2); middle (x, y) of the window that each was measured in.
-    points_px: (n, 2); on the edge, nearest to that middle.
-    normals_px: (n, 2); unit normals, from light to dark.
-    sigma_px: (n,); standard deviation along the normal: noise of the pixels, and the error of the method.
-    sigma_normal_rad: (n,); standard deviation of the direction of the normal from noise.
-    contrast_dn: (n,); brightness step across the edge, light minus dark.
-    """
-
-    pixels_px: Pixels
-    points_px: Float
-    normals_px: Float
-    sigma_px: Float
-    sigma_normal_rad: Float
-    contrast_dn: Float
+    pixels_px: Pixels  # (n, 2); middle (x, y) of the window that each was measured in
+    points_px: Float  # (n, 2); on the edge, nearest to that middle
+    normals_px: Float  # (n, 2); unit normals, from light to dark
+    sigma_px: Float  # (n,); standard deviation along the normal: noise of the pixels, and the error of the method
+    sigma_normal_rad: Float  # (n,); standard deviation of the direction of the normal from noise
+    contrast_dn: Float  # (n,); brightness step across the edge, light minus dark
 
     def __len__(self) -> int:
         return len(self.points_px)
@@ -98,14 +90,10 @@ def _each_once(pixels_px: Pixels) -> Pixels:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _ParallelLines(Value):
-    """Nearest pixels of an image on parallel lines one pixel apart.
+    """Nearest pixels of an image on parallel lines one pixel apart."""
 
-    values: (k, m); of m pixels along each of k lines; -inf outside.
-    onto: (2, 3); place (x, y) in the image of (m, k, 1).
-    """
-
-    values: Float
-    onto: Float
+    values: Float  # (k, m); of m pixels along each of k lines; -inf outside
+    onto: Float  # (2, 3); place (x, y) in the image of (m, k, 1)
 
     @classmethod
     def across(cls, image: Float, along: Float) -> _ParallelLines:
@@ -128,19 +116,13 @@ class _ParallelLines(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class WindowEdges(Value):
-    """Edges found in windows, one each, relative to the middle of the window.
+    """Edges found in windows, one each, relative to the middle of the window."""
 
-    offsets_px: (n, 2); from the middle to the nearest point of the edge.
-    normals_px: (n, 2); from light to dark.
-    sigma_px, sigma_normal_rad: (n,).
-    contrast_dn: (n,); NaN where there is no edge.
-    """
-
-    offsets_px: Float
-    normals_px: Float
-    sigma_px: Float
-    sigma_normal_rad: Float
-    contrast_dn: Float
+    offsets_px: Float  # (n, 2); from the middle to the nearest point of the edge
+    normals_px: Float  # (n, 2); from light to dark
+    sigma_px: Float  # (n,)
+    sigma_normal_rad: Float  # (n,)
+    contrast_dn: Float  # (n,); NaN where there is no edge
 
 
 def measured_edges(

@@ -31,15 +31,13 @@ class SmoothError:
 
     Its covariance between two points is ``sigma_px^2 exp(-distance / length_px)``.
 
-    sigma_px: standard deviation across the limb.
-    length_px: correlation length.
     along: unit vector in the image. Distances count along it only: the error is the same where light falls alike, on
         both sides of the direction of the Sun.
     """
 
     cause: Cause
-    sigma_px: float
-    length_px: float
+    sigma_px: float  # standard deviation across the limb
+    length_px: float  # correlation length
     along: tuple[float, float] | None = None
 
     def covariance_px2(self, points_px: Float) -> Float:
@@ -52,45 +50,24 @@ class SmoothError:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TerrainShift(Value):
-    """Relief of a height map that was taken off the points of a limb.
+    """Relief of a height map that was taken off the points of a limb."""
 
-    shift_px: (n,); outward shift of the limb with relief from the smooth one.
-    log_odds: logarithm of the Bayes factor of a smooth limb against the map.
-    misfit: RMS of residuals averaged over parts of the limb, normalized by noise and the errors of the map.
-    name, sha256: of the map.
-    mean_km: mean altitude of the points.
-    """
-
-    shift_px: Float
-    log_odds: float
-    misfit: float
-    name: str
+    shift_px: Float  # (n,); outward shift of the limb with relief from the smooth one
+    log_odds: float  # logarithm of the Bayes factor of a smooth limb against the map
+    misfit: float  # RMS of residuals averaged over parts of the limb, normalized by noise and the errors of the map
+    name: str  # name, sha256: of the map
     sha256: str
-    mean_km: float
+    mean_km: float  # mean altitude of the points
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LimbMeasurement(Value):
     """Lit limb of a body, measured in an image across a prediction.
 
-    predicted_px: (n, 2); points of the limb of the body at ``position_camera_km``.
-    normals_px: (n, 2); outward unit normals of the outline in the image.
-    design: (n, 3) px/km; outward motion of the points with the position of the body, camera axes.
-    shift_px: (n,); distance from the predicted limb outward to the one in the image.
-    sigma_px: (n,); standard deviation of ``shift_px`` from pixel noise.
-    keep: (n,); points consistent with one position.
     common_px: mapping of Cause to (n, c); shift of the points by one standard deviation of each of c independent errors
         common to all: blur, law.
-    smooth_errors: errors in neither of these.
-    position_camera_km: position of the body for the prediction.
-    relief: deviation of the outline from the outline of the assumed body.
-    spacing_px, perimeter_px: length of limb for each point; length of the whole outline.
-    cut_by_frame: part of the outline lies outside the frame.
-    rejected: points of the illuminated limb that are not among the n, by reason.
     n_elsewhere: measured edges that are not points of the limb, and points of it without usable pixels, such as bad
         columns, which are not outliers.
-    area: (rows, columns); pixels within reach of the limb.
-    terrain: relief by a height map; ``shift_px`` is without it.
     unmeasured_px: (k, 2); predicted positions of the points that ``rejected`` counts.
     rotation_design: (n, 3) px/rad; outward motion of the points with a small rotation of the body about the camera
         axes; None where not known.
@@ -98,23 +75,23 @@ class LimbMeasurement(Value):
         camera's blur is unknown.
     """
 
-    predicted_px: Float
-    normals_px: Float
-    design: Float
-    shift_px: Float
-    sigma_px: Float
-    keep: Mask
+    predicted_px: Float  # (n, 2); points of the limb of the body at ``position_camera_km``
+    normals_px: Float  # (n, 2); outward unit normals of the outline in the image
+    design: Float  # (n, 3) px/km; outward motion of the points with the position of the body, camera axes
+    shift_px: Float  # (n,); distance from the predicted limb outward to the one in the image
+    sigma_px: Float  # (n,); standard deviation of ``shift_px`` from pixel noise
+    keep: Mask  # (n,); points consistent with one position
     common_px: Mapping[Cause, Float]
-    smooth_errors: tuple[SmoothError, ...]
-    position_camera_km: Float
-    spacing_px: float
+    smooth_errors: tuple[SmoothError, ...]  # errors in neither of these
+    position_camera_km: Float  # position of the body for the prediction
+    spacing_px: float  # spacing_px, perimeter_px: length of limb for each point; length of the whole outline
     perimeter_px: float
-    cut_by_frame: bool
-    rejected: Mapping[str, int]
-    area: Mask
-    relief: SmoothError | None = None
+    cut_by_frame: bool  # part of the outline lies outside the frame
+    rejected: Mapping[str, int]  # points of the illuminated limb that are not among the n, by reason
+    area: Mask  # (rows, columns); pixels within reach of the limb
+    relief: SmoothError | None = None  # deviation of the outline from the outline of the assumed body
     n_elsewhere: int = 0
-    terrain: TerrainShift | None = None
+    terrain: TerrainShift | None = None  # relief by a height map; ``shift_px`` is without it
     unmeasured_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
     rotation_design: Float | None = None
     wider_px2: float | None = None

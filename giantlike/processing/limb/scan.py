@@ -45,20 +45,13 @@ _WIDTHS_PX = np.geomspace(0.6, 4.0, 16)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scans(Value):
-    """Image values along lines.
+    """Image values along lines."""
 
-    points_px: (n, 2); where the lines have their zero.
-    normals_px: (n, 2); their directions, outward.
-    offsets_px: (m,); places along every line, evenly spaced and symmetric about zero.
-    values_dn: (n, m).
-    usable: (n, m); False where a pixel that the value is made from is bad or outside the image.
-    """
-
-    points_px: Float
-    normals_px: Float
-    offsets_px: Float
-    values_dn: Float
-    usable: Mask
+    points_px: Float  # (n, 2); where the lines have their zero
+    normals_px: Float  # (n, 2); their directions, outward
+    offsets_px: Float  # (m,); places along every line, evenly spaced and symmetric about zero
+    values_dn: Float  # (n, m)
+    usable: Mask  # (n, m); False where a pixel that the value is made from is bad or outside the image
 
     def some(self, lines: slice) -> Scans:
         """Return some of the lines."""
@@ -77,34 +70,23 @@ class ProfileMatch(Value):
 
     complete: (n,); values about the limb and at least half of the others are usable, and the match is of these; the
         other arrays are undefined elsewhere.
-    shift_px: (n,); positive outward.
-    sigma_px: (n,); standard deviation of the shift from pixel noise.
     without_slope_px: (n,); outward change of the limb with the slope fixed: small where the expected brightness is
         correct.
-    gain_dn: (n,); brightness of the image / that of the expected profile.
-    correlation: (n,); normalized correlation at the best shift.
-    unexplained: (n,); RMS of the residuals of the match / height of the profile in the image.
-    shared_px: (n, c); shift for a unit of each of the c parameters common to all lines.
-    shared_gain: (n, c); relative change of gain for a unit of each.
-    information: (n, c, c); information of each line on these, its shift, gain, offset and slope left free.
-    pull: (n, c); that information times the estimate.
-    at_border: (n,); the best shift is at the limit of the search.
-    rivalled: (n,); another position on the line fits equally well.
     """
 
     complete: Mask
-    shift_px: Float
-    sigma_px: Float
+    shift_px: Float  # (n,); positive outward
+    sigma_px: Float  # (n,); standard deviation of the shift from pixel noise
     without_slope_px: Float
-    gain_dn: Float
-    correlation: Float
-    unexplained: Float
-    shared_px: Float
-    shared_gain: Float
-    information: Float
-    pull: Float
-    at_border: Mask
-    rivalled: Mask
+    gain_dn: Float  # (n,); brightness of the image / that of the expected profile
+    correlation: Float  # (n,); normalized correlation at the best shift
+    unexplained: Float  # (n,); RMS of the residuals of the match / height of the profile in the image
+    shared_px: Float  # (n, c); shift for a unit of each of the c parameters common to all lines
+    shared_gain: Float  # (n, c); relative change of gain for a unit of each
+    information: Float  # (n, c, c); information of each line on these, its shift, gain, offset and slope left free
+    pull: Float  # (n, c); that information times the estimate
+    at_border: Mask  # (n,); the best shift is at the limit of the search
+    rivalled: Mask  # (n,); another position on the line fits equally well
 
     def brightness_error_px(self, good: Mask) -> float:
         """Shift of the whole limb by a wrong reflectance law, px.

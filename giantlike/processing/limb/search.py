@@ -37,14 +37,12 @@ _LIGHT_SIGMAS = 5.0  # of the noise of the sky, above which a pixel is bright
 class CoarseLimb(Value):
     """Shift and size of the best fit of a whole outline to an image.
 
-    shift_px: from prediction to image.
-    scale: size in the image / predicted size.
     contrast: mean of (inside - outside) / (inside + outside) across the outline: 1 for a bright body before a black
         sky.
     """
 
-    shift_px: Float
-    scale: float
+    shift_px: Float  # from prediction to image
+    scale: float  # size in the image / predicted size
     contrast: float
 
 

@@ -34,22 +34,14 @@ class Background:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Blobs(Value):
-    """Connected patches of light, largest first.
+    """Connected patches of light, largest first."""
 
-    centroids_px: (n, 2); of the brightness above background.
-    middles_px: (n, 2); of the area.
-    areas_px: (n,); numbers of pixels.
-    boxes_px: (n, 4); first column and row, width and height.
-    flux_dn: (n,); sum of the brightness above background.
-    labels: (rows, columns); 1 for the first blob and so on, 0 elsewhere.
-    """
-
-    centroids_px: Float
-    middles_px: Float
-    areas_px: NDArray[np.int64]
-    boxes_px: NDArray[np.int64]
-    flux_dn: Float
-    labels: NDArray[np.int32]
+    centroids_px: Float  # (n, 2); of the brightness above background
+    middles_px: Float  # (n, 2); of the area
+    areas_px: NDArray[np.int64]  # (n,); numbers of pixels
+    boxes_px: NDArray[np.int64]  # (n, 4); first column and row, width and height
+    flux_dn: Float  # (n,); sum of the brightness above background
+    labels: NDArray[np.int32]  # (rows, columns); 1 for the first blob and so on, 0 elsewhere
 
     def __len__(self) -> int:
         return len(self.areas_px)
@@ -65,18 +57,12 @@ class Blobs(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExpectedBlob:
-    """Expected position, size and brightness of a body.
+    """Expected position, size and brightness of a body."""
 
-    center_px: of its light.
-    area_px: illuminated part of its disk.
-    flux_dn: its total flux, where the camera is calibrated; NaN if unknown.
-    log_flux_sigma: standard deviation of the logarithm of ``flux_dn``.
-    """
-
-    center_px: tuple[float, float]
-    area_px: float
-    flux_dn: float = math.nan
-    log_flux_sigma: float = 0.3
+    center_px: tuple[float, float]  # of its light
+    area_px: float  # illuminated part of its disk
+    flux_dn: float = math.nan  # its total flux, where the camera is calibrated; NaN if unknown
+    log_flux_sigma: float = 0.3  # standard deviation of the logarithm of ``flux_dn``
 
     def __post_init__(self) -> None:
         require(math.isfinite(self.area_px) and self.area_px > 0, f"area_px must be > 0, got {self.area_px}")

@@ -36,14 +36,10 @@ _CONTRADICTED = 3.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SharedEstimate(Value):
-    """Estimate of the parameters common to all lines.
+    """Estimate of the parameters common to all lines."""
 
-    values: (c,).
-    covariance: (c, c).
-    """
-
-    values: Float
-    covariance: Float
+    values: Float  # (c,)
+    covariance: Float  # (c, c)
 
 
 def estimate_shared(

@@ -19,23 +19,15 @@ _PATCH_PX = 3  # side, px, of the smallest square of saturated pixels that is tr
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LimbView(Value):
-    """Pixels of a body, their detector and the illumination: the inputs of measurements of a limb.
+    """Pixels of a body, their detector and the illumination: the inputs of measurements of a limb."""
 
-    pixels_dn: (rows, columns); bias taken off.
-    usable: neither bad nor saturated.
-    detector: noise model.
-    plane: camera model and point spread function, None where unknown.
-    sun_direction_camera: unit vector from body to Sun.
-    radius_px: predicted apparent radius of the body.
-    """
-
-    pixels_dn: Float
-    usable: Mask
+    pixels_dn: Float  # (rows, columns); bias taken off
+    usable: Mask  # neither bad nor saturated
     saturated: Mask
-    detector: Detector
-    plane: FocalPlane
-    sun_direction_camera: Float
-    radius_px: float
+    detector: Detector  # noise model
+    plane: FocalPlane  # camera model and point spread function, None where unknown
+    sun_direction_camera: Float  # unit vector from body to Sun
+    radius_px: float  # predicted apparent radius of the body
 
     @property
     def model(self) -> CameraModel:
@@ -78,18 +70,12 @@ class LimbView(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PredictedLimb(Value):
-    """Points of a predicted limb that are illuminated and in the frame.
+    """Points of a predicted limb that are illuminated and in the frame."""
 
-    points_px: (n, 2).
-    points_camera_km: (n, 3); the same points in space.
-    normals_px: (n, 2); outward unit normals of the outline in the image.
-    brightness: (n,); just inside the outline, in any unit.
-    """
-
-    points_px: Float
-    points_camera_km: Float
-    normals_px: Float
-    brightness: Float
+    points_px: Float  # (n, 2)
+    points_camera_km: Float  # (n, 3); the same points in space
+    normals_px: Float  # (n, 2); outward unit normals of the outline in the image
+    brightness: Float  # (n,); just inside the outline, in any unit
 
 
 def in_frame(points_px: Float, shape: tuple[int, ...], *, margin_px: float = 0.0) -> Mask:

@@ -30,15 +30,12 @@ class EmpiricalPsf(Value):
     """Pixel-integrated point spread function on a grid.
 
     shares: (m, m); fraction of the flux in a pixel whose center has the offset of the node from the star, rows along y.
-    sigma: (m, m); standard error of each; very large without samples.
-    step_px: spacing of the nodes; the middle node is at the star.
-    n_used: number of stars.
     """
 
     shares: Float
-    sigma: Float
-    step_px: float
-    n_used: int
+    sigma: Float  # (m, m); standard error of each; very large without samples
+    step_px: float  # spacing of the nodes; the middle node is at the star
+    n_used: int  # number of stars
 
     @property
     def reach_px(self) -> float:

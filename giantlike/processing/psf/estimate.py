@@ -57,21 +57,18 @@ class PsfEstimate(Value):
         y, x^2, x y, y^2, ... of ``degree``, where x and y go from -1 to 1 over the image.
     covariance: (k t, k t); of the coefficients, parameter by parameter; times the reduced chi-square if that is above
         1.
-    degree: degree of the polynomials.
-    columns, rows: size of the image.
     residual_power: squared residuals / squared signal, median of the stars, noise subtracted: 0 for a perfect shape.
-    n_used, n_rejected: numbers of stars.
     """
 
     kind: PsfKind
     coefficients: Float
     covariance: Float
-    degree: int
-    columns: int
+    degree: int  # degree of the polynomials
+    columns: int  # columns, rows: size of the image
     rows: int
     reduced_chi2: float
     residual_power: float
-    n_used: int
+    n_used: int  # n_used, n_rejected: numbers of stars
     n_rejected: int
 
     def to_mapping(self) -> dict[str, Any]:
