@@ -20,8 +20,8 @@ from giantlike.core.units import AU_KM, RAD_PER_ARCSEC, RAD_PER_MAS, SECONDS_PER
 from giantlike.core.values import Value
 
 ZONES = 180  # of declination, 1 degree each: a cone of a camera, some degrees wide, touches a few of them
-YEARS_FROM_EPOCH = 125.0  # A cone holds every star that comes into it within this many years of its catalog epoch
-OBSERVER_AU = 100.0  # A cone holds every star that parallax brings into it for an observer this far from the barycenter
+YEARS_FROM_EPOCH = 125.0  # a cone holds every star that comes into it within this many years of its catalog epoch
+OBSERVER_AU = 100.0  # a cone holds every star that parallax brings into it for an observer this far from the barycenter
 ABERRATION_RAD = 1.5e-4  # margin, rad, added to the radius of a cone: aberration at 45 km/s, 45 km/s / c
 FAST_RAD = 60.0 * RAD_PER_ARCSEC
 """Stars that may be seen farther than this from their catalog position are kept apart from the cells."""

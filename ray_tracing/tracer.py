@@ -278,7 +278,7 @@ def _approach(origins_body_km: ArrayLike, directions_body: ArrayLike, radius_km:
     return origins + reach * directions, directions
 
 
-Tracer: TypeAlias = MeshTracer | EllipsoidTracer  # A shape prepared for rays
+Tracer: TypeAlias = MeshTracer | EllipsoidTracer  # a shape prepared for rays
 
 _TRACERS: weakref.WeakKeyDictionary[TriangleMesh, MeshTracer] = weakref.WeakKeyDictionary()
 _TRACERS_LOCK = threading.Lock()

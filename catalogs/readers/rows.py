@@ -15,7 +15,7 @@ from giantlike.core.arrays import Float
 
 HIPPARCOS_EPOCH, GAIA_EPOCH = 1991.25, 2016.0
 """Julian years of the positions of Hipparcos (CDS ReadMe of I/239) and of Gaia DR3 (its column ``ref_epoch``)."""
-CLOSE_ARCSEC = 5.0  # A star with a neighbor this close is called double
+CLOSE_ARCSEC = 5.0  # a star with a neighbor this close is called double
 SIGMA_PM_UNKNOWN_MAS_YR = 15.0
 """Per axis, of stars without a proper motion. They are none of the fast ones, which Hipparcos was given."""
 REQUIRED = ("ra_deg", "dec_deg", "magnitude")

@@ -18,14 +18,11 @@ from giantlike.core.outcomes import Failure
 class Mode(StrEnum):
     """Mode of an instrument; with the values used in JSON."""
 
-    IDLE = "idle"
-    """Answers commands, takes no images."""
-    CALIBRATION = "calibration"
-    """Narrow cameras on stars: their models, and the rotation between them."""
+    IDLE = "idle"  # answers commands, takes no images
+    CALIBRATION = "calibration"  # narrow cameras on stars: their models, and the rotation between them
     TARGET_DETERMINATION = "target_determination"
     """Wide cameras: which bodies are where, and the slew that puts one into a narrow camera."""
-    PROCESSING = "processing"
-    """Pairs of simultaneous narrow images to attitude and position."""
+    PROCESSING = "processing"  # pairs of simultaneous narrow images to attitude and position
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

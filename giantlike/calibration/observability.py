@@ -29,10 +29,8 @@ class ParameterVerdict(StrEnum):
     SUPPORTED = "supported"
     NOT_SIGNIFICANT = "not_significant"
     """A distortion or temperature term within three sigma of zero: the data do not need it."""
-    ENTANGLED = "entangled"
-    """Correlated above 0.99 with another parameter: only their combination is known."""
-    PRIOR_ONLY = "prior_only"
-    """Its sigma equals the a priori sigma: the observations add hardly any information."""
+    ENTANGLED = "entangled"  # correlated above 0.99 with another parameter: only their combination is known
+    PRIOR_ONLY = "prior_only"  # its sigma equals the a priori sigma: the observations add hardly any information
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

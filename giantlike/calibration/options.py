@@ -46,10 +46,8 @@ class Treatment(StrEnum):
     """Treatment of parameters of which an a priori covariance may be known."""
 
     ESTIMATE = "estimate"
-    CONSIDER = "consider"
-    """Kept at their values, while their covariance enters that of the others."""
-    FIXED = "fixed"
-    """Kept at their values as if these were exact."""
+    CONSIDER = "consider"  # kept at their values, while their covariance enters that of the others
+    FIXED = "fixed"  # kept at their values as if these were exact
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -59,42 +59,31 @@ from giantlike.shapes.landmarks import load_landmarks
 class ExportFormat(StrEnum):
     """Formats of ``giantlike export``."""
 
-    CSV = "csv"
-    """Quaternions and covariances."""
-    CK = "ck"
-    """SPICE C-kernel of type 3 or 1."""
-    AEM = "aem"
-    """CCSDS Attitude Ephemeris Message."""
-    WCS = "wcs"
-    """A FITS header with TAN-SIP world coordinates for each image, in a folder."""
+    CSV = "csv"  # quaternions and covariances
+    CK = "ck"  # SPICE C-kernel of type 3 or 1
+    AEM = "aem"  # CCSDS Attitude Ephemeris Message
+    WCS = "wcs"  # A FITS header with TAN-SIP world coordinates for each image, in a folder
     OBSERVABLES = "observables"
     """Observables of bodies, landmarks and stars: JSON lines or, by the name of the output, Parquet."""
-    TDM = "tdm"
-    """CCSDS Tracking Data Message: right ascension, declination and range of the preferred fixes."""
-    PSF = "psf"
-    """JPL picture sequence file: pointing, bodies and stars of each picture."""
-    SUMFILE = "sumfile"
-    """SUMFILEs of stereophotoclinometry, one for each target in an image, in a folder."""
+    TDM = "tdm"  # CCSDS Tracking Data Message: right ascension, declination and range of the preferred fixes
+    PSF = "psf"  # JPL picture sequence file: pointing, bodies and stars of each picture
+    SUMFILE = "sumfile"  # SUMFILEs of stereophotoclinometry, one for each target in an image, in a folder
     SPK = "spk"
     """SPICE SPK of the spacecraft relative to each target from the preferred positions, and covariances as CSV."""
-    ADES = "ades"
-    """Astrometry for the Minor Planet Center, XML or, by the name of the output, PSV: the preferred fixes."""
+    ADES = "ades"  # astrometry for the Minor Planet Center, XML or, by the name of the output, PSV: the preferred fixes
 
 
 class InertialFrame(StrEnum):
     """Names of the inertial axes in CCSDS messages."""
 
-    ICRF = "ICRF"
-    """Axes of SPICE's J2000."""
-    GCRF = "GCRF"
-    """The same axes by the name that programs read without an ephemeris of the barycenter, such as Orekit."""
+    ICRF = "ICRF"  # axes of SPICE's J2000
+    GCRF = "GCRF"  # the same axes by the name that programs read without an ephemeris of the barycenter, such as Orekit
 
 
 class PointingSource(StrEnum):
     """Source of exported attitudes."""
 
-    STARS = "stars"
-    """The attitudes of the run: stars, or transferred from them."""
+    STARS = "stars"  # the attitudes of the run: stars, or transferred from them
     BODIES = "bodies"
     """The ephemeris: the camera is rotated to fit bodies and landmarks to their measured positions, with the attitude
     of the run and its covariance as a priori."""

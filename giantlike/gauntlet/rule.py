@@ -24,20 +24,14 @@ STARS = "stars"  # name of the star chain among the estimators
 class Verdict(StrEnum):
     """Outcome class of one estimator and one image; the values appear in JSON and tables."""
 
-    RIGHT = "right"
-    """``ok``, within 4 sigma, and that sigma is at most 3 times the nominal one."""
-    VAGUE = "vague"
-    """``ok``, within 4 sigma, but of a larger sigma."""
-    HONEST = "honest"
-    """Suspect or failed, where no answer can be demanded, and the reason fits."""
-    DOUBTFUL = "doubtful"
-    """``ok`` and beyond 4 sigma, but not an undetected failure."""
-    SILENT_WRONG = "silent_wrong"
-    """``ok``, beyond 5 sigma, and beyond 0.5 px or 0.5 % of range."""
+    RIGHT = "right"  # ``ok``, within 4 sigma, and that sigma is at most 3 times the nominal one
+    VAGUE = "vague"  # ``ok``, within 4 sigma, but of a larger sigma
+    HONEST = "honest"  # suspect or failed, where no answer can be demanded, and the reason fits
+    DOUBTFUL = "doubtful"  # ``ok`` and beyond 4 sigma, but not an undetected failure
+    SILENT_WRONG = "silent_wrong"  # ``ok``, beyond 5 sigma, and beyond 0.5 px or 0.5 % of range
     NEEDLESS_REFUSAL = "needless_refusal"
     """Suspect or failed, although the rule said beforehand that the image can be solved."""
-    MISLEADING = "misleading"
-    """Suspect or failed, where no answer can be demanded, for a reason that is not true."""
+    MISLEADING = "misleading"  # suspect or failed, where no answer can be demanded, for a reason that is not true
 
 
 LEAST_SNR, LARGEST_PHASE_DEG = 15.0, 110.0

@@ -179,7 +179,7 @@ def craters(
     for center, radius in zip(centers, radii, strict=True):
         squared = 2.0 * (1.0 - directions @ center) / radius**2
         near = squared < 12.0
-        # A bowl (2 s - 1) exp(-2 s) in s = (distance / radius)^2: deepest at the center, a low rim, smooth.
+        # a bowl (2 s - 1) exp(-2 s) in s = (distance / radius)^2: deepest at the center, a low rim, smooth.
         share = squared[near]
         bowl = depth * radius
         fall = np.exp(-2.0 * share)

@@ -99,11 +99,11 @@ def apparent_disk(position_km: ArrayLike, radius_km: float, motion: Motion, poin
     half = np.arcsin(radius_km / distance)
     around = np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * up
     paths = np.cos(half) * axis + np.sin(half) * around  # tangent to the sphere as it stands at reception
-    # A path relative to the body is n + v of a unit vector n: n = s path - v with |n| = 1 gives s.
+    # a path relative to the body is n + v of a unit vector n: n = s path - v with |n| = 1 gives s.
     along = paths @ velocity
     lengths = along + np.sqrt(along**2 + 1.0 - velocity @ velocity)
     seen = aberrated(lengths[:, None] * paths - velocity, motion.observer_km_s)
-    # A circle of directions lies in a plane: seen . axis = cos(half angle).
+    # a circle of directions lies in a plane: seen . axis = cos(half angle).
     normal = np.linalg.lstsq(seen, np.ones(points), rcond=None)[0]
     size = float(np.linalg.norm(normal))
     center = normal / size

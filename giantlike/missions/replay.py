@@ -42,12 +42,10 @@ class ComparisonKind(StrEnum):
 
     INPUT = "input"
     """The number follows from one that was put in, drawn with, or tuned to the paper's: this is not an agreement."""
-    DERIVED = "derived"
-    """Follows from numbers of the paper, or from published ones, by known formulas."""
+    DERIVED = "derived"  # follows from numbers of the paper, or from published ones, by known formulas
     SELF_CHECK = "self_check"
     """Ours against ours, or against a truth or a limit of our own: the paper has no number that it could miss."""
-    INDEPENDENT = "independent"
-    """A number or statement of the paper from which nothing in the replay was set."""
+    INDEPENDENT = "independent"  # a number or statement of the paper from which nothing in the replay was set
 
 
 INPUT, DERIVED, SELF_CHECK, INDEPENDENT = ComparisonKind

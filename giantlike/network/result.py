@@ -26,8 +26,7 @@ class PointStatus(StrEnum):
     CHECKED = "checked"
     UNCHECKED = "unchecked"
     """Two measures or fewer are used: an error of one along the line of sight of the other cannot be seen."""
-    AMBIGUOUS = "ambiguous"
-    """Rejecting another measure of the point fits as well."""
+    AMBIGUOUS = "ambiguous"  # rejecting another measure of the point fits as well
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -37,10 +37,8 @@ _LARGEST_DN = 65535  # of a SUMFILE, for a detector without saturation: 16 bits
 class Angles(StrEnum):
     """What is removed of the angles of a tracking data message."""
 
-    ASTROMETRIC = "astrometric"
-    """Stellar aberration: the readers of such messages model light time."""
-    APPARENT = "apparent"
-    """Nothing."""
+    ASTROMETRIC = "astrometric"  # stellar aberration: the readers of such messages model light time
+    APPARENT = "apparent"  # nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

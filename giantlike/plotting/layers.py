@@ -29,10 +29,8 @@ class MarkShape(StrEnum):
     DIAMOND = "diamond"
     LINE = "line"
     DASHES = "dashes"
-    BARS = "bars"
-    """Vertical strokes, each between two points."""
-    ARROWS = "arrows"
-    """Each from a point to the next."""
+    BARS = "bars"  # vertical strokes, each between two points
+    ARROWS = "arrows"  # each from a point to the next
 
 
 _MARKERS = {
@@ -75,7 +73,7 @@ def layer_svg(layer: Layer, name: str, points: Float) -> str:
     size = layer.size * UNITS_PER_POINT * 10 / 8
     box = f'viewBox="0 0 10 10" refX="5" refY="5" markerWidth="{size:.1f}" markerHeight="{size:.1f}"'
     drawn = _MARKERS[layer.shape].format(color=layer.color)
-    # A path of one point shows no marker: the last point is there twice, and a marker at the end would be drawn twice.
+    # a path of one point shows no marker: the last point is there twice, and a marker at the end would be drawn twice.
     return (
         f'<marker id="{name}" {box} markerUnits="userSpaceOnUse"><g fill="{layer.fill}" stroke="{layer.color}" '
         f'stroke-width="{10 * width / size:.2f}">{drawn}</g></marker>'

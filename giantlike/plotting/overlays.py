@@ -92,9 +92,9 @@ class BodyMarks(Value):
     """A body in an image, px."""
 
     name: str
-    predicted_px: Float  # A priori center
+    predicted_px: Float  # a priori center
     radius_px: float  # apparent radius of the sphere around it
-    outline_px: Float  # (n, 2); A priori outline; empty for a body too small to have one
+    outline_px: Float  # (n, 2); a priori outline; empty for a body too small to have one
     lit: Mask  # (n,); True for outline points in sunlight
     centers: Sequence[CenterMark] = ()
 

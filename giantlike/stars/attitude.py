@@ -69,22 +69,17 @@ class AttitudeMethod(StrEnum):
 
     WEIGHTED = "weighted"
     """Gauss-Newton on the pixels, started by the q-method: every star weighted with its full covariance."""
-    Q_METHOD = "q_method"
-    """Davenport's q-method: one sigma per star."""
-    SVD = "svd"
-    """Singular value decomposition: one sigma per star."""
-    ESOQ2 = "esoq2"
-    """Axis and angle in closed form: one sigma per star."""
+    Q_METHOD = "q_method"  # Davenport's q-method: one sigma per star
+    SVD = "svd"  # singular value decomposition: one sigma per star
+    ESOQ2 = "esoq2"  # axis and angle in closed form: one sigma per star
 
 
 class Scale(IntEnum):
     """Parameters of the camera model estimated with the attitude; the value is their number."""
 
     FIXED = 0
-    FOCAL_LENGTH = 1
-    """One factor on fx and fy."""
-    RADIAL = 2
-    """The factor and the radial distortion k1."""
+    FOCAL_LENGTH = 1  # one factor on fx and fy
+    RADIAL = 2  # the factor and the radial distortion k1
 
 
 @one_thread()

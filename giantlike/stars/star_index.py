@@ -69,10 +69,8 @@ _DENSITIES = ((2.5, Density(0.75, 9)), (0.9, Density(1.1, 8)), (0.4, Density(1.2
 class Pattern(StrEnum):
     """Kind of star pattern; the value is part of file names."""
 
-    TRIAD = "triad"
-    """Three stars and the angles between them: the camera is calibrated."""
-    QUAD = "quad"
-    """Four stars and their shape: the focal length is unknown."""
+    TRIAD = "triad"  # three stars and the angles between them: the camera is calibrated
+    QUAD = "quad"  # four stars and their shape: the focal length is unknown
 
     @property
     def stars(self) -> int:

@@ -29,8 +29,7 @@ from giantlike.stars.rates import AngularRates
 class TransferMethod(StrEnum):
     """Model of the rotation of the camera between two images."""
 
-    REPLACE = "replace"
-    """No rotation: the nearest star solution is used as it is."""
+    REPLACE = "replace"  # no rotation: the nearest star solution is used as it is
     PROPAGATE = "propagate"
     """Rotation by angular rates (of a gyro) or by the a priori attitudes (of a CK), from the nearest star solution."""
     INTERPOLATE = "interpolate"

@@ -261,18 +261,12 @@ class _SmoothLimb(Value):
     toward: Float
     across: Float
     distance_km: float
-    polar_rad: Float
-    """Angle (k,) at the center from the camera to the point of the limb."""
-    half_angle_rad: Float
-    """Angle (k,) at the camera from the center to the limb."""
-    arm_km: Float
-    """Length (k,) of the line of sight to the limb."""
-    points_km: Float
-    """Points (k, 3) of the limb."""
-    normals: Float
-    """Unit normals (k, 3) of the surface there."""
-    lean: Float
-    """Cosine (k,) between the half-plane and the normal of the surface at the limb."""
+    polar_rad: Float  # angle (k,) at the center from the camera to the point of the limb
+    half_angle_rad: Float  # angle (k,) at the camera from the center to the limb
+    arm_km: Float  # length (k,) of the line of sight to the limb
+    points_km: Float  # points (k, 3) of the limb
+    normals: Float  # unit normals (k, 3) of the surface there
+    lean: Float  # cosine (k,) between the half-plane and the normal of the surface at the limb
 
     @classmethod
     def from_ellipsoid(cls, radii_km: Float, toward: Float, across: Float, distance_km: float) -> _SmoothLimb:

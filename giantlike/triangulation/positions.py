@@ -29,8 +29,7 @@ class TriangulationMethod(StrEnum):
 
     LOST = "lost"
     """Linear optimal sine triangulation: weighted by ranges that follow from pairs of lines, without iteration."""
-    MAXIMUM_LIKELIHOOD = "maximum_likelihood"
-    """Gauss-Newton steps from there, to the position of maximum likelihood."""
+    MAXIMUM_LIKELIHOOD = "maximum_likelihood"  # Gauss-Newton steps from there, to the position of maximum likelihood
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -334,7 +333,7 @@ def _ranges_of_pairs(lines: _SightlineArrays) -> Float | Failure:
     longest = float(np.max(ranges))
     if longest == 0.0:
         return Failure(Reason.DEGENERATE_GEOMETRY, "all lines of sight go to one place: give a second target")
-    # A line that ends where another passes has no range: a small one gives it its due weight.
+    # a line that ends where another passes has no range: a small one gives it its due weight.
     return np.asarray(np.maximum(ranges, 1e-9 * longest))
 
 

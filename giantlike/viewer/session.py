@@ -40,7 +40,7 @@ class SeenImage:
     record: AttitudeRecord
     observations: tuple[ObservationRecord, ...]
     points: Mapping[tuple[str, str], Mapping[str, Any]]
-    targets: tuple[TargetRecord, ...]  # A priori geometry and outlines
+    targets: tuple[TargetRecord, ...]  # a priori geometry and outlines
     edits: tuple[Edit, ...]  # decisions in effect
     rejected_fixes: tuple[ObservationRecord, ...] = ()  # fixes that were rejected, as they were before
     terminators: Mapping[str, tuple[Float, ...]] = field(default_factory=dict)

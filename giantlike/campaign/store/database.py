@@ -78,7 +78,7 @@ class Database:
     def open_for_writing(self) -> Iterator[None]:
         """Context manager that keeps the file open, in WAL mode."""
         with self._border(), contextlib.closing(self._connect(write=True)) as connection:
-            # A file system without shared memory (some network ones) keeps another journal: as safe, and slower.
+            # a file system without shared memory (some network ones) keeps another journal: as safe, and slower.
             connection.execute("PRAGMA journal_mode = WAL")
             connection.execute("PRAGMA synchronous = NORMAL")
             self._open = connection

@@ -128,10 +128,8 @@ class Attitude(PlainRecord):
 class ImageRecord(PlainRecord):
     """Base of the result of one step of a run for an image, or a target in it; one row in the run folder."""
 
-    part: ClassVar[str]
-    """Name of the step."""
-    points_of: ClassVar[tuple[str, ...]] = ()
-    """Fields that hold lists of points, which :meth:`light` leaves out."""
+    part: ClassVar[str]  # name of the step
+    points_of: ClassVar[tuple[str, ...]] = ()  # fields that hold lists of points, which :meth:`light` leaves out
 
     index: int  # position in input order
     file: str  # name in the tables

@@ -382,7 +382,7 @@ def _again_compared(flown: dict[int, FlownPass], again: dict[int, Float]) -> lis
 
 _PARAMETERS = 15
 _DIAMETER = 20  # state that is the bias of the diameter of the disk, in focal lengths
-_BIAS_SIGMA_KM = 20.0  # A priori standard deviation of the bias of the radius: most of the 35 km assumed at first
+_BIAS_SIGMA_KM = 20.0  # a priori standard deviation of the bias of the radius: most of the 35 km assumed at first
 
 
 def filter_bias_km(setting: Setting, flown: FlownPass) -> tuple[Float, Float]:

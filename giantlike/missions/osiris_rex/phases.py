@@ -22,7 +22,7 @@ from giantlike.missions.osiris_rex.setup import MissionSetup, PhaseSetup
 from giantlike.missions.osiris_rex.trajectory import SUN_GM_KM3_S2, Flight, fly
 from giantlike.missions.replay import ReplaySettings
 
-_LATERAL_SUNLIGHT = 0.2  # A priori sigma of each component of the acceleration by sunlight, of its size [assumed]
+_LATERAL_SUNLIGHT = 0.2  # a priori sigma of each component of the acceleration by sunlight, of its size [assumed]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -90,7 +90,7 @@ def matched_filter(
         response=response,
         noise_dn=grid.spread(np.maximum(sigma / response_noise, noise_floor_dn), out=around),
         response_noise=response_noise,
-        # A star as wide as the kernel, anywhere in its pixel: 1 / (4 pi width^2), minus the box.
+        # a star as wide as the kernel, anywhere in its pixel: 1 / (4 pi width^2), minus the box.
         flux_per_response=1.0
         / ((1.0 / (4.0 * math.pi * width**2) if half_streak_px is None else float(np.sum(kernel**2))) - pedestal),
         width_px=width,

@@ -29,14 +29,11 @@ Region = tuple[int, int, int, int]  # first column, first row, columns, rows; px
 class NoiseSource(StrEnum):
     """Source of the noise of a pixel."""
 
-    LOCAL = "local"
-    """The image around each pixel (way C of the paper)."""
-    IMAGE = "image"
-    """A sample of all pixels of the image (way A)."""
+    LOCAL = "local"  # the image around each pixel (way C of the paper)
+    IMAGE = "image"  # a sample of all pixels of the image (way A)
     COVERED = "covered"
     """Pixels that no light reaches (way B), and the shot noise of the level that the others have above them."""
-    DETECTOR = "detector"
-    """Gain, read noise and bias of the detector, at the level around each pixel."""
+    DETECTOR = "detector"  # gain, read noise and bias of the detector, at the level around each pixel
 
 
 def predicted_noise_dn(

@@ -27,7 +27,7 @@ class ConicFit(Value):
     residuals: (n,); distances of the points from the ellipse to first order, positive outside; unit of the points.
     """
 
-    coefficients: Float  # (6,); A to F, of norm one and positive inside
+    coefficients: Float  # (6,); a to F, of norm one and positive inside
     covariance: Float  # of the coefficients, across their own direction
     residuals: Float
 

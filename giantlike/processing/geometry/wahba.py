@@ -26,10 +26,8 @@ _NEWTON_STEPS = 30  # bound; Newton's method stops at the rounding of float64
 class WahbaMethod(StrEnum):
     """Solver of Wahba's problem; all methods minimize the same sum."""
 
-    Q_METHOD = "q_method"
-    """Eigenvector of Davenport's matrix: the most robust."""
-    SVD = "svd"
-    """Singular values of the profile matrix."""
+    Q_METHOD = "q_method"  # eigenvector of Davenport's matrix: the most robust
+    SVD = "svd"  # singular values of the profile matrix
     ESOQ2 = "esoq2"
     """Axis and angle in closed form, without a decomposition. In a narrow field it loses digits of the roll."""
 

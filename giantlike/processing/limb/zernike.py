@@ -87,12 +87,9 @@ class _Table(Value):
 
     first: NDArray[np.complex128]
     second: Float
-    ratio: Float
-    """A20 over |A11| at the distances of ``_TABLE``."""
-    per_curvature: Float
-    """Its change with the curvature (in radii of the window)."""
-    height: Float
-    """|A11| of a step of height one."""
+    ratio: Float  # A20 over |A11| at the distances of ``_TABLE``
+    per_curvature: Float  # its change with the curvature (in radii of the window)
+    height: Float  # |A11| of a step of height one
     radius_px: float
     sampling_px: float
 

@@ -29,12 +29,9 @@ _GAUSSIAN_BELOW = 1e-6  # 1/beta below which the Moffat function is computed as 
 class PsfKind(StrEnum):
     """Free parameters of the family."""
 
-    GAUSSIAN = "gaussian"
-    """Round: ln sigma alone."""
-    ELONGATED = "elongated"
-    """An elliptical Gaussian."""
-    MOFFAT = "moffat"
-    """An elliptical Moffat function: a core and wings."""
+    GAUSSIAN = "gaussian"  # round: ln sigma alone
+    ELONGATED = "elongated"  # an elliptical Gaussian
+    MOFFAT = "moffat"  # an elliptical Moffat function: a core and wings
 
     @property
     def n_free(self) -> int:
