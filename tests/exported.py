@@ -34,6 +34,7 @@ PACKAGES = (
     "giantlike.triangulation",
     "giantlike.network",
     "giantlike.passes",
+    "giantlike.photometry",
     "giantlike.planning",
     "giantlike.cislunar",
     "giantlike.autonomy",

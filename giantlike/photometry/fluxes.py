@@ -21,8 +21,9 @@ from scipy.sparse import csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 
 from giantlike.camera import Camera
-from giantlike.catalogs import StarCatalog, StarTable, apparent_directions, et_of_julian_year
+from giantlike.catalogs import StarCatalog, StarTable, apparent_directions
 from giantlike.catalogs.blends import blended
+from giantlike.catalogs.table import et_of_julian_year
 from giantlike.core.arrays import Float, Mask, as_floats, require
 from giantlike.core.frames import rotate
 from giantlike.core.outcomes import Failure, Reason

@@ -148,4 +148,4 @@ def test_bad_input_is_refused_by_name() -> None:
     assert blank.reason is gl.Reason.NO_SIGNAL
     for options in ({"aperture_px": 0.0}, {"annulus_px": (9.0, 8.0)}, {"aperture_px": 10.0}, {"method": "sum"}):
         with pytest.raises(gl.InputError):
-            FluxOptions(**options)  # type: ignore[arg-type]
+            FluxOptions(**options)
