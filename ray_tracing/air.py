@@ -51,10 +51,7 @@ class Air:
         return -_REACH * math.sqrt(2.0 * self.scale_height)
 
     def slant_cosine(self, cosine: ArrayLike) -> Float:
-        """Inverse of the depth along a ray over the vertical one.
-
-        ``cosine`` (...); returns (...).
-        """
+        """Inverse of the depth along a ray over the vertical one. ``cosine`` (...); returns (...)."""
         width = math.sqrt(2.0 * self.scale_height)
         steepness = np.maximum(np.asarray(cosine, dtype=np.float64) / width, -_REACH)
         return np.asarray(width / math.sqrt(math.pi) / erfcx(steepness))

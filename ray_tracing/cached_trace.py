@@ -46,10 +46,7 @@ class Trace(Value):
         return sum(traced.lit for traced in self.tiles)
 
     def template(self) -> Template | Failure:
-        """Shade the rays and gather them on pixels.
-
-        The result is as :func:`~giantlike.ray_tracing.render`.
-        """
+        """Shade the rays and gather them on pixels. The result is as :func:`~giantlike.ray_tracing.render`."""
         law, footprint = self.body.reflectance, self.footprint
         pairs = zip(footprint.tiles, self.tiles, strict=True)
         shaded = (shade_tile(footprint, tile, traced, law) for tile, traced in pairs)
@@ -61,10 +58,7 @@ class Trace(Value):
         return self.footprint.cells
 
     def cell_brightness(self, law: Reflectance) -> Float:
-        """Shade the rays and leave them as they are.
-
-        Returns (columns, rows), 0 where nothing is lit.
-        """
+        """Shade the rays and leave them as they are. Returns (columns, rows), 0 where nothing is lit."""
         x, y = self.footprint.cells
         brightness = np.zeros((x.count, y.count))
         for tile, traced in zip(self.footprint.tiles, self.tiles, strict=True):

@@ -28,10 +28,7 @@ class Daylight(Value):
     whole: bool = True  # False where rays were sent through a part of the cells: none is known to be dark
 
     def classify(self, cells: tuple[AxisCells, AxisCells]) -> tuple[Mask, Mask]:
-        """Where a finer trace can do without rays.
-
-        Returns ``dark``, ``lit`` (columns, rows).
-        """
+        """Where a finer trace can do without rays. Returns ``dark``, ``lit`` (columns, rows)."""
         around, image = np.ones((3, 3), np.uint8), self.lit.astype(np.uint8)
         columns, rows = (self._numbers(axis, one) for axis, one in enumerate(cells))
         inside = (columns >= 0)[:, None] & (rows >= 0)

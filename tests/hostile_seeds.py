@@ -51,7 +51,7 @@ from giantlike.shapes.landmarks import LandmarkCatalog, landmark_of, load_landma
 from giantlike.stars import star_index
 from giantlike.stars.rates import read_rates
 from giantlike.terrain import HeightMap
-from giantlike.viewer.dossier_check import check_dossier
+from giantlike.viewer.dossier import check_dossier
 from tests.camera_models.test_camera_models import NAVCAM
 from tests.campaign import test_export as run_files
 from tests.campaign_files import campaign_table

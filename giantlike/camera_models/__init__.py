@@ -5,12 +5,11 @@
 """
 
 from giantlike.camera_models.base import CameraModel, ifov_rad
-from giantlike.camera_models.brown import BrownModel
 from giantlike.camera_models.fisheye import EquidistantModel, EquisolidModel
 from giantlike.camera_models.grid import GridCorrectedModel
-from giantlike.camera_models.opencv import OpenCVModel
 from giantlike.camera_models.owen import OwenModel
 from giantlike.camera_models.pinhole import PinholeModel
+from giantlike.camera_models.rational import BrownModel, OpenCVModel
 from giantlike.camera_models.registry import MODELS, model_from_mapping, model_to_mapping
 from giantlike.camera_models.scan import SweepXModel, SweepYModel
 from giantlike.camera_models.scaramuzza import ScaramuzzaModel

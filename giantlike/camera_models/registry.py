@@ -9,12 +9,11 @@ from typing import Any
 
 from giantlike.camera_models.affine import TEMPERATURE_NAMES, AffineModel
 from giantlike.camera_models.base import CameraModel
-from giantlike.camera_models.brown import BrownModel
 from giantlike.camera_models.fisheye import EquidistantModel, EquisolidModel
 from giantlike.camera_models.grid import GridCorrectedModel
-from giantlike.camera_models.opencv import OpenCVModel
 from giantlike.camera_models.owen import OwenModel
 from giantlike.camera_models.pinhole import PinholeModel
+from giantlike.camera_models.rational import BrownModel, OpenCVModel
 from giantlike.camera_models.scan import SweepXModel, SweepYModel
 from giantlike.camera_models.scaramuzza import ScaramuzzaModel
 from giantlike.core.arrays import as_floats, require

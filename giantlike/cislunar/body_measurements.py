@@ -28,10 +28,7 @@ def tangent_angles(position_camera_km: ArrayLike) -> Float:
 
 
 def angular_diameter(range_km: ArrayLike, radius_km: float) -> Float:
-    """Angle between opposite tangents to a sphere (eq. 4).
-
-    ``range_km`` (...); returns (...) rad.
-    """
+    """Angle between opposite tangents to a sphere (eq. 4). ``range_km`` (...); returns (...) rad."""
     return np.asarray(2.0 * np.arcsin(radius_km / _outside(range_km, radius_km)))
 
 

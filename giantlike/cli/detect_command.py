@@ -13,10 +13,9 @@ import typer
 
 from giantlike.camera import Camera
 from giantlike.cli.arguments import Frames, Hdu, Images, Json, Sequence
-from giantlike.cli.frames_input import ImageReader
+from giantlike.cli.frames_input import BOTH_PATTERNS, ImageReader, sequence_pattern, without_pattern
 from giantlike.cli.outcome import ExitCode, Results, rows_of, show_results
 from giantlike.cli.progress import with_progress
-from giantlike.cli.sequence_input import BOTH_PATTERNS, sequence_pattern, without_pattern
 from giantlike.core.arrays import require
 from giantlike.core.detector import Detector
 from giantlike.core.errors import OpNavError

@@ -15,10 +15,9 @@ from giantlike._system.atomic import make_folder
 from giantlike.camera import Camera
 from giantlike.catalogs import StarCatalog, load_catalog
 from giantlike.cli.arguments import Frames, Hdu, Images, Json, Sequence
-from giantlike.cli.frames_input import ImageReader
+from giantlike.cli.frames_input import BOTH_PATTERNS, ImageReader, sequence_pattern, without_pattern
 from giantlike.cli.outcome import ExitCode, Results, show_results
 from giantlike.cli.progress import with_progress
-from giantlike.cli.sequence_input import BOTH_PATTERNS, sequence_pattern, without_pattern
 from giantlike.core.arrays import require
 from giantlike.core.detector import Detector
 from giantlike.core.errors import DataError, OpNavError

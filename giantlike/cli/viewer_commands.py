@@ -16,8 +16,7 @@ from giantlike.core.errors import InputError
 from giantlike.core.extras import require_extra
 from giantlike.viewer import Session, backplanes_of, layers_of
 from giantlike.viewer import explain as explained
-from giantlike.viewer.dossier import write_dossier
-from giantlike.viewer.dossier_check import check_dossier, reproduce
+from giantlike.viewer.dossier import check_dossier, reproduce, write_dossier
 from giantlike.viewer.layers import LAYERS
 from giantlike.viewer.planes import with_terminators, write_backplanes
 from giantlike.viewer.session import verdict_of

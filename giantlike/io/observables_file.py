@@ -322,10 +322,7 @@ def write_observables(path: Path, rows: Iterable[ObservableRow | ObservableBlock
 
 @reads("observables in Parquet")
 def read_observables(path: Path) -> tuple[list[ObservableRow], dict[str, str]]:
-    """Read observables back from a Parquet file.
-
-    Returns ``rows`` and ``metadata``.
-    """
+    """Read observables back from a Parquet file. Returns ``rows`` and ``metadata``."""
     from pyarrow import parquet
 
     with parquet.ParquetFile(path) as file:

@@ -213,10 +213,7 @@ def summary_of(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
 
 
 def save_replay(replay: Replay, settings: ReplaySettings) -> dict[str, Any]:
-    """Write ``replay.json`` and ``report.html`` to the folder of the settings.
-
-    The result is as :func:`summary_of`.
-    """
+    """Write ``replay.json`` and ``report.html`` to the folder of the settings. The result is as :func:`summary_of`."""
     summary = summary_of(replay, settings)
     make_folder(settings.output)
     write_text_atomic(settings.output / "replay.json", json.dumps(summary, indent=1, allow_nan=False) + "\n")

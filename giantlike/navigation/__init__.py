@@ -42,8 +42,7 @@ __getattr__ = forward_names(
             "LimbPoints NavigationPass PassFix PassImage PassOptions PassTerm RunPass estimate_pass pass_from_run"
         ),
         "giantlike.passes.fix": "TermTest TimetagJitter",
-        "giantlike.passes.images": "MeasuredPosition",
-        "giantlike.passes.limb_modes": "limb_waves wave_amplitudes",
+        "giantlike.passes.images": "MeasuredPosition limb_waves wave_amplitudes",
         "giantlike.passes.run": "pass_from_rows",
         "giantlike.triangulation": (
             "Sightline StarEphemeris TriangulatedPosition TriangulationOptions locate sightline_of_fix "

@@ -67,10 +67,7 @@ def _pick_on_grid(points_px: Float) -> NDArray[np.intp]:
 
 
 def correlation_figure(names: Sequence[str], correlation: Float) -> Figure:
-    """Correlation matrix of estimated parameters, with its numbers.
-
-    ``correlation`` (k, k).
-    """
+    """Correlation matrix of estimated parameters, with its numbers. ``correlation`` (k, k)."""
     with drawing():
         side = 1.6 + 0.52 * len(names)
         figure, (axis,) = new_panels(side + 0.9, side)

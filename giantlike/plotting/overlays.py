@@ -64,10 +64,7 @@ class StarMarks(Value):
 
     @classmethod
     def of_detections(cls, detected_px: Float) -> StarMarks:
-        """Marks of an image whose stars were not identified.
-
-        ``detected_px`` (n, 2).
-        """
+        """Marks of an image whose stars were not identified. ``detected_px`` (n, 2)."""
         return cls(detected_px=detected_px, matched_px=np.zeros((0, 2)), predicted_px=np.zeros((0, 2)))
 
 

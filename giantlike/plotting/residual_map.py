@@ -26,10 +26,7 @@ _SCALE = np.linspace(-1.0, 1.0, 64)
 
 
 def residual_map_svg(at_px: Float, values: Float, cell_px: float, title: str, *, unit: str) -> str:
-    """Draw a map of residuals.
-
-    ``at_px`` (n, 2); ``values`` (n,).
-    """
+    """Draw a map of residuals. ``at_px`` (n, 2); ``values`` (n,)."""
     low = at_px.min(axis=0)
     cells = np.rint((at_px - low) / cell_px).astype(np.int64)
     columns, rows = (cells.max(axis=0) + 1).tolist()

@@ -143,10 +143,7 @@ class Readout(Value):
 def expose(
     light_e: Float, exposure_s: float, detector: Detector, *, seed: Seed, model: DetectorModel | None = None
 ) -> Readout:
-    """Convert the light on a detector to the digital numbers of an image.
-
-    ``light_e`` (rows, columns).
-    """
+    """Convert the light on a detector to the digital numbers of an image. ``light_e`` (rows, columns)."""
     light = as_floats(light_e, (), "light_e")
     require(light.ndim == 2, f"light_e must have shape (rows, columns), got {light.shape}")
     require_number(exposure_s, "exposure_s", least=0.0)

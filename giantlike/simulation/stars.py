@@ -32,10 +32,7 @@ class DetectorStars(Value):
     directions_inertial: Float  # (n, 3), unitless, inertial; apparent unit vectors to them
 
     def select(self, index: ArrayLike) -> DetectorStars:
-        """Return some of the stars.
-
-        ``index`` (n,) or (k,).
-        """
+        """Return some of the stars. ``index`` (n,) or (k,)."""
         return select_rows(self, np.asarray(index))
 
 

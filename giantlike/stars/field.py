@@ -32,10 +32,7 @@ class StarField(Value):
         return len(self.stars)
 
     def select(self, which: NDArray[np.integer]) -> StarField:
-        """Stars of the given indices (k,), in that order.
-
-        ``which`` (k,).
-        """
+        """Stars of the given indices (k,), in that order. ``which`` (k,)."""
         return replace(select_rows(self, which), stars=self.stars.select(which))
 
 
@@ -63,10 +60,7 @@ class Sky(Value):
         return self.cone(line_of_sight(camera, camera_from_inertial), min(radius, np.pi), count=count)
 
     def cone(self, direction_inertial: ArrayLike, radius_rad: float, *, count: int | None = None) -> StarField:
-        """Stars in a cone.
-
-        ``direction_inertial``: axis, a unit vector.
-        """
+        """Stars in a cone. ``direction_inertial``: axis, a unit vector."""
         stars = self.catalog.cone(direction_inertial, radius_rad, max_magnitude=self.max_magnitude)
         if count is not None and count < len(stars):
             stars = stars.select(np.arange(count))

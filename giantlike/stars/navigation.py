@@ -33,11 +33,10 @@ from giantlike.stars.apriori import Identification, identify_apriori
 from giantlike.stars.attitude import AttitudeSolution
 from giantlike.stars.consider import attitude_parts, response_to_camera
 from giantlike.stars.field import EPOCH_WHEN_UNKNOWN, Sky, half_diagonal_rad
-from giantlike.stars.interlace import is_interlaced
 from giantlike.stars.lost_in_space import find_other_scale, identify_in_cone, identify_lost_in_space
 from giantlike.stars.matching import attitudes_within, predicted_in_frame
 from giantlike.stars.options import StarOptions, bright_enough
-from giantlike.stars.other_readings import find_reading, text_of_error
+from giantlike.stars.other_readings import find_reading, is_interlaced, text_of_error
 from giantlike.stars.refine import RefinedAttitude, depth_for, refine_attitude
 
 _LOG = logging.getLogger("giantlike.stars")

@@ -13,8 +13,16 @@ from scipy.spatial.transform import Rotation
 from giantlike.core.arrays import Float, Mask, unit
 from giantlike.core.values import Value, select_rows
 from giantlike.processing.geometry.wahba import davenport_quaternions
-from giantlike.stars.patterns import describe_quads, describe_triads
-from giantlike.stars.star_index import Pattern, StarIndex, cap_radius_rad, caps, hash_rows, subsets
+from giantlike.stars.star_index import (
+    Pattern,
+    StarIndex,
+    cap_radius_rad,
+    caps,
+    describe_quads,
+    describe_triads,
+    hash_rows,
+    subsets,
+)
 
 _INSIDE = 0.9  # radius of a cap over the half field of view: caps of the index then lie inside the image
 _PER_CAP = 16  # detections: a third of the brightest may be false and one in five stars missing
@@ -78,10 +86,7 @@ class PatternCandidates(Value):
 
 
 def find_candidates(index: StarIndex, vectors: Float, chosen: NDArray[np.intp], scope: Scope) -> PatternCandidates:
-    """Match patterns of detections with patterns of the index.
-
-    ``vectors`` (s, m, 3), camera axes; ``chosen`` (k,).
-    """
+    """Match patterns of detections with patterns of the index. ``vectors`` (s, m, 3), camera axes; ``chosen`` (k,)."""
     sets = chosen[subsets(len(chosen), index.pattern.stars)]
     if index.pattern is Pattern.QUAD:
         return _quads(index, vectors, sets, scope)

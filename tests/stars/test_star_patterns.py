@@ -19,9 +19,17 @@ from giantlike.core.outcomes import Failure, Reason
 from giantlike.stars import StarOptions
 from giantlike.stars.field import Sky
 from giantlike.stars.lost_in_space import identify_in_cone, identify_lost_in_space
-from giantlike.stars.patterns import describe_quads, describe_triads
 from giantlike.stars.refine import RefinedAttitude
-from giantlike.stars.star_index import Pattern, build_index, cap_radius_rad, caps, sky_index, subsets
+from giantlike.stars.star_index import (
+    Pattern,
+    build_index,
+    cap_radius_rad,
+    caps,
+    describe_quads,
+    describe_triads,
+    sky_index,
+    subsets,
+)
 from tests.sizes import slow
 from tests.tolerances import FLOAT64_SUM, SETTLED
 

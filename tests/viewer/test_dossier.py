@@ -13,8 +13,7 @@ from giantlike.campaign.store.edits import Edit, Edited, add_edits
 from giantlike.campaign.store.results import load_result
 from giantlike.cli.app import app
 from giantlike.core.errors import DataError, InputError
-from giantlike.viewer.dossier import write_dossier
-from giantlike.viewer.dossier_check import check_dossier, read_dossier, reproduce
+from giantlike.viewer.dossier import check_dossier, read_dossier, reproduce, write_dossier
 
 SHORT = "visit0_b_short.fits"
 

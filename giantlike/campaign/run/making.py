@@ -17,8 +17,8 @@ from giantlike.campaign.calibration.solve import (
 from giantlike.campaign.file.config import Campaign, ImageEntry
 from giantlike.campaign.run.attitude_transfer import attitude_to_use, transfer_attitudes
 from giantlike.campaign.run.bodies import BodyRecord, failed_bodies, work_in
-from giantlike.campaign.run.identities import Identities
 from giantlike.campaign.run.pool import Pool
+from giantlike.campaign.run.provenance import Identities
 from giantlike.campaign.run.steps import Steps, digest
 from giantlike.campaign.run.worker import (
     ImageAnswer,
@@ -78,10 +78,7 @@ class RunExecutor:
     # --- calibration -------------------------------------------------------------------------------------------------
 
     def calibrate(self, pool: Pool) -> tuple[RunExecutor, dict[str, Any] | None]:
-        """Identify the stars of all star images and calibrate.
-
-        Returns ``run`` and ``summary``.
-        """
+        """Identify the stars of all star images and calibrate. Returns ``run`` and ``summary``."""
         setup, navigation = self.campaign.calibration, self.bench.navigation
         if setup is None or navigation is None:
             return self, None

@@ -11,11 +11,10 @@ from giantlike._system.processes import available_cpus, process_count
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.report.run_page import write_report
 from giantlike.campaign.run.common_errors import find_common_errors
-from giantlike.campaign.run.identities import Identities
 from giantlike.campaign.run.making import Announce, Progress, RunExecutor
 from giantlike.campaign.run.network import make_network
 from giantlike.campaign.run.pool import Pool, WorkerPool
-from giantlike.campaign.run.provenance import environment_of, inputs_of
+from giantlike.campaign.run.provenance import Identities, environment_of, inputs_of
 from giantlike.campaign.run.steps import digest
 from giantlike.campaign.run.worker_context import Workbench
 from giantlike.campaign.store.edits import EDITS_FILE, read_edits

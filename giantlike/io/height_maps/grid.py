@@ -76,10 +76,7 @@ class HeightGrid(Value):
         return self.columns * abs(self.longitude_step_rad) > 2.0 * math.pi - 0.5 * abs(self.longitude_step_rad)
 
     def block(self, rows: slice, columns: slice) -> NDArray[np.float32]:
-        """Heights of a part of the grid.
-
-        Returns (r, c) km, NaN where there is none.
-        """
+        """Heights of a part of the grid. Returns (r, c) km, NaN where there is none."""
         stored = self.read(rows, columns)
         with np.errstate(over="ignore", invalid="ignore"):
             heights = (stored.astype(np.float64) * self.unit_km + self.offset_km).astype(np.float32)

@@ -55,10 +55,7 @@ def edges_of(setting: Setting, shot: ImageWindow, sun: Float) -> EdgePoints:
 
 
 def non_iterative(setting: Setting, shot: ImageWindow, sun: Float, figure: Figure) -> tuple[Float, Float] | Failure:
-    """Christian-Robinson algorithm on edges by moments.
-
-    Returns ``position_camera_km`` and ``points_px`` (n, 2).
-    """
+    """Christian-Robinson algorithm on edges by moments. Returns ``position_camera_km`` and ``points_px`` (n, 2)."""
     edges = edges_of(setting, shot, sun)
     toward = sun[:2] / np.linalg.norm(sun[:2])
     facing = edges.normals_px @ toward > _LIT_COSINE
