@@ -50,6 +50,11 @@ class Ephemeris(Protocol):
         -------
         position_km : (3,) float64, km, ICRF axes
         velocity_km_s : (3,) float64, km/s, ICRF axes
+
+        Raises
+        ------
+        DataError, InputError
+            The loaded kernels, or the table, do not cover ``et``.
         """
         ...
 
@@ -64,10 +69,16 @@ class Ephemeris(Protocol):
         -------
         scipy Rotation
             ``inertial_from_body``.
+
+        Raises
+        ------
+        DataError, InputError
+            The loaded PCK and CK kernels, or the table, do not cover ``et``, or the table has no quaternions.
         """
         ...
 
 
+@documented_by(Ephemeris)
 @dataclass(frozen=True, slots=True)
 class SpiceEphemeris:
     """A body of the loaded SPICE kernels.
@@ -87,41 +98,9 @@ class SpiceEphemeris:
     origin: str = BARYCENTER
 
     def state(self, et: float) -> tuple[Float, Float]:
-        """Position and velocity with respect to :attr:`origin`.
-
-        Parameters
-        ----------
-        et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        position_km : (3,) float64, km, ICRF axes
-        velocity_km_s : (3,) float64, km/s, ICRF axes
-
-        Raises
-        ------
-        DataError
-            The loaded kernels do not cover ``et``.
-        """
         return spk_state(self.body, et, observer=self.origin)
 
     def inertial_from_body(self, et: float) -> Rotation:
-        """Orientation of the body-fixed axes.
-
-        Parameters
-        ----------
-        et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        scipy Rotation
-            ``inertial_from_body``.
-
-        Raises
-        ------
-        DataError
-            The loaded PCK and CK kernels do not cover ``et``.
-        """
         return orientation(self.frame or self.body, et)
 
 
@@ -154,6 +133,7 @@ class FixedEphemeris(Value):
         return self.orientation
 
 
+@documented_by(Ephemeris)
 class TableEphemeris:
     """A body interpolated between samples: cubic Hermite with velocities, else cubic spline; slerp for orientations.
 
@@ -203,42 +183,10 @@ class TableEphemeris:
         return cls(read_ephemeris_table(path), origin=origin)
 
     def state(self, et: float) -> tuple[Float, Float]:
-        """Position and velocity with respect to :attr:`origin`.
-
-        Parameters
-        ----------
-        et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        position_km : (3,) float64, km, ICRF axes
-        velocity_km_s : (3,) float64, km/s, ICRF axes
-
-        Raises
-        ------
-        InputError
-            ``et`` lies outside the table.
-        """
         self._check(et)
         return np.asarray(self._position(et)), np.asarray(self._velocity(et))
 
     def inertial_from_body(self, et: float) -> Rotation:
-        """Orientation of the body-fixed axes.
-
-        Parameters
-        ----------
-        et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        scipy Rotation
-            ``inertial_from_body``.
-
-        Raises
-        ------
-        InputError
-            ``et`` lies outside the table, or the table has no quaternions.
-        """
         self._check(et)
         if self._orientation is None:
             raise InputError("the table ephemeris has no quaternion columns, so no orientation")
