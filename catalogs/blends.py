@@ -63,10 +63,7 @@ def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
 
 
 def blend_leaders(directions: Float, radius_rad: float) -> NDArray[np.intp]:
-    """Number of the star that each star is merged into.
-
-    ``directions`` (n, 3), unit vectors, brightest stars first; returns (n,).
-    """
+    """Number (n,) of the star that each is merged into. ``directions`` (n, 3), unit vectors, brightest stars first."""
     count = len(directions)
     leader = np.arange(count)
     chord = 2.0 * np.sin(min(radius_rad, np.pi) / 2.0)

@@ -21,10 +21,7 @@ def cache_folder() -> Path:
 
 
 def write_to_cache(name: str, write: Callable[[Path], None]) -> bool:
-    """Write a file into the cache folder so that a reader sees all of it or nothing.
-
-    Returns False when the folder cannot be written.
-    """
+    """Write a file into the cache folder, all of it or nothing. Returns False when the folder cannot be written."""
     folder = cache_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)

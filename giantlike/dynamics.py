@@ -115,10 +115,7 @@ def sun_position_km(et: float) -> Float:
 
 
 def fit_spline(position_km: Callable[[float], Float], first: float, last: float) -> Callable[[float], Float]:
-    """Positions by a cubic spline through hourly ones, in a tenth of the time.
-
-    ``first``, ``last`` in TDB seconds past J2000.
-    """
+    """Positions by a cubic spline through hourly ones, in a tenth of the time; TDB seconds past J2000."""
     from scipy.interpolate import CubicSpline
 
     ets = np.arange(first - 3.0 * SPLINE_STEP_S, last + 4.0 * SPLINE_STEP_S, SPLINE_STEP_S)

@@ -46,10 +46,7 @@ def block_templates(
     sun_direction_camera: Float,
     options: RenderOptions,
 ) -> tuple[Template, ...] | Failure:
-    """Render a body under several laws, with one ray to a block where its light is even.
-
-    ``sun_direction_camera``: unit vector from body to Sun.
-    """
+    """Render a body under several laws, with one ray to a block where its light is even; the Sun as a unit vector."""
     plane, size, rays = blocked.plane, blocked.size_px, options.rays_per_pixel_side
     trace = trace_body(
         body,

@@ -117,10 +117,7 @@ class Trace(Value):
         return self if isinstance(footprint, Failure) else replace(self, footprint=footprint)
 
     def with_sun(self, sun_direction_camera: ArrayLike) -> Trace:
-        """Return the same hits under another Sun; only shadow rays are traced.
-
-        ``sun_direction_camera``: unit vector from body to Sun.
-        """
+        """Return the same hits under another Sun, a unit vector from the body; only shadow rays are traced."""
         view = replace(self.view, sun_body=np.append(sun_in_body(self.body, sun_direction_camera), 0.0))
 
         def relit(pair: tuple[Tile, TracedRays]) -> TracedRays:
@@ -168,10 +165,7 @@ def trace_body(
     wanted: Mask | None = None,
     daylight: Daylight | None = None,
 ) -> Trace | Failure:
-    """Trace a body once, to shade it many times.
-
-    ``sun_direction_camera``: unit vector from body to Sun; ``wanted`` (rows, columns).
-    """
+    """Trace a body once, to shade it many times; the Sun as a unit vector; ``wanted`` (rows, columns)."""
     plane = FocalPlane(model=model, columns=columns, rows=rows, psf=psf)
     require(
         wanted is None or wanted.shape == (rows, columns),

@@ -56,10 +56,7 @@ class RefinedTrace(Value):
         return self.trace.lit + self.rays.lit
 
     def cell_brightness(self, law: Reflectance) -> Float:
-        """Shade the rays of whole cells and leave them as they are.
-
-        Returns (columns, rows), 0 in those that are split.
-        """
+        """Shade the rays of whole cells and leave them as they are, (columns, rows), 0 in those that are split."""
         whole = self.trace.cell_brightness(law)
         whole[self.columns, self.rows] = 0.0
         return whole

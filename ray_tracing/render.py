@@ -97,10 +97,7 @@ class SceneRender(Value):
         return self.weighted(np.ones(len(self.templates)))
 
     def weighted(self, weights: ArrayLike) -> Float:
-        """Return the sum of all bodies, each times its own weight: irradiance, say, or albedo.
-
-        ``weights`` (n,); returns (rows, columns).
-        """
+        """Return the sum (rows, columns) of all bodies, each times its own weight: irradiance, say, or albedo."""
         factors = as_floats(weights, (len(self.templates),), "weights")
         frame = np.zeros((self.rows, self.columns))
         for factor, template in zip(factors, self.templates, strict=True):

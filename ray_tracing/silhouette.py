@@ -392,10 +392,7 @@ def _steps(angles_rad: Float) -> Float:
 
 
 def projected_normals(model: CameraModel, points_camera_km: Float, normals_camera: Float) -> Float:
-    """Unit normals in the image of a surface seen edge-on.
-
-    ``points_camera_km``, ``normals_camera`` (k, 3); returns (k, 2).
-    """
+    """Unit normals (k, 2) in the image of a surface seen edge-on at points (k, 3)."""
     jacobian = model.project_jacobian(points_camera_km)
     gram = jacobian @ np.swapaxes(jacobian, -1, -2)
     sideways = (jacobian @ normals_camera[..., None])[..., 0]

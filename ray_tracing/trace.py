@@ -111,10 +111,7 @@ class TracedRays(Value):
 
 
 def trace_rays(view: View, directions: Float, *, stratum: int = 0, lit: Mask | None = None) -> TracedRays:
-    """Send rays to the body and on to the Sun.
-
-    ``directions`` (n, 4), body axes, unit vectors and zeros; ``lit`` (n,).
-    """
+    """Send rays ``directions`` (n, 4), body axes, unit vectors and zeros, to the body and on to the Sun."""
     body = view.body
     camera_km = body.camera_body_km
     sight = body.tracer.sight(camera_km, directions)
@@ -176,10 +173,7 @@ def _dark(view: View, sight: Sight, seen: Indices, toward: Float) -> Mask:
 
 
 def surface_albedo(shape: Shape, points_km: Float, facets: NDArray[np.int64]) -> Float:
-    """Relative albedo at points of a surface.
-
-    ``points_km`` (k, 3), body axes; ``facets`` (k,); returns (k,), 1 for a shape without albedo.
-    """
+    """Relative albedo (k,) at points (k, 3), body axes, of a surface; 1 for a shape without albedo."""
     if shape.albedo is None:
         return np.ones(len(points_km))
     weights = shape.barycentric(points_km, facets) if isinstance(shape, TriangleMesh) else None

@@ -132,10 +132,7 @@ class MeshTracer:
             facets[missed[met]], distances[missed[met]] = found[met], exact[met]
 
     def is_occluded(self, origins_body_km: ArrayLike, directions_body: ArrayLike) -> Mask:
-        """Return True for rays that meet the mesh.
-
-        ``origins_body_km`` (3,) or (n, 3); ``directions_body`` (n, 3); returns (n,).
-        """
+        """Return True (n,) for rays, ``directions_body`` (n, 3) from one origin or n, that meet the mesh."""
         starts, directions = _approach(origins_body_km, directions_body, self.radius_km)
         return self._surface.is_occluded(starts.astype(np.float32), directions.astype(np.float32))
 
@@ -158,10 +155,7 @@ class MeshTracer:
         return dark
 
     def sight(self, origin_body_km: Float, directions_body: Float) -> Sight:
-        """Trace the rays of an image; in float32 from the bounding sphere on.
-
-        ``directions_body`` (n, 4), unit vectors and zeros.
-        """
+        """Trace the rays (n, 4), unit vectors and zeros, of an image; in float32 from the bounding sphere on."""
         reach = max(float(np.linalg.norm(origin_body_km)) - _SPHERE_MARGIN * self.radius_km, 0.0)
         directions = directions_body.astype(np.float32)
         starts = shift_points(reach * directions_body, origin_body_km).astype(np.float32)

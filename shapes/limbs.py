@@ -156,10 +156,7 @@ def crossings(starts: Float, stops: Float, angles_rad: Float) -> tuple[Indices, 
 
 
 def largest_of_each(groups: Indices, values: Float, count: int) -> Indices:
-    """Index of the largest value in each group.
-
-    ``groups``, ``values`` (p,); returns (count,), -1 for an empty group.
-    """
+    """Index (count,) of the largest value (p,) in each group, -1 for an empty group."""
     order = np.lexsort([values, groups])
     best = np.full(count, -1, dtype=np.int64)
     best[groups[order]] = order  # the last one written stays

@@ -66,10 +66,7 @@ def load_shape(path: str | Path, *, units: str = "km") -> TriangleMesh:
 
 
 def read_surface(path: str | Path, *, units: str = "km") -> Surface:
-    """Read the surface of a shape file, however broken, in km: for looking at it and for repair.
-
-    ``path``, ``units`` as for :func:`load_shape`.
-    """
+    """Read the surface of a shape file, as :func:`load_shape`, however broken, in km: for a look and for repair."""
     path = Path(path)
     require(units in ("km", "m", "auto"), f"units must be km, m or auto, got {units!r}")
     surface = read_file(path)

@@ -82,10 +82,7 @@ def split_polygons(corners: Faces) -> Faces:
 
 
 def coincident_names(vertices: Float) -> Faces:
-    """Number of the first vertex with equal coordinates, for each vertex.
-
-    ``vertices`` (n, 3); returns (n,), NaN equals nothing.
-    """
+    """Number (n,) of the first vertex with equal coordinates, for each vertex (n, 3); NaN equals nothing."""
     order = np.lexsort(vertices.T)  # stable: the first of equals stays first
     ordered = vertices[order]
     new = np.ones(len(vertices), dtype=bool)

@@ -55,10 +55,7 @@ class SeenPatch(Value):
     on_edge: bool = False  # it touches the edge of the frame: part of the body may lie outside
 
     def half_angle_rad(self, sun_direction_camera: Float) -> float:
-        """Angular radius of the sphere that this is, from its light along the cusps.
-
-        ``sun_direction_camera``: unit vector to the Sun.
-        """
+        """Angular radius of the sphere that this is, from its light along the cusps; Sun as a unit vector."""
         along = self.axes_camera @ sun_direction_camera
         length = float(np.linalg.norm(along))
         across = np.array([-along[1], along[0]]) / length if length > 0.0 else np.array([1.0, 0.0])

@@ -36,10 +36,7 @@ class SiteAtmosphere:
         require_number(self.wavelength_um, "wavelength_um", above=0.1, most=100.0)
 
     def constants_rad(self) -> tuple[float, float]:
-        """Constants A and B of ``A tan z + B tan^3 z`` with the observed zenith distance z.
-
-        Returns ``a_rad`` and ``b_rad``.
-        """
+        """Constants A and B of ``A tan z + B tan^3 z`` with the observed zenith distance z, rad."""
         import erfa  # slow to import
 
         a, b = erfa.refco(self.pressure_hpa, self.temperature_c, self.humidity, self.wavelength_um)

@@ -57,10 +57,7 @@ class ParameterSupport:
 def parameter_support(
     names: Sequence[str], values: Float, data: Data, covariance: Float, sensitivity: FieldSensitivity
 ) -> tuple[ParameterSupport, ...]:
-    """Judge every estimated parameter.
-
-    ``values`` (k,), estimates, each in the unit of its parameter; ``covariance`` (k, k).
-    """
+    """Judge every estimated parameter. ``values`` (k,), each in the unit of its parameter; ``covariance`` (k, k)."""
     reach = np.linalg.norm(sensitivity.by_parameter[..., data.estimated], axis=1).max(axis=0)
     scales = frozenset(name for name in names if name.endswith("_px"))
     return support_of(names, values, data.prior, data.prior_sigma, covariance, reach, scales)
@@ -135,10 +132,7 @@ class WeakCombination:
 
 
 def weak_combinations(names: tuple[str, ...], information: Float, *, above: float) -> tuple[WeakCombination, ...]:
-    """Find combinations of parameters that measurements determine much worse than their parts.
-
-    ``information`` (k, k).
-    """
+    """Find combinations of parameters that measurements determine much worse than their parts, by (k, k)."""
     scale = np.sqrt(np.diagonal(information))
     measured = scale > 0.0
     found = [

@@ -240,10 +240,7 @@ class AffineModel(ABC):
 
 
 def blockwise(function: Callable[[Float], Float], values: Float, last: tuple[int, ...]) -> Float:
-    """Apply a function from (n, m) to (n, ...) to values (..., m), a block of points at a time.
-
-    ``values`` (..., m); returns (..., *last).
-    """
+    """Apply a function from (n, m) to (n, *last) to values (..., m), a block of points at a time."""
     flat = values.reshape(-1, values.shape[-1])
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         if len(flat) <= _BLOCK:

@@ -56,10 +56,7 @@ _distort, _slopes = compiled(distort), compiled(slopes)
 
 @compiled
 def project(points: Float, lens: Float, limit: float) -> Float:
-    """Pixels of points.
-
-    ``points`` (n, 3), camera axes; ``lens`` (17,); returns (n, 2) px, NaN behind the camera and beyond the limit.
-    """
+    """Pixels (n, 2) of points (n, 3), camera axes; NaN behind the camera and beyond the limit. ``lens`` (17,)."""
     pixels = np.empty((len(points), 2))
     for i in range(len(points)):
         x, y = _on_plane(points[i, 0], points[i, 1], points[i, 2], limit)
@@ -71,10 +68,7 @@ def project(points: Float, lens: Float, limit: float) -> Float:
 
 @compiled
 def projected_slopes(points: Float, lens: Float, limit: float) -> Float:
-    """Derivatives of :func:`project` by the points.
-
-    ``points`` (n, 3), camera axes; ``lens`` (17,); returns (n, 2, 3) px per unit of the points.
-    """
+    """Derivatives (n, 2, 3) of :func:`project` by the points (n, 3), camera axes. ``lens`` (17,)."""
     result = np.empty((len(points), 2, 3))
     for i in range(len(points)):
         _fill_slopes(points[i, 0], points[i, 1], points[i, 2], lens, limit, result[i])

@@ -17,10 +17,7 @@ def pinhole_of(model: CameraModel) -> PinholeModel:
 
 
 def resampling_map(model: CameraModel, target: CameraModel, *, columns: int, rows: int) -> Float:
-    """Map of the pixels of a new image to pixels of the old one.
-
-    Returns (rows, columns, 2) px, NaN for directions that it does not show.
-    """
+    """Map (rows, columns, 2) of the pixels of a new image to the old one; NaN where it does not show a direction."""
     pixels = np.stack(np.meshgrid(np.arange(columns, dtype=float), np.arange(rows, dtype=float)), axis=-1)
     return model.project(target.unproject(pixels))
 

@@ -129,10 +129,7 @@ class TangentCamera(Value):
         self._keep(focal_px=focal_px, principal_px=as_finite(self.principal_px, (2,), "principal_px"))
 
     def pixels(self, tangents: ArrayLike) -> Float:
-        """Pixels of tangents of angles (eqs. 13 and 14, where both focal lengths are negative).
-
-        ``tangents`` (..., 2); returns (..., 2) px.
-        """
+        """Pixels (..., 2) of tangents (..., 2) of angles (eqs. 13, 14, where both focal lengths are negative)."""
         return self.principal_px + self.focal_px * as_floats(tangents, (2,), "tangents")
 
     def tangents(self, pixels: ArrayLike) -> Float:
@@ -140,10 +137,7 @@ class TangentCamera(Value):
         return (as_floats(pixels, (2,), "pixels") - self.principal_px) / self.focal_px
 
     def tangent_sigmas(self, sigmas_px: ArrayLike) -> Float:
-        """Standard deviations of tangents from standard deviations of pixels (eqs. 15-20).
-
-        ``sigmas_px`` (..., 2); returns (..., 2).
-        """
+        """Standard deviations of tangents from those of pixels, both (..., 2) (eqs. 15-20)."""
         return as_floats(sigmas_px, (2,), "sigmas_px") / np.abs(self.focal_px)
 
 

@@ -246,10 +246,7 @@ def time_update(state: FilterState, until: float, model: FilterModel) -> FilterS
 
 
 def step_ends(et: float, until: float, longest_s: float) -> list[float]:
-    """Ends of equal steps that are no longer than allowed.
-
-    ``et``, ``until`` in s; the result is empty where it is ``et``.
-    """
+    """Ends, s, of equal steps that are no longer than allowed; empty where ``until`` is ``et``."""
     count = math.ceil(abs(until - et) / longest_s)
     return [et + (until - et) * k / count for k in range(1, count)] + [until] * (count > 0)
 

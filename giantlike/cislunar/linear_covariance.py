@@ -24,18 +24,12 @@ class JointDispersion(Value):
 
     @classmethod
     def at_start(cls, covariance_true: Float, covariance_error: Float) -> JointDispersion:
-        """Dispersion of a truth, and of an estimate that is wrong by an independent error.
-
-        ``covariance_true``, ``covariance_error`` (n, n).
-        """
+        """Dispersion of a truth, and of an estimate wrong by an independent error, by covariances (n, n)."""
         rows = [[covariance_true, covariance_true], [covariance_true, covariance_true + covariance_error]]
         return cls(np.zeros(2 * len(covariance_true)), np.block(rows))
 
     def truth(self) -> tuple[Float, Float]:
-        """Mean (n,) and covariance (n, n) of the truth about the reference.
-
-        Returns ``mean`` (n,) and ``covariance`` (n, n).
-        """
+        """Mean (n,) and covariance (n, n) of the truth about the reference."""
         n = len(self.mean) // 2
         return self.mean[:n], self.covariance[:n, :n]
 
@@ -48,10 +42,7 @@ class JointDispersion(Value):
 
 
 def dispersed_step(joint: JointDispersion, matrix: Float, noise: Float) -> JointDispersion:
-    """Dispersion after a step that truth and estimate take alike, and noise of the truth.
-
-    ``matrix``, ``noise`` (n, n).
-    """
+    """Dispersion after a step (n, n) that truth and estimate take alike, and noise (n, n) of the truth."""
     n = len(matrix)
     both = np.kron(np.eye(2), matrix)
     covariance = both @ joint.covariance @ both.T

@@ -115,10 +115,7 @@ def add_parts(first: Mapping[Cause, Float], second: Mapping[Cause, Float]) -> di
 
 
 def checked_parts(parts: Mapping[Cause, Float], size: int) -> dict[Cause, Float]:
-    """Check the parts of a covariance and make them read-only.
-
-    ``parts`` mapping of Cause or its value to (size, size).
-    """
+    """Check the parts of a covariance, (size, size) by Cause or its value, and make them read-only."""
     checked = {}
     for key, part in parts.items():
         cause = Cause(key)

@@ -38,10 +38,7 @@ def solve_normal(normal: Float, right: Float) -> None:
 
 @compiled
 def solve_symmetric(matrix: Float, right: Float) -> None:
-    """Solve equations with a symmetric matrix that is positive, or is but for rounding, by elimination.
-
-    ``matrix`` (m, m); ``right`` (m, r).
-    """
+    """Solve equations with a symmetric matrix (m, m), positive but for rounding, and right sides (m, r)."""
     size, sides = right.shape
     for i in range(size):
         for j in range(i + 1, size):

@@ -142,10 +142,7 @@ class Smear(_Stated):
         return np.array([even + self.straight_px2, self.oblique_px2, even - self.straight_px2])
 
     def blur(self, images: Float) -> Float:
-        """Return images blurred by the motion; edge values are repeated beyond the images.
-
-        ``images`` (..., h, w); returns (..., h, w).
-        """
+        """Return images (..., h, w) blurred by the motion; edge values are repeated beyond them."""
         return self._filter(images, lambda along: np.sinc(self.length_px * along))
 
     def blur_double_exposure(self, images: Float, share: float) -> Float:

@@ -78,10 +78,7 @@ def direction_from_radec(ra_deg: ArrayLike, dec_deg: ArrayLike) -> Float:
 
 
 def radec_from_direction(direction_inertial: ArrayLike) -> tuple[Float, Float]:
-    """Return the right ascensions and declinations of vectors.
-
-    ``direction_inertial`` (..., 3); returns ``ra_deg``, ``dec_deg`` (...).
-    """
+    """Return the right ascensions and declinations, deg, (...), of vectors (..., 3)."""
     x, y, z = np.moveaxis(as_floats(direction_inertial, (3,), "direction_inertial"), -1, 0)
     return np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arctan2(z, np.hypot(x, y)))
 

@@ -60,10 +60,7 @@ class GammaCurve:
         return np.asarray(np.copysign(light, values) * self.full_scale_dn)
 
     def values_dn(self, light_dn: ArrayLike) -> Float:
-        """Return the values of a linear signal: the inverse of :meth:`light_dn`.
-
-        ``light_dn`` (...); returns (...).
-        """
+        """Return the values of a linear signal: the inverse of :meth:`light_dn`."""
         light = as_floats(light_dn, (), "light_dn") / self.full_scale_dn
         size = np.abs(light)
         if self.gamma == "srgb":

@@ -57,10 +57,7 @@ def boosted(positions_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
 
 
 def boost_jacobian(position_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
-    """Derivative of :func:`boosted` by the position.
-
-    ``position_km``, ``velocity_km_s`` in inertial axes; returns (3, 3).
-    """
+    """Derivative (3, 3) of :func:`boosted` by the position; vectors in inertial axes."""
     position = as_finite(position_km, (3,), "position_km")
     beta, gamma = _beta_gamma(velocity_km_s)
     along = position / np.linalg.norm(position) + beta * gamma / (1.0 + gamma)

@@ -42,10 +42,7 @@ def background_light(
 
 
 def second_image(*, shift_px: tuple[int, int], share: float, blur_px: float = 0.0, turned: bool = False) -> Light:
-    """A second image of everything: a ghost, or a second exposure on the same frame.
-
-    ``shift_px``: columns and rows by which it is moved.
-    """
+    """A second image of everything, moved by columns and rows: a ghost, or a second exposure on the same frame."""
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
         other = signal[::-1, ::-1] if turned else signal
@@ -68,10 +65,7 @@ def shift_image(image: Float, shift_px: tuple[int, int]) -> Float:
 
 
 def other_body(body: Body, position_camera_km: Float, brightness: float, *, in_front: bool = False) -> Light:
-    """An undeclared body next to the target or in front of it.
-
-    ``brightness``: ratio of its brightest pixel to that of the target.
-    """
+    """An undeclared body near the target or in front of it; ``brightness``: ratio of the brightest pixels."""
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
         pose = Pose(position_camera_km, world.camera_from_body, world.sun)
@@ -182,10 +176,7 @@ def dark(signal: Float, world: World, rng: np.random.Generator) -> Float:
 
 
 def moon_of(rng: np.random.Generator, world: World) -> tuple[EllipsoidBody, Float]:
-    """A spherical moon between camera and target: its shape, and its position in camera axes, km.
-
-    Returns (3,).
-    """
+    """A spherical moon between camera and target: its shape, and its position (3,) in camera axes, km."""
     assert world.body is not None
     radius = world.body.bounding_radius_km
     share = log_uniform(rng, 0.15, 0.5)

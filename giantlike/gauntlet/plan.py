@@ -212,10 +212,7 @@ def body_plan(rng: np.random.Generator, base: Base) -> Plan:
 
 
 def sun_at(rng: np.random.Generator, sight: Float, phase_rad: float) -> Float:
-    """Unit vector to the Sun at a phase angle, on any side.
-
-    ``sight`` in camera axes, unit vector to the body; returns (3,).
-    """
+    """Unit vector (3,) to the Sun at a phase angle, on any side; ``sight``: unit vector to the body, camera axes."""
     side = np.cross(sight, [*rng.normal(size=2), 0.0])
     return -math.cos(phase_rad) * sight + math.sin(phase_rad) * side / np.linalg.norm(side)
 

@@ -32,10 +32,7 @@ class Psf:
         return math.ceil(WIDTHS * widest + 0.5 * math.hypot(*self.motion_px)) + 1
 
     def blurred(self, image: Float, cells_per_px: int) -> Float:
-        """Convolve an image on a grid of several cells a pixel, black outside; same shape.
-
-        ``image`` (n, m); returns (n, m).
-        """
+        """Convolve an image (n, m) on a grid of several cells a pixel, black outside; same shape."""
         shape = [next_fast_len(size, real=True) for size in image.shape]
         rows = np.fft.fftfreq(shape[0])[:, None] * cells_per_px  # cycles a pixel
         columns = np.fft.rfftfreq(shape[1])[None, :] * cells_per_px

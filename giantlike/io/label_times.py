@@ -19,10 +19,7 @@ _VOYAGER_EXPOSURE = re.compile(r"\bEXP\s+(\d+(?:\.\d*)?)\s+MSEC\b")
 
 
 def utc_from_label(value: object) -> Time | None:
-    """Epoch of a UTC label value, ``2004-054T17:59:04.527Z`` or ``2004-02-23T17:59:04.527``.
-
-    Returns None for anything else.
-    """
+    """Epoch of a UTC label value, ``2004-054T17:59:04.527Z`` or ``2004-02-23T17:59:04.527``; else None."""
     text = str(value).strip()
     day_of_year = _DAY_OF_YEAR.fullmatch(text)
     if day_of_year is not None:

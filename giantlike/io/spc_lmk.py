@@ -131,10 +131,7 @@ def read_lmk(path: str | Path) -> Lmk:
 
 
 def read_lmks(folder: str | Path, sumfiles: str | Path | None = None) -> dict[str, Lmk]:
-    """Read all LMK files of a folder, and compare their pixels with those of the SUMFILEs of another folder.
-
-    Returns landmarks by name.
-    """
+    """Landmarks by name of all LMK files of a folder, their pixels compared with SUMFILEs of another folder."""
     folder = Path(folder)
     landmarks = {landmark.name: landmark for landmark in map(read_lmk, sorted(folder.glob("*.LMK")))}
     if not landmarks:

@@ -47,10 +47,7 @@ class LabelClock:
             raise InputError(text) from error
 
     def middle_of_exposure(self, header: Mapping[str, HeaderValue], exposure_s: float | None) -> float | None:
-        """Epoch of an image by its label.
-
-        Returns ``et``: None where the label has no such item, or none of that form.
-        """
+        """Epoch ``et`` of an image by its label; None where it has no such item, or none of that form."""
         match = re.search(self.pattern, str(header.get(self.item, "")))
         if match is None:
             return None

@@ -174,10 +174,7 @@ class PassFix(Value):
 
 
 def term_test(term: str, departure: Float, covariance: Float, freedom: int | None) -> TermTest:
-    """Test a departure against its covariance under the hypothesis that there is none.
-
-    ``departure`` (k,); ``covariance`` (k, k).
-    """
+    """Test a departure (k,) against its covariance (k, k) under the hypothesis that there is none."""
     scale = np.sqrt(np.diagonal(covariance))
     used = scale > 0.0
     scaled = departure[used] / scale[used]

@@ -332,10 +332,7 @@ class NavigationPass(Value):
 
 
 def smooth_waves(points_px: Float, center_px: Float, error: SmoothError) -> Float:
-    """Waves around a limb that stand for an error that changes slowly along it.
-
-    ``points_px`` (n, 2); returns (n, c) px.
-    """
+    """Waves (n, c), px, around a limb of points (n, 2) that stand for an error that changes slowly along it."""
     arms = points_px - center_px
     radius_px = float(np.mean(np.linalg.norm(arms, axis=1)))
     amplitudes = wave_amplitudes(error.sigma_px, error.length_px / radius_px, _SMOOTH_WAVES)

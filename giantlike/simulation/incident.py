@@ -229,10 +229,7 @@ def _seen_bodies(
 
 
 def visible_peak(shot: Shot, camera: Camera, scene: Scene, target: str) -> float:
-    """Brightness of the brightest pixel of a target, relative to a surface lit and seen along its normal.
-
-    Returns 0 where the body is not seen.
-    """
+    """Brightness of the brightest pixel of a target over that of a surface lit and seen along its normal, or 0."""
     geometry = scene.geometry(make_black_image(shot, camera), target)
     if isinstance(geometry, Failure):
         return 0.0

@@ -61,10 +61,7 @@ class CircularOrbit:
 
 
 class Rendezvous:
-    """A spacecraft on a cubic spline through positions relative to a body.
-
-    ``et`` (n,) s; ``relative_km`` (n, 3), ICRF axes.
-    """
+    """A spacecraft on a cubic spline through positions (n, 3), ICRF axes, relative to a body, at times (n,) s."""
 
     def __init__(self, body: CircularOrbit, et: ArrayLike, relative_km: ArrayLike) -> None:
         times = np.asarray(et, dtype=np.float64)

@@ -150,10 +150,7 @@ def _from_pairs(b1: Float, b2: Float, a1: Float, a2: Float) -> Float:
 def hypotheses(
     candidates: PatternCandidates, index: StarIndex, vectors: Float, scope: Scope, *, least: int
 ) -> Iterator[Hypothesis]:
-    """Attitudes shared by candidates, most candidates first, lazily, each with four stars or more.
-
-    ``vectors`` (s, m, 3).
-    """
+    """Attitudes shared by candidates, most candidates first, lazily, each with four stars or more."""
     if len(candidates) == 0:
         return
     size = np.tan(min(scope.half_size_rad, 1.2))

@@ -260,10 +260,7 @@ def locate(
 
 
 def position_at_emission(ephemeris: Ephemeris, et: float, observer_km: ArrayLike) -> Float:
-    """Position of a target when the light left it that an observer receives.
-
-    ``observer_km`` in ICRF axes; returns (3,) km, ICRF axes.
-    """
+    """Position (3,), km, ICRF axes, of a target when the light left it that an observer receives."""
     observer = as_finite(observer_km, (3,), "observer_km")
     position = ephemeris.state(et)[0]
     for _ in range(_LIGHT_TIME_STEPS):

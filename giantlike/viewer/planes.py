@@ -105,10 +105,7 @@ def with_terminators(session: Session, seen: SeenImage, planes: Backplanes) -> S
 
 
 def values_at(planes: Backplanes, pixel: tuple[int, int] | None = None) -> dict[str, Float]:
-    """Planes by name, of a pixel or of all.
-
-    ``pixel``: row and column (default: all); the result has NaN off all bodies, where the body is -1.
-    """
+    """Planes by name, of all pixels or of one (row, column); NaN off all bodies, where the body is -1."""
     at: Any = ...
     if pixel is not None:
         window, at = tuple(slice(place, place + 1) for place in pixel), (0, 0)
@@ -138,10 +135,7 @@ def cube_of(planes: Backplanes) -> Float:
 def write_backplanes(
     path: Path, session: Session, file: str, *, estimator: str | None = None, predicted: bool = False
 ) -> None:
-    """Write backplanes as a FITS cube with the names of the planes and world coordinates.
-
-    ``predicted`` as for :func:`backplanes_of`.
-    """
+    """Write backplanes, as of :func:`backplanes_of`, as a FITS cube with their names and world coordinates."""
     from astropy.io import fits
 
     planes = backplanes_of(session, file, estimator=estimator, predicted=predicted)

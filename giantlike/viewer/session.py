@@ -302,10 +302,7 @@ class Session:
 
 
 def chosen_fix(seen: SeenImage, target: str, estimator: str | None = None) -> ObservationRecord | None:
-    """The fix of a target to show: of an estimator, or the best one.
-
-    Returns None where there is no such fix.
-    """
+    """The fix of a target to show: of an estimator, or the best one; None where there is none."""
     there = [one for one in seen.observations if one.target == target]
     if estimator is not None and estimator not in {one.estimator for one in there}:
         names = ", ".join(one.estimator for one in there)

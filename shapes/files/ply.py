@@ -32,10 +32,7 @@ class _Element:
 
 
 def read_binary_ply(path: Path) -> Surface | None:
-    """Read a binary PLY of vertices and of facets with three or four corners.
-
-    Returns None for a file of another kind, which trimesh can read.
-    """
+    """Read a binary PLY of vertices and of facets with three or four corners; None of others, for trimesh."""
     with path.open("rb") as file:
         header = _header(file)
         if header is None:

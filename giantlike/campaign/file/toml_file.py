@@ -106,10 +106,7 @@ def _section(location: tuple[int | str, ...], model: type[BaseModel]) -> type[Ba
 
 
 def model_in(annotation: Any) -> type[BaseModel] | None:
-    """Model inside an annotation such as ``list[...]``, ``dict[str, ...]`` or ``... | None``.
-
-    Returns None if there is no model in it.
-    """
+    """Model inside an annotation such as ``list[...]``, ``dict[str, ...]`` or ``... | None``; None without one."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     found = (model_in(inner) for inner in get_args(annotation))

@@ -36,10 +36,7 @@ def transfer_attitudes(campaign: Campaign, records: Sequence[AttitudeRecord]) ->
 
 
 def attitude_to_use(campaign: Campaign, record: AttitudeRecord) -> Attitude | None:
-    """Attitude for the estimators: the one found, else the a priori one.
-
-    Returns None if there is neither.
-    """
+    """Attitude for the estimators: the one found, else the a priori one; None without either."""
     if record.attitude is not None or record.apriori is None:
         return record.attitude
     return attitude_of(record.apriori, AttitudeSource.A_PRIORI, campaign.apriori_covariance_rad2(record.file))

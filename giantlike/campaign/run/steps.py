@@ -83,10 +83,7 @@ class Steps:
         attitude: Attitude | None,
         decided: Sequence[object] = (),
     ) -> str:
-        """Hash of the result of one estimator, or of the a priori record of a target.
-
-        ``decided``: what users decided on the measurement.
-        """
+        """Hash of the result of an estimator, or of a target's a priori record, with what users ``decided`` on it."""
         known = self._geometry.get(entry.key)
         row = None if known is None else known.targets.get(target)
         row = None if row is None else dataclasses.replace(row, file="", line=0, epoch=None)

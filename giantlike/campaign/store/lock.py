@@ -56,10 +56,7 @@ def is_locked(folder: Path) -> bool:
 
 
 def holder_of(folder: Path) -> str | None:
-    """Process that holds the lock of a folder, or that held it when it died, in words.
-
-    Returns None if the last one ended well.
-    """
+    """Process that holds the lock of a folder, or died holding it, in words; None if the last one ended well."""
     try:
         who = json.loads((folder / _HOLDER).read_text(encoding="utf-8"))
         return f"process {who['pid']} of {who['user']} on {who['host']}, started {who['since_utc']}"

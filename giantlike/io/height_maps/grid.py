@@ -87,10 +87,7 @@ class HeightGrid(Value):
 
 
 def require_usable(grid: HeightGrid, heights_km: NDArray[np.float32]) -> None:
-    """Raise unless heights are plausible for relief.
-
-    ``heights_km`` (n,), some of its heights, NaN where there is none.
-    """
+    """Raise unless heights (n,), NaN where there is none, are plausible for relief."""
     known = heights_km[np.isfinite(heights_km)]
     where = grid.path or Path("heights")
     if not known.size:

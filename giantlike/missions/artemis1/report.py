@@ -27,10 +27,7 @@ class Dots(Value):
 def panel_figure(
     panels: Sequence[tuple[str, Sequence[Dots], tuple[Float, Float] | float | None]], x_label: str
 ) -> Figure:
-    """Draw panels one above the other: a label of y, points, and bounds on both sides of zero.
-
-    Bounds are a number, or curves (x, y).
-    """
+    """Draw panels one above the other: label of y, points, and bounds about zero, a number or curves (x, y)."""
     figure = Figure(figsize=(7.0, 0.6 + 2.1 * len(panels)), layout="constrained")
     axes = np.atleast_1d(figure.subplots(len(panels), 1, sharex=True))
     for axis, (label, series, bound) in zip(axes, panels, strict=True):

@@ -179,10 +179,7 @@ def turn_by_air(zenith_camera: Float, air: SiteAtmosphere) -> Rotation:
 
 
 def scatter_by_air(sets: int, orientations: int, rng: np.random.Generator, *, air: bool = True) -> Float:
-    """Standard deviation of the angle between the cameras by refraction alone, for random orientations.
-
-    Returns (sets,) arcsec.
-    """
+    """Standard deviations (sets,), arcsec, of the angle between the cameras by refraction, random orientations."""
     sky, between, site = sky_at(NIGHT_ET), true_interlock(), site_air(air=air)
     result = np.empty(sets)
     for k in range(sets):

@@ -49,10 +49,7 @@ class Candidates(Value):
 
 
 def find_candidates(frame: Frame, filtered: FilteredImage, options: DetectionOptions) -> Candidates:
-    """List the local maxima above the threshold.
-
-    Of a component far larger than a star, or saturated, only the strongest.
-    """
+    """List the local maxima above the threshold; of a component far larger than a star only the strongest."""
     above = _above(filtered, options.threshold_sigma)
     columns = above.shape[1]
     lit = np.flatnonzero(above)
@@ -126,10 +123,7 @@ def _maxima(response: Image32, pixels_px: NDArray[np.int64]) -> tuple[Float, Flo
 
 @compiled
 def label_groups(lit: Indices, columns: int) -> tuple[Indices, int]:
-    """Number the groups of pixels that touch, along sides or at corners.
-
-    ``lit`` (n,); returns ``group`` (n,) and ``count``.
-    """
+    """Number (n,) of the group of pixels that touch, along sides or at corners, and their count."""
     parent = np.arange(len(lit))
     above = 0  # the first pixel that may touch from the row above
     for i in range(len(lit)):

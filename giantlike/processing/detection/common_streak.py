@@ -90,10 +90,7 @@ def fit_streaks(patches: Patches, streak: CommonStreak, flux_dn: Float) -> LineF
 
 
 def unexplained_power(patches: Patches, fits: LineFits, shares: Float) -> Float:
-    """Fraction of the power of the signal in each patch that its line does not explain.
-
-    ``shares`` (n, w, w); returns (n,), at least 0.
-    """
+    """Fraction (n,) of the power of the signal in each patch that its line, ``shares`` (n, w, w), does not explain."""
     patches = patches.subtract_slopes(fits.planes, fits.centers_px)
     light = np.where(patches.valid & ~patches.saturated, patches.values_dn - fits.background_dn[:, None, None], 0.0)
     left = np.where(light != 0.0, light - fits.flux_dn[:, None, None] * shares, 0.0)

@@ -41,10 +41,7 @@ class Frame(Value):
 def frame_of(
     pixels: ArrayLike, mask: ArrayLike | None, detector: Detector, options: DetectionOptions
 ) -> Frame | Failure:
-    """Check the pixels and mask of an image for detection.
-
-    ``pixels`` in DN; ``mask``: pixels that are not finite are bad too.
-    """
+    """Check the pixels, DN, and mask of an image for detection; pixels that are not finite are bad too."""
     array = as_image(pixels, "pixels")
     bad = np.zeros((0, 0), dtype=bool) if mask is None else np.asarray(mask, dtype=bool)
     require(bad.size == 0 or bad.shape == array.shape, f"mask shape {bad.shape} differs from pixels {array.shape}")

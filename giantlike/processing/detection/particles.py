@@ -62,10 +62,7 @@ def _core_radius_px(psf_sigma_px: float) -> float:
 def find_few_pixels(
     patches: Patches, points_px: Float, widths_px: Float, background_dn: Float, psf_sigma_px: float
 ) -> FewPixels:
-    """Compare a star and light in a few pixels as explanations of sources.
-
-    ``points_px`` (n, 2); ``widths_px``, ``background_dn`` (n,).
-    """
+    """Compare a star and light in a few pixels as explanations of sources (n,)."""
     n, gain = len(points_px), patches.gain_e_per_dn
     star, used, left = star_light(
         patches.values_dn,

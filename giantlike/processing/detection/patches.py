@@ -213,9 +213,6 @@ def normal_equations(jacobian: Float, residual: Float, weight: Float) -> tuple[F
 
 
 def chi2_inflation(chi2: Float, freedom: NDArray[np.integer]) -> Float:
-    """Variance inflation factor (n,) of a covariance: the reduced chi-square where it exceeds its noise limit, else 1.
-
-    ``chi2``, ``freedom`` (n,).
-    """
+    """Variance inflation (n,) of a covariance: the reduced chi-square where it exceeds its noise limit, else 1."""
     reduced = chi2 / freedom
     return np.where(reduced > 1.0 + CHI2_SIGMAS * np.sqrt(2.0 / freedom), reduced, 1.0)

@@ -42,10 +42,7 @@ class EdgePoints(Value):
         return len(self.points_px)
 
     def shift(self, corner_px: tuple[int, int]) -> EdgePoints:
-        """Return the edges of a part of an image in the pixels of the whole.
-
-        ``corner_px``: column and row of the first pixel of the part.
-        """
+        """Return the edges of a part of an image in the pixels of the whole; ``corner_px``: its first pixel."""
         return replace(self, pixels_px=self.pixels_px + corner_px, points_px=self.points_px + corner_px)
 
 

@@ -170,10 +170,7 @@ class LimbMeasurement(Value):
         return math.sqrt(sum(float(np.mean(np.sum(px[self.keep] ** 2, axis=1))) for px in self.common_px.values()))
 
     def motion_sigma_px(self, step_km: Float) -> float:
-        """Standard deviation of the limb where it is least certain, by the scatter of the points about a step.
-
-        ``step_km`` in camera axes.
-        """
+        """Standard deviation of the limb where it is least certain, by the scatter about a step in camera axes."""
         design = self.design[self.keep]
         left = self.shift_px[self.keep] - design @ step_km
         leverage = np.linalg.qr(design)[0]

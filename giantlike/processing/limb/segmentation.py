@@ -120,10 +120,7 @@ def background_of(values: Float) -> Background:
 
 
 def connected_blobs(pixels_dn: Float, light: Mask, *, level_dn: float = 0.0, min_area_px: int = 1) -> Blobs:
-    """Join neighboring light pixels (also across corners) and measure each patch.
-
-    ``pixels_dn``, ``light`` (rows, columns).
-    """
+    """Join neighboring light pixels (also across corners) and measure each patch; arrays (rows, columns)."""
     require(pixels_dn.shape == light.shape, f"pixels {pixels_dn.shape} and light {light.shape} differ in shape")
     count, labels, statistics, middles = cv2.connectedComponentsWithStats(light.astype(np.uint8), connectivity=8)
     areas = statistics[:, cv2.CC_STAT_AREA]
