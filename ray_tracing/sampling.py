@@ -124,10 +124,7 @@ class RayGrid:
                 return
 
     def directions(self, tile: Tile) -> Float:
-        """Directions of the rays through some cells.
-
-        Returns (n, 4), unit vectors and zeros, column after column of the tile.
-        """
+        """Directions (n, 4), unit vectors and zeros, of the rays through some cells, columns of the tile in turn."""
         start, stop, left, right = tile.start, tile.stop, tile.left, tile.right
         if self._jitter_seed is None:
             return self._points(start, stop, left, right).reshape(-1, 4)

@@ -44,10 +44,7 @@ class ExitCode(IntEnum):
 
 
 def command(function: Callable[Arguments, ExitCode]) -> Callable[Arguments, None]:
-    """Make a typer command of a function that returns an exit code.
-
-    Errors of the user, and an interrupt, become one line on stderr.
-    """
+    """Make a typer command of a function that returns an exit code; errors of the user become one line on stderr."""
 
     @functools.wraps(function)
     def wrapper(*args: Arguments.args, **kwargs: Arguments.kwargs) -> None:

@@ -27,10 +27,7 @@ def block_sums(image: NDArray[Scalar], size: int) -> Float:
 
 
 def whole_blocks(mask: Mask, size: int) -> Mask:
-    """Return True for blocks of nothing but True.
-
-    ``mask`` (h, w); ``size`` as for :func:`block_sums`; returns (h // size, w // size).
-    """
+    """Return True for blocks, as of :func:`block_sums`, of nothing but True in a mask (h, w)."""
     rows, columns = (length // size for length in mask.shape)
     if mask.all():
         return np.ones((rows, columns), bool)

@@ -145,10 +145,7 @@ def rotate(rotation: Rotation, vectors: ArrayLike) -> Float:
 
 
 def turn_between(first: Float, second: Float) -> Rotation:
-    """Smallest rotation from one direction to another close by.
-
-    ``first``, ``second`` (3,), unit vectors in the same axes, less than 90 deg apart.
-    """
+    """Smallest rotation from one unit vector (3,) to another in the same axes, less than 90 deg apart."""
     axis = np.cross(first, second)
     sine = float(np.linalg.norm(axis))
     return Rotation.from_rotvec(axis * (math.asin(min(sine, 1.0)) / sine if sine > 0.0 else 0.0))

@@ -21,10 +21,7 @@ _OPENING_RAD = 0.5  # half opening angle of the brighter, sunward fan of a coma,
 def background_light(
     *, slope_dn: tuple[float, float], glow_dn: float, glow_px: tuple[float, float], width_px: float
 ) -> Light:
-    """Stray light: a plane, and the round glow of a source inside or outside the frame.
-
-    ``slope_dn``: rise over the frame along columns and rows.
-    """
+    """Stray light: a plane, its rise over the frame as ``slope_dn``, and a round glow in or outside the frame."""
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
         level = 0.5 * (abs(slope_dn[0]) + abs(slope_dn[1]))  # light is never negative

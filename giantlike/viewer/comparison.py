@@ -39,10 +39,7 @@ class RenderedMatch(Value):
         return np.where(self.region, self.image_dn - self.model_dn, 0.0)
 
     def correlation(self, *, half_px: int = 12) -> Float:
-        """Normalized correlation of image and template for shifts around the fix.
-
-        Returns (2 half + 1, 2 half + 1), NaN where it is undefined.
-        """
+        """Normalized correlation of image and template for shifts around the fix, (2 half + 1,) * 2; NaN where none."""
         height, width = self.template.brightness.shape
         x, y = self.template.corner_px.tolist()
         rows, columns = self.image_dn.shape

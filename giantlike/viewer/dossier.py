@@ -314,10 +314,7 @@ def _sha256_of(file: Path) -> str | None:
 
 
 def reproduce(dossier: Path, output: Path, *, workers: int | None = None) -> list[str]:
-    """Run the campaign of a dossier again, with its edits, and compare the tables.
-
-    The result is empty if the run came out the same.
-    """
+    """Run the campaign of a dossier again, with its edits; returns the differences of tables, if there are any."""
     content = read_dossier(dossier)
     campaign = replace(Campaign.load(dossier / content["campaign_file"]), output=output)
     run_campaign(campaign, workers=workers)

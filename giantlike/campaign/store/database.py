@@ -134,10 +134,7 @@ class Database:
             }
 
     def rows(self, step: str) -> Iterator[tuple[int, str, str]]:
-        """Yield the records of a step that are part of the run, in input order, without their points.
-
-        Yields ``place``, ``path`` and ``light``.
-        """
+        """Yield place, path and record without points of a step, those that are part of the run, in input order."""
         with self._open_connection() as connection:
             for place, path, light, crc in connection.execute(_ORDERED, (step,)):
                 yield place, path, self._check_crc(light, crc)

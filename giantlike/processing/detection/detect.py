@@ -448,10 +448,7 @@ def _combined_flags(masks: Mapping[DetectionFlag, ArrayLike]) -> NDArray[np.uint
 
 
 def _usual_width_px(fits: StarFits, compact: Mask, psf_sigma_px: float) -> float:
-    """Median width, px, of the stars of the image, at most that of the PSF.
-
-    Stars sharper than the given PSF must not be mistaken for hot pixels.
-    """
+    """Median width, px, of the stars, at most that of the PSF: sharper stars must not be mistaken for hot pixels."""
     brightest = np.argsort(-np.where(compact & fits.converged, fits.flux_dn, -np.inf))[:_PSF_STARS]
     widths = fits.width_px[brightest][(compact & fits.converged)[brightest]]
     widths = widths[widths > _HOT_PIXEL_WIDTH_PX]

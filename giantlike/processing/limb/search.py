@@ -107,10 +107,7 @@ def find_limb(
     search_range: float,
     min_contrast: float,
 ) -> tuple[Float, CoarseLimb] | Failure:
-    """Find a whole outline and the position of its body, or return a failure.
-
-    ``search_px``, ``search_range`` as of :func:`search_limb`.
-    """
+    """Find a whole outline and the position of its body, as of :func:`search_limb`, or return a failure."""
     center_px = view.model.project(position_camera_km)
     found = search_limb(view, limb, center_px, search_px=search_px, search_range=search_range)
     if found.contrast < min_contrast or float(np.max(np.abs(found.shift_px))) > _AT_BORDER * search_px:
