@@ -25,8 +25,6 @@ def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
 
     ``et`` in s.
 
-    Notes
-    -----
     The merged position is a catalog position at the epoch ``et``, so that the other functions can move
     it, take parallax and aberration from there. The direction of the photocenter is correct to second order in the
     separation; the motions of the members are averaged with their flux as weight.

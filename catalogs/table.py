@@ -137,8 +137,6 @@ def join_tables(tables: Sequence[StarTable]) -> StarTable:
 def julian_year(et: float) -> float:
     """Julian epoch of a time.
 
-    Examples
-    --------
     >>> julian_year(504921600.0)
     2016.0
     """
@@ -148,8 +146,6 @@ def julian_year(et: float) -> float:
 def et_of_julian_year(year: float) -> float:
     """Time of a Julian epoch.
 
-    Examples
-    --------
     >>> et_of_julian_year(2016.0)
     504921600.0
     """

@@ -29,8 +29,6 @@ _REACH = 3.0
 class Air:
     r"""Air whose density falls exponentially, over a surface.
 
-    Notes
-    -----
     A ray that leaves the ground under the angle of cosine c is at the altitude ``c s + s^2 / (2 R)`` after a length
     s, as long as that is much less than R. The integral of ``exp(-altitude / H) / H`` along it, the depth over the
     vertical one (Chapman's function of a thin layer), is ``sqrt(pi X / 2) erfcx(sqrt(X / 2) c)`` with ``X = R / H``;

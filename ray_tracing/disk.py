@@ -54,8 +54,6 @@ def disk_photocenter(law: Reflectance, phase_rad: ArrayLike) -> Float:
     ``phase_rad`` (...); returns (...) radii of the disk, 0 at zero phase, 1 at pi
     (as the limit of ever thinner crescents).
 
-    Notes
-    -----
     The same quadrature as :func:`disk_integrated`.
     """
     light, offset = _moments(law, phase_rad)

@@ -59,8 +59,6 @@ def render_near(
 
     ``points_px`` (..., 2); ``sun_direction_camera``: unit vector from body to Sun; ``edges_px`` (k, 2).
 
-    Notes
-    -----
     The light of a ray is spread over the pixels as from its cell; cell, point spread and pixel together and exactly,
     as by :func:`giantlike.ray_tracing.render`. The position of a ray in its cell differs from row to row, so that an
     outline along the rows does not meet all of a row's rays at once.
@@ -110,8 +108,6 @@ def outline_brightness(
     ``points_px``, ``normals_px`` (n, 2), the outline and its outward normals (points that are not finite get 0);
     ``sun_direction_camera``: unit vector from body to Sun; returns (n,).
 
-    Notes
-    -----
     On the outline itself the cosine of the incidence angle is of little use: with the Sun behind the camera it is zero
     all around, however bright the limb.
     """

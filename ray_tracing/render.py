@@ -192,8 +192,6 @@ def render_scene(
 
     ``sun_direction_camera`` (3,) or (n, 3), unit vector to the Sun, for all bodies or for each.
 
-    Notes
-    -----
     Every body is rendered as :func:`~giantlike.ray_tracing.render` does, but rays that meet another body first are
     dropped, and shadow rays are tested against all bodies. Light that one body casts on another is left out.
     """

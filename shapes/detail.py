@@ -100,8 +100,6 @@ def levels_of_detail(
 
     ``facet_px`` as in :class:`LevelsOfDetail`.
 
-    Notes
-    -----
     A camera that sees facets of half a pixel sees no difference in the outline: over a facet of length l the surface of
     radius R bends by l^2 / 8 R, for 0.5 px on a disk of 300 px 0.0002 px. Only relief smaller than a facet is lost.
     """

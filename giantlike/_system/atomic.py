@@ -62,8 +62,6 @@ def _open_no_link(path: str, flags: int) -> int:
 def name_of_file(text: str) -> str:
     """Return a name that denotes a file in a folder, made of any text: without separators and leading dots.
 
-    Examples
-    --------
     >>> name_of_file("../67P/C-G")
     '_67P_C-G'
     """

@@ -122,8 +122,6 @@ def trigger_plan(exposures_s: tuple[float, float]) -> TriggerPlan:
     Source: Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation (ODIN), section "Camera
     Triggers and Timetag Syncing".
 
-    Examples
-    --------
     >>> trigger_plan((0.5, 0.002))
     TriggerPlan(primary=0, delay_s=0.249)
     """

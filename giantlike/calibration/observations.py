@@ -109,8 +109,6 @@ def collimator_directions(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> F
     Source: Holt, D'Souza and Saley, Orion Optical Navigation Progress Toward Exploration Mission 1, III.A: 99 images in
     steps of 2 degrees, made one composite.
 
-    Examples
-    --------
     >>> collimator_directions([0.1], [0.0]).round(3).tolist()
     [[-0.1, 0.0, 0.995]]
     """

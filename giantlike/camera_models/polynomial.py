@@ -13,8 +13,6 @@ def smallest_positive_root(*coefficients: float) -> float:
     Computed as the reciprocal of the largest root of the reversed polynomial, whose leading coefficient is one, so
     that tiny and zero coefficients are harmless.
 
-    Examples
-    --------
     >>> smallest_positive_root(-1.0, -2.0)
     0.5
     """

@@ -39,8 +39,6 @@ def disk_diameter(range_km: ArrayLike, radius_km: float) -> Float:
 
     Source: eqs. 5-10.
 
-    Examples
-    --------
     >>> float(disk_diameter(np.sqrt(2.0), 1.0).round(12))
     2.0
     """

@@ -76,8 +76,6 @@ class _ProgressLines:
 def images_per_line(total: int) -> int:
     """Number of images from one line to the next.
 
-    Examples
-    --------
     >>> [images_per_line(total) for total in (9, 300, 1000, 30_000)]
     [10, 20, 50, 2000]
     """

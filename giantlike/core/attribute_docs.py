@@ -13,8 +13,6 @@ from functools import cache
 def attribute_docs(enumeration: type[Enum]) -> dict[str, str]:
     """Return the docstrings of the members of an enumeration.
 
-    Examples
-    --------
     >>> from giantlike.core.reasons import Reason
     >>> attribute_docs(Reason)["REJECTED"]
     'A person rejected it. `giantlike edit RUN restore` takes that back.'

@@ -83,8 +83,6 @@ def sum_parts(parts: Mapping[Cause, Float], causes: Iterable[Cause] = IN_IMAGE) 
 
     ``parts`` mapping of Cause to (k, k); returns (k, k), zero where none of the causes is in ``parts``.
 
-    Examples
-    --------
     >>> parts = {Cause.NOISE: np.eye(2), Cause.RELIEF: 2.0 * np.eye(2), Cause.CAMERA: np.eye(2)}
     >>> sum_parts(parts)
     array([[3., 0.],
@@ -102,8 +100,6 @@ def add_parts(first: Mapping[Cause, Float], second: Mapping[Cause, Float]) -> di
 
     ``first``, ``second`` mapping of Cause to (k, k); returns dict of Cause to (k, k).
 
-    Examples
-    --------
     >>> both = add_parts({Cause.NOISE: np.eye(1)}, {Cause.NOISE: np.eye(1), Cause.RELIEF: np.eye(1)})
     >>> both[Cause.NOISE], both[Cause.RELIEF]
     (array([[2.]]), array([[1.]]))

@@ -55,8 +55,6 @@ class Response(_Stated):
     dark_dn, bright_dn: values that remain unchanged: of the sky, and of the brightest signal; ``bend`` acts between
         them.
 
-    Examples
-    --------
     >>> table = Response(bend=1.0, dark_dn=0.0, bright_dn=100.0)
     >>> [float(light) for light in table.light_dn(np.array([0.0, 10.0, 50.0, 100.0]))]
     [0.0, 1.0, 25.0, 100.0]
@@ -97,8 +95,6 @@ class Smear(_Stated):
     straight_px2, oblique_px2: half of (variance along x minus variance along y), and the covariance of x and y; with an
         isotropic part they are the second moments of a line.
 
-    Examples
-    --------
     By 3 px along x and 4 px along y:
 
     >>> smear = Smear(straight_px2=(3**2 - 4**2) / 24, oblique_px2=3 * 4 / 12)

@@ -35,8 +35,6 @@ class FrameRotation(Value):
 
     target, source: names of the frames, such as ``"CASSINI_ISS_NAC"`` and ``"J2000"``; empty where a name is not known.
 
-    Examples
-    --------
     >>> bus_from_inertial = FrameRotation(rotation=Rotation.identity(), target="BUS", source="J2000")
     >>> camera_from_bus = FrameRotation(rotation=Rotation.identity(), target="CAMERA", source="BUS")
     >>> (camera_from_bus * bus_from_inertial).target
@@ -68,8 +66,6 @@ def direction_from_radec(ra_deg: ArrayLike, dec_deg: ArrayLike) -> Float:
 
     ``ra_deg``, ``dec_deg`` (...); returns (..., 3), inertial axes.
 
-    Examples
-    --------
     >>> direction_from_radec(90.0, 0.0).round(12).tolist()
     [0.0, 1.0, 0.0]
     """
@@ -121,8 +117,6 @@ def pointing_deg(camera_from_inertial: Rotation, line_of_sight_camera: ArrayLike
 def camera_from_inertial_of_pointing(ra_deg: float, dec_deg: float, roll_deg: float) -> Rotation:
     """Return the attitude of a pointing: the inverse of :func:`pointing_deg` for the boresight.
 
-    Examples
-    --------
     >>> r = camera_from_inertial_of_pointing(10.0, 20.0, 30.0)
     >>> [round(v, 9) for v in pointing_deg(r, [0.0, 0.0, 1.0])]
     [10.0, 20.0, 30.0]

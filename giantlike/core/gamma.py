@@ -35,8 +35,6 @@ def checked_gamma(gamma: object) -> Gamma | None:
 class GammaCurve:
     """Light of coded values; 0 and the full scale remain as they are, and negative noise stays negative.
 
-    Examples
-    --------
     >>> curve = GammaCurve(gamma="srgb", full_scale_dn=255.0)
     >>> [round(float(light), 2) for light in curve.light_dn([0.0, 10.0, 128.0, 255.0])]
     [0.0, 0.77, 55.04, 255.0]

@@ -51,8 +51,6 @@ _ROUNDING = 1e-12
 def value_step(pixels: NDArray[Any], mask: Mask | None = None) -> float:
     """Step between the numbers that an image holds, as a converter leaves it.
 
-    Examples
-    --------
     >>> counts = np.random.default_rng(1).integers(100, 200, (40, 40))
     >>> value_step(counts), value_step(16 * counts), round(value_step(1e-4 * counts), 12), value_step(np.sqrt(counts))
     (1.0, 16.0, 0.0001, 0.0)

@@ -157,8 +157,6 @@ def error_terms(residuals: Float, covariance: Float, *, freedom: int) -> tuple[f
 def robust_sigma(values: ArrayLike, center: float | None = None) -> float:
     """Standard deviation of values by their median absolute deviation.
 
-    Examples
-    --------
     >>> round(robust_sigma([1.0, 2.0, 3.0, 4.0, 1000.0]), 4)
     1.4826
     """

@@ -70,8 +70,6 @@ class AttitudeSeries(Value):
     def segments(self, max_gap_s: float) -> tuple[slice, ...]:
         """Runs of attitudes without long gaps, over which one may interpolate.
 
-        Examples
-        --------
         >>> import numpy as np
         >>> still = Rotation.from_rotvec(np.zeros((3, 3)))
         >>> unknown = np.full((3, 3, 3), np.nan)

@@ -37,8 +37,6 @@ _SAME_POINT_DEG = 1.0
 def read_epic(path: str | Path, images: Sequence[Path], targets: Mapping[str, str]) -> GeometryTable:
     """Read the geometry of EPIC pictures.
 
-    Notes
-    -----
     Universal time is taken as UTC: 0.004 degrees of rotation at most.
     """
     path = Path(path)

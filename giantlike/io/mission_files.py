@@ -35,8 +35,6 @@ class Mission:
 def mission_names() -> tuple[str, ...]:
     """Names of the missions, sorted.
 
-    Examples
-    --------
     >>> "dawn_fc2" in mission_names()
     True
     """
@@ -46,8 +44,6 @@ def mission_names() -> tuple[str, ...]:
 def mission(name: str) -> Mission:
     """Return a mission by its name.
 
-    Examples
-    --------
     >>> mission("dawn_fc2").defaults["spice"]["frame"]
     'DAWN_FC2'
     """

@@ -33,8 +33,6 @@ def removed(apparent_km: Float, circumstances: Circumstances) -> Removed:
 
     ``apparent_km`` in ICRF axes.
 
-    Notes
-    -----
     The boost to the frame of the spacecraft is undone by that of the opposite velocity. Where the light time is not the
     predicted one, the motion of the target meanwhile is that of its velocity.
     """
@@ -52,8 +50,6 @@ def apparent_by_position(astrometric_km: Float, circumstances: Circumstances) ->
 
     ``astrometric_km`` in ICRF axes; returns (3, 3).
 
-    Notes
-    -----
     The vector ``v = t(et - |v|/c) - s`` from the spacecraft ``s`` to the target ``t`` changes by
     ``(I + w n^T / c)^-1 (dt - ds)`` with the velocity ``w`` of the target and the unit direction ``n``, and the boost
     by its own derivative. Where the velocity of the target is not known, ``w`` is that of the spacecraft, which is off

@@ -31,8 +31,6 @@ def preferred(fixes: Sequence[CenterFix], *, accepted: Collection[int] = ()) -> 
     not share, and of those that agree with the most others the one with the smallest error ellipse in the image is
     taken.
 
-    Examples
-    --------
     >>> preferred([])
     Preference(index=None, reason='no fix')
     """

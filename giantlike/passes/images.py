@@ -396,8 +396,6 @@ def wave_amplitudes(sigma: float, length_rad: float, waves: int) -> Float:
     ``length_rad``: correlation length over the radius of the limb; returns (waves + 1,), for :func:`limb_waves`, in the
     unit of ``sigma``.
 
-    Examples
-    --------
     >>> amplitudes = wave_amplitudes(1.0, 0.3, 200)
     >>> bool(abs(amplitudes[0] ** 2 + (amplitudes[1:] ** 2).sum() - 1.0) < 0.01)
     True

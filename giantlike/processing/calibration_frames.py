@@ -51,8 +51,6 @@ def combine_frames(
 
     ``frames`` sequence of (rows, columns) DN; ``masks`` sequence of (rows, columns).
 
-    Examples
-    --------
     >>> exposures = np.random.default_rng(1).normal(100.0, 3.0, (9, 50, 50))
     >>> exposures[4, 10, 10] = 5000.0  # a particle
     >>> bias = combine_frames(exposures)

@@ -15,8 +15,6 @@ from giantlike.io.mission_files import mission, mission_names
 def with_mission(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
     """Complete the table of a campaign file by the defaults of its mission; existing keys take precedence.
 
-    Notes
-    -----
     ``[spice]`` is completed where the campaign has that table, or where ``mission.kernels`` names a folder.
     """
     completed = dict(table)

@@ -132,8 +132,6 @@ _KEY = re.compile(r"""\s*([A-Za-z0-9_\-."']+)\s*=""")
 def lines_of_keys(text: str) -> dict[str, int]:
     r"""Lines of the tables and keys of a TOML file.
 
-    Examples
-    --------
     >>> lines_of_keys("[a]\nb = 1\n[[c]]\nd.e = 2\n[[c]]\n")
     {'a': 1, 'a.b': 2, 'c[0]': 3, 'c[0].d.e': 4, 'c[1]': 5}
     """
@@ -186,8 +184,6 @@ suggested for `estimators`."""
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return a hint at the name that may be meant.
 
-    Examples
-    --------
     >>> nearest("limb_maching", ["limb_matching", "moment"])
     " (did you mean 'limb_matching'?)"
     >>> nearest("x", ["limb_matching"])

@@ -63,8 +63,6 @@ class Pool(Protocol):
 class WorkerPool:
     """Runs jobs on images in this process (one worker) or in several; use it in a ``with`` block.
 
-    Notes
-    -----
     When a process dies, ``concurrent.futures`` breaks the whole pool and does not know which job was at fault. The jobs
     in flight are then rerun one by one in a separate process; one that kills this as well is given up, and the rest
     continue.

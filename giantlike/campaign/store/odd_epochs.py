@@ -19,8 +19,6 @@ def odd_epochs(epochs_et: Mapping[str, float | None]) -> dict[str, float]:
 
     ``epochs_et``: by image; None where it is not known.
 
-    Examples
-    --------
     >>> odd_epochs({"a": 7.6e8, "b": 7.6e8 + 60.0, "c": 7.6e8 + 120.0, "d": -3.15e8})
     {'d': -34.1}
     """

@@ -286,8 +286,6 @@ def _calibration(path: Path) -> dict[str, Any] | None:
 def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """Names of the inputs that differ, dotted for changes within tables.
 
-    Examples
-    --------
     >>> changes({"a": {"b": 1, "c": 2}, "d": 3}, {"a": {"b": 1, "c": 5}})
     ['a.c', 'd']
     """

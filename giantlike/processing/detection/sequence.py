@@ -69,8 +69,6 @@ def fixed_pattern(images: Sequence[ArrayLike], *, detector: Detector | None = No
 
     ``images`` sequence of (rows, columns) DN.
 
-    Examples
-    --------
     >>> random = np.random.default_rng(1)
     >>> pattern = random.normal(100.0, 20.0, (40, 40))
     >>> found = fixed_pattern([pattern + random.normal(0.0, 1.0, (40, 40)) for _ in range(5)])

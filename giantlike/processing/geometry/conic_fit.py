@@ -74,8 +74,6 @@ def fit_ellipse(
     Unit weights w are K. Kanatani's HyperLS; weights ``1 / (s^2 theta . V theta)`` of the last solution reach the
     Cramer-Rao bound. Derived here and checked by Monte Carlo in the tests.
 
-    Examples
-    --------
     >>> turn = np.linspace(0.0, 4.0, 9)
     >>> fit = fit_ellipse(np.stack([3.0 + 2.0 * np.cos(turn), 1.0 + np.sin(turn)], axis=-1))
     >>> fit.ellipse[:4].round(6).tolist()

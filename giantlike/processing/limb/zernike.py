@@ -61,8 +61,6 @@ def zernike_kernels(size: int) -> tuple[NDArray[np.complex128], Float]:
     Unit of length is the radius of the circle, ``size / 2`` px. The first sums up to zero by symmetry, the second
     as the polynomials are orthogonal on the circle.
 
-    Examples
-    --------
     >>> first, second = zernike_kernels(5)
     >>> bool(abs(first.sum()) < 1e-12), bool(abs(second.sum()) < 1e-3)
     (True, True)
