@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
 
@@ -176,6 +177,26 @@ class Trails(_Stated):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Turn(_Stated):
+    """Rotation from the declared to the estimated orientation of a body: rotation vector in camera axes, rad."""
+
+    x_rad: float = field(default=0.0, metadata={"digits": 4})
+    y_rad: float = field(default=0.0, metadata={"digits": 4})
+    z_rad: float = field(default=0.0, metadata={"digits": 4})
+
+    @classmethod
+    def of_rotation(cls, rotation: Rotation) -> Turn:
+        """Return the turn by a rotation."""
+        x, y, z = rotation.as_rotvec().tolist()
+        return cls(x_rad=x, y_rad=y, z_rad=z)
+
+    @property
+    def rotation(self) -> Rotation:
+        """The rotation."""
+        return Rotation.from_rotvec([self.x_rad, self.y_rad, self.z_rad])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Corrections(_Stated):
     """Effects in an image, other than the position of a body, that a fix corrects for; None where it does not.
 
@@ -191,6 +212,7 @@ class Corrections(_Stated):
     response: Response | None = None  # response by which values were linearized
     smear: Smear | None = None  # motion of the body in the image during the exposure
     trails: Trails | None = None  # charge that arrives late
+    turn: Turn | None = None  # rotation of the body from its declared orientation
     limb_altitude_km: float | None = field(default=None, metadata={"digits": 6})
     altitude_sigma_km: float | None = field(default=None, metadata={"digits": 6})
     limb_blur_px2: float | None = field(default=None, metadata={"digits": 4})

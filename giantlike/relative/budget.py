@@ -75,7 +75,8 @@ def with_budget(
     axes, which moves the fix: the part ``ORIENTATION``. The sigmas are ``camera.uncertainty``,
     ``image.attitude_covariance_rad2`` and ``geometry.target.uncertainty``; one that is not given adds nothing. An
     outline does not move with the Sun, which only says where it is lit: other points of the limb would scatter with
-    any Sun.
+    any Sun. A rotation of the body that is estimated from the image leaves nothing of the declared errors of pole and
+    spin; one that the residuals only suggest counts as far as it exceeds these.
     """
     size = 3 if isinstance(fix, PositionFix) else 2
     model = camera.model
@@ -84,13 +85,17 @@ def with_budget(
     )
     place_per_km = place_jacobian(model, position_km)
     parts = dict(fix.parts) or {Cause.NOISE: _own_covariance(fix, place_per_km)}
+    estimated, undeclared = fix.corrections.turn is not None, np.zeros((size, size))
+    if not estimated:
+        undeclared = parts.pop(Cause.SPIN, undeclared)
+    missing = set(Cause) - set(parts) - ({Cause.POLE, Cause.SPIN} if estimated else set())
     radius_px = apparent_radius_px(camera, fix.center_px, geometry.target.shape.mean_radius_km, geometry.range_km)
     least_rad = _least_step_rad(radius_px)
-    by_body = _body_partials(fix, geometry, motion, least_rad, missing=set(Cause) - set(parts), by_outline=by_outline)
+    by_body = _body_partials(fix, geometry, motion, least_rad, missing=missing, by_outline=by_outline)
     if isinstance(by_body, Failure):
         return by_body
     body = _body_parts(by_body, geometry)
-    if geometry.target.uncertainty.pole_unknown and Cause.POLE not in parts:
+    if geometry.target.uncertainty.pole_unknown and Cause.POLE in missing:
         unknown = _unknown_pole_part(geometry, motion, size)
         if isinstance(unknown, Failure):
             return unknown
@@ -100,11 +105,15 @@ def with_budget(
         if isinstance(turned, Failure):
             return turned
         body[Cause.ORIENTATION] = turned
+    if undeclared.any():
+        declared = sum_parts({Cause.SPIN: np.zeros((size, size)), **body}, (Cause.POLE, Cause.SPIN))
+        beyond = excess(declared, undeclared) if declared.any() else undeclared
+        body[Cause.SPIN] = body.get(Cause.SPIN, 0.0) + beyond
     turn = (place_per_km @ -skew(position_km))[:size]
     partials = by_body | {Cause.ATTITUDE: turn}
     added, in_camera = (
         body | _attitude_parts(image, camera, turn),
-        sum_parts({**body, Cause.NOISE: np.zeros((size, size))}),
+        sum_parts({**body, Cause.NOISE: -undeclared}),
     )
     known = camera.uncertainty
     if known is not None and known.estimated and Cause.CAMERA not in parts:
@@ -118,7 +127,7 @@ def with_budget(
     new = {cause: part for cause, part in added.items() if cause not in parts}
     changes: dict[str, object] = {"parts": parts | new, "partials": partials | dict(fix.partials)}
     if body:
-        changes["covariance_px2"] = fix.covariance_px2 + sum_parts(body)[:2, :2]
+        changes["covariance_px2"] = fix.covariance_px2 + (sum_parts(body) - undeclared)[:2, :2]
     if isinstance(fix, PositionFix) and in_camera.any():
         added_km2 = position_covariance(model, position_km, in_camera)
         changes["covariance_camera_km2"] = fix.covariance_camera_km2 + added_km2

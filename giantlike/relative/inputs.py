@@ -153,6 +153,12 @@ class EstimatorInputs(Value):
         )
 
     @property
+    def seen_geometry(self) -> TargetGeometry:
+        """The geometry, with the body in the orientation that was estimated from the image, if any."""
+        turn, known = self.corrections.turn, self.geometry.camera_from_body
+        return self.geometry if turn is None else replace(self.geometry, camera_from_body=turn.rotation * known)
+
+    @property
     def turn_rad(self) -> float:
         """Declared standard deviation of the orientation of the body in the image, about any axis, rad."""
         known, attitude = self.geometry.target.uncertainty, self.image.attitude_covariance_rad2

@@ -9,10 +9,11 @@ from functools import cache
 from typing import ClassVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float, Mask, require, require_number
 from giantlike.core.causes import Cause
-from giantlike.core.findings import Corrections, Response, Smear, Trails
+from giantlike.core.findings import Corrections, Response, Smear, Trails, Turn
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Reason
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
@@ -33,6 +34,7 @@ from giantlike.relative.template.moved_body import MovedBody
 from giantlike.relative.template.rendering import (
     KNOWN_BLUR_SIGMA_PX2,
     ROUGH,
+    TURN_SIGMA_RAD,
     UNKNOWN_BLUR_SIGMA_PX2,
     TemplateRenderer,
     contrasting_laws,
@@ -64,6 +66,8 @@ freedom (484 px, six draws of noise)."""
 _ROUNDS, _SETTLED_BEND = 3, 0.02
 """Maximum number of fits with a response, and change of its curvature at convergence; the rest is estimated
 linearly."""
+_TURN_ROUNDS, _SETTLED_TURN_PX = 6, 0.5
+"""Maximum number of fits with a rotated body, and motion of its surface by the last rotation, px, at convergence."""
 _LINEAR_PX = 1.0
 """Motion of the surface, in pixels of the fit, up to which its position follows linearly: the width of an edge."""
 _OUTLINE_RAD = np.arange(360) * (2.0 * np.pi / 360)  # rad, directions of the outline points of a fix
@@ -194,7 +198,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             sigma_km = match.fit.altitude_sigma * inputs.geometry.seen_body().shape.mean_radius_km
             inputs = replace(inputs, corrections=inputs.corrections | Corrections(altitude_sigma_km=sigma_km))
         fix = _fix(inputs, blocks, replace(match, fit=blocks.unbin(match.fit)), self.options)
-        return fix if isinstance(fix, Failure) else Solved(fix, _response_of(inputs.geometry, blocks, match, fix))
+        return fix if isinstance(fix, Failure) else Solved(fix, _response_of(inputs, blocks, match, fix))
 
     def _add_effects(
         self, inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch
@@ -208,12 +212,13 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             (self._fit_linearized, independent.of_surface),
             (self._fit_smeared, independent.of_edges),
             (self._fit_trailed, independent.of_edges),
+            (self._fit_turned, independent.of_surface),
         )
         for with_effect, parts in tries:
             again = with_effect(inputs, blocks, match)
             if again is None:
                 continue
-            chance = chance_of_odds(again[2].fit.log_evidence(parts) - match.fit.log_evidence(parts))
+            chance = chance_of_odds(again[2].log_evidence(parts) - match.log_evidence(parts))
             moved = again[2].fit.place - match.fit.place
             if chance > 0.5:
                 inputs, blocks, match = again
@@ -227,7 +232,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
     ) -> tuple[Blocks, TemplateMatch | Failure]:
         """Match the template to the image of some inputs, averaged over blocks."""
         blocks, smear = make_blocks(inputs), inputs.corrections.smear
-        body = inputs.geometry.seen_body()
+        body = inputs.seen_geometry.seen_body()
         renderer = TemplateRenderer(
             target=body,
             plane=blocks.plane,
@@ -244,6 +249,7 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
             response=response,
             smear=None if smear is None else smear.on_blocks(blocks.size),
             trails=inputs.corrections.trails,
+            turn_sigma_rad=max(inputs.turn_rad, TURN_SIGMA_RAD),
             altitude_sigma=inputs.geometry.limb_altitude_km[1] / body.shape.mean_radius_km,
         )
         return blocks, match
@@ -292,6 +298,23 @@ class CrossCorrelation(BodyEstimator[CrossCorrelationOptions, CenterFix]):
         found = Corrections(trails=again.fit.trails)
         return replace(inputs, corrections=inputs.corrections | found), blocks, again
 
+    def _fit_turned(
+        self, inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch
+    ) -> tuple[EstimatorInputs, Blocks, TemplateMatch] | None:
+        """Fit with a rotated body; None where residuals show no errors at edges, or the rotation does not converge."""
+        if "turn" not in match.fit.undeclared:
+            return None
+        for _ in range(_TURN_ROUNDS):
+            step = Rotation.from_rotvec(match.fit.undeclared["turn"].score.values)
+            again = match.rotate_body(blocks.pixels, step)
+            if isinstance(again, Failure):
+                return None
+            match = again
+            if step.magnitude() * match.renderer.radius_px < _SETTLED_TURN_PX:
+                break
+        found = Corrections(turn=match.options.turn)
+        return replace(inputs, corrections=inputs.corrections | found), blocks, match
+
 
 def _linearize_pixels(pixels: BoxPixels, response: Response) -> BoxPixels:
     """Linearized pixels, their noise variance scaled by the squared slope of the response."""
@@ -310,6 +333,7 @@ class TemplateMatch(Value):
     box: pixels that were fitted; it may reach over the frame.
     synthesis: renders the template into the box.
     start: start of the fits, without blur beyond that of the camera.
+    laws: whether other reflectance laws are mixed in, and at most how many.
     """
 
     fit: TemplateFit
@@ -318,6 +342,26 @@ class TemplateMatch(Value):
     options: TemplateFitOptions
     start: TemplateState
     renderer: TemplateRenderer
+    laws: tuple[bool, int | None]
+
+    def log_evidence(self, parts: float) -> float:
+        """Return the logarithm of the likelihood of the pixels, further rotations of a rotated body integrated out."""
+        fit = self.fit
+        free = 0.0 if self.options.turn is None else fit.columns.odds_of([fit.undeclared["turn"].block], parts)
+        return fit.log_evidence(parts) + free
+
+    def rotate_body(self, image: BoxPixels, step: Rotation) -> TemplateMatch | Failure:
+        """Return the match with the body rotated further, in camera axes."""
+        target, known = self.renderer.target, self.options.turn
+        body = replace(target, camera_from_body=step * target.camera_from_body)
+        renderer = replace(self.renderer, target=body)
+        synthesis = renderer.synthesis(self.box, other_law=self.laws[0], most_laws=self.laws[1])
+        options = replace(self.options, turn=Turn.of_rotation(step if known is None else step * known.rotation))
+        start = replace(self.start, smear=self.fit.state.smear)
+        fit = fit_template(image.cut(self.box), synthesis, start, options=options)
+        if isinstance(fit, Failure):
+            return fit
+        return replace(self, fit=fit, synthesis=synthesis, options=options, renderer=renderer)
 
     def motion(self, light: Float, other: Float) -> Float:
         """Linear motion (3,) of center and logarithm of the range for another light (h, w) of the body."""
@@ -352,6 +396,7 @@ def match_template(
     response: Response | None = None,
     smear: Smear | None = None,
     trails: Trails | None = None,
+    turn_sigma_rad: float = TURN_SIGMA_RAD,
     altitude_sigma: float = 0.0,
 ) -> TemplateMatch | Failure:
     """Find a body in an image by correlation with its template, and fit the template to the pixels."""
@@ -386,6 +431,7 @@ def match_template(
         of_body,
         response=response,
         trails=trails,
+        turn_sigma_rad=turn_sigma_rad,
         smear_sigma_px2=of_body.smear_sigma_px2 / block_px**2,
         altitude_sigma=altitude_sigma,
         sun_direction=renderer.sun_across(state),
@@ -404,7 +450,15 @@ def match_template(
     if fit.gain_dn <= 0.0 or not fit.score >= options.min_score:
         detail = f"the fitted template has a correlation of {fit.score:.3g}, needed {options.min_score:g}"
         return Failure(Reason.LOW_CORRELATION, detail)
-    return TemplateMatch(fit=fit, box=box, synthesis=synthesis, options=fit_options, start=state, renderer=renderer)
+    return TemplateMatch(
+        fit=fit,
+        box=box,
+        synthesis=synthesis,
+        options=fit_options,
+        start=state,
+        renderer=renderer,
+        laws=(options.free_reflectance, most_laws),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -502,7 +556,7 @@ def _fix(
         return center
     range_km = inputs.geometry.range_km * math.exp(fit.state.log_range)
     position, covariance = position_of_center(model, fit.state.center_px, range_km, fit.covariance)
-    body = inputs.geometry.seen_body(position)
+    body = inputs.seen_geometry.seen_body(position)
     if _smooth(inputs):
         sun = inputs.geometry.sun_direction_camera
         outline = trace_silhouette(body, model, _OUTLINE_RAD, sun_direction_camera=sun)
@@ -517,7 +571,7 @@ def _fix(
     else:
         limb_px = outline_points_px(body, model, _OUTLINE_RAD)
     return PositionFix(
-        **{field.name: getattr(center, field.name) for field in fields(center)} | {"parts": fit.parts},
+        **{each.name: getattr(center, each.name) for each in fields(center)} | {"parts": fit.parts},
         position_camera_km=position,
         covariance_camera_km2=covariance,
         limb_px=limb_px[inputs.camera.contains(limb_px)],
@@ -525,10 +579,10 @@ def _fix(
 
 
 def _response_of(
-    geometry: TargetGeometry, blocks: Blocks, match: TemplateMatch, fix: CenterFix
+    inputs: EstimatorInputs, blocks: Blocks, match: TemplateMatch, fix: CenterFix
 ) -> Callable[[TargetGeometry], Float | None]:
     """Response of the position of a match to the geometry of the body; None where the surface moves too far."""
-    state, scale = match.fit.state, np.array([blocks.size, blocks.size, 1.0])
+    geometry, state, scale = inputs.geometry, match.fit.state, np.array([blocks.size, blocks.size, 1.0])
 
     @cache
     def light() -> Float | Failure:
@@ -539,9 +593,9 @@ def _response_of(
         growth = abs(math.log(moved.range_km / geometry.range_km))
         if (turn + growth) * match.renderer.radius_px > _LINEAR_PX:
             return None
-        other = replace(
-            match.renderer, target=moved.seen_body(), sun_direction_camera=moved.sun_direction_camera
-        ).light(match.box, state)
+        target = replace(inputs, geometry=moved).seen_geometry.seen_body()
+        sun = moved.sun_direction_camera
+        other = replace(match.renderer, target=target, sun_direction_camera=sun).light(match.box, state)
         before = light()
         if isinstance(before, Failure) or isinstance(other, Failure):
             return None

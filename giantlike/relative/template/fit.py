@@ -18,7 +18,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float, Mask, require
 from giantlike.core.causes import Cause, sum_parts
-from giantlike.core.findings import Response, Smear, Trails
+from giantlike.core.findings import Response, Smear, Trails, Turn
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import BoxPixels
 from giantlike.core.statistics import excess
@@ -30,6 +30,7 @@ from giantlike.relative.template.covariance import LinearFit, RobustFit
 from giantlike.relative.template.haze import haze_altitude, haze_block
 from giantlike.relative.template.linear import BEND_SIGMA, PIXEL_VARIANCE_PX2, SMEAR_SIGMA_PX2, LinearProblem
 from giantlike.relative.template.relief import relief_covariance
+from giantlike.relative.template.rendering import TURN_SIGMA_RAD, turn_block
 from giantlike.relative.template.smear import smeared_renders
 from giantlike.relative.template.state import Synthesis, TemplateState
 from giantlike.relative.template.undeclared import IndependentParts, Undeclared, undeclared_effects
@@ -82,6 +83,8 @@ class TemplateFitOptions:
         render where the start is within ``tolerance_px``.
     response: response by which the pixels were linearized; its curvature is estimated along with the rest.
     smear_sigma_px2: a priori standard deviation of the variances of a smear.
+    turn: rotation of the rendered body from its declared orientation; further rotation is in the covariance then.
+    turn_sigma_rad: a priori standard deviation of the rotation about each axis.
     complete: the model is complete: undeclared effects are not tested for in the residuals.
     """
 
@@ -100,6 +103,8 @@ class TemplateFitOptions:
     fine_at_once: bool = False
     response: Response | None = None
     smear_sigma_px2: float = SMEAR_SIGMA_PX2
+    turn: Turn | None = None
+    turn_sigma_rad: float = TURN_SIGMA_RAD
     complete: bool = True
 
     def __post_init__(self) -> None:
@@ -370,6 +375,8 @@ class _SolvedStep:
         independent = IndependentParts.from_size(int(np.count_nonzero(used)), options.radius_px, self._blur_px)
         response = self._response(fit, options.response)
         left_out = undeclared_effects(fit, self._left_out(fit, response, independent, options))
+        if options.turn is not None and "turn" in left_out:
+            left_out["turn"] = replace(left_out["turn"], chance=1.0)
         smear = state.smear
         if smear is None:
             straight_px2, oblique_px2 = self._estimates(left_out, "smear") or (0.0, 0.0)
@@ -438,6 +445,8 @@ class _SolvedStep:
         if options.response is None:
             bend = -response.changes_dn(fit.model)[:1]
             blocks[_block("bend", Cause.REFLECTANCE, bend, [BEND_SIGMA])] = surface
+        if problem.turned is not None and (options.turn is not None or self._wrong_edges):
+            blocks[turn_block(problem.gain_dn * problem.turned(), options.turn, options.turn_sigma_rad)] = surface
         veils = self.problem.veils() if self._wrong_edges and not options.altitude_sigma else None
         if veils is not None:
             blocks[haze_block(problem.gain_dn * veils)] = edges

@@ -84,7 +84,7 @@ class LinearProblem:
         response: Response | None = None,
         trailed: Block | None = None,
     ) -> None:
-        self.pixels, self.light, self.veiled = pixels, images.light, images.veiled
+        self.pixels, self.light, self.veiled, self.turned = pixels, images.light, images.veiled, images.turned
         total = float(images.light.sum())
         differences = [_difference(other, images.light) for other in images.others]
         widths = _WING_WIDTHS if images.winged else ()

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
+from giantlike.core.causes import Cause
 from giantlike.core.detector import GaussianPsf
+from giantlike.core.findings import Turn
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
+from giantlike.image_model.columns import Block, Prior, Use
 from giantlike.ray_tracing import (
     Body,
     FocalPlane,
@@ -41,6 +45,9 @@ UNKNOWN_BLUR_SIGMA_PX2 = 1.0
 KNOWN_BLUR_SIGMA_PX2 = 0.15
 """As above, for a declared point spread function: a tenth of a usual width, and the blur by the sampling of renders."""
 
+TURN_SIGMA_RAD = math.radians(2.0)
+"""Least a priori standard deviation of a rotation of the body about each camera axis: a guess."""
+_TURN_STEP_PX = 0.5  # px, motion of the surface in derivatives by a rotation
 _POINT_PX = 1e-3  # px: smaller bodies, and points, take no more rays
 _MAX_RAYS_PER_PIXEL_SIDE = 24  # bounds the cost of small bodies; ``min_rays_across`` samples them finely enough
 _NARROW_SIDE = 0.5  # ratio of rays over the narrow side of a body to rays across it: few bodies are more elongated
@@ -178,8 +185,9 @@ class TemplateRenderer(Value):
         angle over the disk is mixed in last, in fine renders.
         """
         small = self.radius_px < _SMALL_RADIUS_PX
-        air = self.target.air
-        airy = not self.airless and air is None and isinstance(self.target.shape, Ellipsoid)
+        air, shape = self.target.air, self.target.shape
+        smooth = isinstance(shape, Ellipsoid) and shape.albedo is None
+        airy = not self.airless and air is None and isinstance(shape, Ellipsoid)
         others = contrasting_laws(self.target.reflectance)[: 1 if small else most_laws] if other_law else ()
         if other_law and air is not None:
             others = (*others[:1], Black(), *others[1:])
@@ -212,6 +220,7 @@ class TemplateRenderer(Value):
                 winged=fine,
                 untried=lights[-1] if untried else None,
                 veiled=render_veil if untried and airy else None,
+                turned=None if smooth or not untried else lambda: self._turns(box, state),
                 derivatives=derivatives,
             )
 
@@ -234,6 +243,18 @@ class TemplateRenderer(Value):
         body = MovedBody(trace=refine_trace(trace, parts) if fine else trace, state=state)
         return body, body.shade(laws)
 
+    def _turns(self, box: PixelBox, state: TemplateState) -> Float:
+        """Derivatives (3, h, w) of the light by a rotation of the body about the camera axes; zero where unseen."""
+        step_rad = min(_TURN_STEP_PX / self.radius_px, TURN_SIGMA_RAD)
+        turns = [Rotation.from_rotvec(step_rad * axis) for axis in (np.zeros(3), *np.eye(3))]
+        bodies = [replace(self.target, camera_from_body=turn * self.target.camera_from_body) for turn in turns]
+        light, *turned = (replace(self, target=body).light(box, state) for body in bodies)
+        if isinstance(light, Failure):
+            return np.zeros((3, box.height, box.width))
+        return np.stack(
+            [np.zeros_like(light) if isinstance(each, Failure) else (each - light) / step_rad for each in turned]
+        )
+
     def _daylight(self, rough: MovedBody, state: TemplateState) -> Daylight | None:
         """Light and dark parts of the body at a state; None where the perspective of a rough trace differs."""
         return rough.daylight(state) if self._turned_px(rough.state, state) < _TOLD_PX else None
@@ -253,6 +274,13 @@ class TemplateRenderer(Value):
         turned_px = self._turned_px(first, second)
         untraced = past_px > 0.0 and moved_px > _CUT_PX
         return not untraced and abs(growth) * radius_px < _LIMB_PX and turned_px < _TURNED_PX[not fine]
+
+
+def turn_block(matrix: Float, turn: Turn | None, sigma_rad: float) -> Block:
+    """Return the further rotation of a body that is rendered with one; ``matrix`` (3, h, w) as of the renders, DN."""
+    mean = np.zeros(3) if turn is None else -turn.rotation.as_rotvec()
+    prior = Prior.of_sigmas(3 * [sigma_rad], mean)
+    return Block(effect="turn", cause=Cause.SPIN, matrix=matrix, prior=prior, use=Use.WHEN_SEEN)
 
 
 def contrasting_laws(law: Reflectance) -> tuple[Reflectance, ...]:

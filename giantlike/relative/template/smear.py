@@ -25,13 +25,14 @@ def smeared_renders(synthesize: Synthesis) -> Synthesis:
         seen = [made.light, *made.others, *([] if made.untried is None else [made.untried])]
         light, *rest = smear.blur(np.stack(seen))
         others, last = rest[: len(made.others)], rest[len(made.others) :]
-        sharp, veiled = made.derivatives, made.veiled
+        sharp, veiled, turned = made.derivatives, made.veiled, made.turned
         return replace(
             made,
             light=light,
             others=others,
             untried=last[0] if last else None,
             veiled=None if veiled is None else lambda: smear.blur(veiled()),
+            turned=None if turned is None else lambda: smear.blur(turned()),
             derivatives=None if sharp is None else lambda weights: smear.blur(sharp(weights)),
             by_smear=_changes(smear, made.light),
         )

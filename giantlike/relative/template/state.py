@@ -42,6 +42,8 @@ class TemplateImages(Value):
     winged: estimate the share of the light that lies in wings of the point spread function.
     untried: (h, w); brightness under a law that the fit does not mix in; its effect enters the covariance.
     veiled: returns the brightness (3, h, w) under the laws of :func:`~giantlike.relative.template.haze.haze_laws`.
+    turned: returns the derivatives (3, h, w) of ``light`` by a rotation of the body about the camera axes, per rad;
+        None of an ellipsoid without markings, whose image hardly changes.
     derivatives: takes weights (1 + k,) and returns the derivatives (4, h, w) of the sum of ``light`` and ``others``
         with these, by x and y of the center in px, the logarithm of the range and the variance of the point spread
         function in px^2; None takes them from differences of pixels. Those are off by a tenth where an image is as
@@ -56,6 +58,7 @@ class TemplateImages(Value):
     winged: bool = False
     untried: Float | None = None
     veiled: Callable[[], Float] | None = None
+    turned: Callable[[], Float] | None = None
     derivatives: Callable[[Float], Float] | None = None
     by_smear: Float | None = None
 

@@ -256,7 +256,7 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
     A body that appears larger than its shape, by haze or by the measured size of a fix without a range, is rendered
     nearer, which looks the same.
     """
-    geometry, model = inputs.geometry, inputs.camera.model
+    geometry, model = replace(inputs, corrections=fix.corrections).seen_geometry, inputs.camera.model
     range_km = fix.range_km if isinstance(fix, PositionFix) else geometry.range_km
     if fix.corrections.limb_altitude_km:
         range_km /= 1.0 + fix.corrections.limb_altitude_km / geometry.target.shape.mean_radius_km
