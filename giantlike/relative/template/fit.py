@@ -508,8 +508,8 @@ class _SolvedStep:
         return int(np.clip(round(_BLOCK * self.problem.reach_px), 3, _MAX_BLOCK_PX))
 
     def _relief(self, fit: LinearFit, options: TemplateFitOptions) -> Float:
-        """Covariance (k, k) of the parameters by relief, where edges are wrong and blocks too few for a jackknife."""
-        if not self._wrong_edges or fit.jackknife(self._block_px) is not None:
+        """Covariance (k, k) of the parameters by relief, where edges are wrong."""
+        if not self._wrong_edges:
             return np.zeros_like(fit.columns.information)
         center_px, sun = self.state.center_px - self.problem.pixels.corner_px, np.array(options.sun_direction)
         return relief_covariance(fit, center_px, sun[:2], radius_px=self.problem.reach_px)
