@@ -164,7 +164,8 @@ def choose(
 class Auto(BodyEstimator[AutoOptions, CenterFix]):
     """Chooses an estimator by apparent size, shape and limb in view, and checks it by an independent one.
 
-    The estimators of the choice are tried in order; the first fix that is not suspect is taken, else the first fix. The
+    The estimators of the choice are tried in order; the first fix that is not suspect is taken, else the first fix
+    (``moment`` does not replace a suspect fix: the center of light cannot see what another model explains better). The
     first of other fixes that is not suspect and precise enough confirms it: estimators of another part of the image
     (the limb instead of the light) come before others of the same light. Where the two differ by more than their
     covariances explain, these grow. An unconfirmed fix is flagged ``UNCHECKED``. Where the confirming fix is so
@@ -313,9 +314,14 @@ def _with_turn(fix: CenterFix, second: CenterFix) -> CenterFix:
 
 
 def _choose_fix(choice: Choice, outcome: Callable[[str], CenterFix | Failure]) -> str | None:
-    """Name of the first fix without objection, else of the first fix."""
+    """Name of the first fix without objection, else of the first fix.
+
+    An objection of an estimator that knows the shape stands against the light alone, which could not raise it.
+    """
     suspect = None
     for name in choice.estimators:
+        if suspect is not None and name == Moment.name:
+            continue
         fix = outcome(name)
         if isinstance(fix, Failure):
             continue

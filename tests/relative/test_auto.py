@@ -206,6 +206,16 @@ def test_a_disagreement_beyond_the_covariances_makes_the_fix_less_certain(rock: 
     assert_allclose(apart.covariance_px2, ratio * 0.01 * np.eye(2), rtol=0, atol=FLOAT64_SUM)
 
 
+def test_the_center_of_light_does_not_replace_a_fix_that_another_model_explains_better(rock: TriangleMesh) -> None:
+    suspect = _fix((0, 0), Quality.FAR_FROM_PREDICTION)
+    fix = _told(rock, cross_correlation=suspect, moment=_fix((9, 9)))
+    assert isinstance(fix, CenterFix)
+    assert (fix.findings.chosen, fix.flags.suspect) == ("cross_correlation", True)
+    by_limb = _told(rock, cross_correlation=suspect, limb_matching=_fix((9, 9)), moment=_fix((9, 9)))
+    assert isinstance(by_limb, CenterFix)
+    assert (by_limb.findings.chosen, by_limb.flags.suspect) == ("limb_matching", False)
+
+
 def test_what_rests_on_something_else_checks_before_what_rests_on_the_same(rock: TriangleMesh) -> None:
     fix = _told(rock, cross_correlation=_fix((0, 0)), moment=_fix((9, 9)), limb_matching=_fix((0, 0)))
     assert isinstance(fix, CenterFix)

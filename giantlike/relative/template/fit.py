@@ -217,8 +217,8 @@ def fit_template(
 
     Unmodeled relief ``h`` (relative to the radius) moves each point of the image by ``h`` times its distance from the
     center, along that direction: it changes the image by ``-h dM/dlog(range)``. The covariance is nowhere below the
-    covariance by random relief with the given standard deviation and correlation length nor, where blocks are too few
-    for a jackknife, below that of relief with the spectrum of the residuals, see
+    covariance by random relief with the given standard deviation and correlation length nor, where edges are wrong,
+    below that of relief with the spectrum of the residuals, see
     :func:`~giantlike.relative.template.relief.relief_covariance`. Other effects of relief on the shading are left to
     the residuals.
     """

@@ -30,7 +30,8 @@ def relief_covariance(fit: LinearFit, center_px: Float, sun: Float, *, radius_px
     ``-h dM/dlog(range)``. Each sector of the lit half of the limb has an ``h`` by its residuals, of which the fit has
     taken up what looks like another place or range. What that was follows from the spectrum of the rest, see
     :func:`~giantlike.processing.outline_errors.outline_errors`. A crescent needs it most: it shows less than half of
-    the limb, over which the long waves of relief are all but a shift, and holds too few blocks for a jackknife.
+    the limb, over which the long waves of relief are all but a shift, and holds too few blocks for a jackknife. So does
+    a shape that is wrong by a tenth of its radius, whose errors a jackknife over blocks does not see as common ones.
     """
     columns, weights = fit.columns, fit.columns.weights.ravel()
     at_y, at_x = np.indices(fit.residuals.shape)
