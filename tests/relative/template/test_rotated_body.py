@@ -69,6 +69,6 @@ def test_a_rotation_that_the_image_shows_needs_no_declared_error() -> None:
     one, _ = rock_shot(math.radians(OFF_DEG))
     declared = one.fix(CrossCorrelation())
     assert distance(declared, one) < 3.7
-    sigmas = [np.sqrt(np.diag(fix.covariance_px2)) for fix in (declared, undeclared)]
-    np.testing.assert_allclose(*sigmas, rtol=0.2)
+    first, second = (np.sqrt(np.diag(fix.covariance_px2)) for fix in (declared, undeclared))
+    np.testing.assert_allclose(first, second, rtol=0.2)
     np.testing.assert_allclose(sum_parts(declared.parts)[:2, :2], declared.covariance_px2, rtol=1e-9)
