@@ -54,7 +54,10 @@ from giantlike.relative import ESTIMATORS
 from giantlike.scene import Scene
 from giantlike.shapes import Shape
 
-_SECTIONS = "campaign|mission|images|camera|spice|stars|calibration|calibration_frames|geometry|targets|network|report"
+_SECTIONS = (
+    "campaign|mission|images|camera|spice|stars|calibration|calibration_frames|geometry|targets|network|photometry|"
+    "report"
+)
 _KEY = re.compile(rf"\[?((?:{_SECTIONS})\b(?:[\w.]|\[\d+\])*)\]?:? ")
 _ALONE: dict[str, Any] = {
     "shape": (1.0, 1.0, 1.0),

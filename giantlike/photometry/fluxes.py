@@ -72,6 +72,8 @@ class FluxOptions:
         0.5 px) or the point spread function varies over the field, the circle is the safer one.
     growth : bool
         Multiply by what the growth curve of the bright sources has beyond circle or function.
+    max_stars : int
+        Most stars that :func:`measure_stars` measures, the brightest of the catalog: bounds the time.
 
     Raises
     ------
@@ -83,10 +85,12 @@ class FluxOptions:
     annulus_px: tuple[float, float] = (9.0, 14.0)
     method: Literal["psf", "aperture"] = "psf"
     growth: bool = True
+    max_stars: int = 500
 
     def __post_init__(self) -> None:
         radii = (self.aperture_px, *self.annulus_px)
         ordered = len(radii) == 3 and 0.0 < radii[0] <= radii[1] < radii[2] <= 200.0
+        require(self.max_stars >= 1, f"max_stars must be >= 1, got {self.max_stars}")
         require(ordered, f"aperture_px <= annulus_px must be increasing radii up to 200 px, got {radii}")
         require(self.method in ("psf", "aperture"), f"method must be 'psf' or 'aperture', got {self.method!r}")
 
@@ -199,7 +203,8 @@ def measure_fluxes(
     camera.require_image(image)
     require(
         image.exposure_s is not None and image.exposure_s > 0.0,
-        f"{image.name}: fluxes need an exposure time above 0 s, got {image.exposure_s}",
+        f"{image.name}: fluxes need an exposure time above 0 s (header, or exposure_s of the geometry table), "
+        f"got {image.exposure_s}",
     )
     require(np.size(points_px) > 0, "points_px: there are no points to measure")
     points = as_floats(points_px, (2,), "points_px").reshape(-1, 2)
@@ -270,7 +275,7 @@ def measure_stars(
     stars = blended(stars, _MERGED_PX * float(camera.ifov_rad()), et=et)
     directions = apparent_directions(stars, et, observer_position_km=position, observer_velocity_km_s=velocity)
     points = camera.model.project(rotate(image.camera_from_inertial, directions))
-    inside = np.flatnonzero(camera.contains(points))
+    inside = np.flatnonzero(camera.contains(points))[: options.max_stars]
     if not inside.size:
         return Failure(Reason.NO_CATALOG_STARS, f"{image.name}: no star of the catalog lies in the frame")
     fluxes = measure_fluxes(image, camera, points[inside], options)

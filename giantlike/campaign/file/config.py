@@ -36,6 +36,7 @@ from giantlike.core.arrays import Float, require
 from giantlike.core.errors import InputError
 from giantlike.core.units import RAD_PER_DEG
 from giantlike.io.geometry_table import GeometryTable, ImageGeometry
+from giantlike.photometry import FluxOptions
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.stars.options import StarOptions
 from giantlike.stars.rates import read_rates
@@ -112,6 +113,8 @@ class Campaign:
         Calibration frames that are applied to every image.
     empty_images : frozenset of str
         Keys of the images that are expected to hold nothing.
+    fluxes : FluxOptions
+        How ``giantlike photometry`` measures.
     """
 
     path: Path
@@ -136,6 +139,7 @@ class Campaign:
     apriori_sigma_rad: float | None = None
     frames: FrameFiles | None = None
     empty_images: frozenset[str] = frozenset()
+    fluxes: FluxOptions = field(default_factory=FluxOptions)
 
     @classmethod
     def load(cls, path: str | Path) -> Campaign:
@@ -241,6 +245,10 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         unmatched = _find_unmatched(geometry_table, unseen, geometry, folder, with_spice=content.spice is not None)
         for key in sorted(set(views) & set(geometry)):
             raise InputError(f"geometry: {key!r} has a row in images.geometry too: leave one of them out")
+    with prefix_errors("photometry: "):
+        known, (circle, *ring) = content.photometry.value, content.photometry.apertures_px
+        fluxes = FluxOptions(aperture_px=circle, annulus_px=(ring[0], ring[1]), method=content.photometry.method)
+        camera = camera if known is None else replace(camera, photometry=known)
     stars, calibration, sigma_deg = content.stars, content.calibration, content.images.attitude_sigma_deg
     if calibration is not None:
         stars = stars or StarsSection(lost_in_space=True)
@@ -269,6 +277,7 @@ def _resolve(path: Path, content: CampaignFile, table: Mapping[str, Any]) -> Cam
         apriori_sigma_rad=None if sigma_deg is None else sigma_deg * RAD_PER_DEG,
         frames=frames_of(path, content.calibration_frames, bottom_up=bottom_up),
         empty_images=_empty_images(images, content.images.expect),
+        fluxes=fluxes,
     )
     return campaign if content.network is None else campaign.with_network(content.network)
 

@@ -337,6 +337,15 @@ class PhotometrySection(TomlSection):
         return Photometry.from_mapping(given) if given else None
 
 
+class CampaignPhotometrySection(PhotometrySection):
+    """``[photometry]``: zero point of the camera, in place of that of its file; how `giantlike photometry` measures."""
+
+    apertures_px: tuple[float, float, float] = (3.0, 9.0, 14.0)
+    """Radius of the circle, and inner and outer radius of the ring of the level."""
+    method: Literal["psf", "aperture"] = "psf"
+    """Least squares with the point spread function, or the sum of the circle."""
+
+
 class TargetSection(BodySection):
     """``[[targets]]``: a body, and the estimators to run on it."""
 
@@ -498,4 +507,5 @@ class CampaignFile(TomlSection):
     targets: list[TargetSection] = Field(default_factory=list)
     network: NetworkSection | None = None
     report: ReportSection = ReportSection()
+    photometry: CampaignPhotometrySection = CampaignPhotometrySection()
     ades: AdesSection | None = None
