@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
@@ -71,20 +72,22 @@ class Candidate(Value):
             require_number(self.exposure_s, f"{self.name}: exposure_s", above=0.0)
         Value.__post_init__(self)
 
-    def image(self, exposure_s: float | None = None) -> Image:
-        """Return an image of one black pixel, with the epoch and the pose of the candidate.
+    def image(self, exposure_s: float | None = None, pixels: NDArray[Any] = _NO_PIXELS) -> Image:
+        """Return an image with the epoch and the pose of the candidate.
 
         Parameters
         ----------
         exposure_s : float, s, optional
             That of the candidate by default.
+        pixels : (rows, columns) real numbers, DN
+            By default one black pixel.
 
         Returns
         -------
         Image
         """
         return Image(
-            pixels=_NO_PIXELS,
+            pixels=pixels,
             name=self.name,
             epoch=self.epoch,
             exposure_s=self.exposure_s if exposure_s is None else exposure_s,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,11 +19,26 @@ from giantlike.core.values import Value
 from giantlike.ephemeris import Ephemeris
 from giantlike.image import Image
 from giantlike.planning.candidates import Candidate
+from giantlike.planning.drawn import FixForecast, TruthOptions, can_be_drawn, draw_fixes, forecast_fix
+from giantlike.planning.light import (
+    BrightnessDraws,
+    LightForecast,
+    choose_exposure,
+    electrons_per_s,
+    forecast_light,
+    sun_distance_au,
+)
+from giantlike.planning.selection import SelectOptions, choose_images, measurement_of, unknown_orbit
 from giantlike.planning.stars import StarForecast, expect_stars
 from giantlike.processing.detection.options import DetectionOptions
-from giantlike.scene import Scene, TargetGeometry
+from giantlike.relative import ESTIMATORS
+from giantlike.scene import Scene, Target, TargetGeometry
+from giantlike.shapes import Point
+from giantlike.simulation import Sources
 from giantlike.stars.options import StarOptions
 
+_CELL_LOG_SIZE, _CELL_PHASE_RAD, _CELL_LOG_SNR, _CELL_SATURATED = math.log(1.4), math.radians(15.0), math.log(2.5), 0.05
+"""Cells of the table of drawn images: ratios of sizes and of signal to noise ratios, phases, and saturated fraction."""
 _GLARE_RADII = 1.1
 """Radius of the disk in which a body hides stars, over its own: the limb is drawn out by the point spread function."""
 
@@ -42,6 +57,24 @@ class PlanOptions:
         Exposure times to choose from, for candidates that have none.
     keep_out_deg : float, deg
         Smallest angle of the boresight from the Sun.
+    well_fraction : (float, float)
+        Brightest pixel of the body over full scale, between which an exposure is chosen: its 95 % quantile is at most
+        the second, and it is no longer than the first needs.
+    min_snr : float
+        Smallest signal to noise ratio of the whole signal of the body.
+    max_blur_px : float, px
+        Largest motion of the body during an exposure that is chosen.
+    estimators : tuple of str
+        Estimators whose fixes are predicted by drawn images, the one to choose images by first; none: no images are
+        drawn.
+    draws : int
+        Drawn images of each size, phase and brightness; the candidates of one share them.
+    truth : TruthOptions
+        What they are drawn from, beside the uncertainties of the target.
+    albedo : float
+        Normal albedo of a target without one.
+    sun_distance_au : float, au
+        Distance of the Sun where no ephemeris tells.
     stars : StarOptions
         Options of the run that is planned.
     detection : DetectionOptions
@@ -57,6 +90,14 @@ class PlanOptions:
     seed: int = 0
     exposures_s: tuple[float, ...] = ()
     keep_out_deg: float = 0.0
+    well_fraction: tuple[float, float] = (0.4, 0.8)
+    min_snr: float = 5.0
+    max_blur_px: float = 0.5
+    estimators: tuple[str, ...] = ("auto",)
+    draws: int = 3
+    truth: TruthOptions = field(default_factory=TruthOptions)
+    albedo: float = 0.045
+    sun_distance_au: float = 1.0
     stars: StarOptions = field(default_factory=StarOptions)
     detection: DetectionOptions = field(default_factory=DetectionOptions)
 
@@ -66,6 +107,15 @@ class PlanOptions:
             require_number(value, "exposures_s", above=0.0)
         require(self.seed >= 0, f"seed must be >= 0, got {self.seed}")
         require_number(self.keep_out_deg, "keep_out_deg", least=0.0, most=180.0)
+        low, high = self.well_fraction
+        require(0.0 <= low < high <= 1.0, f"well_fraction must be (low, high) within 0 and 1, got {self.well_fraction}")
+        require_number(self.min_snr, "min_snr", least=0.0)
+        require_number(self.max_blur_px, "max_blur_px", above=0.0)
+        require(self.draws >= 1, f"draws must be >= 1, got {self.draws}")
+        for name in self.estimators:
+            require(name in ESTIMATORS, f"estimators: unknown estimator {name!r}; there are {', '.join(ESTIMATORS)}")
+        require_number(self.albedo, "albedo", above=0.0)
+        require_number(self.sun_distance_au, "sun_distance_au", above=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -89,7 +139,14 @@ class PlannedImage(Value):
         Motion of the target over the image.
     star_rate_px_s : (2,) float64, px/s
         Motion of the stars at the center of the image.
+    light : LightForecast, optional
+        Signal of the target.
     stars : StarForecast, optional
+    fixes : mapping of str to FixForecast
+        By estimator.
+    gain : float
+        Half the logarithm of the ratio of the determinants of the orbit's covariance without and with the image, when
+        it was chosen; NaN for an image that was not.
     failure : Failure, optional
         Reason for which the image is of no use.
     """
@@ -102,7 +159,10 @@ class PlannedImage(Value):
     elongation_rad: float = math.nan
     rate_px_s: Float = field(default_factory=lambda: np.zeros(2))
     star_rate_px_s: Float = field(default_factory=lambda: np.zeros(2))
+    light: LightForecast | None = None
     stars: StarForecast | None = None
+    fixes: Mapping[str, FixForecast] = field(default_factory=dict)
+    gain: float = math.nan
     failure: Failure | None = None
 
     @property
@@ -128,6 +188,8 @@ class Plan(Value):
     scene : Scene
     target : str
     options : PlanOptions
+    orbit_covariance : (6, 6) float64, km and km/s, ICRF axes, optional
+        Of the state of the orbit with the images that were chosen.
     """
 
     images: tuple[PlannedImage, ...]
@@ -136,10 +198,83 @@ class Plan(Value):
     target: str
     options: PlanOptions
 
+    orbit_covariance: Float | None = None
+
     @property
     def usable(self) -> tuple[PlannedImage, ...]:
         """Images without a failure."""
         return tuple(image for image in self.images if image.failure is None)
+
+    @property
+    def gain(self) -> Float:
+        """Gains (n,) of the images; NaN for images that were not chosen by their gain."""
+        return np.array([image.gain for image in self.images])
+
+    def select(self, count: int, options: SelectOptions | None = None) -> Plan:
+        """Choose the images that determine the orbit best.
+
+        Parameters
+        ----------
+        count : int
+            Number of images; fewer are chosen where no more are usable or far enough apart.
+        options : SelectOptions, optional
+
+        Returns
+        -------
+        Plan
+            The chosen images in order of time, each with its gain.
+
+        Raises
+        ------
+        InputError
+            No image has a predicted fix, an attitude and an epoch; or the count is below 1.
+
+        Notes
+        -----
+        Greedy: each choice lowers the determinant of the covariance of the state most (D-optimal), with the size of the
+        target, which all ranges share, estimated beside it. A fix that may fail counts by its probability.
+        """
+        options = options or SelectOptions()
+        orbit, name = options.orbit, options.estimator or next(iter(self.options.estimators), "")
+        ready = [
+            image
+            for image in sorted(self.usable, key=lambda image: image.candidate.image().et or 0.0)
+            if name in image.fixes and image.fixes[name].covariance is not None
+        ]
+        require(bool(ready), f"no image has a predicted fix of {name or 'an estimator'}: nothing can be chosen")
+        states = []
+        for image in ready:
+            seen, candidate = image.candidate.image(), image.candidate
+            known = candidate.scene(self.scene).circumstances(seen, self.target)
+            assert image.geometry is not None
+            assert seen.et is not None
+            assert candidate.camera_from_inertial is not None
+            states.append(
+                (seen.et, candidate.camera_from_inertial.as_matrix(), image.geometry.position_camera_km, known)
+            )
+        if orbit is None:
+            et, matrix, position, known = states[0]
+            velocity = np.zeros(3)
+            if known is not None and known.target_velocity_km_s is not None:
+                velocity = known.observer_velocity_km_s - known.target_velocity_km_s
+            orbit = unknown_orbit(et, -(matrix.T @ position), velocity, states[-1][0] - et)
+        measurements = [
+            measurement_of(
+                et,
+                self.camera,
+                position,
+                matrix,
+                known,
+                image.fixes[name],
+                None if image.stars is None else image.stars.covariance_rad2,
+                orbit,
+            )
+            for image, (et, matrix, position, known) in zip(ready, states, strict=True)
+        ]
+        chosen, gains, covariance = choose_images(measurements, count, orbit, options.min_gap_s)
+        by_number = dict(zip(chosen, gains, strict=True))
+        images = tuple(replace(ready[number], gain=by_number[number]) for number in sorted(by_number))
+        return replace(self, images=images, orbit_covariance=covariance)
 
 
 def plan_images(
@@ -182,7 +317,9 @@ def plan_images(
         known = candidate.exposure_s is not None or options.exposures_s
         require(bool(known), f"{candidate.name}: no exposure time: give exposures_s, or exposure_s in the table")
     images = [_see(candidate, camera, scene, target, options) for candidate in candidates]
+    images = _with_light(images, camera, scene, scene.target(target), options)
     images = [_with_stars(image, camera, catalog, options, number) for number, image in enumerate(images)]
+    images = _with_fixes(images, camera, scene, scene.target(target), options)
     if all(image.failure is not None for image in images):
         first = images[0].failure
         assert first is not None
@@ -274,3 +411,104 @@ def _with_stars(
         seed=options.seed + number,
     )
     return replace(image, stars=stars)
+
+
+def _sources(image: PlannedImage, camera: Camera, scene: Scene, options: PlanOptions) -> Sources:
+    """Light of an image whose geometry is known."""
+    assert camera.photometry is not None
+    assert image.geometry is not None
+    seen = image.candidate.scene(scene)
+    au = sun_distance_au(image.candidate.image(), seen, image.geometry, options.sun_distance_au)
+    return Sources(photometry=camera.photometry, albedo=options.albedo, sun_distance_au=au)
+
+
+def _with_light(
+    images: Sequence[PlannedImage], camera: Camera, scene: Scene, target: Target, options: PlanOptions
+) -> list[PlannedImage]:
+    """Images with the signal of the target and, where none is given, the exposure that suits it."""
+    if camera.photometry is None or isinstance(target.shape, Point):
+        return list(images)
+    draws = BrightnessDraws.of_law(target.reflectance, options.truth, options.seed)
+    full_dn = min(camera.detector.saturation_dn, float(np.iinfo(np.uint16).max)) - camera.detector.bias_dn
+    seen = []
+    for image in images:
+        if image.failure is not None or image.geometry is None:
+            seen.append(image)
+            continue
+        rate_e_s = electrons_per_s(camera, image.geometry, _sources(image, camera, scene, options))
+        if isinstance(rate_e_s, Failure):
+            seen.append(replace(image, failure=Failure(rate_e_s.reason, f"{image.candidate.name}: {rate_e_s.detail}")))
+            continue
+        given = image.candidate.exposure_s
+        exposures_s = options.exposures_s if given is None else (given,)
+        sigma_mag = float(camera.photometry.sigma_mag())
+        forecasts = [
+            forecast_light(rate_e_s, exposure_s, camera, draws, image.phase_rad, sigma_mag)
+            for exposure_s in exposures_s
+        ]
+        chosen = choose_exposure(
+            exposures_s,
+            forecasts,
+            full_dn=full_dn,
+            well_fraction=options.well_fraction,
+            min_snr=options.min_snr,
+            longest_s=options.max_blur_px / max(float(np.hypot(*image.rate_px_s)), 1e-12),
+        )
+        light = forecasts[chosen]
+        faint = None
+        if light.snr < options.min_snr:
+            text = f"{image.candidate.name}: signal to noise ratio {light.snr:.2g} in {exposures_s[chosen]:g} s"
+            text = f"{text}, min_snr is {options.min_snr:g}: expose longer, or lower min_snr"
+            faint = Failure(Reason.NO_SIGNAL, text)
+        seen.append(replace(image, exposure_s=exposures_s[chosen], light=light, failure=faint))
+    return seen
+
+
+def _with_fixes(
+    images: Sequence[PlannedImage], camera: Camera, scene: Scene, target: Target, options: PlanOptions
+) -> list[PlannedImage]:
+    """Images with the fixes of drawn images of about their size, phase and brightness."""
+    if not options.estimators or not can_be_drawn(target):
+        return list(images)
+    cells: dict[tuple[int, ...], list[int]] = {}
+    for number, image in enumerate(images):
+        if image.failure is None and image.light is not None:
+            cells.setdefault(_cell_of(image, camera), []).append(number)
+    found = list(images)
+    for cell in cells.values():
+        drawn = []
+        for draw in range(options.draws):
+            number = cell[int((draw + 0.5) * len(cell) / options.draws)]
+            image = images[number]
+            assert image.geometry is not None
+            drawn.append(
+                draw_fixes(
+                    image.candidate,
+                    image.geometry,
+                    image.exposure_s,
+                    camera,
+                    scene,
+                    options.estimators,
+                    truth=options.truth,
+                    sources=_sources(image, camera, scene, options),
+                    seed=(options.seed, number, draw),
+                )
+            )
+        for number in cell:
+            image = images[number]
+            assert image.geometry is not None
+            fixes = {
+                name: forecast_fix(name, [one[name] for one in drawn], camera, image.geometry, image.diameter_px)
+                for name in options.estimators
+            }
+            found[number] = replace(image, fixes=fixes)
+    return found
+
+
+def _cell_of(image: PlannedImage, camera: Camera) -> tuple[int, ...]:
+    """Numbers of the size, the phase, the brightness and the cut by the frame of an image in the table of draws."""
+    assert image.light is not None
+    cut = not camera.contains(image.center_px, margin_px=0.5 * image.diameter_px)
+    sizes = math.log(image.diameter_px) / _CELL_LOG_SIZE, image.phase_rad / _CELL_PHASE_RAD
+    snr = math.log(max(image.light.snr_peak, 1e-3)) / _CELL_LOG_SNR
+    return (*(round(value) for value in (*sizes, snr)), int(cut), int(image.light.saturated > _CELL_SATURATED))

@@ -18,7 +18,7 @@ from giantlike.ray_tracing import Template
 from giantlike.relative.light.light_sums import mix_laws
 from giantlike.relative.light.separation import SeparatedLight, kept_center_of, seen_from
 
-_SHARE_SIGMA = 1.0 / math.sqrt(6.0)
+LAW_SHARE_SIGMA = 1.0 / math.sqrt(6.0)
 """A priori standard deviation of each share: the difference of the true law and the assumed one.
 
 Both are uniform between Lommel-Seeliger and Lambert. The phase slope of their brightness, 1/rad, is uniform between 0
@@ -196,7 +196,7 @@ class _Weighing(Value):
             slopes = changes_dn - np.outer(changes_dn.sum(axis=1) / float(level.sum()), level)
             marked = max(float(np.sum(left**2 - photon)), 0.0) / float(np.sum(level**2))
             errors = photon + marked * self.blocks.count_clustered(left / level) * level**2
-            prior = np.full(_SHARES, 1.0 / _SHARE_SIGMA**2)
+            prior = np.full(_SHARES, 1.0 / LAW_SHARE_SIGMA**2)
             if first and number == 0:
                 prior[0] = 1e-12
             covariance = np.asarray(np.linalg.inv((slopes / errors) @ slopes.T + np.diag(prior)), dtype=np.float64)
