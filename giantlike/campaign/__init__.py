@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from giantlike.campaign.file.config import Campaign
+    from giantlike.campaign.plan.write import write_plan
     from giantlike.campaign.report.run_page import write_report
     from giantlike.campaign.run.runner import run_campaign
     from giantlike.campaign.store.results import RunResult, load_result
@@ -22,10 +23,11 @@ _HOME_OF = {
     "load_result": "store.results",
     "photos_of_run": "store.run_photos",
     "run_campaign": "run.runner",
+    "write_plan": "plan.write",
     "write_report": "report.run_page",
 }
 
-__all__ = ["Campaign", "RunResult", "load_result", "photos_of_run", "run_campaign", "write_report"]
+__all__ = ["Campaign", "RunResult", "load_result", "photos_of_run", "run_campaign", "write_plan", "write_report"]
 
 
 def __getattr__(name: str) -> Any:

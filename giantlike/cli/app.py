@@ -63,6 +63,7 @@ _COMMANDS = {
     "calibrate": Entry("Calibrate a camera from stars or a checkerboard.", "calibrate_command", "calibrate"),
     "stars": Entry("Solve the attitude of star images, without a campaign file.", "stars_command", "stars"),
     "detect": Entry("Find stars and other point sources.", "detect_command", "detect"),
+    "plan": Entry("Predict what images will show, and choose which to take.", "plan_command", "plan"),
     "render": Entry("Make images of bodies and stars, with noise and truth.", "campaign_commands", "render"),
     "estimators": Entry("List the estimators of bodies and their options.", "estimators_command", "estimators"),
     "report": Entry("Write report.html of a finished run again.", "report_command", "report"),

@@ -24,7 +24,8 @@ from giantlike.ray_tracing import Lambert, LommelSeeliger, Reflectance, UserRefl
 from giantlike.relative import ESTIMATORS, Estimator
 from giantlike.relative.light.law_mixture import LAW_SHARE_SIGMA
 from giantlike.scene import Scene, Target, TargetGeometry
-from giantlike.shapes import Ellipsoid, LevelsOfDetail, Point, TriangleMesh, VertexAlbedo, mesh_from_ellipsoid
+from giantlike.shapes import Ellipsoid, Point, TriangleMesh, VertexAlbedo, mesh_from_ellipsoid
+from giantlike.shapes.detail import LevelsOfDetail
 from giantlike.shapes.generate import surface_waves
 from giantlike.simulation import Sources, simulate_image
 
