@@ -261,8 +261,10 @@ class Photometry(Value):
             I/F: the normal albedo times the reflectance law.
         pixel_sr : (...), sr
             Solid angle of a pixel.
-        sun_distance_au, angle_rad
-            As for :meth:`body_rate_e_s`.
+        sun_distance_au : (...), au
+            Of the body from the Sun.
+        angle_rad : (...), rad
+            From the optical axis.
 
         Returns
         -------
@@ -288,8 +290,10 @@ class Photometry(Value):
             :func:`giantlike.ray_tracing.disk_integrated`, which is the geometric albedo times the phase function.
         half_angle_rad : (...), rad
             Apparent angular radius.
-        sun_distance_au, angle_rad
-            As for :meth:`body_rate_e_s`.
+        sun_distance_au : (...), au
+            Of the body from the Sun.
+        angle_rad : (...), rad
+            From the optical axis.
 
         Returns
         -------

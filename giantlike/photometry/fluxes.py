@@ -59,7 +59,7 @@ USELESS = DetectionFlag.SATURATED | DetectionFlag.MASKED | DetectionFlag.CUT_BY_
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FluxOptions:
-    """How fluxes are measured.
+    """Options of :func:`measure_fluxes`.
 
     Parameters
     ----------
@@ -291,7 +291,7 @@ class _Work:
         away = np.hypot(steps, steps[:, None])
         self.away = away.ravel()
         self.ring = self.between(*options.annulus_px)
-        self.kept, self.level, self.variance = self.clipped(self.ring)
+        self.kept, self.level, self.variance = self.clip_ring(self.ring)
         self.count = np.maximum(self.kept.sum(axis=1), 1)
         rows, columns = np.divmod(np.arange(patches.size_px**2), patches.size_px)
         corner = patches.corner_px.astype(np.int64)
@@ -301,7 +301,7 @@ class _Work:
         """Pixels of a patch in a ring about its middle."""
         return np.flatnonzero((self.away >= inner_px) & (self.away < outer_px))
 
-    def clipped(self, ring: NDArray[np.int64], noise: Float | None = None) -> tuple[Mask, Float, Float]:
+    def clip_ring(self, ring: NDArray[np.int64], noise: Float | None = None) -> tuple[Mask, Float, Float]:
         """Pixels (n, m) of a ring without those of other sources, their mean and their variance (n,).
 
         ``noise`` (n,): of a pixel, which sets the limit where the source itself does not add far more.
@@ -502,7 +502,7 @@ class _Work:
         inside = (some.above_level(circle) @ self.image - by_others) / flux[which]
         outside, variance = np.zeros(len(which)), np.zeros(len(which))
         for inner, outer in pairwise(radii):
-            kept, mean, _ = some.clipped(some.between(inner, outer), np.sqrt(some.variance))
+            kept, mean, _ = some.clip_ring(some.between(inner, outer), np.sqrt(some.variance))
             area = math.pi * (outer**2 - inner**2)
             outside += area * (mean - some.level) / flux[which]
             variance += (area / flux[which]) ** 2 * some.variance / np.maximum(kept.sum(axis=1), 1)

@@ -41,7 +41,7 @@ _NOTES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZeroPointOptions:
-    """What is fitted.
+    """Options of :func:`fit_zero_point`.
 
     Parameters
     ----------
@@ -172,7 +172,9 @@ def fit_zero_point(
     require(len(fluxes) > 0, "fluxes: at least one image is needed")
     tables = [stars] * len(fluxes) if isinstance(stars, StarTable) else list(stars)
     require(len(tables) == len(fluxes), f"stars: {len(fluxes)} tables are needed, one an image, got {len(tables)}")
-    frames = [_Frame.of(*pair, fluxes[0].half_diagonal_deg, options) for pair in zip(fluxes, tables, strict=True)]
+    frames = [
+        _Frame.from_fluxes(*pair, fluxes[0].half_diagonal_deg, options) for pair in zip(fluxes, tables, strict=True)
+    ]
     n_useful = sum(int(frame.useful.sum()) for frame in frames)
     if n_useful < options.min_stars:
         return Failure(
@@ -204,7 +206,7 @@ class _Frame:
     useful: Mask
 
     @classmethod
-    def of(cls, fluxes: Fluxes, stars: StarTable, corner_deg: float, options: ZeroPointOptions) -> _Frame:
+    def from_fluxes(cls, fluxes: Fluxes, stars: StarTable, corner_deg: float, options: ZeroPointOptions) -> _Frame:
         count = len(fluxes.flux_dn)
         require(len(stars.ids) == count, f"{fluxes.name}: {count} fluxes need as many stars, got {len(stars.ids)}")
         require(bool(np.isfinite(stars.magnitude).all()), f"{fluxes.name}: a star has no magnitude")
