@@ -78,44 +78,33 @@ class BodyLight:
 
     brightness: phase angle (rad) to the brightness relative to a white Lambert disk facing the Sun, such as
         :func:`chandrasekhar_sphere`.
-    relative_sigma: relative error of that brightness: albedo variations, clouds, the law.
     """
 
     name: str
     brightness: Callable[[Float], Float]
-    relative_sigma: float
+    relative_sigma: float  # relative error of that brightness: albedo variations, clouds, the law
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PatchOfLight:
-    """Measurement of a body that is not known.
+    """Measurement of a body that is not known."""
 
-    dn: sum of its pixels minus background.
-    relative_sigma: relative error of the sum, photometric calibration included.
-    half_angle_rad: angular radius of the disk.
-    angle_rad: from the boresight.
-    sun_distance_au: au.
-    """
-
-    dn: float
-    relative_sigma: float
-    half_angle_rad: float
+    dn: float  # sum of its pixels minus background
+    relative_sigma: float  # relative error of the sum, photometric calibration included
+    half_angle_rad: float  # angular radius of the disk
     half_angle_sigma_rad: float
     phase_rad: float
-    angle_rad: float
+    angle_rad: float  # from the boresight
     exposure_s: float
-    sun_distance_au: float = 1.0
+    sun_distance_au: float = 1.0  # au
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identified:
-    """The body that a patch of light is.
-
-    deviations: measured minus expected logarithm of the signal, in sigmas, by body.
-    """
+    """The body that a patch of light is."""
 
     name: str
-    deviations: Mapping[str, float]
+    deviations: Mapping[str, float]  # measured minus expected logarithm of the signal, in sigmas, by body
 
 
 def identify_body(

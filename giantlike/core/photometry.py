@@ -16,8 +16,7 @@ from giantlike.core.values import Value
 
 SUN_MAGNITUDES: Mapping[str, float] = {"Gaia G": -26.90, "V": -26.76}
 """Apparent magnitude of the Sun at 1 au by band: Casagrande and VandenBerg (2018), Willmer (2018); to 0.02 mag."""
-SUN_COLOR_BP_RP = 0.82
-"""Gaia BP-RP of the Sun, mag, Casagrande and VandenBerg (2018)."""
+SUN_COLOR_BP_RP = 0.82  # Gaia BP-RP of the Sun, mag, Casagrande and VandenBerg (2018)
 SUN_W_M2_UM = 1_500.0
 """Mean spectral irradiance of the Sun at 1 au between 0.4 and 0.9 um, W m^-2 um^-1, to 5 %: a blackbody of 5,772 K of
 half angle 0.2666 degrees has 1,466 there."""
@@ -108,10 +107,6 @@ class Photometry(Value):
         **others
             Other fields.
 
-        Returns
-        -------
-        Photometry
-
         Raises
         ------
         InputError
@@ -145,10 +140,6 @@ class Photometry(Value):
         table : mapping
             Fields by name. ``zero_point_mag``, or ``aperture_m2`` with the other arguments of :meth:`from_aperture`,
             may take the place of ``zero_point_e_s``, and ``sigma_mag`` that of ``covariance_mag2``.
-
-        Returns
-        -------
-        Photometry
 
         Raises
         ------

@@ -15,32 +15,24 @@ from giantlike.core.causes import Cause
 from giantlike.core.values import Value
 from giantlike.image_model.field import FieldSolution, FieldSums, MarkingModes
 
-UNDECLARED = 0.1
-"""Prior probability of each undeclared effect, as for a surface without markings."""
+UNDECLARED = 0.1  # prior probability of each undeclared effect, as for a surface without markings
 _CONDITION_LIMIT = 1e12  # of the scaled normal matrix: four digits of float64 are left
 
 
 class Use(StrEnum):
     """How an effect enters a model."""
 
-    FITTED = "fitted"
-    """Estimated along with the place."""
-    CONSIDERED = "considered"
-    """In the covariance only: its size is declared, and residuals must not decide on it."""
-    WHEN_SEEN = "when_seen"
-    """Averaged over on and off, by the odds of either."""
+    FITTED = "fitted"  # estimated along with the place
+    CONSIDERED = "considered"  # in the covariance only: its size is declared, and residuals must not decide on it
+    WHEN_SEEN = "when_seen"  # averaged over on and off, by the odds of either
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior(Value):
-    """Prior of independent unknowns.
+    """Prior of independent unknowns."""
 
-    mean: (k,).
-    information: (k,); inverse variances; 0 for free unknowns.
-    """
-
-    mean: Float
-    information: Float
+    mean: Float  # (k,)
+    information: Float  # (k,); inverse variances; 0 for free unknowns
 
     @property
     def parts(self) -> tuple[Float, Float]:
@@ -55,15 +47,11 @@ class Prior(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Block(Value):
-    """Unknowns of one effect.
-
-    cause: of the errors of the solution by ignorance of the effect.
-    matrix: (k, ...); derivative of the data by each unknown.
-    """
+    """Unknowns of one effect."""
 
     effect: str
-    cause: Cause
-    matrix: Float
+    cause: Cause  # of the errors of the solution by ignorance of the effect
+    matrix: Float  # (k, ...); derivative of the data by each unknown
     prior: Prior
     use: Use = Use.FITTED
 
@@ -120,33 +108,25 @@ class Layout:
 class Columns(Value):
     """A linear model of data: ``data = matrix^T unknowns + field + noise``.
 
-    layout: of the rows of ``matrix``.
-    matrix: (k, ...); derivative of the data by each unknown.
-    data: (...).
-    weights: (...); inverse variances; 0 where data is not used.
     markings: A random field in the data in addition to the unknowns, which is eliminated; data are images then.
     variances: (m,); of the modes of the field; by default they follow from the data, see
         :meth:`~giantlike.image_model.field.FieldSums.variances`.
 
     projected: (k, ...); derivatives by the unknowns, with their projection on the field subtracted.
-    information: (k, k); normal matrix, the prior included and the field eliminated.
-    right: (k,); right-hand side of the normal equations.
-    eliminated: normal equations with the field eliminated.
-    sums: sums from which these follow.
     """
 
-    layout: Layout
-    matrix: Float
+    layout: Layout  # of the rows of ``matrix``
+    matrix: Float  # (k, ...); derivative of the data by each unknown
     prior: Prior
-    data: Float
-    weights: Float
+    data: Float  # (...)
+    weights: Float  # (...); inverse variances; 0 where data is not used
     markings: MarkingModes | None = None
     variances: Float | None = None
     projected: Float = field(init=False)
-    information: Float = field(init=False)
-    right: Float = field(init=False)
-    eliminated: FieldSolution | None = field(init=False)
-    sums: FieldSums = field(init=False)
+    information: Float = field(init=False)  # (k, k); normal matrix, the prior included and the field eliminated
+    right: Float = field(init=False)  # (k,); right-hand side of the normal equations
+    eliminated: FieldSolution | None = field(init=False)  # normal equations with the field eliminated
+    sums: FieldSums = field(init=False)  # sums from which these follow
 
     def __post_init__(self) -> None:
         matrix, prior = self.matrix.reshape(len(self.matrix), -1), self.prior
@@ -262,13 +242,10 @@ class Columns(Value):
 
 @dataclass(frozen=True, eq=False)
 class Solution(Value):
-    """Least-squares solution of a linear model.
-
-    values: (k,).
-    """
+    """Least-squares solution of a linear model."""
 
     columns: Columns
-    values: Float
+    values: Float  # (k,)
 
     @cached_property
     def model(self) -> Float:
@@ -316,8 +293,6 @@ class Solution(Value):
     def score_omitted(self, *blocks: Block) -> Score:
         r"""Return the joint score test of blocks that were left out of the model.
 
-        Notes
-        -----
         With ``B`` the derivatives by their unknowns, ``A`` those of the model, ``W`` the weights, ``r`` the residuals
         and ``H`` the information of the model, the gradient is ``B^T W r`` and the information, by the Schur
         complement, ``B^T W B - B^T W A H^-1 A^T W B``. Both are exact at the solution, where the model's own gradient
@@ -334,22 +309,14 @@ class Solution(Value):
 
 @dataclass(frozen=True, eq=False)
 class Score(Value):
-    """Score test of m unknowns that were left out of a model of k.
+    """Score test of m unknowns that were left out of a model of k."""
 
-    columns: the model.
-    matrix: (m, ...); derivatives of the data by the unknowns that were left out.
-    gradient: (m,); of half the chi-square, with its sign reversed, by the unknowns where they are zero.
-    shared: (k, m); products of the derivatives by the unknowns of the model and by those left out, weighted.
-    own: (m, m); as above, among the unknowns left out.
-    prior: of the unknowns left out.
-    """
-
-    columns: Columns
-    matrix: Float
-    gradient: Float
-    shared: Float
-    own: Float
-    prior: Prior
+    columns: Columns  # the model
+    matrix: Float  # (m, ...); derivatives of the data by the unknowns that were left out
+    gradient: Float  # (m,); of half the chi-square, with its sign reversed, by the unknowns where they are zero
+    shared: Float  # (k, m); products of the derivatives by the unknowns of the model and by those left out, weighted
+    own: Float  # (m, m); as above, among the unknowns left out
+    prior: Prior  # of the unknowns left out
 
     @cached_property
     def moves(self) -> Float:

@@ -21,33 +21,24 @@ import numpy as np
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 
-HALF_WIDTH = 1.25
-"""Half width of the square, radii of the body: its edge lies outside of a body that is off center."""
-_MODES = 9
-"""Number of cosines along each axis: the shortest wavelength is 0.6 radii."""
-LENGTHS = (0.25, 0.5, 1.0)
-"""Correlation lengths, radii, to average over: a prior, up to markings as large as the body."""
+HALF_WIDTH = 1.25  # half width of the square, radii of the body: its edge lies outside of a body that is off center
+_MODES = 9  # number of cosines along each axis: the shortest wavelength is 0.6 radii
+LENGTHS = (0.25, 0.5, 1.0)  # correlation lengths, radii, to average over: a prior, up to markings as large as the body
 AMPLITUDES = np.concatenate([[0.0], np.geomspace(0.004, 3.0**-0.5, 9)])
 """Standard deviations relative to the light to average over: up to albedos uniform from 0 to twice their mean."""
 MEDIAN_AMPLITUDE, AMPLITUDE_FACTOR = 0.10, 2.5
 """Median and geometric standard deviation of the prior of the amplitude: a first guess, not from published maps."""
-UNMARKED = 0.1
-"""Prior probability of a surface without undeclared markings: a guess, as the amplitude."""
+UNMARKED = 0.1  # prior probability of a surface without undeclared markings: a guess, as the amplitude
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MarkingModes(Value):
-    """Cosine modes of a field that multiplies light, on the pixels of a box.
+    """Cosine modes of a field that multiplies light, on the pixels of a box."""
 
-    light: (h, w); signal of the body that the field multiplies.
-    along_x, along_y: (m, w) and (m, h); cosines along each axis.
-    frequencies: (m,); angular frequencies of the cosines, in units of 1 / radius.
-    """
-
-    light: Float
-    along_x: Float
+    light: Float  # (h, w); signal of the body that the field multiplies
+    along_x: Float  # along_x, along_y: (m, w) and (m, h); cosines along each axis
     along_y: Float
-    frequencies: Float
+    frequencies: Float  # (m,); angular frequencies of the cosines, in units of 1 / radius
     radius_px: float
 
     @classmethod
@@ -114,22 +105,14 @@ class MarkingModes(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FieldSums(Value):
-    """Weighted sums over the pixels of the modes of a field and of the columns fitted with them.
+    """Weighted sums over the pixels of the modes of a field and of the columns fitted with them."""
 
-    gram: (m, m); of the modes.
-    cross: (k, m); of the columns and the modes.
-    scores: (m,); of the modes and the values.
-    information: (k, k); of the columns, with their prior.
-    right: (k,); of the columns and the values, with the mean of the prior.
-    squares: of the values, and of the mean of the prior divided by its standard deviation.
-    """
-
-    gram: Float
-    cross: Float
-    scores: Float
-    information: Float
-    right: Float
-    squares: float = 0.0
+    gram: Float  # (m, m); of the modes
+    cross: Float  # (k, m); of the columns and the modes
+    scores: Float  # (m,); of the modes and the values
+    information: Float  # (k, k); of the columns, with their prior
+    right: Float  # (k,); of the columns and the values, with the mean of the prior
+    squares: float = 0.0  # of the values, and of the mean of the prior divided by its standard deviation
 
     def variances(self, spectra: Float) -> Float:
         """Return the variances (m,) of the modes, averaged over amplitudes and lengths by their likelihood.
@@ -191,21 +174,15 @@ class FieldSums(Value):
 class FieldSolution(Value):
     """Normal equations of the columns with the field eliminated.
 
-    information: (k, k).
-    right: (k,).
-    steps: (m, k); change of the modes by the columns: modes are ``own - steps @ parameters``.
-    own: (m,).
-    scatter: (k, k); covariance of the scores of the columns by the field.
-    variances: (m,); of the modes.
     whitened: (m, m); information on the modes in units of their standard deviations, that of their prior included.
     """
 
-    information: Float
-    right: Float
-    steps: Float
-    own: Float
-    scatter: Float
-    variances: Float
+    information: Float  # (k, k)
+    right: Float  # (k,)
+    steps: Float  # (m, k); change of the modes by the columns: modes are ``own - steps @ parameters``
+    own: Float  # (m,)
+    scatter: Float  # (k, k); covariance of the scores of the columns by the field
+    variances: Float  # (m,); of the modes
     whitened: Float
 
     def find_absorbed_squares(self, scatter: Float) -> float:

@@ -13,8 +13,7 @@ LENGTHS_PX = (2.4, 7.7)
 """Decay lengths of trails, whose mixtures stand for lengths around them: the release time, in transfers, of the densest
 traps of HST's ACS in the model of ArCTIc (README of jkeger/arctic: 0.74, 7.7 and 37 transfers), and the geometric mean
 of that and the shorter one, which by itself is as good as a shift."""
-SHARE_SIGMA = 0.02
-"""A priori standard deviation of the share of the charge that arrives late, along each axis: a guess."""
+SHARE_SIGMA = 0.02  # A priori standard deviation of the share of the charge that arrives late, along each axis: a guess
 
 
 def trails_of_image(light: Float, block_px: int, known: Trails | None = None) -> Block:

@@ -23,8 +23,7 @@ from giantlike.core.photometry import Photometry
 from giantlike.core.values import Estimate
 from giantlike.photometry.fluxes import Fluxes
 
-TERMS = ("zero_point", "color_term", "field_term_mag")
-"""Names of the terms, in the order of ``covariance_mag2``."""
+TERMS = ("zero_point", "color_term", "field_term_mag")  # names of the terms, in the order of ``covariance_mag2``
 _COLOR_SIGMA, _FIELD_SIGMA = 0.5, 1.0  # mag, before the data: bands from blue to red; vignetting
 _OFF = 1e-9  # mag, of a term that is not fitted
 _MAG = 2.5 / math.log(10.0)  # mag per natural logarithm

@@ -81,10 +81,6 @@ class Candidate(Value):
             That of the candidate by default.
         pixels : (rows, columns) real numbers, DN
             By default one black pixel.
-
-        Returns
-        -------
-        Image
         """
         return Image(
             pixels=pixels,
@@ -101,10 +97,6 @@ class Candidate(Value):
         Parameters
         ----------
         exposure_s : float, s
-
-        Returns
-        -------
-        Shot
 
         Raises
         ------
@@ -124,10 +116,6 @@ class Candidate(Value):
 
     def scene(self, scene: Scene) -> Scene:
         """Return a scene with the geometry of this candidate.
-
-        Parameters
-        ----------
-        scene : Scene
 
         Returns
         -------

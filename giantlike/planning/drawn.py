@@ -29,16 +29,13 @@ from giantlike.shapes.detail import LevelsOfDetail
 from giantlike.shapes.generate import surface_waves
 from giantlike.simulation import Sources, simulate_image
 
-_MARGIN_PX = 60
-"""Sky around the drawn body: the widest search of an estimator by default, 40 px, and background beyond."""
+_MARGIN_PX = 60  # sky around the drawn body: the widest search of an estimator by default, 40 px, and background beyond
 _FACETS = (2_000, 80_000)
 """Fewest and most facets of a drawn body that is an ellipsoid by declaration; between them two a square pixel."""
 _RELIEF_WAVES = ((3.0, 1.0), (7.0, 0.5), (16.0, 0.25))
 """Wave numbers of relief, per radius, and their amplitudes: shorter waves are as steep as longer ones."""
-_WAVES = 24
-"""Plane waves of a random field, of which half were too few for a normal distribution."""
-_DARKEST = 0.05
-"""Smallest relative albedo of a drawn surface."""
+_WAVES = 24  # plane waves of a random field, of which half were too few for a normal distribution
+_DARKEST = 0.05  # smallest relative albedo of a drawn surface
 _OF_MODEL = frozenset(
     {
         Cause.REFLECTANCE,
@@ -128,15 +125,11 @@ class FixForecast(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drawn(Value):
-    """Result of an estimator on a drawn image; axes along the Sun in the image and across it.
-
-    parts: (k, k) by cause; empty for a failure.
-    error: (k,).
-    """
+    """Result of an estimator on a drawn image; axes along the Sun in the image and across it."""
 
     reason: str = ""
-    parts: Mapping[Cause, Float] = field(default_factory=dict)
-    error: Float = field(default_factory=lambda: np.zeros(0))
+    parts: Mapping[Cause, Float] = field(default_factory=dict)  # (k, k) by cause; empty for a failure
+    error: Float = field(default_factory=lambda: np.zeros(0))  # (k,)
     diameter_px: float = 1.0
 
 

@@ -24,8 +24,7 @@ _SAMPLING = RenderOptions(rays_per_pixel_side=1, min_rays_across=96)
 """Of the render whose signal is predicted: to 1 % of the peak of bodies of 1 to 600 px."""
 _LAWS, _PHASES_RAD = 200, np.linspace(0.0, np.pi, 61)
 """Drawn brightnesses, whose 5 % quantile is known to 0.15 sigma, and the phases at which their laws are integrated."""
-_DARKEST_DISK = 1e-9
-"""Mean brightness of a disk that no longer counts as light."""
+_DARKEST_DISK = 1e-9  # mean brightness of a disk that no longer counts as light
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,12 +54,9 @@ class LightForecast(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BrightnessDraws(Value):
-    """Relative brightnesses that a body may have.
+    """Relative brightnesses that a body may have."""
 
-    albedo: (n,); zero_point: (n,) standard deviations; laws: (n, phases), over that of the declared law.
-    """
-
-    albedo: Float
+    albedo: Float  # (n,); zero_point: (n,) standard deviations; laws: (n, phases), over that of the declared law
     zero_point: Float
     laws: Float
 

@@ -32,8 +32,7 @@ _BLEND_WIDTHS = 2.5
 Gaussians merge at 2 widths."""
 _BACKGROUND_LOSS = 0.97
 """Part of the signal to noise ratio that the filter keeps when it removes the background, see ``matched_filter``."""
-_TWO_SIGMA = 2.0
-"""Half width of the stated interval, standard deviations: 95 %."""
+_TWO_SIGMA = 2.0  # half width of the stated interval, standard deviations: 95 %
 _INFORMATION = 0.96
 """Part of the information that the stars used have; a run measures the brightest alone, see ``StarOptions``."""
 

@@ -95,16 +95,11 @@ class AutoOptions:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Estimators for a body.
+    """Estimators for a body."""
 
-    estimators: names of the estimators to try, in order.
-    checks: names of the estimators to check with, in order.
-    because: reason of the choice, for the provenance.
-    """
-
-    estimators: tuple[str, ...]
-    checks: tuple[str, ...]
-    because: str
+    estimators: tuple[str, ...]  # names of the estimators to try, in order
+    checks: tuple[str, ...]  # names of the estimators to check with, in order
+    because: str  # reason of the choice, for the provenance
 
     def checks_of(self, taken: str) -> list[str]:
         """Names of the estimators that check the chosen one, in order.
@@ -130,8 +125,6 @@ def choose(
 ) -> Choice:
     """Choose estimators by the appearance of a body.
 
-    Examples
-    --------
     >>> choose(diameter_px=2.0, is_ellipsoid=False, in_frame=1.0, limb_px=3.0).estimators[0]
     'unresolved'
     >>> choose(diameter_px=3000.0, is_ellipsoid=False, in_frame=0.0, limb_px=0.0).estimators[0]

@@ -58,10 +58,6 @@ class Estimator(Protocol):
         scene : Scene
         target : str, optional
             May be left out when the scene has only one.
-
-        Returns
-        -------
-        CenterFix, PositionFix or Failure
         """
         ...
 
@@ -93,14 +89,12 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
 
     name: ClassVar[str]
     options_type: ClassVar[type[Any]]
-    of_fixes: ClassVar[bool] = False
-    """True for an estimator of fixes of others, which have been checked already."""
+    of_fixes: ClassVar[bool] = False  # true for an estimator of fixes of others, which have been checked already
     by_light: ClassVar[bool] = False
     """True for an estimator of the center of all light, which moves with any error of the shape."""
     by_outline: ClassVar[bool] = False
     """True for an estimator of the lit outline alone, which does not move with the Sun."""
-    finds_response: ClassVar[bool] = False
-    """True for an estimator that detects a nonlinear response by itself."""
+    finds_response: ClassVar[bool] = False  # true for an estimator that detects a nonlinear response by itself
 
     def __init__(self, options: Options | None = None, *, false_alarm: float = FALSE_ALARM) -> None:
         self._options: Options = options or self.options_type()

@@ -44,8 +44,7 @@ noise distributes the brightest pixels over it."""
 _IMPOSSIBLE_SIGMAS, _MOST_MISSING = 8.0, 0.5
 """Standard deviations of the noise below the bias from which a value common to many pixels was not received, and the
 fraction of the frame from which rather the declared bias is wrong."""
-_SPARSE = 16
-"""Step along rows and columns between the pixels examined first."""
+_SPARSE = 16  # step along rows and columns between the pixels examined first
 
 _ATTITUDE_FLAGS = MappingProxyType(
     {
@@ -71,34 +70,27 @@ class FixIdentity(TypedDict):
 class EstimatorInputs(Value):
     """Inputs of an estimator, gathered from image, camera and scene.
 
-    estimator: name of the estimator.
-    geometry: A priori geometry of the target.
-    predicted_px: center of the body by the a priori geometry; may lie outside the frame.
-    pixels_dn: (rows, columns); bias subtracted.
-    usable: pixels that are neither bad nor saturated.
     saturated: at or above the saturation level of the detector, the largest value that the pixel type holds, or the
         value at which clipping is detected in the image.
-    masked: (rows, columns); bad pixels, detected lines without signal or with charge that is not light, and values
-        that were not received.
-    flags: flags known before the measurement: the source of the attitude, and deficiencies of its star field.
-    corrections: known effects in the image.
+    masked: (rows, columns); bad pixels, detected lines without signal or with charge that is not light, and values that
+        were not received.
     place_alone: True where only the position of the body is needed, for its derivative by declared values; the
         corrections of the fix are then kept.
     """
 
-    estimator: str
+    estimator: str  # name of the estimator
     image: Image
     scene: Scene
-    geometry: TargetGeometry
+    geometry: TargetGeometry  # A priori geometry of the target
     camera: Camera
-    predicted_px: Float
-    pixels_dn: Float
-    usable: Mask
+    predicted_px: Float  # center of the body by the a priori geometry; may lie outside the frame
+    pixels_dn: Float  # (rows, columns); bias subtracted
+    usable: Mask  # pixels that are neither bad nor saturated
     saturated: Mask
     masked: Mask
-    flags: Quality
+    flags: Quality  # flags known before the measurement: the source of the attitude, and deficiencies of its star field
     provenance: Mapping[str, str]
-    corrections: Corrections = field(default_factory=Corrections)
+    corrections: Corrections = field(default_factory=Corrections)  # known effects in the image
     place_alone: bool = False
 
     @property
@@ -242,8 +234,7 @@ class _Readout(Value):
     usable: Mask
     saturated: Mask
     masked: Mask
-    linear: Image | None = None
-    """The image that these are of, where its values were linearized by a declared gamma."""
+    linear: Image | None = None  # the image that these are of, where its values were linearized by a declared gamma
 
     @classmethod
     def from_image(cls, image: Image, detector: Detector) -> _Readout:

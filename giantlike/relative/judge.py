@@ -17,8 +17,7 @@ from giantlike.core.arrays import Float, require
 from giantlike.core.outcomes import Quality
 from giantlike.core.values import Value
 
-FALSE_ALARM = 1e-3
-"""Rate of false alarms of each test of a fix."""
+FALSE_ALARM = 1e-3  # rate of false alarms of each test of a fix
 SHORT_ARC_SHARE = 0.25
 """Share of the outline below which an arc is short; the documented meaning of ``Quality.SHORT_ARC``.
 
@@ -29,31 +28,22 @@ LEAST_USED_SHARE = 0.5
 
 The median absolute deviation, by which outliers are found, breaks down where half of the observations are wrong.
 """
-BORDER_SHARE = 0.9
-"""Fraction of a bounded search beyond which a fix lies at its edge: the body may lie outside."""
+BORDER_SHARE = 0.9  # fraction of a bounded search beyond which a fix lies at its edge: the body may lie outside
 
 
 class Alternative(StrEnum):
     """Another model of an image."""
 
-    OTHER_SUN = "other_sun"
-    """The illumination direction is not the Sun's."""
+    OTHER_SUN = "other_sun"  # the illumination direction is not the Sun's
     SECOND_LIGHT = "second_light"
     """A second image of the body lies next to the first: another exposure, a ghost, a second body."""
-    SECOND_EXPOSURE = "second_exposure"
-    """Two exposures, a few pixels apart, instead of a motion."""
-    DARK_BODY = "dark_body"
-    """The image is darker where the body should be: it is not there."""
-    OTHER_OUTLINE = "other_outline"
-    """The outline is the outline of another body."""
-    OTHER_SIZE = "other_size"
-    """A body of another apparent size fits the image, this one only with large markings."""
-    SHIFTED_ROWS = "shifted_rows"
-    """All rows from one on are shifted."""
-    SHIFTED_COLUMNS = "shifted_columns"
-    """All columns from one on are shifted."""
-    SMOOTH_LIMB = "smooth_limb"
-    """The limb is the limb of the smooth body, without its height map."""
+    SECOND_EXPOSURE = "second_exposure"  # two exposures, a few pixels apart, instead of a motion
+    DARK_BODY = "dark_body"  # the image is darker where the body should be: it is not there
+    OTHER_OUTLINE = "other_outline"  # the outline is the outline of another body
+    OTHER_SIZE = "other_size"  # A body of another apparent size fits the image, this one only with large markings
+    SHIFTED_ROWS = "shifted_rows"  # all rows from one on are shifted
+    SHIFTED_COLUMNS = "shifted_columns"  # all columns from one on are shifted
+    SMOOTH_LIMB = "smooth_limb"  # the limb is the limb of the smooth body, without its height map
 
 
 _FLAGS = {
@@ -67,39 +57,29 @@ _FLAGS = {
     Alternative.SHIFTED_COLUMNS: Quality.WRONG_FIGURE,
     Alternative.SMOOTH_LIMB: Quality.WRONG_FIGURE,
 }
-_WEIGHT = 1.0 / len(Alternative)
-"""A priori weight of each alternative: all are equal."""
+_WEIGHT = 1.0 / len(Alternative)  # A priori weight of each alternative: all are equal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Facts(Value):
     """Facts of a solution that no statistics decide; the defaults raise no flag.
 
-    off_px: (2,); estimated minus predicted position of the point for which the search was declared.
-    search_px: declared search: largest error of the prediction, in both coordinates.
-    range_ratio: ratio of predicted to estimated range: 1 + the relative error of the prediction.
     search_range: declared search: largest relative error of the predicted range; infinite for estimators that keep the
         range.
     bounded: True for estimators that cannot leave ``search_px``: a fix at its edge may be the flank of a body outside.
-    n_used: observations used.
-    n_offered: observations used or rejected.
-    outline_share: ratio of the length of outline used to the whole outline.
-    cut_by_frame: the body reaches over the edge of the image.
-    ambiguous: another source that fits equally well lies in the search region.
-    overexposed: all of the limb is saturated; only the wings of the point spread function are left.
     """
 
-    off_px: Float
-    search_px: float
-    range_ratio: float = 1.0
+    off_px: Float  # (2,); estimated minus predicted position of the point for which the search was declared
+    search_px: float  # declared search: largest error of the prediction, in both coordinates
+    range_ratio: float = 1.0  # ratio of predicted to estimated range: 1 + the relative error of the prediction
     search_range: float = math.inf
     bounded: bool = False
-    n_used: int = 1
-    n_offered: int = 1
-    outline_share: float = 1.0
-    cut_by_frame: bool = False
-    ambiguous: bool = False
-    overexposed: bool = False
+    n_used: int = 1  # observations used
+    n_offered: int = 1  # observations used or rejected
+    outline_share: float = 1.0  # ratio of the length of outline used to the whole outline
+    cut_by_frame: bool = False  # the body reaches over the edge of the image
+    ambiguous: bool = False  # another source that fits equally well lies in the search region
+    overexposed: bool = False  # all of the limb is saturated; only the wings of the point spread function are left
 
     def __post_init__(self) -> None:
         require(0 <= self.n_used <= self.n_offered, f"needed n_used in [0, {self.n_offered}], got {self.n_used}")
@@ -136,11 +116,7 @@ class Judgement:
 
     alternatives: logarithms of the odds of other models of the image, each integrated over its parameters.
     other_place: logarithm of the odds that the body is at the best other position in the search region.
-    prediction_chance: p-value of the difference of fix and prediction.
-    false_alarm: rate of false alarms of each test.
 
-    Notes
-    -----
     The mean of the odds of the alternatives, weighted a priori, exceeds ``1 / false_alarm`` at most at the rate
     ``false_alarm`` where the fix is correct, by Markov's inequality. The alternative with the largest odds gives the
     flag. Another position must be less likely by the same factor; the test of the prediction has the same rate.
@@ -148,8 +124,8 @@ class Judgement:
 
     alternatives: Mapping[Alternative, float] = field(default_factory=dict)
     other_place: float = -math.inf
-    prediction_chance: float = 1.0
-    false_alarm: float = FALSE_ALARM
+    prediction_chance: float = 1.0  # p-value of the difference of fix and prediction
+    false_alarm: float = FALSE_ALARM  # rate of false alarms of each test
 
     @property
     def flags(self) -> Quality:
@@ -180,8 +156,6 @@ def inflation(squared: float, freedom: int) -> float:
 
     Returns at least 1.
 
-    Notes
-    -----
     The formal variances count as an estimate with ``freedom`` degrees of freedom; the factor is the mean of their
     scale, 1, and the scale of the difference, ``squared / freedom``.
     """

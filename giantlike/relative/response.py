@@ -15,8 +15,7 @@ DISPLAY_BEND_SIGMA = 1.0
 """A priori standard deviation of the curvature, about 0, of 8-bit JPEG and PNG files whose camera declares neither
 gamma nor noise: values may be linear (0), or display-coded, where light is their power of 2.2 (nearly 1, the
 square)."""
-BEND_STEP = 0.1
-"""Step of the curvature for the numerical derivative of a fix."""
+BEND_STEP = 0.1  # step of the curvature for the numerical derivative of a fix
 MOST_BEND = 0.98
 _BENDINGS, _SETTLED_BEND = 6, 0.02
 """Maximum number of trials of a response, and change of its curvature at convergence, unless its standard deviation is

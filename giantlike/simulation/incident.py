@@ -64,11 +64,6 @@ class Sources:
     def surface_rate_e_s(self, camera: Camera, target: Target | None = None) -> float:
         """Signal of a pixel that sees a surface lit and seen along its normal.
 
-        Parameters
-        ----------
-        camera : Camera
-        target : Target, optional
-
         Returns
         -------
         float, electron/s

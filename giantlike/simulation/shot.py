@@ -70,10 +70,6 @@ class Shot(Value):
         ----------
         since_middle_s : float, s
             Time of that moment after mid-exposure.
-
-        Returns
-        -------
-        Shot
         """
         if since_middle_s == 0.0:
             return self

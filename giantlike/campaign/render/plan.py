@@ -51,52 +51,38 @@ from giantlike.simulation.shot import make_black_image
 if TYPE_CHECKING:
     from astropy.time import Time
 
-SUN_RADIUS_KM = 695_700.0
-"""Nominal solar radius, IAU 2015 resolution B3."""
-FITS_SUFFIXES = frozenset({".fits", ".fit", ".fts"})
-"""Suffixes of the files that images are written to."""
+SUN_RADIUS_KM = 695_700.0  # nominal solar radius, IAU 2015 resolution B3
+FITS_SUFFIXES = frozenset({".fits", ".fit", ".fts"})  # suffixes of the files that images are written to
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Exposure(Value):
-    """An image to be rendered, as given by the files; SPICE completes attitude, observer and positions.
+    """An image to be rendered, as given by the files; SPICE completes attitude, observer and positions."""
 
-    key: its location in the scene file or table, for messages.
-    file: file of the image, relative to the output folder.
-    angular_rate_camera_rad_s: in rad/s.
-    places: positions of targets, by name.
-    """
-
-    key: str
-    file: str
+    key: str  # its location in the scene file or table, for messages
+    file: str  # file of the image, relative to the output folder
     epoch: Time
     exposure_s: float
     camera_from_inertial: Rotation | None = None
-    angular_rate_camera_rad_s: Float = field(default_factory=lambda: np.zeros(3))
+    angular_rate_camera_rad_s: Float = field(default_factory=lambda: np.zeros(3))  # in rad/s
     observer: ObserverState | None = None
-    places: Mapping[str, GeometryRow] = field(default_factory=dict)
+    places: Mapping[str, GeometryRow] = field(default_factory=dict)  # positions of targets, by name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RenderPlan(Value):
-    """A scene file whose keys, files and names have been checked.
-
-    targets: without estimators; the shapes are loaded by :meth:`shots`.
-    places: defaults, by target.
-    catalog: name or path of the catalog; None: no stars.
-    warnings: oddities that are not errors.
-    """
+    """A scene file whose keys, files and names have been checked."""
 
     path: Path
     content: RenderFile
     camera: Camera
-    targets: tuple[TargetSetup, ...]
-    places: Mapping[str, GeometryRow]
+    targets: tuple[TargetSetup, ...]  # without estimators; the shapes are loaded by :meth:`shots`
+    places: Mapping[str, GeometryRow]  # defaults, by target
     exposures: tuple[Exposure, ...]
     detector: DetectorModel
-    catalog: str | None
+    catalog: str | None  # name or path of the catalog; None: no stars
     spice: SpiceSetup | None
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # oddities that are not errors
 
     @classmethod
     def load(cls, path: str | Path) -> RenderPlan:

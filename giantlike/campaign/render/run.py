@@ -31,23 +31,16 @@ _CAMPAIGN, _CAMERA, _GEOMETRY = "campaign.toml", "camera.toml", "geometry.csv"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RenderedImage:
-    """Summary of one image.
-
-    targets: pixel (x, y) of the center of each target in view.
-    stars: number of stars in view.
-    peak_dn, background_dn: brightest pixel and median.
-    saturated_px, cosmic_px: number of pixels that are saturated, and hit by cosmic rays.
-    time_s: computing time.
-    """
+    """Summary of one image."""
 
     path: Path
-    targets: dict[str, list[float]]
-    stars: int
-    peak_dn: float
+    targets: dict[str, list[float]]  # pixel (x, y) of the center of each target in view
+    stars: int  # number of stars in view
+    peak_dn: float  # peak_dn, background_dn: brightest pixel and median
     background_dn: float
-    saturated_px: int
+    saturated_px: int  # saturated_px, cosmic_px: number of pixels that are saturated, and hit by cosmic rays
     cosmic_px: int
-    time_s: float
+    time_s: float  # computing time
 
 
 def render_images(

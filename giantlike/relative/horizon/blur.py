@@ -11,25 +11,18 @@ import numpy as np
 from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 
-LEAST_RADIUS = 0.3
-"""Minimum ratio of the radius of lines of equal depth to the radius of the horizon."""
+LEAST_RADIUS = 0.3  # minimum ratio of the radius of lines of equal depth to the radius of the horizon
 _REACH_WIDTHS = 4.0  # light from deeper than so many widths beyond the window does not reach it
-_PIXEL_FOURTH_CUMULANT = -1.0 / 120.0
-"""Fourth cumulant of a uniform density of width 1, px^4."""
+_PIXEL_FOURTH_CUMULANT = -1.0 / 120.0  # fourth cumulant of a uniform density of width 1, px^4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DepthBlur(Value):
-    """A blur of some width at m distances from a horizon.
+    """A blur of some width at m distances from a horizon."""
 
-    width_px: standard deviation.
-    depths_px: (q,); depths inside the horizon that the sum goes over.
-    kernels: (q, 7, m); A Gaussian and its first six derivatives, times the weights of the depths.
-    """
-
-    width_px: float
-    depths_px: Float
-    kernels: Float
+    width_px: float  # standard deviation
+    depths_px: Float  # (q,); depths inside the horizon that the sum goes over
+    kernels: Float  # (q, 7, m); A Gaussian and its first six derivatives, times the weights of the depths
 
     @classmethod
     def from_width(cls, width_px: float, offsets_px: Float, count: int) -> DepthBlur:

@@ -45,8 +45,7 @@ from giantlike.relative.limb.fix import (
 )
 from giantlike.rings import Rings
 
-_COARSE_POINTS = 120
-"""Points for the search of the horizon as a whole."""
+_COARSE_POINTS = 120  # points for the search of the horizon as a whole
 OTHER_LAWS = (Lambert(), LommelSeeliger(), Minnaert(k=0.5), Minnaert(k=0.75))
 """Laws mixed into the assumed one; their fractions are estimated with the position.
 
@@ -63,12 +62,10 @@ _WING_SIGMA = 0.1
 """Standard deviation of the fraction of light in each of the wings; a negative fraction sharpens the core."""
 _LAW_SIGMA = 0.2
 """Standard deviation of the quadratic term in the cosine of emission by which laws differ, relative to the first."""
-_STEP_LAW_SIGMA = 2.0
-"""As above, for the cubic term, where no law is used."""
+_STEP_LAW_SIGMA = 2.0  # as above, for the cubic term, where no law is used
 _FIRST_BLUR_PX2 = 1.0
 """Variance added to the blur while the horizon is known to a pixel or two only: it widens the range of convergence."""
-_FIRST_CELLS = 24
-"""Cells of the first measurement, which is only a start for the next."""
+_FIRST_CELLS = 24  # cells of the first measurement, which is only a start for the next
 _WIDE = 2.0  # times the width of an unknown point spread function, from which a free width is estimated
 _STIFF_STEPS, _STIFF = 2, 1e12  # while the horizon is off, that looks like more blur and another law
 _BLUR_REST, _BLUR_REST_LATER = 0.1, 0.5
@@ -100,18 +97,12 @@ px."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CellMeasurement(LimbMeasurement):
-    """Limb measured in cells, blur and law still to be solved for.
+    """Limb measured in cells, blur and law still to be solved for."""
 
-    fits: of the good cells.
-    shared: of the shared errors: blur, law, other laws, wings, and ovality of the point spread function.
-    prior: of the shared errors.
-    whole: all of the arc was measured, not only a few cells of it.
-    """
-
-    fits: CellFits
-    shared: Layout
-    prior: Prior
-    whole: bool
+    fits: CellFits  # of the good cells
+    shared: Layout  # of the shared errors: blur, law, other laws, wings, and ovality of the point spread function
+    prior: Prior  # of the shared errors
+    whole: bool  # all of the arc was measured, not only a few cells of it
 
     @property
     def noise_scale2(self) -> float:

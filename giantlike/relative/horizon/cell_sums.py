@@ -11,12 +11,10 @@ from giantlike.core.arrays import Float, Mask
 from giantlike.core.elimination import RIDGE, solve_normal, solve_symmetric
 from giantlike.relative.horizon.profile import Indices
 
-_REFITS = 2
-"""Fits with the noise of the brightness fitted before; one or four change ellipsoid_cra by up to 0.06 sigma."""
+_REFITS = 2  # fits with the noise of the brightness fitted before; one or four change ellipsoid_cra by up to 0.06 sigma
 _CLIPS, _CLIP_SIGMAS = 3, 5.0
 """Most fits without the pixels that lie far from the one before; and noise that is allowed for, in sigmas."""
-_MIN_FREEDOM = 5
-"""Pixels in a cell beyond the number of its parameters; with fewer, its chi-square says nothing."""
+_MIN_FREEDOM = 5  # pixels in a cell beyond the number of its parameters; with fewer, its chi-square says nothing
 _TINY = float(np.finfo(np.float64).tiny)
 
 

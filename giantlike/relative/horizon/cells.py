@@ -28,22 +28,16 @@ class CellFits(Value):
     coefficient of the next power of the cosine of emission, over the gain; and the share of each of the profiles that
     may be mixed in, where it is as bright as the law of the body.
 
-    information: (c, 1 + s, 1 + s).
-    pull: (c, 1 + s); information times estimate.
-    chi2: (c,); per degree of freedom, all free, by pixel noise.
-    gain_dn: (c,); ratio of brightness to the law.
-    contrast: (c,); ratio of the brightness inside to the noise of the sky.
     unexplained: (c,); root mean square of the residuals with all parameters free, relative to the brightness inside.
-    used: (c,); share of the usable pixels that were not left out for being too far from the fit.
     """
 
-    information: Float
-    pull: Float
-    chi2: Float
-    gain_dn: Float
-    contrast: Float
+    information: Float  # (c, 1 + s, 1 + s)
+    pull: Float  # (c, 1 + s); information times estimate
+    chi2: Float  # (c,); per degree of freedom, all free, by pixel noise
+    gain_dn: Float  # (c,); ratio of brightness to the law
+    contrast: Float  # (c,); ratio of the brightness inside to the noise of the sky
     unexplained: Float
-    used: Float
+    used: Float  # (c,); share of the usable pixels that were not left out for being too far from the fit
 
     @property
     def sigma_px(self) -> Float:
@@ -94,8 +88,6 @@ def fit_cells(
 ) -> CellFits:
     """Fit the profiles of a table to the pixels of each cell.
 
-    Notes
-    -----
     Least squares weighted by the noise of the fitted brightness, linear in everything but the shift, for which the
     profile is linearized; blur enters through half the second derivative of the profile.
     """

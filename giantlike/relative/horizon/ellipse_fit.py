@@ -36,24 +36,20 @@ from giantlike.relative.limb.terrain import with_terrain
 
 __all__ = ["EllipseFit", "EllipseFitOptions"]
 
-_ROUNDS = 3
-"""Iterations of fit and rejection; the points used do not change after two."""
+_ROUNDS = 3  # iterations of fit and rejection; the points used do not change after two
 _LIGHT_SIGMAS, _LIGHT_SHARE = 5.0, 0.1
 """Threshold of light above the background, in sigmas and as a fraction of the brightness of the body."""
 _SKY_SAMPLE, _LEAST_SKY_STEP, _MIN_SKY = 16_000, 4, 60
 """Approximate number of sky pixels sampled, which determine its level to a hundredth of its noise; minimum step between
 them; and minimum number of samples for level and noise."""
-_BOX_MARGIN_PX = 8
-"""Margin around the search region of the limb, px, for the windows of edges."""
+_BOX_MARGIN_PX = 8  # margin around the search region of the limb, px, for the windows of edges
 _STRETCH = 1.5
 """Maximum ratio of the apparent size of a body under distortion to its size by the scale at the center; limb beyond it
 is not measured."""
 _MIN_COSINE = 0.2
 """Minimum cosine between sunlight and the normal of an edge; below it the limb merges with the terminator."""
-_MAX_TURN_RAD = 0.5
-"""Maximum angle between the normals of edge and prediction, rad."""
-_MIN_CONTRAST = 0.25
-"""Minimum contrast of an edge relative to the median edge."""
+_MAX_TURN_RAD = 0.5  # maximum angle between the normals of edge and prediction, rad
+_MIN_CONTRAST = 0.25  # minimum contrast of an edge relative to the median edge
 _GROWTH = 2.5
 """Ratio of the error of an edge in 5 x 5 pixels by a brightness gradient inside to its increase in 7 x 7.
 

@@ -126,14 +126,12 @@ class EllipsoidCRA(BodyEstimator[EllipsoidCRAOptions, PositionFix]):
 class EllipsoidStandIn(Value):
     """Ellipsoid that represents a body.
 
-    offset_camera_km: from the origin of the shape to the center of the ellipsoid.
-    position_camera_km: predicted position of that center.
     relief: departure of the outline from the outline of the ellipsoid; None for a body that is an ellipsoid.
     """
 
     figure: Figure
-    offset_camera_km: Float
-    position_camera_km: Float
+    offset_camera_km: Float  # from the origin of the shape to the center of the ellipsoid
+    position_camera_km: Float  # predicted position of that center
     relief: SmoothError | None
 
     @classmethod

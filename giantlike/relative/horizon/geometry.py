@@ -26,12 +26,10 @@ from giantlike.relative.horizon.ray_loops import distances
 from giantlike.relative.limb.fix import LimbSolution
 from giantlike.scene import TargetGeometry
 
-MIN_POINTS = 4
-"""Points of a horizon that a position needs: one more than its parameters."""
+MIN_POINTS = 4  # points of a horizon that a position needs: one more than its parameters
 _EXPLAINED_SIGMAS = 2.5
 """Scatter of points, and the product of neighbors, that pixel noise reaches once in a hundred times."""
-_FOOT_STEPS, _NEAR_STEPS = 4, 2
-"""Newton steps to the nearest point of the horizon, from pixels away and from the fit."""
+_FOOT_STEPS, _NEAR_STEPS = 4, 2  # Newton steps to the nearest point of the horizon, from pixels away and from the fit
 _MAX_STEPS, _STEP_PX = 25, 1e-7
 """Most Gauss-Newton steps; and motion of the horizon, px, below which they end: far below any noise."""
 _ALTITUDE_STEP = 1e-4  # of the smallest radius
@@ -111,15 +109,11 @@ class Figure(Value):
 
 @dataclass(frozen=True, slots=True)
 class Altitude:
-    """Altitude above the surface at which the limb is seen, by an atmosphere or haze.
-
-    sigma_km: standard deviation; 0 where the altitude is known.
-    uneven: True for haze, which is seen higher where the Sun is lower: by as much as it is uncertain.
-    """
+    """Altitude above the surface at which the limb is seen, by an atmosphere or haze."""
 
     altitude_km: float = 0.0
-    sigma_km: float = 0.0
-    uneven: bool = False
+    sigma_km: float = 0.0  # standard deviation; 0 where the altitude is known
+    uneven: bool = False  # True for haze, which is seen higher where the Sun is lower: by as much as it is uncertain
 
     def __post_init__(self) -> None:
         require_number(self.altitude_km, "limb_altitude_km")
@@ -158,14 +152,10 @@ class Altitude:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelRays(Value):
-    """Directions of pixels and their change with the pixel.
+    """Directions of pixels and their change with the pixel."""
 
-    directions: (n, 3), camera axes.
-    by_pixel: (n, 3, 2) 1/px.
-    """
-
-    directions: Float
-    by_pixel: Float
+    directions: Float  # (n, 3), camera axes
+    by_pixel: Float  # (n, 3, 2) 1/px
 
     @classmethod
     def through(cls, points_px: Float, model: CameraModel) -> PixelRays:
@@ -304,8 +294,6 @@ def fit_horizon(
 
     ``start_km`` in camera axes; ``sun_direction_camera``: unit vector from body to Sun.
 
-    Notes
-    -----
     The points err by noise; by albedo and relief, found from their scatter where noise does not explain that; by blur
     and law, which all share; and by the altitude.
     """

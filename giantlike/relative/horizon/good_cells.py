@@ -17,69 +17,47 @@ from giantlike.relative.horizon.cells import CellFits, fit_cells
 from giantlike.relative.horizon.pixels import limb_pixels
 from giantlike.relative.horizon.profile import HorizonArc, Indices, ProfileTable
 
-_ROUNDS = 2
-"""Fits of cells about their own positions, where they deviate from one horizon."""
+_ROUNDS = 2  # fits of cells about their own positions, where they deviate from one horizon
 _RELIEF_PX, _RELIEF_NOISE = 0.1, 3.0
 """Minimum root mean square of that deviation, px and in units of the noise of a cell.
 
 Profiles that are linear in the shift have an error of half its square divided by their width, 0.005 px.
 """
-_MIN_FILLED = 0.6
-"""Minimum fraction of usable pixels in a cell."""
-_MIN_CONTRAST_SIGMAS = 5.0
-"""Minimum ratio of the brightness of good cells to the noise of the sky background."""
+_MIN_FILLED = 0.6  # minimum fraction of usable pixels in a cell
+_MIN_CONTRAST_SIGMAS = 5.0  # minimum ratio of the brightness of good cells to the noise of the sky background
 _MAX_UNEXPLAINED, _MAX_UNEXPLAINED_FIRST = 0.12, 0.4
 """Maximum residuals of good cells relative to their brightness; more while the horizon is known to 1-2 px only."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellRules:
-    """Parameters of the measurement of cells, and limits of good ones.
+    """Parameters of the measurement of cells, and limits of good ones."""
 
-    window_px: reach to both sides of the horizon.
-    cell_px: length of a cell along it.
-    min_cells: fewer good cells are no limb.
-    outlier_mad: cells beyond so many robust sigmas are ignored in the test for relief.
-    first: the horizon is known to a pixel or two only.
-    """
-
-    window_px: float
-    cell_px: float
-    min_cells: int
-    outlier_mad: float
-    first: bool
+    window_px: float  # reach to both sides of the horizon
+    cell_px: float  # length of a cell along it
+    min_cells: int  # fewer good cells are no limb
+    outlier_mad: float  # cells beyond so many robust sigmas are ignored in the test for relief
+    first: bool  # the horizon is known to a pixel or two only
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NoCells(Value):
-    """Too few good cells.
+    """Too few good cells."""
 
-    good: (n,); which of the cells are.
-    rejected: number of the others by reason.
-    """
-
-    good: Mask
-    rejected: Mapping[str, int]
+    good: Mask  # (n,); which of the cells are
+    rejected: Mapping[str, int]  # number of the others by reason
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GoodCells(Value):
-    """Good cells.
+    """Good cells."""
 
-    fits: of n cells.
-    middles: (n,); the points of the horizon in their middles.
-    shift_px: (n,); from there outward to the limb, with the shared parameters as assumed.
-    spacing_px: from one cell to the next, good or not.
-    rejected: number of the others by reason.
-    others: (k,); the points of the horizon in the middles of these.
-    """
-
-    fits: CellFits
-    middles: Indices
-    shift_px: Float
-    spacing_px: float
-    rejected: Mapping[str, int]
-    others: Indices
+    fits: CellFits  # of n cells
+    middles: Indices  # (n,); the points of the horizon in their middles
+    shift_px: Float  # (n,); from there outward to the limb, with the shared parameters as assumed
+    spacing_px: float  # from one cell to the next, good or not
+    rejected: Mapping[str, int]  # number of the others by reason
+    others: Indices  # (k,); the points of the horizon in the middles of these
 
 
 def good_cells(

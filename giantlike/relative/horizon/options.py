@@ -89,10 +89,6 @@ class HorizonSearch(IteratedSearch):
         ----------
         geometry : TargetGeometry
             Its target may have an atmosphere.
-
-        Returns
-        -------
-        Altitude
         """
         own = Altitude(self.limb_altitude_km, self.altitude_sigma_km)
         return Altitude.from_geometry(geometry) if own == Altitude() else own

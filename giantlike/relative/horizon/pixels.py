@@ -20,25 +20,16 @@ _ACROSS_STEP_PX, _ALONG_STEP_PX = 0.6, 0.7
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LimbPixels(Value):
-    """Pixels near a horizon, one cell of it after the other.
+    """Pixels near a horizon, one cell of it after the other."""
 
-    columns, rows: (n,).
-    along_px: (n,); length of the horizon from its start to the point nearest to each.
-    outward_px: (n,); distance from the horizon.
-    along: (n,); place in the cell, over its length, from about -1/2 to 1/2.
-    first: (c + 1,); the first pixel of each of c cells, and n.
-    middles: (c,); the point of the horizon in the middle of each cell.
-    filled: (c,); share of the cell's area whose pixels are in the frame and usable.
-    """
-
-    columns: Indices
-    rows: Indices
-    along_px: Float
-    outward_px: Float
-    along: Float
-    first: Indices
-    middles: Indices
-    filled: Float
+    columns: Indices  # (n,)
+    rows: Indices  # (n,)
+    along_px: Float  # (n,); length of the horizon from its start to the point nearest to each
+    outward_px: Float  # (n,); distance from the horizon
+    along: Float  # (n,); place in the cell, over its length, from about -1/2 to 1/2
+    first: Indices  # (c + 1,); the first pixel of each of c cells, and n
+    middles: Indices  # (c,); the point of the horizon in the middle of each cell
+    filled: Float  # (c,); share of the cell's area whose pixels are in the frame and usable
 
 
 def limb_pixels(

@@ -36,8 +36,7 @@ _OVERVIEW, _LEAST_NODES, _MOST_NODES = 360, 300, 1200
 With 180 instead of 300 on disks of 100 px, light between points near the terminator is off: limbs of Lommel and
 Seeliger at 100 degrees of phase by 3.7e-4 of the range instead of 2.9e-4 (60,000 DN, six views), in the same time.
 """
-_NODE_PX = 2.0
-"""Length of horizon to a point, px."""
+_NODE_PX = 2.0  # length of horizon to a point, px
 _KNOT_ERROR, _KNOT_REACH = 5e-4, 8
 """Error of brightness interpolated along the horizon relative to the largest; and maximum points between knots.
 
@@ -55,43 +54,28 @@ _LIT_DEPTHS_PX = np.array([0.5, 2.0, 3.5])  # inside the horizon, where limb cou
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlacedFigure(Value):
-    """An ellipsoid in front of the camera.
-
-    position_camera_km: of its center.
-    """
+    """An ellipsoid in front of the camera."""
 
     figure: Figure
-    position_camera_km: Float
+    position_camera_km: Float  # of its center
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HorizonArc(Value):
-    """Points of a horizon in even steps along its image, those that the camera model images.
+    """Points of a horizon in even steps along its image, those that the camera model images."""
 
-    points_px: (k, 2).
-    points_camera_km: (k, 3); the same points in space.
-    normals_px: (k, 2); outward.
-    design: (k, 3) px/km; outward motion with the position of the body.
-    along_px: (k,); length of the horizon from its start, without parts that are not imaged.
-    complete: all of the horizon has an image.
-    directions: (k, 3), camera axes; of the points.
-    by_pixel: (k, 3, 2) 1/px; change of the directions with the pixel.
-    curvature: (k,) 1/px; of the horizon in the image, positive where it bulges outward.
-    body: the ellipsoid.
-    """
-
-    points_px: Float
-    points_camera_km: Float
-    normals_px: Float
-    design: Float
-    along_px: Float
+    points_px: Float  # (k, 2)
+    points_camera_km: Float  # (k, 3); the same points in space
+    normals_px: Float  # (k, 2); outward
+    design: Float  # (k, 3) px/km; outward motion with the position of the body
+    along_px: Float  # (k,); length of the horizon from its start, without parts that are not imaged
     spacing_px: float
     perimeter_px: float
-    complete: bool
-    directions: Float
-    by_pixel: Float
-    curvature: Float
-    body: PlacedFigure
+    complete: bool  # all of the horizon has an image
+    directions: Float  # (k, 3), camera axes; of the points
+    by_pixel: Float  # (k, 3, 2) 1/px; change of the directions with the pixel
+    curvature: Float  # (k,) 1/px; of the horizon in the image, positive where it bulges outward
+    body: PlacedFigure  # the ellipsoid
 
     @property
     def tangents_px(self) -> Float:
@@ -156,19 +140,16 @@ def horizon_arc(model: CameraModel, figure: Figure, position_camera_km: Float) -
 class ProfileTable(Value):
     """Brightness across a horizon, by powers of the cosine of emission, tabulated on distances from it.
 
-    knots_px: (k,); places along the horizon, as of ``HorizonArc.along_px``.
-    first_px, step_px: the distances are ``first + i step``, positive outward.
     values: brightness at the knots and m distances, for p powers and q profiles that may be mixed in: other laws, and
         the wings of the point spread function. Then its derivatives by distance, 1/px, and at last the second
         derivatives of the powers, 1/px^2.
-    powers: the number p.
     """
 
-    knots_px: Float
-    first_px: float
+    knots_px: Float  # (k,); places along the horizon, as of ``HorizonArc.along_px``
+    first_px: float  # first_px, step_px: the distances are ``first + i step``, positive outward
     step_px: float
     values: Float
-    powers: int
+    powers: int  # the number p
 
     def at(self, along_px: Float, outward_px: Float) -> tuple[Float, Float, Float]:
         """Interpolate the table.
@@ -231,8 +212,6 @@ def profile_table(
     ``sun_direction_camera``: unit vector from body to Sun; ``powers``: ``law mu^j`` is tabulated for j from 0 up to
     this, not included.
 
-    Notes
-    -----
     At the depth t inside the horizon, in px along its normal, a ray x meets the ellipsoid where the discriminant
     ``x.M.x`` says, which is quadratic in t and zero at t = 0; so the cosine of emission mu grows as the square root
     of t, and every reflectance law that is smooth in the cosines is smooth in ``sqrt(t)``. With ``t = v^2`` the

@@ -16,19 +16,13 @@ from giantlike.ray_tracing.air import Air
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HorizonSurface(Value):
-    """The surface at q depths inside k points of a horizon.
+    """The surface at q depths inside k points of a horizon."""
 
-    meets: (k, q); the ray meets the ellipsoid.
-    incidence, emission: (k, q); cosines of the angles to the Sun and to the camera.
-    phase_rad: (k, q).
-    air: over it.
-    """
-
-    meets: Mask
-    incidence: Float
+    meets: Mask  # (k, q); the ray meets the ellipsoid
+    incidence: Float  # incidence, emission: (k, q); cosines of the angles to the Sun and to the camera
     emission: Float
-    phase_rad: Float
-    air: Air | None = None
+    phase_rad: Float  # (k, q)
+    air: Air | None = None  # over it
 
     def brightness(self, law: Reflectance | None) -> Float:
         """Brightness of the surface. Returns (k, q), 0 where a ray meets nothing."""

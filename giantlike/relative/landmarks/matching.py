@@ -27,18 +27,12 @@ _MAX_SHIFT_PX = 1.5  # px from the correlation peak: beyond, that and the fit co
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LandmarkMatch(Value):
-    """A landmark found in the image.
+    """A landmark found in the image."""
 
-    number: number in the catalog.
-    offset_px: found minus predicted.
-    covariance_px2: of the noise alone.
-    score: correlation of image and template, -1 to 1.
-    """
-
-    number: int
-    offset_px: Float
-    covariance_px2: Float
-    score: float
+    number: int  # number in the catalog
+    offset_px: Float  # found minus predicted
+    covariance_px2: Float  # of the noise alone
+    score: float  # correlation of image and template, -1 to 1
 
 
 def correlation_surface(pixels_dn: Float, usable: Mask, patch: Patch, search_px: int) -> Float:
@@ -91,8 +85,6 @@ def fit_patch(pixels: BoxPixels, patch: Patch, shift_px: NDArray[np.int64], scor
 
     Returns None where too few pixels are usable, or the fit moves away from the peak.
 
-    Notes
-    -----
     The image is modeled as the light of the patch, moved by a fraction of a pixel, times a gain that may slope across
     the landmark, plus the light under another law times a second gain, plus a constant. Slopes are those of the whole
     model, so that three rounds converge.

@@ -23,8 +23,7 @@ from giantlike.relative.template.rendering import contrasting_laws
 from giantlike.relative.template.state import TemplateState
 from giantlike.shapes.landmarks import Landmark, LandmarkCatalog
 
-BORDER_PX = 3
-"""Border of a patch around the matched pixels, px, for derivatives and the point spread function."""
+BORDER_PX = 3  # border of a patch around the matched pixels, px, for derivatives and the point spread function
 
 _TOGETHER = 3.0  # one render for all, as long as it has no more pixels than this times those of the patches
 _LEAST_PIXELS = 40  # px of its own ground: a landmark of less has hardly any texture: see benchmarks/sensitivity.md
@@ -44,22 +43,14 @@ body of 300 px, with opposite signs on its two sides."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Patch(Value):
-    """A landmark as rendered.
+    """A landmark as rendered."""
 
-    number: number in the catalog.
-    box: its pixels in the image.
-    light: (h, w); brightness under the law of the target.
-    other: (h, w); brightness under another law.
-    mask: (h, w); the ground of the landmark; False in a border of :data:`BORDER_PX`.
-    whole: True if the ground around it is rendered too.
-    """
-
-    number: int
-    box: PixelBox
-    light: Float
-    other: Float | None
-    mask: Mask
-    whole: bool
+    number: int  # number in the catalog
+    box: PixelBox  # its pixels in the image
+    light: Float  # (h, w); brightness under the law of the target
+    other: Float | None  # (h, w); brightness under another law
+    mask: Mask  # (h, w); the ground of the landmark; False in a border of :data:`BORDER_PX`
+    whole: bool  # True if the ground around it is rendered too
 
     @property
     def core(self) -> tuple[slice, slice]:
@@ -83,20 +74,14 @@ class _Images(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TracedGround(Value):
-    """Part of a shape, traced in one pose; images in nearby poses reuse its rays.
+    """Part of a shape, traced in one pose; images in nearby poses reuse its rays."""
 
-    body: as traced.
-    box: part of the image.
-    rays: under the law of the body, and another one or none.
-    lit: (columns, rows); cells whose ray ends on a point in sunlight.
-    """
-
-    body: Body
+    body: Body  # as traced
     plane: FocalPlane
-    box: PixelBox
+    box: PixelBox  # part of the image
     moved: MovedBody
-    rays: ShadedRays
-    lit: Mask
+    rays: ShadedRays  # under the law of the body, and another one or none
+    lit: Mask  # (columns, rows); cells whose ray ends on a point in sunlight
 
     def serves(self, body: Body) -> bool:
         """Return True if the rays can be reused for another pose: the same surface in the same perspective."""
@@ -136,25 +121,17 @@ class TracedGround(Value):
 class LandmarkRenderer(Value):
     """Renders landmarks of a target.
 
-    plane: with a camera model that can be cut to a window of its image.
-    sun_direction_camera: unit vector from body to Sun.
-    max_size_px: only the middle of larger landmarks is rendered.
-    other_law: True to render under another reflectance law as well.
-    surroundings: True to render the ground around landmarks too, where it belongs to the shape.
-
-    Notes
-    -----
     Landmarks taken from the shape of the target are cut from a render of that shape, with all shadows cast by other
     ground. Other landmarks are rendered from their own maps, one by one.
     """
 
     catalog: LandmarkCatalog
-    plane: FocalPlane
-    sun_direction_camera: Float
-    max_size_px: float
+    plane: FocalPlane  # with a camera model that can be cut to a window of its image
+    sun_direction_camera: Float  # unit vector from body to Sun
+    max_size_px: float  # only the middle of larger landmarks is rendered
     rays_per_pixel_side: int
-    other_law: bool
-    surroundings: bool = False
+    other_law: bool  # True to render under another reflectance law as well
+    surroundings: bool = False  # True to render the ground around landmarks too, where it belongs to the shape
 
     def roughly(self) -> LandmarkRenderer:
         """Return one with one ray to a pixel, one law and all of the ground around: enough to find landmarks."""

@@ -28,18 +28,12 @@ _RAYS_AT_A_TIME = 200_000  # to bound the memory
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LandmarkBuildOptions:
-    """Options of :func:`build_landmarks`.
+    """Options of :func:`build_landmarks`."""
 
-    count: largest number of landmarks; fewer where they would lie on top of each other.
-    size_km: side of a landmark; a fifth of the mean radius if not given.
-    samples: heights along each side of a map.
-    seed: of the places that are tried.
-    """
-
-    count: int = 150
-    size_km: float | None = None
-    samples: int = 33
-    seed: int = 0
+    count: int = 150  # largest number of landmarks; fewer where they would lie on top of each other
+    size_km: float | None = None  # side of a landmark; a fifth of the mean radius if not given
+    samples: int = 33  # heights along each side of a map
+    seed: int = 0  # of the places that are tried
 
     def __post_init__(self) -> None:
         require(1 <= self.count <= 100_000, f"count must be in [1, 100000], got {self.count}")
@@ -56,8 +50,6 @@ DEFAULT_SIZE = 0.2  # of the mean radius
 def build_landmarks(mesh: TriangleMesh, options: LandmarkBuildOptions = DEFAULT_BUILD) -> LandmarkCatalog:
     """Choose landmarks on a mesh.
 
-    Notes
-    -----
     Places are drawn evenly over the surface. At each, a square grid is laid across the mean normal of the ground
     around it and rays sent down: what they meet is the map. Its texture is what turns into brightness: the rms tilt
     and the rms relative albedo. The strongest are taken first, none nearer to another than a distance that is reduced

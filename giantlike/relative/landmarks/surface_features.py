@@ -152,12 +152,7 @@ class LandmarkFix(PositionFix):
     rejected_because: tuple[str, ...] = ()
 
     def unwrap(self) -> LandmarkFix:
-        """Return the fix itself (a :class:`~giantlike.core.outcomes.Failure` raises instead).
-
-        Returns
-        -------
-        LandmarkFix
-        """
+        """Return the fix itself (a :class:`~giantlike.core.outcomes.Failure` raises instead)."""
         return self
 
 
@@ -214,10 +209,6 @@ class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
         Parameters
         ----------
         names : iterable of str
-
-        Returns
-        -------
-        SurfaceFeatures
         """
         made = copy(self)
         made._excluded = self._excluded | frozenset(names)

@@ -32,13 +32,7 @@ class VisibilityOptions:
     """Conditions under which a landmark is used.
 
     max_incidence_deg, max_emission_deg: largest angles of the Sun and of the camera from the normal of a landmark.
-    max_shadowed: largest part of a landmark in the shadow of other ground.
-    min_size_px: least width, foreshortened.
-    max_size_px: of larger ones only the middle is used.
-    max_landmarks: if more can be used, those with the strongest texture, well spread over the image.
 
-    Notes
-    -----
     Half and double of each default: ``benchmarks/sensitivity.md``. The angles decide most: half of either leaves so few
     landmarks that errors double or the image is lost. Half of ``max_landmarks`` and of ``min_size_px`` moves results by
     1 sigma; sizes of 20 px and more leave too few landmarks on a body of 200 px.
@@ -46,10 +40,10 @@ class VisibilityOptions:
 
     max_incidence_deg: float = 75.0
     max_emission_deg: float = 65.0
-    max_shadowed: float = 0.4
-    min_size_px: float = 10.0
-    max_size_px: float = 64.0
-    max_landmarks: int = 40
+    max_shadowed: float = 0.4  # largest part of a landmark in the shadow of other ground
+    min_size_px: float = 10.0  # least width, foreshortened
+    max_size_px: float = 64.0  # of larger ones only the middle is used
+    max_landmarks: int = 40  # if more can be used, those with the strongest texture, well spread over the image
 
     def __post_init__(self) -> None:
         for name in ("max_incidence_deg", "max_emission_deg"):
@@ -65,15 +59,12 @@ class VisibilityOptions:
 class SeenLandmarks(Value):
     """Landmarks that can be used, and the number of others by reason.
 
-    numbers: (k,); numbers in the catalog.
-    predicted_px: (k, 2).
-    size_px: (k,); foreshortened width.
     outside, oblique, hidden, dark, small: numbers out of the frame, too oblique, occulted, not lit, too small.
     """
 
-    numbers: Indices
-    predicted_px: Float
-    size_px: Float
+    numbers: Indices  # (k,); numbers in the catalog
+    predicted_px: Float  # (k, 2)
+    size_px: Float  # (k,); foreshortened width
     outside: int
     oblique: int
     hidden: int

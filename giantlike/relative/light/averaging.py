@@ -12,8 +12,7 @@ from giantlike.core.detector import UNKNOWN_PSF_SIGMA_PX, GaussianPsf
 from giantlike.core.outcomes import CenterFix
 from giantlike.relative.inputs import EstimatorInputs
 
-_LEAST_GOOD = 0.5
-"""Share of the pixels of a block that are not bad, of which its mean is taken; with fewer it is bad."""
+_LEAST_GOOD = 0.5  # share of the pixels of a block that are not bad, of which its mean is taken; with fewer it is bad
 
 
 def average_blocks(inputs: EstimatorInputs, size: int) -> EstimatorInputs:

@@ -25,10 +25,8 @@ Both are uniform between Lommel-Seeliger and Lambert. The phase slope of their b
 (those two) and 1 (Hapke's law of dark ground from 10 to 90 degrees), and so is the rate of their transition from one
 law to the other (McEwen's: 0.74 at 15 degrees).
 """
-_SHARES = 3
-"""Number of terms by which a law may differ: see :class:`LawMixture`."""
-_BLOCK = 0.25
-"""Side of a block relative to the radius of the body: larger markings are few."""
+_SHARES = 3  # number of terms by which a law may differ: see :class:`LawMixture`
+_BLOCK = 0.25  # side of a block relative to the radius of the body: larger markings are few
 _LEAST_BLOCKS = 8
 """Minimum number of blocks, and of pairs of neighbors, to estimate markings: their scatter is then known to 25 %."""
 _LARGEST_SHARE = 0.5
@@ -36,38 +34,30 @@ _LARGEST_SHARE = 0.5
 _LIMB, _LIMB_PX, _COVERED = 0.02, 2, 0.999
 """Margin within the outline that blocks leave out, in radii and px, for errors of range and PSF; and minimum fraction
 of a pixel that the body covers there."""
-_FITTED = 4
-"""Fitted parameters that absorb markings: brightness, position (two) and law."""
-_MOST_FITTED = 0.75
-"""Maximum fraction of the variance of markings that these absorb, so that residuals still show them."""
+_FITTED = 4  # fitted parameters that absorb markings: brightness, position (two) and law
+_MOST_FITTED = 0.75  # maximum fraction of the variance of markings that these absorb, so that residuals still show them
 _ROUNDS, _SETTLED, _STEP = 5, 0.02, 0.1
 """Maximum number of outer (new images) and inner (new errors) iterations of the nearly linear fit; change relative to
 its standard deviation at convergence; and step of the numerical derivatives, as a fraction between laws."""
-_LINEAR = 0.1
-"""Change of a share above which derivatives are recomputed; with those at 0 distant laws do not converge."""
-_GROWN = 0.003
-"""Relative step of the size for numerical derivatives: some tenths of a pixel."""
-_MOST = 1.0
-"""Largest share: one of the laws instead of the other."""
+_LINEAR = 0.1  # change of a share above which derivatives are recomputed; with those at 0 distant laws do not converge
+_GROWN = 0.003  # relative step of the size for numerical derivatives: some tenths of a pixel
+_MOST = 1.0  # largest share: one of the laws instead of the other
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LawMixture(Value):
     """A body under the assumed law, and the changes by other laws, from a flat one to one dark at the terminator.
 
-    own: under the law that is assumed.
     changes: (3, h, w); brightness under Lambert's law minus that under the law of Lommel and Seeliger, each normalized
         to sum 1; and, rad, the normalized brightness under the assumed law, and the first change, both times the phase
         angle of each pixel minus that at the center.
 
-    Notes
-    -----
     The phase angle differs from limb to limb by the angular diameter of the body. On one of 300 px and 3.4 degrees, at
     a phase of 15 degrees, McEwen's law moves the center of light by 0.45 px by that alone; the laws of Lambert and of
     Lommel and Seeliger do not.
     """
 
-    own: Template
+    own: Template  # under the law that is assumed
     changes: Float
 
     @classmethod
@@ -109,27 +99,20 @@ class LawMixture(Value):
 class LawFit(Value):
     """Reflectance law estimated from the light of a body.
 
-    shares: (3,); of the mixture.
-    sigma: standard deviation of the first share.
-    covariance_px2: of the correction, by the errors of the shares.
     by_size_px: (2,); derivative of the correction by the relative size, including the law estimated for that size.
-    template: the body under the law found.
     unexplained_px2: (2, 2); covariance of the center of light by residuals of the law: markings, or another kind of
         law.
-    markings: relative standard deviation of the brightness of blocks about the template, without photon noise.
-    unexplained: norm of image minus template divided by the norm of the light of the body, without noise.
-    residuals: (n,); image minus template in the bright pixels, divided by the brightest pixel of the template.
     """
 
-    shares: Float
-    sigma: float
-    covariance_px2: Float
+    shares: Float  # (3,); of the mixture
+    sigma: float  # standard deviation of the first share
+    covariance_px2: Float  # of the correction, by the errors of the shares
     by_size_px: Float
-    template: Template
+    template: Template  # the body under the law found
     unexplained_px2: Float
-    markings: float
-    unexplained: float
-    residuals: Float
+    markings: float  # relative standard deviation of the brightness of blocks about the template, without photon noise
+    unexplained: float  # norm of image minus template divided by the norm of the light of the body, without noise
+    residuals: Float  # (n,); image minus template in the bright pixels, divided by the brightest pixel of the template
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -229,8 +212,6 @@ def _has_converged(change: Float, covariance: Float) -> bool:
 def fit_law(light: SeparatedLight, laws: LawMixture, *, radius_px: float) -> LawFit:
     """Fit the shares of a mixture of laws to the brightness of blocks of the body.
 
-    Notes
-    -----
     Each block has photon noise and its own albedo, whose scatter is estimated from the residuals. The body is placed by
     its center of light under each law, so that no limb is needed.
     """

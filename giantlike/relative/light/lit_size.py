@@ -18,8 +18,7 @@ _EDGE_PX = 0.05
 """Additional error of the edge at each level, px, by the rays of the template and the shape of the point spread
 function.
 With twice as much the errors of exact bodies stay, and their sigmas are a seventh larger."""
-_TOP = 0.3
-"""Maximum level of counted areas as a fraction of the brightest pixel; above, areas depend on the law."""
+_TOP = 0.3  # maximum level of counted areas as a fraction of the brightest pixel; above, areas depend on the law
 _WIDTH_SIGMA = 0.1
 """Relative error of the width of the point spread function, which moves the edge mainly at faint levels. With a width
 declared 30 % wrong, sizes of bodies of 120 px are in error by 0.19, 0.22, 0.34 and 0.35 % at phases of 15, 60, 90 and
@@ -30,8 +29,7 @@ _FADE = 0.02
 _HEIGHT = 0.1
 """Height, radii, of relief with slopes of one radian: markings of a quarter of the radius may be slopes of waves of
 half a radius, whose height is 1 / 4 pi of it."""
-_UNKNOWN = 0.1
-"""A priori relative error of the size: larger than any search."""
+_UNKNOWN = 0.1  # A priori relative error of the size: larger than any search
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,8 +71,6 @@ def measured_size(
 
     ``range_sigma``, ``trace`` as for :func:`first_scale`.
 
-    Notes
-    -----
     A point spread function that is wider by a fraction e moves the edge at a level by ``e`` times its width times the
     normal quantile of the level relative to the limb: sizes at levels from the faintest up to a third of the peak give
     size and width together.

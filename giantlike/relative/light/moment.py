@@ -31,8 +31,7 @@ from giantlike.relative.light.wings import WING_UNKNOWN, wing_share, with_wings
 from giantlike.relative.place import apparent_radius_px
 from giantlike.scene import TargetGeometry
 
-_LOWER_THRESHOLD = 0.5
-"""Factor of the threshold; its effect on the center enters the covariance as one sigma."""
+_LOWER_THRESHOLD = 0.5  # factor of the threshold; its effect on the center enters the covariance as one sigma
 _SAMPLING_PX = 0.02  # px, error by the rays of the template on a large body
 _FILL_UNKNOWN = 0.25
 """One sigma as a fraction of the effect of filled pixels on the center. The template used for it is right to half a
@@ -46,8 +45,7 @@ _MOST_RAYS = 24  # along the side of a pixel: bounds the cost of small bodies
 _SIZES, _SETTLED_SIZE = 3, 1e-3
 """Maximum number of iterations of law and size, and relative change of the size at convergence. Such a change moves the
 center of a body of 300 px by 0.02 px and the law by 0.003 of the difference of two laws."""
-_LEAST_SINE = 1e-3
-"""Sine of the phase angle below which it grows in all directions from the center."""
+_LEAST_SINE = 1e-3  # sine of the phase angle below which it grows in all directions from the center
 _BLOCKS_ACROSS = 150
 """Blocks of pixels across a disk, each with one ray where light is uniform; 2 px wide on small disks."""
 _CELL_SIGMAS, _LEAST_PSF_PX = math.sqrt(2.0 / 12.0), 0.14

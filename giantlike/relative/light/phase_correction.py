@@ -23,10 +23,8 @@ _LEAST_ACROSS = 1e-9  # of the direction to the Sun, perpendicular to the line o
 class Correction(StrEnum):
     """Correction of the centroid of the light to the center of the figure."""
 
-    RENDERED = "rendered"
-    """Of the body rendered at its predicted geometry."""
-    KAASALAINEN_TANGA = "kaasalainen_tanga"
-    """By Liounis et al. eq. 3, meant for unresolved bodies."""
+    RENDERED = "rendered"  # of the body rendered at its predicted geometry
+    KAASALAINEN_TANGA = "kaasalainen_tanga"  # by Liounis et al. eq. 3, meant for unresolved bodies.
     ELLIPSOID = "ellipsoid"
     """By the center of light of its best-fitting ellipsoid under the law of Lommel and Seeliger, in closed form."""
     NONE = "none"
@@ -93,8 +91,6 @@ def ellipsoid_photocenter_km(
     ``sun_direction_body``, ``observer_direction_body``: unit vectors from the body to the Sun and to the observer, both
     far away; returns (3,), body axes, towards new phase it goes to the end of the crescent's middle.
 
-    Notes
-    -----
     Derived here. With ``x = E u``, E the matrix of the semi-axes and u on the unit sphere, ``mu dA`` is proportional to
     ``p (u . e')`` and ``mu0 dA`` to ``q (u . s')``, where ``p e' = E^-1 e`` and ``q s' = E^-1 s`` for observer e and
     Sun s. The light of a piece of surface, ``mu mu0 / (mu + mu0) dA``, becomes

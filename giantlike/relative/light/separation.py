@@ -19,12 +19,9 @@ from giantlike.ray_tracing import Template
 from giantlike.relative.light.light_sums import kept_center
 from giantlike.relative.light.sky import SKY_SAMPLE, SkyPlane
 
-LIGHT_SIGMAS = 5.0
-"""Standard deviations of the sky above which a pixel is light: noise exceeds it once in 3.5 million."""
-MIN_AREA_PX = 4
-"""Minimum area of a blob of light, px: hits and hot pixels are smaller."""
-TRACE = 0.002
-"""Fraction of the brightest pixel of a template above which light of the body counts."""
+LIGHT_SIGMAS = 5.0  # standard deviations of the sky above which a pixel is light: noise exceeds it once in 3.5 million
+MIN_AREA_PX = 4  # minimum area of a blob of light, px: hits and hot pixels are smaller
+TRACE = 0.002  # fraction of the brightest pixel of a template above which light of the body counts
 _MIN_BACKGROUND_PX = 100  # px: their median is then known to an eighth of the noise
 _VISIBLE, _MOST_VISIBLE = 0.02, 0.5  # of the brightest pixel of a template: its expected blob, by the noise of the sky
 _MOST_AREA = 2.0  # of the expected area: larger light that touches the frame is not a body cut by the frame
@@ -44,8 +41,7 @@ _CUT = 1.0
 px at 90 and 125 degrees of phase, are 0.060 and 0.140 px with a sharp threshold, 0.021 and 0.052 with 1, and 0.021 and
 0.042 with 1.6."""
 _ROUNDING = 1e-3  # px, of distances
-_GAIN_ROUNDS = 30
-"""Halvings in which the gain of a clipped body is found: to a billionth."""
+_GAIN_ROUNDS = 30  # halvings in which the gain of a clipped body is found: to a billionth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,31 +88,19 @@ def seen_from(template: Template, corner_px: NDArray[np.int64]) -> Template:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SeparatedLight(Value):
-    """The light of one body in a window of the image; positions are relative to the first pixel of the window.
+    """The light of one body in a window of the image; positions are relative to the first pixel of the window."""
 
-    corner_px: first pixel of the window in the image.
-    signal_dn: (rows, columns); sky subtracted, bad pixels filled.
-    region: (rows, columns); pixels whose light is attributed to the body.
-    total_dn: sum of their signal.
-    expected: (rows, columns); pixels where light of the body is expected, with a margin.
-    threshold_dn: otsu's, above background.
-    ceiling_dn: minimum signal of a saturated pixel; infinite without one.
-    noise_variance_dn2: variance, DN^2, of the noise of pixels of a given signal.
-    shift_px: from a template at the predicted position to the light.
-    bad: pixels that were filled.
-    """
-
-    corner_px: NDArray[np.int64]
-    signal_dn: Float
-    region: Mask
-    total_dn: float
-    expected: Mask
-    threshold_dn: float
-    ceiling_dn: float
+    corner_px: NDArray[np.int64]  # first pixel of the window in the image
+    signal_dn: Float  # (rows, columns); sky subtracted, bad pixels filled
+    region: Mask  # (rows, columns); pixels whose light is attributed to the body
+    total_dn: float  # sum of their signal
+    expected: Mask  # (rows, columns); pixels where light of the body is expected, with a margin
+    threshold_dn: float  # otsu's, above background
+    ceiling_dn: float  # minimum signal of a saturated pixel; infinite without one
     sky: SkyPlane
-    noise_variance_dn2: Callable[[Float], Float]
-    shift_px: NDArray[np.int64]
-    bad: Mask
+    noise_variance_dn2: Callable[[Float], Float]  # variance, DN^2, of the noise of pixels of a given signal
+    shift_px: NDArray[np.int64]  # from a template at the predicted position to the light
+    bad: Mask  # pixels that were filled
 
     @property
     def bright(self) -> Mask:
@@ -204,8 +188,6 @@ def kept_light(signal_dn: Float, threshold_dn: float) -> Float:
 
     ``signal_dn`` (...); returns (...) DN.
 
-    Notes
-    -----
     With a sharp threshold the center of a crescent of 120 px moves by 0.1 px with the subpixel position of the body.
     See :data:`_CUT`.
     """

@@ -12,8 +12,7 @@ from giantlike.core.statistics import robust_sigma
 from giantlike.core.values import Value
 from giantlike.processing.limb.segmentation import background_of
 
-SKY_SAMPLE = 16_000
-"""Pixels that are fitted: a plane is then known to a sixtieth of the noise of a pixel."""
+SKY_SAMPLE = 16_000  # pixels that are fitted: a plane is then known to a sixtieth of the noise of a pixel
 _CLIP_SIGMAS, _ROUNDS = 3.0, 6
 """Pixels farther from the fit are stars or other bodies; rounds of clipping, of which three or four change it."""
 _FIRST_CLIP_SIGMAS = 6.0
@@ -24,20 +23,15 @@ _FIRST_CLIP_SIGMAS = 6.0
 class SkyPlane(Value):
     """Brightness of the sky as a plane, and its errors.
 
-    middle_px: origin of the coordinates of the fit.
-    scale_px: unit of the coordinates of the fit.
-    plane_dn: (3,); level at the origin, and rise per unit along columns and rows.
-    covariance_dn2: of ``plane_dn``, by noise.
     bend_dn: (6,); paraboloid (1, x, y, x^2, x y, y^2) through the same pixels minus the plane: curvature of the sky.
-    sigma_dn: noise of a pixel about the plane.
     """
 
-    middle_px: Float
-    scale_px: float
-    plane_dn: Float
-    covariance_dn2: Float
+    middle_px: Float  # origin of the coordinates of the fit
+    scale_px: float  # unit of the coordinates of the fit
+    plane_dn: Float  # (3,); level at the origin, and rise per unit along columns and rows
+    covariance_dn2: Float  # of ``plane_dn``, by noise
     bend_dn: Float
-    sigma_dn: float
+    sigma_dn: float  # noise of a pixel about the plane
 
     @classmethod
     def through(cls, pixels_dn: Float, dark: Mask, *, step_px: int = 1, least_sigma_dn: float = 0.0) -> SkyPlane:

@@ -14,12 +14,9 @@ from giantlike.relative.light.separation import SeparatedLight
 
 WING_UNKNOWN = 0.5
 """Share of the effect of the wings that is one sigma: wings half or twice as wide change it by a third to a half."""
-_WIDTHS = 5.0
-"""Ratio of the widths of wings and core; scattered light of real optics follows a power law instead."""
-_DARK = 1e-4
-"""Share of the brightest pixel below which a template without wings has no light."""
-_BRIGHT = 0.5
-"""Share of the brightest light of the wings there that pixels need to be looked at."""
+_WIDTHS = 5.0  # ratio of the widths of wings and core; scattered light of real optics follows a power law instead
+_DARK = 1e-4  # share of the brightest pixel below which a template without wings has no light
+_BRIGHT = 0.5  # share of the brightest light of the wings there that pixels need to be looked at
 _LIMB, _LIMB_PX = 0.02, 1
 """Margin around the light of the core, of the radius and px: errors of the range and of the width of the core."""
 _LEAST_PX, _LEAST_SIGMAS = 50, 5.0

@@ -34,26 +34,18 @@ renderer (radii of 30-150 px, phase angles of 15-125 deg, levels of a fifth to f
 squared errors per degree of freedom are 0.4 to 2.0 at each level. With a linear error of 0.2 they are 0.1 to 0.3 at
 half of the peak and more, 2 at a third, and the log likelihood is lower by 55.
 """
-_EACH_LINE = 4
-"""Every so many lines are used to choose among them."""
+_EACH_LINE = 4  # every so many lines are used to choose among them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClippedProfiles(Value):
-    """Profiles of a clipped body, DN.
+    """Profiles of a clipped body, DN."""
 
-    values: (n, m) DN.
-    laws: (n, m, k) DN; change with the share of each of k other laws.
-    brightness: (n, m) DN; change with the logarithm of the brightness.
-    blur: (n, m) DN/px^2; change with the variance of the point spread function.
-    beyond: (n,); logarithm of the brightness of each line over the level, 0 where it is not clipped.
-    """
-
-    values: Float
-    laws: Float
-    brightness: Float
-    blur: Float
-    beyond: Float
+    values: Float  # (n, m) DN
+    laws: Float  # (n, m, k) DN; change with the share of each of k other laws
+    brightness: Float  # (n, m) DN; change with the logarithm of the brightness
+    blur: Float  # (n, m) DN/px^2; change with the variance of the point spread function
+    beyond: Float  # (n,); logarithm of the brightness of each line over the level, 0 where it is not clipped
 
 
 def clipping_level_dn(view: LimbView, scans: Scans) -> float | None:
@@ -113,8 +105,6 @@ def clipped_mean(mean: Float, level: float, sigma: Float) -> tuple[Float, Float]
 
     ``mean``, ``sigma`` (...); returns ``clipped`` (...) and ``below`` (...).
 
-    Examples
-    --------
     >>> clipped, below = clipped_mean(np.array([0.0, 5.0, 10.0]), 5.0, np.ones(3))
     >>> abs(clipped).round(3).tolist(), below.round(3).tolist()
     ([0.0, 4.601, 5.0], [1.0, 0.5, 0.0])

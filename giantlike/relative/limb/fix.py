@@ -28,43 +28,35 @@ _LOG = logging.getLogger("giantlike.relative")
 
 Measured = TypeVar("Measured", bound=LimbMeasurement)
 
-PATIENCE = 3
-"""Iterations with full steps; later ones are halved, because the points used can alternate."""
+PATIENCE = 3  # iterations with full steps; later ones are halved, because the points used can alternate
 _MAX_RANGE_STEP = 0.1
 """Maximum step relative to the range, over which the outline is linear in the position to a few percent."""
 _SURE = 3.0
 """Standard deviations of the range of an approximating ellipsoid that must lie within the search: of 28 correct fixes
 of rocks by ellipsoids that exceeded it, 11 were classified as suspect."""
-_MAX_RANGE_SIGMA = 0.25
-"""Maximum relative standard deviation of the range of a position, up to which errors are linear."""
-LEAST_PSF_PX2 = 0.01
-"""Minimum variance of an estimated point spread function, px^2: about a tenth of that of a pixel."""
-_RELIEF_RMS = 2.0
-"""Maximum residuals in units of the relief; not yet studied on bodies with relief."""
+_MAX_RANGE_SIGMA = 0.25  # maximum relative standard deviation of the range of a position, up to which errors are linear
+LEAST_PSF_PX2 = 0.01  # minimum variance of an estimated point spread function, px^2: about a tenth of that of a pixel
+_RELIEF_RMS = 2.0  # maximum residuals in units of the relief; not yet studied on bodies with relief
 
 
 class EdgeModel(StrEnum):
     """Expected brightness across a limb."""
 
-    TEMPLATE = "template"
-    """The rendered body with its reflectance law and the point spread function."""
-    STEP = "step"
-    """A blurred step: no photometric model is needed."""
+    TEMPLATE = "template"  # the rendered body with its reflectance law and the point spread function
+    STEP = "step"  # A blurred step: no photometric model is needed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanOptions:
     """Options of all ways to measure the points of a limb.
 
-    window_px: largest distance of pixels used, to both sides of the limb.
     min_contrast: mean of (inside - outside) / (inside + outside) across the limb below which no limb was located.
-    psf_error: relative standard deviation of the width of the camera's point spread function.
     """
 
     edges: EdgeModel = EdgeModel.TEMPLATE
-    window_px: float = 5.0
+    window_px: float = 5.0  # largest distance of pixels used, to both sides of the limb
     min_contrast: float = 0.35
-    psf_error: float = 0.05
+    psf_error: float = 0.05  # relative standard deviation of the width of the camera's point spread function
 
     def __post_init__(self) -> None:
         require(self.edges in list(EdgeModel), f"edges must be one of {', '.join(EdgeModel)}, got {self.edges!r}")
@@ -158,32 +150,21 @@ def limb_view(inputs: EstimatorInputs) -> LimbView:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LimbState(Value):
-    """State of the iteration.
+    """State of the iteration."""
 
-    position_camera_km: position of the body.
-    psf_px2: variance of the point spread function, for scans that estimate it.
-    iteration: number of measurements made before.
-    moved_px: largest motion of the limb in the step before; infinite at the start.
-    """
-
-    position_camera_km: Float
-    psf_px2: float = LEAST_PSF_PX2
-    iteration: int = 0
-    moved_px: float = math.inf
+    position_camera_km: Float  # position of the body
+    psf_px2: float = LEAST_PSF_PX2  # variance of the point spread function, for scans that estimate it
+    iteration: int = 0  # number of measurements made before
+    moved_px: float = math.inf  # largest motion of the limb in the step before; infinite at the start
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LimbStep(Value):
-    """Step of the iteration.
+    """Step of the iteration."""
 
-    position_km: in camera axes.
-    keep: (n,); points consistent with the position.
-    psf_px2: change of the variance of the point spread function.
-    """
-
-    position_km: Float
-    keep: Mask
-    psf_px2: float = 0.0
+    position_km: Float  # in camera axes
+    keep: Mask  # (n,); points consistent with the position
+    psf_px2: float = 0.0  # change of the variance of the point spread function
 
 
 class LimbScan(Protocol[Measured]):
@@ -254,8 +235,6 @@ def next_motion_px(before_px: float, moved_px: float) -> float:
 
     ``before_px``: infinite where there was no step before.
 
-    Examples
-    --------
     >>> round(next_motion_px(1.0, 0.05), 6)
     0.0025
     """
@@ -266,20 +245,15 @@ def next_motion_px(before_px: float, moved_px: float) -> float:
 class LimbSolution(Value):
     """Position of a body from its limb.
 
-    position_camera_km: of the origin of the shape.
     covariances_km2: mapping of Cause to (3, 3), camera axes; covariance by each cause; they add up.
-    residuals_px: (m,); residuals of the points used, positive outward.
-    limb_px: (m, 2); those points in the image.
-    corrections: for the altitude of the limb.
-    turn: where it was measured.
     """
 
-    position_camera_km: Float
+    position_camera_km: Float  # of the origin of the shape
     covariances_km2: Mapping[Cause, Float]
-    residuals_px: Float
-    limb_px: Float
-    corrections: Corrections = field(default_factory=Corrections)
-    turn: BodyTurn | None = None
+    residuals_px: Float  # (m,); residuals of the points used, positive outward
+    limb_px: Float  # (m, 2); those points in the image
+    corrections: Corrections = field(default_factory=Corrections)  # for the altitude of the limb
+    turn: BodyTurn | None = None  # where it was measured
 
     @property
     def covariance_camera_km2(self) -> Float:

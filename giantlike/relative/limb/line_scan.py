@@ -57,45 +57,31 @@ from giantlike.relative.limb.profiles import (
 _OVERVIEW_RAD = np.arange(360) * (2.0 * np.pi / 360)  # of an outline all around: a degree is 2 px at a radius of 100
 _COARSE_LINES, _COARSE_SPACING_PX = 160, 1.0
 """Maximum number, and minimum spacing, of lines for the search of the outline as a whole."""
-_LEAST_LINES = 8
-"""Lines laid on the shortest limb: below the minimum of the options, which then reject it."""
-_FIRST_SEARCH_PX = 3.0
-"""Additional search along lines in the first measurement, px, for the error of the coarse search."""
-_FIRST_LINES = 100
-"""Lines of the first measurement, whose error may be up to the width of a profile."""
+_LEAST_LINES = 8  # lines laid on the shortest limb: below the minimum of the options, which then reject it
+_FIRST_SEARCH_PX = 3.0  # additional search along lines in the first measurement, px, for the error of the coarse search
+_FIRST_LINES = 100  # lines of the first measurement, whose error may be up to the width of a profile
 _FIRST_MATCHES = 3
 """Maximum number of matches of the first measurement. Its lines are offset from the compared positions, so that relief
 of the outline moves the body by a tenth of that. Errors of nine rocks of 300 px fell from 0.0054 to 0.0042 px by it."""
-_FIRST_TOLERANCE_PX = 0.1
-"""Motion of the limb, px, below which the first measurement has converged."""
+_FIRST_TOLERANCE_PX = 0.1  # motion of the limb, px, below which the first measurement has converged
 _RELIEF_TOLERANCE, _RELIEF_SEARCH = 0.1, 3.0
 """Tolerance of the motion of a limb, and additional search along lines, in units of the relief."""
 _STEP_SHADOW_PX = 0.1
 """Maximum width of the shadow along a limb, px, up to which a step takes the edge of the light as the limb."""
-_UNSURE = 0.5
-"""Final tolerance of the motion of a limb, in standard deviations by the shared parameters."""
-_PSF_STEP = 0.25
-"""Relative change of the variance of the point spread function above which the limb is measured again."""
-_MIN_WIDTH_PX = 0.3
-"""Minimum width of a point spread function measured on a limb, px, that pixels sample."""
+_UNSURE = 0.5  # final tolerance of the motion of a limb, in standard deviations by the shared parameters
+_PSF_STEP = 0.25  # relative change of the variance of the point spread function above which the limb is measured again
+_MIN_WIDTH_PX = 0.3  # minimum width of a point spread function measured on a limb, px, that pixels sample
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LimbLines(Value):
-    """Lines across an outline, by the directions of their intersections from the body's center.
+    """Lines across an outline, by the directions of their intersections from the body's center."""
 
-    angles_rad: (k,); from +x towards +y.
-    brightness: (k,); just inside the outline, over the brightest place along it.
-    spacing_px: between neighbors, along the limb.
-    perimeter_px: length of the whole outline.
-    cut_by_frame: part of the outline lies outside the frame.
-    """
-
-    angles_rad: Float
-    brightness: Float
-    spacing_px: float
-    perimeter_px: float
-    cut_by_frame: bool
+    angles_rad: Float  # (k,); from +x towards +y
+    brightness: Float  # (k,); just inside the outline, over the brightest place along it
+    spacing_px: float  # between neighbors, along the limb
+    perimeter_px: float  # length of the whole outline
+    cut_by_frame: bool  # part of the outline lies outside the frame
 
     def thin(self, count: int) -> LimbLines:
         """Return about ``count`` of the lines, evenly chosen; all where there are fewer."""
@@ -106,14 +92,10 @@ class LimbLines(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outline(Value):
-    """Whole outline of a body where it is predicted.
+    """Whole outline of a body where it is predicted."""
 
-    silhouette: in even steps of the angle.
-    brightness: (k,); just inside the outline, over the brightest place along it.
-    """
-
-    silhouette: Silhouette
-    brightness: Float
+    silhouette: Silhouette  # in even steps of the angle
+    brightness: Float  # (k,); just inside the outline, over the brightest place along it
 
     @classmethod
     def from_body(cls, view: LimbView, body: Body) -> Outline:
@@ -251,32 +233,26 @@ def measure_once(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LineMeasurement(LimbMeasurement):
-    """Limb measured line by line.
+    """Limb measured line by line."""
 
-    psf_px2: variance of the point spread function estimated from the lines.
-    """
-
-    psf_px2: float
+    psf_px2: float  # variance of the point spread function estimated from the lines
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LineScan(Value):
     """Measures a limb line by line: a :class:`~giantlike.relative.limb.fix.LimbScan`.
 
-    body: anywhere.
     relief: departure of the true outline from the modeled one; with it the limits on profiles are looser.
-    outline: outline as located, the start of the first measurement; None to trace it.
-    other_laws: laws mixed into the law of the body.
     """
 
     view: LimbView
-    body: Body
+    body: Body  # anywhere
     lines: LimbLines
     search: IteratedSearch
     options: LimbScanOptions
     relief: SmoothError | None = None
-    outline: Outline | None = None
-    other_laws: tuple[Reflectance, ...] = OTHER_LAWS
+    outline: Outline | None = None  # outline as located, the start of the first measurement; None to trace it
+    other_laws: tuple[Reflectance, ...] = OTHER_LAWS  # laws mixed into the law of the body
 
     @property
     def relief_px(self) -> float:

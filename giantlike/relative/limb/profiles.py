@@ -47,12 +47,9 @@ OTHER_LAWS: tuple[Reflectance, ...] = (Lambert(), LommelSeeliger(), Minnaert(k=0
 At one phase angle the mixtures of the first two include all of McEwen's and lunar-Lambert laws and nearly Hapke's law
 of dark surfaces, but not the third.
 """
-LAW_SIGMA = 1.0
-"""A priori standard deviation of the fraction of each of the other laws: as likely as the assumed law."""
-_DEPTH_STEP_PX = 0.05
-"""Step of the integral over depth that blurs the disk of a sphere."""
-_DISK_DN = 3000.0
-"""Brightness of that disk, DN: a usual exposure, where noise does not matter."""
+LAW_SIGMA = 1.0  # A priori standard deviation of the fraction of each of the other laws: as likely as the assumed law
+_DEPTH_STEP_PX = 0.05  # step of the integral over depth that blurs the disk of a sphere
+_DISK_DN = 3000.0  # brightness of that disk, DN: a usual exposure, where noise does not matter
 _UNKNOWN_PSF_SIGMA_PX2 = 2.0
 """Standard deviation, px^2, of the variance of an unknown point spread function: widths up to 2 px are usual."""
 _LEAST_VARIANCE_PX2 = 0.1
@@ -65,8 +62,7 @@ _ROUNDS, _SETTLED_PX = 6, 0.002
 
 The fractions of laws multiply the gain of each line, so that one linear step between laws leaves a few percent.
 """
-_FIRST_RAYS = 2
-"""Rays along a pixel for the first measurement, whose error may be up to the width of a profile."""
+_FIRST_RAYS = 2  # rays along a pixel for the first measurement, whose error may be up to the width of a profile
 _SKY_PX = 4.0
 """Length, px, by which lines are rendered less far outward than inward. Outside is sky, except in a concave outline,
 which is still rendered out to at least 5 px."""
@@ -76,8 +72,7 @@ _MIN_CORRELATION, _MIN_CORRELATION_LOOSE = 0.9, 0.8
 """Minimum correlation of good lines with the expected profile; loose where the profile is not of the body itself."""
 _MAX_UNEXPLAINED, _MAX_UNEXPLAINED_LOOSE = 0.15, 0.3
 """Maximum residuals of good lines relative to the height of the profile."""
-_MAX_NOISE_PX = 0.5
-"""Maximum standard deviation of a line by noise, px: half the width of a usual profile."""
+_MAX_NOISE_PX = 0.5  # maximum standard deviation of a line by noise, px: half the width of a usual profile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,20 +116,17 @@ class LimbScanOptions(ScanOptions):
 class ExpectedProfiles(Value):
     """Expected profiles of lines, and their derivatives by parameters that all lines share.
 
-    values: (n, m); any unit.
-    changes: (n, m, c); derivative by each of c parameters.
     layout: of the parameters: shares of other laws, of wings and of trails, logarithm of a brightness that is clipped,
         and, px^2, the variance of the point spread function, half the excess of that along columns over that along
         rows, and the covariance of both.
-    prior: of the changes of the parameters from those of the profiles.
     beyond: (n,); logarithm of the ratio of the brightness of each line to its clipping level; 0 where it is not
         clipped.
     """
 
-    values: Float
-    changes: Float
+    values: Float  # (n, m); any unit
+    changes: Float  # (n, m, c); derivative by each of c parameters
     layout: Layout
-    prior: Prior
+    prior: Prior  # of the changes of the parameters from those of the profiles
     beyond: Float
 
     def apply_step(self, step: Float) -> ExpectedProfiles:
@@ -147,19 +139,15 @@ class ExpectedProfiles(Value):
 class MatchedLines(Value):
     """Lines of an image matched with the profiles expected there.
 
-    match: with the shared parameters as found.
-    good: (n,).
-    rejected: number of the others by reason.
     common_px: dict of Cause to (n, c); shift of the lines by one standard deviation of each of the shared parameters.
-    psf_px2: change of the variance of the point spread function that was found.
     extrapolated_px: standard deviation of the limb by the extrapolation of its brightness above the clipping level.
     """
 
-    match: ProfileMatch
-    good: Mask
-    rejected: dict[str, int]
+    match: ProfileMatch  # with the shared parameters as found
+    good: Mask  # (n,)
+    rejected: dict[str, int]  # number of the others by reason
     common_px: dict[Cause, Float]
-    psf_px2: float
+    psf_px2: float  # change of the variance of the point spread function that was found
     extrapolated_px: float
 
 

@@ -17,16 +17,11 @@ from giantlike.relative.limb.fix import LimbSolution
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Weighted(Value):
-    """Generalized least squares of k parameters by the points of a limb.
+    """Generalized least squares of k parameters by the points of a limb."""
 
-    means: (b, n); averages n points to b.
-    gain: (k, b); takes the shifts of these, px, to the parameters.
-    own: mapping of Cause to (k, k); covariances by the errors of each point: noise, and relief.
-    """
-
-    means: Float
-    gain: Float
-    own: dict[Cause, Float]
+    means: Float  # (b, n); averages n points to b
+    gain: Float  # (k, b); takes the shifts of these, px, to the parameters
+    own: dict[Cause, Float]  # mapping of Cause to (k, k); covariances by the errors of each point: noise, and relief
 
 
 def weight_points(measured: LimbMeasurement, design: Float, radius_px: float, *, min_length_px: float) -> Weighted:

@@ -15,8 +15,7 @@ from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.judge import inflation
 from giantlike.relative.limb.fix import IteratedSearch, LimbSolution, limb_fix
 
-_LEAST_FREEDOM = 3
-"""Minimum degrees of freedom of residuals beyond position and strain, to estimate errors from them."""
+_LEAST_FREEDOM = 3  # minimum degrees of freedom of residuals beyond position and strain, to estimate errors from them
 _STRAINS = 2
 
 
@@ -37,8 +36,6 @@ def strain_tension(measured: LimbMeasurement, inputs: EstimatorInputs) -> float:
     Errors of the declared pole, roll or axes, and a smear of the image, stretch an outline along one direction. So do
     the longest waves of relief, whose amplitude is estimated from shorter ones in the residuals.
 
-    Notes
-    -----
     The area-preserving strain s (2,) is fitted with the position by generalized least squares; the factor follows from
     ``s.C^-1.s`` (:func:`~giantlike.relative.judge.inflation`). Where noise alone explains the strain, other errors are
     not tested for.

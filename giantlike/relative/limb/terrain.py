@@ -17,8 +17,7 @@ from giantlike.relative.inputs import EstimatorInputs
 from giantlike.shapes import Ellipsoid
 from giantlike.terrain import limb_profile
 
-ERROR_LENGTH = 0.3
-"""Correlation length, radii, along the limb of the errors of a map, as for relief."""
+ERROR_LENGTH = 0.3  # correlation length, radii, along the limb of the errors of a map, as for relief
 SLOPE_ERROR, CELL_SLOPE_ERROR = 0.2, 0.4
 """Error of a limb by light on the slopes of its relief, which a profile of smooth ground does not have, over the root
 mean square of that relief along it; alike over a radius. By lines and edges, and by cells.
@@ -26,10 +25,8 @@ mean square of that relief along it; alike over a radius. By lines and edges, an
 On 12 passes of a made-up Moon of 40 to 200 px (seed 1 of benchmarks/terrain.py), with 0.05 to 0.17 px of relief, radii
 were off by 0.014 px (lines) and 0.022 px (cells); with 0.3 px, on rougher ground, by 0.015 px and 0.16 px.
 """
-_POINTS_PER_PX = 2.0
-"""Position angles of a profile to a pixel of limb: a measurement averages over some pixels."""
-_SEEN_PX = 3.0
-"""Length of limb, px, that a measurement sees together at least: pixels, and the point spread function."""
+_POINTS_PER_PX = 2.0  # position angles of a profile to a pixel of limb: a measurement averages over some pixels
+_SEEN_PX = 3.0  # length of limb, px, that a measurement sees together at least: pixels, and the point spread function
 
 
 def with_terrain(
@@ -37,8 +34,6 @@ def with_terrain(
 ) -> LimbMeasurement:
     """Take the relief of the height map of a target off the points of its measured limb.
 
-    Notes
-    -----
     The profile is computed for the predicted geometry. A shift of the body in the image is attributed to the attitude
     of the camera, which leaves the visible side unchanged.
     """
@@ -97,8 +92,6 @@ def judge_relief(
 
     ``terrain_px`` (n,); returns ``log_odds`` and ``misfit``.
 
-    Notes
-    -----
     Residuals are averaged over some two dozen parts of the limb, each of which counts as one independent error of a
     variance that is not known: the likelihoods are as the residual squares to the power of half the degrees of freedom.
     """

@@ -26,8 +26,7 @@ from giantlike.relative.place import place_jacobian
 _LEAST_LEVER = 1e-3
 """Minimum RMS motion of an outline by a rotation that a shift does not explain, radii per rad. Below it the outline is
 round: its rotation is known to some degrees at best, within the errors of the normals of a mesh."""
-_MOST_SIGMA_RAD = 0.3
-"""Maximum standard deviation of a measured rotation, up to which outlines are linear in it."""
+_MOST_SIGMA_RAD = 0.3  # maximum standard deviation of a measured rotation, up to which outlines are linear in it
 
 
 def limb_turn(

@@ -26,18 +26,12 @@ _MOST_LOST = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Blocks(Value):
-    """An image averaged over blocks of pixels.
+    """An image averaged over blocks of pixels."""
 
-    size: in px; pixels along the side of a block.
-    pixels: blocks are usable where all of their pixels are, and lower limits where one is and none is bad.
-    good: blocks without bad pixels.
-    plane: of the blocks.
-    """
-
-    size: int
-    pixels: BoxPixels
-    good: Mask
-    plane: FocalPlane
+    size: int  # in px; pixels along the side of a block
+    pixels: BoxPixels  # blocks are usable where all of their pixels are, and lower limits where one is and none is bad
+    good: Mask  # blocks without bad pixels
+    plane: FocalPlane  # of the blocks
 
     def unbin(self, fit: TemplateFit) -> TemplateFit:
         """Return a fit to blocks with its state and covariance in pixels; its images stay as they are."""

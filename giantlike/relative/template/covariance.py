@@ -27,16 +27,14 @@ _VARIANCE_SAMPLES = 4_000
 """Values that sizes of errors are taken from, about: their relative error is then some sqrt(2 / 4000) = 2.2 %."""
 _VARIANCE_STEPS = 25
 """Multiplicative updates of the sizes in each round; they settle over the rounds and iterations of the fit."""
-_SIGNIFICANT = 2.0
-"""Standard deviations of a sample autocorrelation, 1 / sqrt(n): a smaller one counts as noise."""
+_SIGNIFICANT = 2.0  # standard deviations of a sample autocorrelation, 1 / sqrt(n): a smaller one counts as noise
 _LEAST_LEFT = 1e-3
 """Share of a correlated error that is left in the residuals, at least, against rounding of its sums over blocks."""
 _INSIDE_PIXEL_PX = 0.3
 """Correlation lengths below this are none: exp(-d^2 / (4 b^2)) is then less than 0.07 between neighboring pixels."""
 _FINE_LENGTH_PX = 4.0
 """Pixels to a correlation length that remain when scores are summed over blocks: the Gaussian is still well sampled."""
-_SMOOTH_LENGTH_PX = 1.5
-"""As above, for scores that are smooth: of markings."""
+_SMOOTH_LENGTH_PX = 1.5  # as above, for scores that are smooth: of markings
 _BLOCKS_PER_PARAMETER = 3.0
 """Effective blocks to a parameter that the jackknife needs; with fewer its own scatter exceeds the covariance."""
 _MANY_BLOCKS = 150  # so many average the choice of their first corner; with fewer two grids are averaged
@@ -48,12 +46,11 @@ _LEVERAGE_LIMIT = 0.95
 class VarianceModel(Value):
     """Variance of values: known noise, and kinds of error of unknown size.
 
-    noise: (n,); variance of the noise.
     shapes: (m, n); variance of each kind of error over its unknown size; the first kind is independent from value to
         value.
     """
 
-    noise: Float
+    noise: Float  # (n,); variance of the noise
     shapes: Float
 
     def total(self, sizes: Float) -> Float:
@@ -67,13 +64,12 @@ class RobustFit(Value):
 
     solution: of the last step. Its data are what it explained, of a limit the value that stands for it, see
         :meth:`Measured.reweight`; no weight where a residual was clipped.
-    errors: (m,); sizes of the kinds of error.
     noise, error: (h, w); variances: of the part that is independent from pixel to pixel, and of model errors that the
         point spread function spreads.
     """
 
     solution: Solution
-    errors: Float
+    errors: Float  # (m,); sizes of the kinds of error
     noise: Float
     error: Float
 
@@ -90,16 +86,11 @@ class RobustFit(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured(Value):
-    """Values to explain, some of which are only a lower limit.
+    """Values to explain, some of which are only a lower limit."""
 
-    values: (n,).
-    offered: (n,); True where a value says something.
-    censored: (n,); True where the true value is at least that.
-    """
-
-    values: Float
-    offered: Mask
-    censored: Mask
+    values: Float  # (n,)
+    offered: Mask  # (n,); True where a value says something
+    censored: Mask  # (n,); True where the true value is at least that
     variances: VarianceModel
 
     def certain(self) -> VarianceModel:
@@ -241,8 +232,6 @@ class LinearFit(Solution):
 
         ``error`` (h, w); ``of_noise`` (k, k); returns (k, k).
 
-        Notes
-        -----
         The sandwich ``H^-1 (N + E + P) H^-1`` has the scores of the noise, of the model error, correlated between
         pixels at distance d like ``exp(-d^2 / (4 b^2))``, and of the prior; b is ``blur_px``, or more where the
         residuals are correlated over longer distances. E is scaled up for the part of the model error that parameters

@@ -328,21 +328,15 @@ def _linearize_pixels(pixels: BoxPixels, response: Response) -> BoxPixels:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TemplateMatch(Value):
-    """A template found in an image and fitted to it.
-
-    box: pixels that were fitted; it may reach over the frame.
-    synthesis: renders the template into the box.
-    start: start of the fits, without blur beyond that of the camera.
-    laws: whether other reflectance laws are mixed in, and at most how many.
-    """
+    """A template found in an image and fitted to it."""
 
     fit: TemplateFit
-    box: PixelBox
-    synthesis: Synthesis
+    box: PixelBox  # pixels that were fitted; it may reach over the frame
+    synthesis: Synthesis  # renders the template into the box
     options: TemplateFitOptions
-    start: TemplateState
+    start: TemplateState  # start of the fits, without blur beyond that of the camera
     renderer: TemplateRenderer
-    laws: tuple[bool, int | None]
+    laws: tuple[bool, int | None]  # whether other reflectance laws are mixed in, and at most how many
 
     def log_evidence(self, parts: float) -> float:
         """Return the logarithm of the likelihood of the pixels, further rotations of a rotated body integrated out."""

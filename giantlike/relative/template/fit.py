@@ -66,46 +66,39 @@ _MAX_BLOCK_PX = 32  # px: enough blocks remain on large bodies
 class TemplateFitOptions:
     """Options of :func:`fit_template`.
 
-    max_iterations: renders at most.
     tolerance_px: the fit has converged when a step from a fine render moves neither the center nor the limb by more.
     clip_sigma: pixels whose residual is larger than so many standard deviations (noise and model error) are rejected.
     log_range_sigma: A priori standard deviation of the logarithm of the range; infinite lets the image alone decide.
     blur_sigma_px2: A priori standard deviation of the variance of the point spread function around that of the start.
     relief_sigma: standard deviation of the errors of the shape along its radii, as a fraction of the radius.
-    relief_length_px: their correlation length: the correlation at a distance d is
-        ``exp(-d^2 / (2 relief_length_px^2))``.
-    altitude_sigma: standard deviation of the altitude of the limb by haze, as a fraction of the radius.
+    relief_length_px: their correlation length: the correlation at a distance d is ``exp(-d^2 / (2
+        relief_length_px^2))``.
     sun_direction: unit vector from body to Sun, along columns, rows and the line of sight.
-    radius_px: radius of the body.
-    block_px: side of a pixel of the box, pixels of the detector.
     trails: trails whose shares are estimated along with the rest; of these their directions count.
     fine_at_once: render finely from the first: for bodies so small that rough renders save nothing, which then take one
         render where the start is within ``tolerance_px``.
     response: response by which the pixels were linearized; its curvature is estimated along with the rest.
-    smear_sigma_px2: a priori standard deviation of the variances of a smear.
     turn: rotation of the rendered body from its declared orientation; further rotation is in the covariance then.
-    turn_sigma_rad: a priori standard deviation of the rotation about each axis.
-    complete: the model is complete: undeclared effects are not tested for in the residuals.
     """
 
-    max_iterations: int = 8
+    max_iterations: int = 8  # renders at most
     tolerance_px: float = 0.05
     clip_sigma: float = 5.0
     log_range_sigma: float = math.inf
     blur_sigma_px2: float = 0.15
     relief_sigma: float = 0.0
     relief_length_px: float = 10.0
-    altitude_sigma: float = 0.0
+    altitude_sigma: float = 0.0  # standard deviation of the altitude of the limb by haze, as a fraction of the radius
     sun_direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
-    radius_px: float = math.inf
-    block_px: int = 1
+    radius_px: float = math.inf  # radius of the body
+    block_px: int = 1  # side of a pixel of the box, pixels of the detector
     trails: Trails | None = None
     fine_at_once: bool = False
     response: Response | None = None
-    smear_sigma_px2: float = SMEAR_SIGMA_PX2
+    smear_sigma_px2: float = SMEAR_SIGMA_PX2  # a priori standard deviation of the variances of a smear
     turn: Turn | None = None
-    turn_sigma_rad: float = TURN_SIGMA_RAD
-    complete: bool = True
+    turn_sigma_rad: float = TURN_SIGMA_RAD  # a priori standard deviation of the rotation about each axis
+    complete: bool = True  # the model is complete: undeclared effects are not tested for in the residuals
 
     def __post_init__(self) -> None:
         require(self.max_iterations >= 1, f"max_iterations must be >= 1, got {self.max_iterations}")
@@ -122,47 +115,33 @@ class TemplateFit(Value):
     """A fitted template.
 
     parts: mapping of Cause to (3, 3); covariance of x and y in px and of the logarithm of the range, by cause.
-    gain_dn: signal of a surface of relative brightness 1.
-    offset_dn: background in the middle of the box.
-    signal_dn: (h, w); the model without its background.
-    score: correlation coefficient of template and image over the pixels used.
-    residuals_dn: (h, w); image minus model, also where pixels were not used.
-    model_dn: (h, w).
-    used: (h, w).
-    n_rejected: usable pixels that were clipped.
-    chi: root mean square over the used pixels of residual over noise.
-    corner_px: column and row of the first element of the box.
-    columns: of the last step.
-    trails: charge-transfer trails, as fitted or as the residuals show them.
     log_variance: mean logarithm of the variances of the pixels that were offered, with squared residuals of those
         rejected.
-    response, smear: estimated in the model or, where it has none, linearly from the residuals.
-    undeclared: undeclared effects that the model leaves out, by name.
     altitude_sigma: standard deviation of the altitude of the limb relative to the radius, declared or by haze in the
         residuals.
     """
 
     state: TemplateState
     parts: Mapping[Cause, Float]
-    gain_dn: float
-    offset_dn: float
-    signal_dn: Float
-    score: float
-    residuals_dn: Float
-    model_dn: Float
-    used: Mask
-    n_rejected: int
-    chi: float
+    gain_dn: float  # signal of a surface of relative brightness 1
+    offset_dn: float  # background in the middle of the box
+    signal_dn: Float  # (h, w); the model without its background
+    score: float  # correlation coefficient of template and image over the pixels used
+    residuals_dn: Float  # (h, w); image minus model, also where pixels were not used
+    model_dn: Float  # (h, w)
+    used: Mask  # (h, w)
+    n_rejected: int  # usable pixels that were clipped
+    chi: float  # root mean square over the used pixels of residual over noise
     iterations: int
-    columns: Columns
-    trails: Trails
+    columns: Columns  # of the last step
+    trails: Trails  # charge-transfer trails, as fitted or as the residuals show them
     log_variance: float
-    response: Response
+    response: Response  # response, smear: estimated in the model or, where it has none, linearly from the residuals
     smear: Smear
-    undeclared: Mapping[str, Undeclared]
+    undeclared: Mapping[str, Undeclared]  # undeclared effects that the model leaves out, by name
     independent: IndependentParts
     altitude_sigma: float = 0.0
-    corner_px: tuple[int, int] = (0, 0)
+    corner_px: tuple[int, int] = (0, 0)  # column and row of the first element of the box
 
     def used_at_px(self, block_px: int = 1) -> Float:
         """Return the image positions of the pixels used.
@@ -208,8 +187,6 @@ def fit_template(
 ) -> TemplateFit | Failure:
     r"""Fit a rendered template to the pixels of a box.
 
-    Notes
-    -----
     Pixels are weighted by ``1 / (noise + v0 + v1 |grad M|^2 + v2 S^2)``: the noise variance of the model image ``M``
     (with its signal ``S``), and three variances of the model error - everywhere, at edges, and proportional to the
     signal - that maximize the likelihood of the residuals. The covariance of the weighted fit is then widened to that

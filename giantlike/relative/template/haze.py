@@ -17,8 +17,7 @@ from giantlike.image_model.columns import Block, Prior, Use
 from giantlike.ray_tracing import LommelSeeliger, Reflectance
 from giantlike.ray_tracing.reflectance.law import SurfaceLaw
 
-VEIL_DEPTH = 0.05
-"""Vertical optical depth of the haze template; other depths are scaled from it."""
+VEIL_DEPTH = 0.05  # vertical optical depth of the haze template; other depths are scaled from it
 _LEAST_COSINE = 0.03
 """Minimum cosine of incidence and emission. Its inverse, 33, is the maximum air mass; 38 for a scale height of 1e-3
 radii."""

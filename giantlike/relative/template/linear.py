@@ -20,8 +20,7 @@ from giantlike.image_model.trails import SHARE_SIGMA
 from giantlike.relative.template.covariance import Measured, RobustFit, VarianceModel, robust_fit
 from giantlike.relative.template.state import TemplateImages, TemplateState
 
-PIXEL_VARIANCE_PX2 = 1.0 / 12.0
-"""Variance, px^2, of a square pixel along one axis."""
+PIXEL_VARIANCE_PX2 = 1.0 / 12.0  # variance, px^2, of a square pixel along one axis
 
 _FIRST_DERIVATIVE = np.array([-1 / 60, 3 / 20, -3 / 4, 0.0, 3 / 4, -3 / 20, 1 / 60])  # central, of sixth order, 1/px
 _SECOND_DERIVATIVE = np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90])  # the same, 1/px^2
@@ -33,8 +32,7 @@ between the mixed ones."""
 _WING_SIGMA, _WING_WIDTHS = 0.1, (2.0, 6.0)
 """A priori standard deviation of the fractions of light in wings of the point spread function, and their widths
 relative to its core; two, as for horizons, span the widths between."""
-BEND_SIGMA = 1.0
-"""A priori standard deviation of the curvature of a response about 0; square-root tables have nearly 1."""
+BEND_SIGMA = 1.0  # A priori standard deviation of the curvature of a response about 0; square-root tables have nearly 1
 SMEAR_SIGMA_PX2 = 1.0
 """A priori standard deviation, px^2, of the variances of a smear: a motion by 5 px during the exposure."""
 _CUBE_SIGMA = 0.2

@@ -29,14 +29,10 @@ _REACH_SIGMA = 5.5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShadedRays(Value):
-    """Light that the rays of a body bring under k laws.
+    """Light that the rays of a body bring under k laws."""
 
-    cells: (columns, k, rows); brightness of whole cells; 0 in those that are split.
-    parts: (n, k); brightness of the parts of the others; none of a trace that is not refined.
-    """
-
-    cells: Float
-    parts: Float
+    cells: Float  # (columns, k, rows); brightness of whole cells; 0 in those that are split
+    parts: Float  # (n, k); brightness of the parts of the others; none of a trace that is not refined
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,12 +42,10 @@ class MovedBody(Value):
     From a place nearby the same rays meet the same surface: their light only falls elsewhere. It is even over the cell
     of the ray, blurred by a Gaussian and summed over the pixel, exactly as in a render
     (:meth:`giantlike.ray_tracing.sampling.AxisCells.spread`), but with cells that lie anywhere and have any size.
-
-    state: geometry of the trace.
     """
 
     trace: Trace | RefinedTrace
-    state: TemplateState
+    state: TemplateState  # geometry of the trace
 
     def daylight(self, state: TemplateState) -> Daylight | None:
         """Lit parts of the body, for a finer trace. Returns None of a refined trace."""

@@ -24,8 +24,6 @@ def relief_covariance(fit: LinearFit, center_px: Float, sun: Float, *, radius_px
     ``center_px``: center of the body, from the first pixel of the images; ``sun`` (2,); returns (k, k), zero where too
     few sectors of the limb are in view.
 
-    Notes
-    -----
     Relief ``h``, over the radius, moves all light of a sector of the body along it: it changes the model by
     ``-h dM/dlog(range)``. Each sector of the lit half of the limb has an ``h`` by its residuals, of which the fit has
     taken up what looks like another place or range. What that was follows from the spectrum of the rest, see

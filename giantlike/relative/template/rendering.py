@@ -60,8 +60,7 @@ _CUT_PX = 2.0
 """Maximum motion, px, of a body cut by the frame up to which it is not retraced. The trace reaches as far beyond the
 frame, in addition to the point spread function."""
 _AROUND = np.array([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
-ROUGH = 2.0
-"""Factor of the distance between rays before the last renders, which alone need fine edges."""
+ROUGH = 2.0  # factor of the distance between rays before the last renders, which alone need fine edges
 _PARTS = 2
 """Parts along the side of a cell in the last renders, where light is not uniform. Errors of crescents of 120 px are
 0.007
@@ -85,20 +84,13 @@ _SMALL_RADIUS_PX = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TemplateRenderer(Value):
-    """Renders a body at trial geometries.
+    """Renders a body at trial geometries."""
 
-    target: at the predicted position.
-    plane: with a point spread function.
-    sun_direction_camera: unit vector from body to Sun.
-    rays_across: rays across the body, about: small bodies get more to a pixel.
-    airless: True where no residual can be haze.
-    """
-
-    target: Body
-    plane: FocalPlane
-    sun_direction_camera: Float
-    rays_across: int = 240
-    airless: bool = False
+    target: Body  # at the predicted position
+    plane: FocalPlane  # with a point spread function
+    sun_direction_camera: Float  # unit vector from body to Sun
+    rays_across: int = 240  # rays across the body, about: small bodies get more to a pixel
+    airless: bool = False  # True where no residual can be haze
 
     @property
     def start(self) -> TemplateState:

@@ -14,32 +14,23 @@ from giantlike.core.findings import Smear
 from giantlike.core.outcomes import Failure
 from giantlike.core.values import Value
 
-FIT_BORDER_PX = 4
-"""Pixels over the frame that a fitted box should reach: derivatives take that many neighbors."""
+FIT_BORDER_PX = 4  # pixels over the frame that a fitted box should reach: derivatives take that many neighbors
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TemplateState(Value):
-    """Geometry and blur that a template is rendered for.
+    """Geometry and blur that a template is rendered for."""
 
-    center_px: center of the body in the image.
-    log_range: natural logarithm of the range over the a priori range.
-    smear: motion of the body in the image during the exposure.
-    """
-
-    center_px: Float
-    log_range: float = 0.0
+    center_px: Float  # center of the body in the image
+    log_range: float = 0.0  # natural logarithm of the range over the a priori range
     psf_variance_px2: float
-    smear: Smear | None = None
+    smear: Smear | None = None  # motion of the body in the image during the exposure
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TemplateImages(Value):
     """A body rendered into the box that is fitted.
 
-    light: (h, w); brightness under the reflectance law of the target.
-    others: (k, h, w); brightness under k other laws, which the fit may mix in; none by default.
-    winged: estimate the share of the light that lies in wings of the point spread function.
     untried: (h, w); brightness under a law that the fit does not mix in; its effect enters the covariance.
     veiled: returns the brightness (3, h, w) under the laws of :func:`~giantlike.relative.template.haze.haze_laws`.
     turned: returns the derivatives (3, h, w) of ``light`` by a rotation of the body about the camera axes, per rad;
@@ -53,9 +44,9 @@ class TemplateImages(Value):
         where none does.
     """
 
-    light: Float
-    others: Sequence[Float] = ()
-    winged: bool = False
+    light: Float  # (h, w); brightness under the reflectance law of the target
+    others: Sequence[Float] = ()  # (k, h, w); brightness under k other laws, which the fit may mix in; none by default
+    winged: bool = False  # estimate the share of the light that lies in wings of the point spread function
     untried: Float | None = None
     veiled: Callable[[], Float] | None = None
     turned: Callable[[], Float] | None = None

@@ -14,19 +14,15 @@ from giantlike.image_model.columns import UNDECLARED, Block, Score, Solution
 
 PART_RADII = 0.25
 """Side of a part of a body, radii, with independent model errors: the shortest correlation length of markings."""
-_WIDTH = math.sqrt(8.0 * math.log(2.0))
-"""Full width of an edge at half maximum over the standard deviation of its blur."""
+_WIDTH = math.sqrt(8.0 * math.log(2.0))  # full width of an edge at half maximum over the standard deviation of its blur
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Undeclared(Value):
-    """An effect that a model leaves out.
-
-    chance: probability of the effect, against the model without and against all other effects left out.
-    """
+    """An effect that a model leaves out."""
 
     block: Block
-    chance: float
+    chance: float  # probability of the effect, against the model without and against all other effects left out
     score: Score
 
     @property
@@ -50,14 +46,10 @@ def undeclared_effects(fit: Solution, blocks: Mapping[Block, float]) -> dict[str
 
 @dataclass(frozen=True, slots=True)
 class IndependentParts:
-    """Number of independent values in pixels.
+    """Number of independent values in pixels."""
 
-    of_surface: where errors of the model are alike over a part of the surface.
-    of_edges: where they are alike along a part of an edge, but not beside it.
-    """
-
-    of_surface: float
-    of_edges: float
+    of_surface: float  # where errors of the model are alike over a part of the surface
+    of_edges: float  # where they are alike along a part of an edge, but not beside it
 
     @classmethod
     def from_size(cls, n_used: int, radius_px: float, blur_px: float) -> IndependentParts:

@@ -22,29 +22,22 @@ from giantlike.image_model.columns import Block, Prior, Solution
 
 _LIGHT_SIGMA = 0.5
 """A priori standard deviation of a second image relative to the first: exposures of similar length, and ghosts."""
-_SHIFT_SIGMA = 0.1
-"""A priori standard deviation of a shift of rows, radii."""
+_SHIFT_SIGMA = 0.1  # A priori standard deviation of a shift of rows, radii
 _WAVES, _OUTLINE_SIGMA = (3, 4, 5, 6), 0.1
 """Wave numbers along the outline of another body, beyond those of a strain, and a priori standard deviation of their
 amplitudes, radii: a guess of the difference of two outlines."""
-_APART = 0.1
-"""Minimum distance of a second image, radii: nearer ones are a blur or a motion of the first."""
+_APART = 0.1  # minimum distance of a second image, radii: nearer ones are a blur or a motion of the first
 _CANDIDATES = 6
 """Number of positions of a second image whose odds are computed exactly; the odds of all others are set to zero."""
-_REACHED = 0.05
-"""Fraction of its largest change below which an alternative does not affect a cell."""
+_REACHED = 0.05  # fraction of its largest change below which an alternative does not affect a cell
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellScores:
-    """Scores of alternatives in cells.
+    """Scores of alternatives in cells."""
 
-    solution: the fit of the body to the cells (n, n), around its position.
-    temper: ratio of independent parts of a body to cells.
-    """
-
-    solution: Solution
-    temper: float
+    solution: Solution  # the fit of the body to the cells (n, n), around its position
+    temper: float  # ratio of independent parts of a body to cells
 
     @property
     def log_evidence(self) -> float:

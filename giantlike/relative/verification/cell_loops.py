@@ -7,8 +7,7 @@ import numpy as np
 from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float, Mask
 
-EXACT = 1e-9
-"""Share of the largest variance below which the sums of a window hold nothing but rounding."""
+EXACT = 1e-9  # share of the largest variance below which the sums of a window hold nothing but rounding
 
 
 @compiled
@@ -82,8 +81,6 @@ def least_unexplained(values: Float, good: Mask, lights: Float) -> Float:
     ``values`` (n, n) DN; ``good`` (n, n); ``lights`` (k, m, m); returns (k,), 1 where only a negative gain would
     explain anything.
 
-    Notes
-    -----
     As :class:`~giantlike.relative.verification.shifts.ShiftedMatches`, which transforms images for many shifts; here
     only cells that hold light are multiplied.
     """

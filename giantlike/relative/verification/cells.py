@@ -21,15 +21,12 @@ from giantlike.shapes import Ellipsoid
 CELLS_PER_RADIUS = 20
 """Cells to a radius of the body, as far as pixels are not larger: two exposures 5 px apart on a body of 140 px show as
 a blur, with 12 cells they do not."""
-MARGIN = 1.6
-"""Half width of the region, largest radii: margin for a second body or a halo next to the first."""
+MARGIN = 1.6  # half width of the region, largest radii: margin for a second body or a halo next to the first
 BLOCK = 0.25
 """Size, radii, of the parts of a disk with correlated departures from a model: markings, errors of the law, as in
 ``relative/light/moment.py``. Their number, not that of pixels, sets the significance of a better match."""
-LEAST_RADIUS_PX = 5.0
-"""Radius, px, below which the point spread function hides the disk interior."""
-_PSF_REACH = 3.0
-"""Standard deviations of the point spread function that the region has around a body."""
+LEAST_RADIUS_PX = 5.0  # radius, px, below which the point spread function hides the disk interior
+_PSF_REACH = 3.0  # standard deviations of the point spread function that the region has around a body
 _RAYS_PER_CELL = 3
 """Rays along the side of a cell: a body at 125 deg of phase is then placed right to 0.2 % of the radius; with two rays
 to a cell of 8 % of the radius it was off by 1.4 %."""
@@ -43,30 +40,18 @@ _MOST_CELLS = 240
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cells(Value):
-    """The image around a body in cells, with room for shifts of the body.
+    """The image around a body in cells, with room for shifts of the body."""
 
-    values: (n, n) DN; means over the good pixels of each cell, bias subtracted.
-    variance: (n, n) DN^2; of their noise.
-    good: (n, n); at least half of the pixels are good.
-    fresh: (n, n); good, and no pixel is saturated.
-    camera: of an image whose pixels are the cells.
-    box: of the cells, in the pixels of that image.
-    room: cells around :attr:`inner` that are there for shifts.
-    radius: mean radius of the body, cells.
-    size: in px; pixels along the side of a cell.
-    center_px: center of the body in the image.
-    """
-
-    values: Float
-    variance: Float
-    good: Mask
-    fresh: Mask
-    camera: Camera
-    box: PixelBox
-    room: int
-    radius: float
-    size: int
-    center_px: Float
+    values: Float  # (n, n) DN; means over the good pixels of each cell, bias subtracted
+    variance: Float  # (n, n) DN^2; of their noise
+    good: Mask  # (n, n); at least half of the pixels are good
+    fresh: Mask  # (n, n); good, and no pixel is saturated
+    camera: Camera  # of an image whose pixels are the cells
+    box: PixelBox  # of the cells, in the pixels of that image
+    room: int  # cells around :attr:`inner` that are there for shifts
+    radius: float  # mean radius of the body, cells
+    size: int  # in px; pixels along the side of a cell
+    center_px: Float  # center of the body in the image
 
     @property
     def has_face(self) -> bool:

@@ -39,14 +39,10 @@ _SHARP_PX = 0.4
 """As above, for the limb, px, where the range is declared, not estimated. The square of a motion looks like a blur;
 this one is within half of the standard deviation for known optics (0.3 px^2). A range in error by 1 % moves the limb of
 a body of 300 px by 1.5 px."""
-_BELIEVED = 0.5
-"""Motion in radii, and relative change of the range, beyond which the coarse fit has not found the body."""
-_SMEAR = np.array([[1.0, 0.0, -1.0], [0.0, 2.0, 0.0]])
-"""Anisotropic part of a blur (xx, xy, yy)."""
-_NOTHING_THERE = 0.0
-"""Log odds of no body where the image fits a dark one better than any bright one."""
-_SECOND_SHARES = (0.25, 0.5, 0.75)
-"""Fractions of the light in the second of two exposures."""
+_BELIEVED = 0.5  # motion in radii, and relative change of the range, beyond which the coarse fit has not found the body
+_SMEAR = np.array([[1.0, 0.0, -1.0], [0.0, 2.0, 0.0]])  # anisotropic part of a blur (xx, xy, yy)
+_NOTHING_THERE = 0.0  # log odds of no body where the image fits a dark one better than any bright one
+_SECOND_SHARES = (0.25, 0.5, 0.75)  # fractions of the light in the second of two exposures
 _SHARP_CELLS = 4.0
 """Length of a motion, cells, from which it is distinguished from two exposures: these are at least two cells apart."""
 _OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause not in (Cause.SHAPE_SCALE, *DECLARED))

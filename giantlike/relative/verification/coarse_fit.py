@@ -39,17 +39,14 @@ _AROUND, _FLOOR = 0.08, 0.02
 """Extent of albedo variations, radii, so that cells along a limb have them too; and minimum error of the model relative
 to the brightest cell. Without it, bright images (20,000 DN) contradict correct fixes by up to 9 standard deviations
 where the law differs; with 1 and 2 % by up to 5."""
-_LAW_SIGMA = 1.0
-"""A priori standard deviation of the fraction of another law: 0 is the assumed law, 1 the other one."""
+_LAW_SIGMA = 1.0  # A priori standard deviation of the fraction of another law: 0 is the assumed law, 1 the other one
 _MOVED, _GROWN, _STRAINED = 0.5, 0.3, 0.3
 """A priori standard deviations of motion (radii), growth and strain of a body: far beyond the linear range."""
 OTHER_LAWS = (Lambert(), LommelSeeliger(), Minnaert(k=0.7))
 """Laws of a mixture: strong, no and medium limb darkening, as for limbs. Minnaert's is not a sum of the others: without
 it, such a surface was mistaken for another shape by up to 3 standard deviations."""
-_OTHER_LAW = 0.5
-"""Ratio of the error by laws outside of that mixture to the change by the laws in it."""
-_BLURRED = 10.0
-"""A priori standard deviation of the blur, squares of a cell: far beyond the linear range."""
+_OTHER_LAW = 0.5  # ratio of the error by laws outside of that mixture to the change by the laws in it
+_BLURRED = 10.0  # A priori standard deviation of the blur, squares of a cell: far beyond the linear range
 _GAIN_SIGMAS = (0.1, 0.01)
 """A priori standard deviations of the brightness relative to the image, tried in turn where the fitted gain is not
 positive: albedo variations took all of the light, or the image is darker at the body."""
@@ -68,12 +65,9 @@ _ITERATIONS, _SETTLED = 3, 0.01
 the cells."""
 _UNLIKELY = 4.0
 """Residual, in standard deviations of noise and model errors together, beyond which a cell is an outlier."""
-_ISOLATED = 3
-"""Side, cells, of the median filter that removes stars, cosmic rays and single rows from the outliers."""
-_KERNEL_SIGMAS = 4.0
-"""Reach of a Gaussian, standard deviations: less than 1e-4 of it lies beyond."""
-_LIT = 0.05
-"""Fraction of the brightest cell below which cells are not counted as lit."""
+_ISOLATED = 3  # side, cells, of the median filter that removes stars, cosmic rays and single rows from the outliers
+_KERNEL_SIGMAS = 4.0  # reach of a Gaussian, standard deviations: less than 1e-4 of it lies beyond
+_LIT = 0.05  # fraction of the brightest cell below which cells are not counted as lit
 _RELIEF_WAVES = 16
 """Wave number along the outline from which relief is neglected where the profile of the limb is tested."""
 _LONG_WAVES = 1.3
@@ -94,14 +88,10 @@ degrees of phase) reached 0.51."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate(Value):
-    """Unknowns of one effect.
+    """Unknowns of one effect."""
 
-    values: (k,).
-    covariance: (k, k); by noise, and by errors of the model scaled to the residuals.
-    """
-
-    values: Float
-    covariance: Float
+    values: Float  # (k,)
+    covariance: Float  # (k, k); by noise, and by errors of the model scaled to the residuals
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -109,12 +99,11 @@ class Omitted(Value):
     """Effects left out of a fit of cells, each estimated alone from the residuals; none by default.
 
     values: (a,); amplitude of the image of each effect in the residuals, with all fitted parameters free.
-    sigma: (a,); standard deviations.
     explains: (a,); fraction of the squared residuals beyond noise that each of them explains.
     """
 
     values: Float = field(default_factory=lambda: np.zeros(0))
-    sigma: Float = field(default_factory=lambda: np.zeros(0))
+    sigma: Float = field(default_factory=lambda: np.zeros(0))  # (a,); standard deviations
     explains: Float = field(default_factory=lambda: np.zeros(0))
 
 
@@ -122,30 +111,23 @@ class Omitted(Value):
 class CoarseFit(Value):
     """A body fitted to cells.
 
-    gain_dn: signal of a surface seen and lit along its normal.
-    log_evidence: logarithm of the tempered likelihood of the cells, up to a constant.
-    alternatives: logarithms of the odds of other models of the cells.
-    place: motion: x and y in px, and of the logarithm of the range.
     strain: relative affine residual: shear along rows and along columns, and stretch along rows with shrinking along
         columns.
-    blur: covariance of the blur beyond the point spread function: xx, xy and yy, px^2.
     figure_px2: (2, 2); covariance of the center of all light by an error of the shape, as shown by edges and strain;
         zero where they are consistent with the shape.
     response: response by which the values were linearized, if any, with the curvature estimated from the residuals.
-    bend_sigma: standard deviation of its curvature.
-    bend_log_odds: logarithm of the odds of a curvature other than the linearized one.
     """
 
-    gain_dn: float
-    log_evidence: float
-    alternatives: Mapping[Alternative, float]
-    place: Estimate
+    gain_dn: float  # signal of a surface seen and lit along its normal
+    log_evidence: float  # logarithm of the tempered likelihood of the cells, up to a constant
+    alternatives: Mapping[Alternative, float]  # logarithms of the odds of other models of the cells
+    place: Estimate  # motion: x and y in px, and of the logarithm of the range
     strain: Estimate
-    blur: Estimate
+    blur: Estimate  # covariance of the blur beyond the point spread function: xx, xy and yy, px^2
     figure_px2: Float
     response: Response
-    bend_sigma: float
-    bend_log_odds: float
+    bend_sigma: float  # standard deviation of its curvature
+    bend_log_odds: float  # logarithm of the odds of a curvature other than the linearized one
     omitted: Omitted
 
     def at(self, moved: Float) -> CoarseFit:

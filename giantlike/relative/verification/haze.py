@@ -28,8 +28,7 @@ with a depth of 0.05 the share of haze is 2 to 8 sigmas in cells of 3 px and 7 t
 a point spread function declared 30 % too narrow, 6 and 1.5."""
 _BRIGHTNESS = (0.0, 0.5, 2.0)
 """Ratio of the light scattered by haze to that of ground lit and seen along its normal: dark to bright haze."""
-_DEPTHS = (VEIL_DEPTH, 0.3)
-"""Vertical optical depths of the haze templates; other depths are scaled from these."""
+_DEPTHS = (VEIL_DEPTH, 0.3)  # vertical optical depths of the haze templates; other depths are scaled from these
 _HINT_SIGMAS, _HAZY_SIGMAS = 1.0, 2.5
 """Significance of the share of haze, in standard deviations, above which finer cells are tested, and above which these
 show haze. Measured: 4.0 to 14 with depths from 0.05 around bodies of 120 px (2.2 to 9 around 60 px), 1.8 to 4.4 with a
@@ -49,8 +48,7 @@ _OF_ALTITUDE = 0.5
 Squared errors of ``limb_matching`` and ``ellipsoid_cra`` in haze of a depth of 0.05 to 0.3 (views 400 to 419) are 0.5
 to 2.5 of the covariance with it, 0.2 to 0.6 with 1: laws and free brightness of the limb absorb part of the
 altitude."""
-_OPTICS = 0.05
-"""Relative standard deviation of the width of the optics, as for the lines of a limb."""
+_OPTICS = 0.05  # relative standard deviation of the width of the optics, as for the lines of a limb
 
 AnyFix = TypeVar("AnyFix", bound=CenterFix)
 Coarse = TypeVar("Coarse", bound=Looked)

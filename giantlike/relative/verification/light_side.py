@@ -17,15 +17,12 @@ from giantlike.relative.verification.cell_loops import least_unexplained
 from giantlike.relative.verification.cells import BLOCK, Cells
 from giantlike.relative.verification.shifts import ShiftedMatches
 
-_LEAST_SHARE = 0.3
-"""Share of the body that must lie in the frame."""
-_OTHER_SIDES_RAD = (0.5 * math.pi, math.pi, 1.5 * math.pi)
-"""Angles by which the Sun is turned about the line of sight."""
+_LEAST_SHARE = 0.3  # share of the body that must lie in the frame
+_OTHER_SIDES_RAD = (0.5 * math.pi, math.pi, 1.5 * math.pi)  # angles by which the Sun is turned about the line of sight
 _CLEAR = 0.2
 """Ratio of the residual variance for the Sun to that for other directions without cast shadows below which shadows
 could not make these fit better."""
-_EXACT = 1e-9
-"""Share of the variance that rounding leaves of an exact model."""
+_EXACT = 1e-9  # share of the variance that rounding leaves of an exact model
 _HALVED_RADIUS, _HALVED_BLUR = 8.0, 0.5
 """Minimum radius and maximum standard deviation of the point spread function, cells, to test blocks of 2 x 2 cells with
 one ray per cell first; for smaller or more blurred bodies these are too coarse."""
@@ -37,12 +34,11 @@ class LightSide:
 
     unexplained, unexplained_by_other: fraction of the variance of the pixels left by the body lit so, at the best
         shift.
-    log_odds: log likelihood ratio of the other direction to the Sun.
     """
 
     unexplained: float
     unexplained_by_other: float
-    log_odds: float
+    log_odds: float  # log likelihood ratio of the other direction to the Sun
 
 
 def light_side(cells: Cells, trace: Trace, own: Template, sun_direction_camera: Float) -> LightSide | None:
@@ -50,8 +46,6 @@ def light_side(cells: Cells, trace: Trace, own: Template, sun_direction_camera: 
 
     ``sun_direction_camera``: unit vector from body to Sun; returns None where too little of the body lies in the frame.
 
-    Notes
-    -----
     Residuals of a body are errors of its law and of its markings, correlated over a quarter of a radius. With n such
     parts the likelihood is proportional to the unexplained variance to the power of -n / 2. At small phase angles all
     sides match alike, and the odds are even. Self-shadowing under another Sun is traced only where it may matter. Where

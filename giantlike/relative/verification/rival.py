@@ -18,8 +18,7 @@ from giantlike.relative.verification.shifts import ShiftedMatches
 _APART, _APART_BLUR = 1.0, 4.0
 """Minimum distance between two positions, radii and standard deviations of the point spread function: nearer, a body
 correlates with itself."""
-_FAINT = 0.3
-"""Ratio of the light at another position to the light of the fix below which it is another body or a ghost."""
+_FAINT = 0.3  # ratio of the light at another position to the light of the fix below which it is another body or a ghost
 _LEAST_SIGMAS = 6.0
 """Minimum light at another position, standard deviations of the noise, so that none of about 10^4 positions is
 noise."""

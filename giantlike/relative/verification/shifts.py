@@ -17,21 +17,17 @@ from giantlike.relative.verification.cells import Cells
 class ShiftedMatches(Value):
     """Sums over the window of a template at each shift of it.
 
-    size: cells of the image in the transforms, padding included.
-    shifts: number of shifts along each axis, of -n to n cells.
-    spectra: (2, rows, columns // 2 + 1); transforms of the good cells and of their values.
     number, total, variance: (shifts, shifts); good cells in the window, their sum and the sum of squares about their
         mean.
-    whole: True where all cells are good: no sum of a template alone depends on the shift then.
     """
 
-    size: tuple[int, int]
-    shifts: int
-    spectra: NDArray[np.complex128]
+    size: tuple[int, int]  # cells of the image in the transforms, padding included
+    shifts: int  # number of shifts along each axis, of -n to n cells
+    spectra: NDArray[np.complex128]  # (2, rows, columns // 2 + 1); transforms of the good cells and of their values
     number: Float
     total: Float
     variance: Float
-    whole: bool
+    whole: bool  # True where all cells are good: no sum of a template alone depends on the shift then
 
     @classmethod
     def from_cells(cls, cells: Cells, room: int) -> ShiftedMatches:
