@@ -14,7 +14,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.causes import IN_IMAGE, Cause, sum_parts
 from giantlike.core.outcomes import CenterFix, Failure, PositionFix
 from giantlike.core.statistics import nearest_covariance
-from giantlike.relative.budget import position_covariance, with_larger_errors
+from giantlike.relative.budget import DECLARED, position_covariance, with_larger_errors
 from giantlike.relative.judge import inflation
 
 _WEAK_PX, _WEAK_SIGMAS = 1.0, 20.0
@@ -44,26 +44,34 @@ def _certain_enough(second: CenterFix, fix: CenterFix) -> bool:
 
 def agreement_of(first: CenterFix, second: CenterFix) -> float:
     """p-value of the difference of two independent fixes of one body."""
-    squared, size = _squared_difference(first, second)
+    squared, size = _squared_difference(first, second, _OWN)
     return float(chdtrc(size, squared))
 
 
-def _squared_difference(first: CenterFix, second: CenterFix) -> tuple[float, int]:
-    """Squared Mahalanobis distance of two fixes under the errors that they do not share, and its degrees of freedom."""
+def _growth(first: CenterFix, second: CenterFix) -> float:
+    """Factor by which the variances of two fixes are too small for their difference, without declared errors.
+
+    With these, a small declared error would explain a part of the difference and make the fix surer.
+    """
+    return inflation(*_squared_difference(first, second, tuple(cause for cause in _OWN if cause not in DECLARED)))
+
+
+def _squared_difference(first: CenterFix, second: CenterFix, causes: tuple[Cause, ...]) -> tuple[float, int]:
+    """Squared Mahalanobis distance of two fixes under errors of some causes, and its degrees of freedom."""
     difference = first.center_px - second.center_px
     if isinstance(first, PositionFix) and isinstance(second, PositionFix):
         difference = np.append(difference, math.log(first.range_km / second.range_km))
     size = len(difference)
-    covariance = _own_covariance(first)[:size, :size] + _own_covariance(second)[:size, :size]
+    covariance = _covariance_of(first, causes)[:size, :size] + _covariance_of(second, causes)[:size, :size]
     scale = np.sqrt(np.diag(covariance))
     whitened = np.linalg.solve(covariance / np.outer(scale, scale), difference / scale)
     return float(whitened @ (difference / scale)), size
 
 
-def _own_covariance(fix: CenterFix) -> Float:
-    """Covariance of a fix without errors shared by all fixes of an image: the camera and the scale of the shape."""
+def _covariance_of(fix: CenterFix, causes: tuple[Cause, ...]) -> Float:
+    """Covariance of a fix by some causes; all of it where it has no parts."""
     if fix.parts:
-        return sum_parts(fix.parts, _OWN)
+        return sum_parts(fix.parts, causes)
     if not isinstance(fix, PositionFix):
         return fix.covariance_px2
     covariance = np.diag([0.0, 0.0, (fix.sigma_range_km / fix.range_km) ** 2])
@@ -73,7 +81,7 @@ def _own_covariance(fix: CenterFix) -> Float:
 
 def confirm(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     """Return the first of two fixes, with larger errors where they differ by more than their covariances."""
-    return with_larger_errors(first, model, inflation(*_squared_difference(first, second)), _OWN)
+    return with_larger_errors(first, model, _growth(first, second), _OWN)
 
 
 def fuse(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
@@ -83,11 +91,9 @@ def fuse(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     A cause of only one of them counts by the square of its weight. A cause of both (noise of the same pixels, the law,
     the shape, camera and attitude) is treated as the same error in both, which does not average out: the variance of a
     mean of two errors is at most the mean of their variances. The weight minimizes the determinant of the covariance
-    without the scale of the shape, which both share. Where the two differ by more than their covariances, the parts
-    that they do not share grow, see
-    :func:`~giantlike.relative.judge.inflation`.
+    without the scale of the shape, which both share. Where the two differ by more than their own errors, these grow as
+    far as declared errors do not cover the difference, see :func:`~giantlike.relative.budget.with_larger_errors`.
     """
-    grown = inflation(*_squared_difference(first, second))
     if not first.parts or not second.parts or isinstance(first, PositionFix) != isinstance(second, PositionFix):
         return confirm(first, second, model)
     fusions = [_fused_parts(first, second, float(weight)) for weight in _WEIGHTS]
@@ -96,7 +102,6 @@ def fuse(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
     weight, parts = float(_WEIGHTS[best]), fusions[best]
     if weight == 1.0:
         return confirm(first, second, model)
-    parts = {cause: grown * part if cause in _OWN else part for cause, part in parts.items()}
     center_px = weight * first.center_px + (1.0 - weight) * second.center_px
     changes: dict[str, object] = {
         "center_px": center_px,
@@ -112,7 +117,8 @@ def fuse(first: CenterFix, second: CenterFix, model: CameraModel) -> CenterFix:
         by_camera = weight * _camera_covariance(first, model) + (1.0 - weight) * _camera_covariance(second, model)
         changes["position_camera_km"] = position_km
         changes["covariance_camera_km2"] = position_covariance(model, position_km, sum_parts(parts)) + by_camera
-    return replace(first, **changes)  # type: ignore[arg-type]
+    fused = replace(first, **changes)  # type: ignore[arg-type]
+    return with_larger_errors(fused, model, _growth(first, second), _OWN)
 
 
 def _fused_parts(first: CenterFix, second: CenterFix, weight: float) -> dict[Cause, Float]:
