@@ -18,6 +18,7 @@ from giantlike.core.outcomes import CenterFix, Failure, PositionFix, Quality, Re
 from giantlike.core.pixel_box import BoxPixels, PixelBox
 from giantlike.core.values import Value
 from giantlike.image_model.columns import chance_of_odds
+from giantlike.image_model.turn import TURN_SIGMA_RAD
 from giantlike.processing.correlate import CorrelationOptions, CorrelationPeak, locate_template
 from giantlike.ray_tracing import Template, trace_silhouette
 from giantlike.ray_tracing.cached_trace import Trace
@@ -34,7 +35,6 @@ from giantlike.relative.template.moved_body import MovedBody
 from giantlike.relative.template.rendering import (
     KNOWN_BLUR_SIGMA_PX2,
     ROUGH,
-    TURN_SIGMA_RAD,
     UNKNOWN_BLUR_SIGMA_PX2,
     TemplateRenderer,
     contrasting_laws,
@@ -336,7 +336,8 @@ class TemplateMatch(Value):
     options: TemplateFitOptions
     start: TemplateState  # start of the fits, without blur beyond that of the camera
     renderer: TemplateRenderer
-    laws: tuple[bool, int | None]  # whether other reflectance laws are mixed in, and at most how many
+    free_reflectance: bool  # other reflectance laws are mixed in
+    most_laws: int | None  # at most so many of them
 
     def log_evidence(self, parts: float) -> float:
         """Return the logarithm of the likelihood of the pixels, further rotations of a rotated body integrated out."""
@@ -349,7 +350,7 @@ class TemplateMatch(Value):
         target, known = self.renderer.target, self.options.turn
         body = replace(target, camera_from_body=step * target.camera_from_body)
         renderer = replace(self.renderer, target=body)
-        synthesis = renderer.synthesis(self.box, other_law=self.laws[0], most_laws=self.laws[1])
+        synthesis = renderer.synthesis(self.box, other_law=self.free_reflectance, most_laws=self.most_laws)
         options = replace(self.options, turn=Turn.of_rotation(step if known is None else step * known.rotation))
         start = replace(self.start, smear=self.fit.state.smear)
         fit = fit_template(image.cut(self.box), synthesis, start, options=options)
@@ -451,7 +452,8 @@ def match_template(
         options=fit_options,
         start=state,
         renderer=renderer,
-        laws=(options.free_reflectance, most_laws),
+        free_reflectance=options.free_reflectance,
+        most_laws=most_laws,
     )
 
 

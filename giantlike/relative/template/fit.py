@@ -25,12 +25,12 @@ from giantlike.core.statistics import excess
 from giantlike.core.values import Value
 from giantlike.image_model.columns import Block, Columns, Prior, Use, split_noise
 from giantlike.image_model.trails import trails_of_image
+from giantlike.image_model.turn import TURN_SIGMA_RAD, turn_block
 from giantlike.processing.limb.altitude import lift_points
 from giantlike.relative.template.covariance import LinearFit, RobustFit
 from giantlike.relative.template.haze import haze_altitude, haze_block
 from giantlike.relative.template.linear import BEND_SIGMA, PIXEL_VARIANCE_PX2, SMEAR_SIGMA_PX2, LinearProblem
 from giantlike.relative.template.relief import relief_covariance
-from giantlike.relative.template.rendering import TURN_SIGMA_RAD, turn_block
 from giantlike.relative.template.smear import smeared_renders
 from giantlike.relative.template.state import Synthesis, TemplateState
 from giantlike.relative.template.undeclared import IndependentParts, Undeclared, undeclared_effects

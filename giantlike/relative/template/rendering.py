@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
-from giantlike.core.causes import Cause
 from giantlike.core.detector import GaussianPsf
-from giantlike.core.findings import Turn
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.pixel_box import PixelBox
 from giantlike.core.values import Value
-from giantlike.image_model.columns import Block, Prior, Use
+from giantlike.image_model.turn import TURN_SIGMA_RAD
 from giantlike.ray_tracing import (
     Body,
     FocalPlane,
@@ -45,8 +43,6 @@ UNKNOWN_BLUR_SIGMA_PX2 = 1.0
 KNOWN_BLUR_SIGMA_PX2 = 0.15
 """As above, for a declared point spread function: a tenth of a usual width, and the blur by the sampling of renders."""
 
-TURN_SIGMA_RAD = math.radians(2.0)
-"""Least a priori standard deviation of a rotation of the body about each camera axis: a guess."""
 _TURN_STEP_PX = 0.5  # px, motion of the surface in derivatives by a rotation
 _POINT_PX = 1e-3  # px: smaller bodies, and points, take no more rays
 _MAX_RAYS_PER_PIXEL_SIDE = 24  # bounds the cost of small bodies; ``min_rays_across`` samples them finely enough
@@ -266,13 +262,6 @@ class TemplateRenderer(Value):
         turned_px = self._turned_px(first, second)
         untraced = past_px > 0.0 and moved_px > _CUT_PX
         return not untraced and abs(growth) * radius_px < _LIMB_PX and turned_px < _TURNED_PX[not fine]
-
-
-def turn_block(matrix: Float, turn: Turn | None, sigma_rad: float) -> Block:
-    """Return the further rotation of a body that is rendered with one; ``matrix`` (3, h, w) as of the renders, DN."""
-    mean = np.zeros(3) if turn is None else -turn.rotation.as_rotvec()
-    prior = Prior.of_sigmas(3 * [sigma_rad], mean)
-    return Block(effect="turn", cause=Cause.SPIN, matrix=matrix, prior=prior, use=Use.WHEN_SEEN)
 
 
 def contrasting_laws(law: Reflectance) -> tuple[Reflectance, ...]:
