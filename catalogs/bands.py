@@ -79,19 +79,7 @@ class Band:
         return f"{self.name} = {self.base} + ({numbers}) in {self.color.removeprefix('color_')}"
 
     def magnitude(self, base_magnitude: Float, *, color_bp_rp: Float, color_bv: Float) -> Float:
-        """Magnitudes of stars in this band.
-
-        Parameters
-        ----------
-        base_magnitude : (n,) float64, mag
-            Magnitudes in ``base``.
-        color_bp_rp, color_bv : (n,) float64, mag
-            Gaia BP-RP and Johnson B-V, NaN where unknown.
-
-        Returns
-        -------
-        (n,) float64, mag
-        """
+        """Magnitudes (n,) of stars in this band, from those in ``base``; colors (n,), mag, are NaN where unknown."""
         if self.color == "color_bp_rp":
             own, other = color_bp_rp, _polynomial(np.clip(color_bv, *_BV_RANGE), _BP_RP_OF_BV)
         else:

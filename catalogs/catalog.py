@@ -40,15 +40,9 @@ class StarCatalog(Protocol):
     def cone(
         self, direction_inertial: ArrayLike, radius_rad: float, *, max_magnitude: float | None = None
     ) -> StarTable:
-        """Return the stars within an angle of a direction, brightest first.
+        """Return the stars within an angle (rad) of a unit vector (3,), inertial, brightest first.
 
-        Parameters
-        ----------
-        direction_inertial : (3,), unitless, inertial
-            Unit vector.
-        radius_rad : float, rad
-        max_magnitude : float, optional
-            Faintest magnitude, in :attr:`band`.
+        ``max_magnitude``: the faintest one, in :attr:`band`.
         """
         ...
 
@@ -72,16 +66,7 @@ class MemoryCatalog:
     def of_columns(
         cls, columns: Mapping[str, Column], index: SkyIndex, *, name: str, band: str, version: str
     ) -> MemoryCatalog:
-        """Make a catalog of columns that already are in the order of an index; nothing is copied.
-
-        Parameters
-        ----------
-        columns : mapping of str to (n,) array or number
-            Columns of a :class:`StarTable`.
-        index : SkyIndex
-        name, band, version : str
-            As in :class:`StarCatalog`.
-        """
+        """Make a catalog of columns of a :class:`StarTable` in the order of an index; nothing is copied."""
         catalog = cls.__new__(cls)
         catalog._columns, catalog._index = columns, index
         catalog._name, catalog._band, catalog._version = name, band, version
@@ -118,18 +103,7 @@ class MemoryCatalog:
         return self._table(np.arange(len(self)))
 
     def column(self, name: str) -> NDArray[Any]:
-        """Values of one column of all stars, in the order of :attr:`index`.
-
-        Parameters
-        ----------
-        name : str
-            Column of a :class:`StarTable`.
-
-        Returns
-        -------
-        (n,) array
-            In the precision in which the column is kept.
-        """
+        """Values (n,) of one column of a :class:`StarTable`, in the order of :attr:`index` and the precision kept."""
         return np.broadcast_to(np.asarray(self._columns[name]), len(self))
 
     def __len__(self) -> int:
@@ -172,15 +146,8 @@ class MemoryCatalog:
     def in_band(self, band: str | Band) -> MemoryCatalog:
         """Return the same stars with magnitudes in another band.
 
-        Parameters
-        ----------
-        band : str or Band
-            The name of a band in ``catalogs.BANDS``, or a band of the user's own, which may rest on one of those.
-
-        Raises
-        ------
-        InputError
-            No relation is known between the band of this catalog and the requested one.
+        It is the name of a band in ``catalogs.BANDS``, or a band of the user's own, which may rest on one of those.
+        Raises InputError where no relation is known between the band of this catalog and the requested one.
         """
         steps = band_between(self._band, band)
         if not steps:

@@ -84,40 +84,18 @@ class StarTable(Value):
         return int(self.ids.size)
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return copies of the columns.
-
-        Returns
-        -------
-        dict of str to (n,) array
-            By name, in the order of :data:`COLUMN_TYPES`.
-        """
+        """Return copies (n,) of the columns by name, in the order of :data:`COLUMN_TYPES`."""
         return {name: np.array(getattr(self, name)) for name in COLUMN_TYPES}
 
     def select(self, index: ArrayLike) -> StarTable:
-        """Return some of the stars.
-
-        Parameters
-        ----------
-        index : (n,) bool or (k,) int
-            Mask, or indices in the order of the result.
-        """
+        """Return some of the stars, by a mask (n,) or by indices (k,) in the order of the result."""
         chosen = np.asarray(index)
         if chosen.size == 0 and chosen.dtype != np.bool_:
             chosen = chosen.astype(np.intp)
         return StarTable(**{name: getattr(self, name)[chosen] for name in COLUMN_TYPES})
 
     def sigma_rad(self, et: float) -> Float:
-        """Standard deviations of the directions at an epoch, from the errors of position and proper motion.
-
-        Parameters
-        ----------
-        et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        (n,) float64, rad
-            Per axis.
-        """
+        """Standard deviations (n,), rad per axis, of the directions at an epoch, with errors of proper motion."""
         years = julian_year(et) - self.epoch_jyear
         return np.asarray(np.hypot(self.sigma_mas, self.sigma_pm_mas_yr * years) * RAD_PER_MAS)
 

@@ -77,30 +77,14 @@ class Atmosphere:
 
     @classmethod
     def of(cls, body: str) -> Atmosphere:
-        """Atmosphere of a body from :data:`ATMOSPHERES`.
-
-        Parameters
-        ----------
-        body : str
-            NAIF name.
-
-        Raises
-        ------
-        InputError
-            None is known of that name.
-        """
+        """Atmosphere of a body from :data:`ATMOSPHERES`, by its NAIF name; InputError where none is known."""
         known = ", ".join(ATMOSPHERES)
         require(body.upper() in ATMOSPHERES, f"no atmosphere of {body!r} is known, only of {known}: give its numbers")
         return ATMOSPHERES[body.upper()]
 
     @classmethod
     def at(cls, altitude_km: float, *, sigma_km: float) -> Atmosphere:
-        """Atmosphere of which just the altitude of the limb is known.
-
-        Parameters
-        ----------
-        altitude_km, sigma_km : float, km
-        """
+        """Atmosphere of which just the altitude of the limb is known, in km with its standard deviation."""
         return cls(scale_height_km=0.0, optical_depth=1.0, sigma_km=sigma_km, base_km=altitude_km)
 
     def seen_at(self, wavelength_nm: float) -> Atmosphere:
@@ -113,33 +97,15 @@ class Atmosphere:
         return float(self.optical_depth * (self.reference_nm / self.wavelength_nm) ** self.exponent)
 
     def slant_depth(self, radius_km: float) -> float:
-        """Optical depth along a ray that grazes the base.
-
-        Parameters
-        ----------
-        radius_km : float, km
-            Of the body.
-
-        Returns
-        -------
-        float
-        """
+        """Optical depth along a ray that grazes the base, for a body of a radius in km."""
         curve_km = radius_km + self.base_km
         return self.vertical_depth * math.sqrt(2.0 * math.pi * curve_km / max(self.scale_height_km, 1e-9 * curve_km))
 
     def brightness(self, altitude_km: ArrayLike, radius_km: float) -> Float:
-        """Brightness of the limb relative to infinitely deep haze, by single scattering.
+        """Brightness (...) of the limb relative to infinitely deep haze, by single scattering.
 
-        Parameters
-        ----------
-        altitude_km : (...), km
-            Of rays at their lowest point.
-        radius_km : float, km
-
-        Returns
-        -------
-        (...) float64
-            ``1 - exp(-slant optical depth)``; 1 below the base, where the ground is.
+        It is ``1 - exp(-slant optical depth)`` at altitudes (...), km, of the lowest points of rays; 1 below the base,
+        where the ground is.
         """
         above = as_floats(altitude_km, (), "altitude_km") - self.base_km
         if self.scale_height_km == 0.0:
@@ -149,15 +115,7 @@ class Atmosphere:
         return np.where(above < 0.0, 1.0, -np.expm1(-depth))
 
     def limb_altitude_km(self, radius_km: float) -> float:
-        r"""Altitude at which a sharp edge has as much light above it as the limb has.
-
-        Parameters
-        ----------
-        radius_km : float, km
-
-        Returns
-        -------
-        float, km
+        """Altitude at which a sharp edge has as much light above it as the limb has; ``radius_km`` of the body.
 
         Notes
         -----

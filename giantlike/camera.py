@@ -84,28 +84,12 @@ class ModelUncertainty(Value):
 
     @classmethod
     def from_mapping(cls, table: object) -> ModelUncertainty:
-        """Build from the ``[calibration]`` table of a camera file.
-
-        Parameters
-        ----------
-        table : mapping
-            Values by the names of the fields.
-
-        Raises
-        ------
-        InputError
-            It is not a table, a key is missing or unknown, or a value is wrong.
-        """
+        """Build from the ``[calibration]`` table of a camera file, whose keys are the fields; InputError if wrong."""
         names = [entry.name for entry in fields(cls)]
         return cls(**checked_table(table, "[calibration]", names, names))
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the ``[calibration]`` table of a camera file.
-
-        Returns
-        -------
-        dict
-        """
+        """Return the ``[calibration]`` table of a camera file."""
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         return values | {"estimated": list(self.estimated), "covariance": self.covariance.tolist()}
 
@@ -127,28 +111,15 @@ class MissionFrame(Value):
     camera_from_mission: Rotation
 
     def mission_from_camera(self, camera: Camera) -> FrameRotation:
-        """Return the rotation from the axes of a camera to this frame, with the names of both.
-
-        Parameters
-        ----------
-        camera : Camera
-            The camera that this frame belongs to.
-        """
+        """Return the rotation from the axes of a camera, which this frame belongs to, with the names of both."""
         return FrameRotation(rotation=self.camera_from_mission.inv(), target=self.name, source=camera.frame_name)
 
     @classmethod
     def from_mapping(cls, table: object) -> MissionFrame:
         """Build from the ``[mission_frame]`` table of a camera file.
 
-        Parameters
-        ----------
-        table : mapping
-            ``name``, and ``camera_from_mission_xyzw``: a unit quaternion, scalar last.
-
-        Raises
-        ------
-        InputError
-            It is not a table, a key is missing or unknown, or the quaternion is not unit.
+        Its keys are ``name`` and ``camera_from_mission_xyzw``, a unit quaternion with the scalar last; InputError for
+        anything else.
         """
         keys = ("name", "camera_from_mission_xyzw")
         checked = checked_table(table, "[mission_frame]", keys, keys)
@@ -156,12 +127,7 @@ class MissionFrame(Value):
         return cls(name=str(checked["name"]), camera_from_mission=turn)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the ``[mission_frame]`` table of a camera file.
-
-        Returns
-        -------
-        dict
-        """
+        """Return the ``[mission_frame]`` table of a camera file."""
         return {"name": self.name, "camera_from_mission_xyzw": quaternion_xyzw(self.camera_from_mission).tolist()}
 
 
@@ -251,9 +217,7 @@ class Camera(Pictured):
         fov_deg : float, degrees
             Full angle from the left edge of the image to the right edge.
         columns, rows : int
-            Size of the images.
         name : str
-            Name of the camera.
         type_name : str
             A key of :data:`~giantlike.camera_models.MODELS`.
 
@@ -281,11 +245,6 @@ class Camera(Pictured):
     def load(cls, path: str | Path) -> Camera:
         """Read a camera TOML file.
 
-        Parameters
-        ----------
-        path : path-like
-            The file.
-
         Raises
         ------
         DataError
@@ -299,18 +258,10 @@ class Camera(Pictured):
 
     @classmethod
     def from_mapping(cls, table: Mapping[str, Any]) -> Camera:
-        """Build a camera from the keys of a camera file.
+        """Build a camera from the keys of a camera file, as :meth:`to_mapping` returns them.
 
-        Parameters
-        ----------
-        table : mapping
-            As :meth:`to_mapping` returns it; ``fov_deg``, a rough field of view along x, may take the place of
-            ``model``: see :meth:`from_fov`.
-
-        Raises
-        ------
-        InputError
-            A key is unknown or missing, or a value is of the wrong kind or out of range.
+        ``fov_deg``, a rough field of view along x, may take the place of ``model``: see :meth:`from_fov`. Raises
+        InputError where a key is unknown or missing, or a value is of the wrong kind or out of range.
         """
         checked_table(table, "", _KEYS, _SIZE)
         name, columns, rows = str(table.get("name", DEFAULT_NAME)), table["columns"], table["rows"]
@@ -327,29 +278,15 @@ class Camera(Pictured):
     def to_mapping(self) -> dict[str, Any]:
         """Return the keys of a camera file; unknown parts and infinite values are left out.
 
-        Returns
-        -------
-        dict
-            ``name``, ``columns``, ``rows`` and the tables ``model``, ``psf``, ``detector``, ``calibration``,
-            ``mission_frame`` and ``photometry``.
+        They are ``name``, ``columns``, ``rows`` and the tables ``model``, ``psf``, ``detector``, ``calibration``,
+        ``mission_frame`` and ``photometry``.
         """
         parts = {section: getattr(self, section.attribute) for section in _SECTIONS}
         tables = {section.key: section.write(part) for section, part in parts.items() if part is not None}
         return {"name": self.name, "columns": self.columns, "rows": self.rows, **tables}
 
     def save(self, path: str | Path) -> None:
-        """Write a camera TOML file that :meth:`load` reads back exactly.
-
-        Parameters
-        ----------
-        path : path-like
-            New file; an existing one is replaced.
-
-        Raises
-        ------
-        DataError
-            The file cannot be written.
-        """
+        """Write a camera TOML file that :meth:`load` reads back exactly; an existing file is replaced."""
         write_text_atomic(Path(path), tomli_w.dumps(self.to_mapping()))
 
     @property
@@ -359,11 +296,6 @@ class Camera(Pictured):
 
     def require_image(self, image: Image) -> None:
         """Raise unless an image has the size of this camera and, where the image names its camera, is one of it.
-
-        Parameters
-        ----------
-        image : Image
-            The image that is to be used with this camera.
 
         Raises
         ------
@@ -400,13 +332,7 @@ class Camera(Pictured):
         return _half_diagonal_rad(self.model, self.columns, self.rows)
 
     def at_temperature(self, temperature_c: float) -> Camera:
-        """Return the camera at a temperature: its model scaled by the temperature terms.
-
-        Parameters
-        ----------
-        temperature_c : float, Celsius
-            Temperature of the optics.
-        """
+        """Return the camera at a temperature of the optics, in Celsius: its model scaled by the temperature terms."""
         return replace(self, model=self.model.at_temperature(temperature_c))
 
     def windowed(self, x0_px: int, y0_px: int, *, columns: int, rows: int) -> Camera:
@@ -438,16 +364,11 @@ class Camera(Pictured):
         Parameters
         ----------
         factor : float
-            Pixels along one side of a block; columns and rows that fill no block are left out. Not a whole number for
-            resampled images, and below 1 for enlarged ones.
+            Positive: pixels along one side of a block; columns and rows that fill no block are left out. Not a whole
+            number for resampled images, and below 1 for enlarged ones.
         detector : Detector
             Detector of the binned images: the effect of binning on read noise and saturation depends on the
             electronics.
-
-        Raises
-        ------
-        InputError
-            The factor is not positive.
         """
         psf = None if self.psf is None else GaussianPsf(sigma_px=self.psf.sigma_px / factor)
         return replace(
@@ -476,32 +397,16 @@ class Camera(Pictured):
         return self.contains(self.model.project(points_camera), margin_px=margin_px)
 
     def ifov_rad(self, points_px: ArrayLike | None = None) -> Float:
-        """Return the geometric-mean angle that one pixel subtends.
+        """Return the geometric-mean angle (...), rad, that one pixel subtends.
 
-        Parameters
-        ----------
-        points_px : (..., 2) array_like, px, optional
-            Pixels; default: the image center.
-
-        Returns
-        -------
-        (...,) float64, rad
+        ``points_px`` (..., 2), px: pixels; the image center by default.
         """
         return ifov_rad(self.model, self.center_px if points_px is None else points_px)
 
     def contains(self, points_px: ArrayLike, *, margin_px: float = 0.0) -> Mask:
-        """Return which pixels lie on the detector; NaN does not.
+        """Return which pixels (..., 2) lie on the detector; NaN does not.
 
-        Parameters
-        ----------
-        points_px : (..., 2) array_like, px
-            Pixel coordinates.
-        margin_px : float, px
-            Required distance from the edge; negative values accept points outside the detector.
-
-        Returns
-        -------
-        (...,) bool
+        ``margin_px``, px: required distance from the edge; negative values accept points outside the detector.
         """
         points = as_floats(points_px, (2,), "points_px")
         low, high = margin_px - 0.5, np.array([self.columns, self.rows]) - 0.5 - margin_px

@@ -59,19 +59,7 @@ class PointMasses:
     third_bodies: tuple[ThirdBody, ...] = ()
 
     def pull(self, et: float, position_km: Float) -> tuple[Float, Float]:
-        """Acceleration and its gradient.
-
-        Parameters
-        ----------
-        et : float, TDB seconds past J2000
-        position_km : (..., 3) float64, km
-            From the central body.
-
-        Returns
-        -------
-        acceleration_km_s2 : (..., 3) float64, km/s^2
-        gradient_s2 : (..., 3, 3) float64, 1/s^2
-        """
+        """Acceleration (..., 3), km/s^2, and gradient (..., 3, 3), 1/s^2, at positions from the central body."""
         acceleration, gradient = _attraction(self.gm_km3_s2, position_km)
         for body in self.third_bodies:
             place = body.position_km(et)

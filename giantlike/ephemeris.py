@@ -40,40 +40,17 @@ class Ephemeris(Protocol):
         ...
 
     def state(self, et: float) -> tuple[Float, Float]:
-        """Position and velocity with respect to :attr:`origin`.
+        """Position (3,), km, and velocity (3,), km/s, with respect to :attr:`origin`, ICRF axes.
 
-        Parameters
-        ----------
-        et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        position_km : (3,) float64, km, ICRF axes
-        velocity_km_s : (3,) float64, km/s, ICRF axes
-
-        Raises
-        ------
-        DataError, InputError
-            The loaded kernels, or the table, do not cover ``et``.
+        Raises DataError or InputError where the loaded kernels, or the table, do not cover ``et``.
         """
         ...
 
     def inertial_from_body(self, et: float) -> Rotation:
-        """Orientation of the body-fixed axes.
+        """Orientation ``inertial_from_body`` of the body-fixed axes.
 
-        Parameters
-        ----------
-        et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        scipy Rotation
-            ``inertial_from_body``.
-
-        Raises
-        ------
-        DataError, InputError
-            The loaded PCK and CK kernels, or the table, do not cover ``et``, or the table has no quaternions.
+        Raises DataError or InputError where the loaded PCK and CK kernels, or the table, do not cover ``et``, or the
+        table has no quaternions.
         """
         ...
 
@@ -164,12 +141,11 @@ class TableEphemeris:
 
     @classmethod
     def load(cls, path: str | Path, *, origin: str = BARYCENTER) -> TableEphemeris:
-        """Read a CSV ephemeris; see :func:`giantlike.io.ephemeris_table.read_ephemeris_table`.
+        """Read a CSV ephemeris of two epochs or more; see :func:`giantlike.io.ephemeris_table.read_ephemeris_table`.
 
         Parameters
         ----------
         path : path-like
-            The file.
         origin : str
             NAIF name of the origin of positions.
 
@@ -177,8 +153,6 @@ class TableEphemeris:
         ------
         DataError
             The file is missing or damaged.
-        InputError
-            It has fewer than two epochs.
         """
         return cls(read_ephemeris_table(path), origin=origin)
 
@@ -240,12 +214,7 @@ class ApparentGeometry(Value):
 
     @classmethod
     def from_row(cls, row: GeometryRow) -> ApparentGeometry:
-        """Return the target's geometry in a row of a geometry table.
-
-        Parameters
-        ----------
-        row : GeometryRow
-            ``read_geometry(path).image(file).targets[name]``.
+        """Return the target's geometry in a row, such as ``read_geometry(path).image(file).targets[name]``.
 
         Raises
         ------
@@ -258,12 +227,8 @@ class ApparentGeometry(Value):
         >>> import numpy as np
         >>> from scipy.spatial.transform import Rotation
         >>> from giantlike.io.geometry_table import GeometryRow
-        >>> row = GeometryRow(
-        ...     file="a.fits",
-        ...     target="ROCK",
-        ...     target_position_inertial_km=np.array([0.0, 0.0, 100.0]),
-        ...     body_from_inertial=Rotation.identity(),
-        ... )
+        >>> state = {"target_position_inertial_km": np.array([0.0, 0.0, 100.0])}
+        >>> row = GeometryRow(file="a.fits", target="ROCK", body_from_inertial=Rotation.identity(), **state)
         >>> ApparentGeometry.from_row(row).position_inertial_km
         array([  0.,   0., 100.])
         """

@@ -132,7 +132,6 @@ class Image(Pictured, Value):
         Parameters
         ----------
         path : path-like
-            The file.
         hdu : int or str, optional
             Number or name of the FITS extension; the first with an image by default.
         bottom_up : bool
@@ -188,19 +187,11 @@ class Image(Pictured, Value):
         return float(np.iinfo(self.pixels.dtype).max) if self.pixels.dtype.kind in "iu" else math.inf
 
     def linearized(self, detector: Detector) -> Image:
-        """Return the image with linearized values, where a detector declares their gamma.
+        """Return the image with linearized values, where its detector, else that of the camera, declares their gamma.
 
-        Parameters
-        ----------
-        detector : Detector
-            Of the camera; a detector of the image takes precedence.
-
-        Returns
-        -------
-        Image
-            Itself without a gamma. Else its ``detector`` has the noise of the values times the squared slope of the
-            curve; 0 above bias and the full scale (255 of 8-bit files, else the declared saturation or the end of an
-            integer type) are as before.
+        Itself without a gamma. Else its ``detector`` has the noise of the values times the squared slope of the curve;
+        0 above bias and the full scale (255 of 8-bit files, else the declared saturation or the end of an integer type)
+        are as before.
 
         Raises
         ------
@@ -222,19 +213,10 @@ class Image(Pictured, Value):
         return dataclasses.replace(self, pixels=light, detector=known.of_light(curve), eight_bit=None)
 
     def calibrated(self, frames: CalibrationFrames, detector: Detector) -> Image:
-        """Return the image without bias, dark current and differences of response.
+        """Return the image without bias, dark current and differences of response; ``detector`` of the camera.
 
-        Parameters
-        ----------
-        frames : CalibrationFrames
-        detector : Detector
-            Of the camera.
-
-        Returns
-        -------
-        Image
-            Its ``detector`` knows the noise of the frames; hot and dead pixels are in its mask. Estimators and star
-            navigation use that detector instead of the camera's.
+        The ``detector`` of the result knows the noise of the frames; hot and dead pixels are in its mask. Estimators
+        and star navigation use that detector instead of the camera's.
 
         Raises
         ------
@@ -256,11 +238,6 @@ class Image(Pictured, Value):
         position_km : (3,) array_like, km
             Of the camera relative to the solar system barycenter at mid-exposure, ICRF axes.
         velocity_km_s : (3,) array_like, km/s
-
-        Raises
-        ------
-        InputError
-            A vector has another shape or is not finite.
         """
         vectors = [as_finite(position_km, (3,), "position_km"), as_finite(velocity_km_s, (3,), "velocity_km_s")]
         return dataclasses.replace(self, observer=ObserverState(position_km=vectors[0], velocity_km_s=vectors[1]))

@@ -42,32 +42,12 @@ class CameraPreset:
 
 
 def preset_names() -> tuple[str, ...]:
-    """Names of the presets, sorted.
-
-    Returns
-    -------
-    tuple of str
-
-    Examples
-    --------
-    >>> "cassini_nac" in preset_names()
-    True
-    """
+    """Names of the presets, sorted."""
     return tuple(sorted(file.name.removesuffix(".toml") for file in _FOLDER.iterdir() if file.name.endswith(".toml")))
 
 
 def camera_preset(name: str) -> CameraPreset:
-    """Return a real camera by its name.
-
-    Parameters
-    ----------
-    name : str
-        One of :func:`preset_names`.
-
-    Raises
-    ------
-    InputError
-        There is no such preset.
+    """Return a real camera by its name, one of :func:`preset_names`; InputError where there is no such preset.
 
     Examples
     --------

@@ -49,18 +49,7 @@ class Rings:
 
     @classmethod
     def of(cls, body: str) -> Rings:
-        """Rings of a body from :data:`RINGS_KM`.
-
-        Parameters
-        ----------
-        body : str
-            NAIF name.
-
-        Raises
-        ------
-        InputError
-            None are known of that name.
-        """
+        """Rings of a body from :data:`RINGS_KM`, by its NAIF name; InputError where none are known."""
         known = ", ".join(RINGS_KM)
         require(body.upper() in RINGS_KM, f"no rings of {body!r} are known, only of {known}: give their radii")
         return cls(*RINGS_KM[body.upper()])
@@ -68,21 +57,10 @@ class Rings:
     def hide(
         self, points_km: Float, center_km: Float, camera_from_axes: Rotation, *, sun_direction_camera: Float
     ) -> Mask:
-        """Find the points of a body that lie behind the rings or in their shadow.
+        """Find the points (n, 3) of a body, km, camera axes, that lie behind the rings or in their shadow.
 
-        Parameters
-        ----------
-        points_km : (n, 3) float64, km, camera axes
-        center_km : (3,) float64, km, camera axes
-            Position of the body.
-        camera_from_axes : Rotation
-            Takes vectors along the principal axes to camera axes.
-        sun_direction_camera : (3,) float64, unitless, camera axes
-            Unit vector from body to Sun.
-
-        Returns
-        -------
-        (n,) bool
+        ``center_km`` (3,), km, of the body, and ``sun_direction_camera`` (3,), unit vector from body to Sun, camera
+        axes; ``camera_from_axes`` rotates from the principal axes; returns (n,).
         """
         to_axes = camera_from_axes.inv()
         points = rotate(to_axes, points_km - center_km)
@@ -93,21 +71,10 @@ class Rings:
         )
 
     def cover(self, plane: FocalPlane, center_km: Float, camera_from_axes: Rotation, *, widened_px: float) -> Mask:
-        """Find the pixels on which the rings lie, before or behind the body.
+        """Find the pixels (rows, columns) on which the rings lie, before or behind the body.
 
-        Parameters
-        ----------
-        plane : FocalPlane
-        center_km : (3,) float64, km, camera axes
-            Position of the body.
-        camera_from_axes : Rotation
-            Takes vectors along the principal axes to camera axes.
-        widened_px : float, px
-            Margin around the rings.
-
-        Returns
-        -------
-        (rows, columns) bool
+        ``center_km`` (3,), km, camera axes, of the body; ``camera_from_axes`` rotates from the principal axes;
+        ``widened_px``, px: margin around the rings.
         """
         turns = np.arange(_TURNS) * (2.0 * np.pi / _TURNS)
         circle = np.stack([np.cos(turns), np.sin(turns), np.zeros(_TURNS)], axis=-1)
@@ -131,25 +98,11 @@ class Rings:
         *,
         sun_direction_camera: Float,
     ) -> Mask:
-        """Find the lines of sight that meet the rings, or an ellipsoid in their shadow.
+        """Find the lines of sight (..., 3) that meet the rings, or an ellipsoid in their shadow.
 
-        Parameters
-        ----------
-        rays_camera : (..., 3) float64, unitless, camera axes
-            Lines of sight; NaN where there is none.
-        radii_km : (3,) float64, km
-            Of the ellipsoid, along its principal axes.
-        center_km : (3,) float64, km, camera axes
-            Its position.
-        camera_from_axes : Rotation
-            Takes vectors along the principal axes to camera axes.
-        sun_direction_camera : (3,) float64, unitless, camera axes
-            Unit vector from body to Sun.
-
-        Returns
-        -------
-        (...) bool
-            Rings behind the body are not seen.
+        ``radii_km`` (3,), km, of the ellipsoid along its principal axes; ``center_km`` (3,), km, its position, and
+        ``sun_direction_camera`` (3,), unit vector from body to Sun, camera axes; ``camera_from_axes`` rotates from the
+        principal axes. Lines of sight may be NaN; rings behind the body are not seen; returns (...).
         """
         rays = rays_camera.reshape(-1, 3)
         to_axes = camera_from_axes.inv()

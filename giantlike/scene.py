@@ -106,19 +106,9 @@ class TargetUncertainty:
         return np.array(self.ephemeris_icrf_km2 or self.ephemeris_km**2 * np.eye(3))
 
     def require_known_pole(self, name: str, radii_km: Sequence[float] | None) -> None:
-        """Raise where the pole is unknown and the body is no ellipsoid, or looks too different from other sides.
+        """Raise an InputError where the pole is unknown and the body looks too different from other sides.
 
-        Parameters
-        ----------
-        name : str
-            Name of the body.
-        radii_km : sequence of 3 floats, km, or None
-            Radii of an ellipsoid; None for another shape.
-
-        Raises
-        ------
-        InputError
-            The pole is unknown, and there are no radii or they differ by more than 12 %.
+        Only ellipsoids whose ``radii_km`` differ by at most 12 % look similar enough; None stands for another shape.
         """
         if not self.pole_unknown:
             return
@@ -274,13 +264,7 @@ class TargetGeometry(Value):
         return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
     def body(self, position_camera_km: Float | None = None) -> Body:
-        """Return the body for the ray tracer.
-
-        Parameters
-        ----------
-        position_camera_km : (3,) float64, km, camera axes, optional
-            Position; the predicted one by default.
-        """
+        """Return the body for the ray tracer, at a position (3,), km, camera axes; the predicted one by default."""
         position = self.position_camera_km if position_camera_km is None else position_camera_km
         return Body(
             shape=self.target.shape,
@@ -290,13 +274,7 @@ class TargetGeometry(Value):
         )
 
     def seen_body(self, position_camera_km: Float | None = None) -> Body:
-        """Return :meth:`body` as it is seen: an ellipsoid under air, with the altitude of its atmosphere on the radii.
-
-        Parameters
-        ----------
-        position_camera_km : (3,) float64, km, camera axes, optional
-            Position; the predicted one by default.
-        """
+        """Return :meth:`body` as seen: radii of an ellipsoid include the altitude of its atmosphere."""
         body, altitude_km = self.body(position_camera_km), self.limb_altitude_km[0]
         if altitude_km == 0.0 or not isinstance(body.shape, Ellipsoid):
             return body
@@ -376,18 +354,7 @@ class Scene(Pictured, Value):
         return f"Scene({', '.join(target.name for target in self.targets)})"
 
     def target(self, name: str | None = None) -> Target:
-        """Return a target by name.
-
-        Parameters
-        ----------
-        name : str, optional
-            May be left out when there is only one target.
-
-        Raises
-        ------
-        InputError
-            There is no such target, or there are several and no name was given.
-        """
+        """Return a target by name, needed where there are several; InputError where there is no such target."""
         if name is None:
             if len(self.targets) > 1:
                 raise InputError(f"the scene has several targets, name one: {self._names()}")
@@ -445,31 +412,13 @@ class Scene(Pictured, Value):
         )
 
     def apparent(self, image: Image, target: Target) -> ApparentGeometry | Failure:
-        """Compute the apparent geometry of a target in inertial axes.
+        """Compute the apparent geometry of a target in inertial axes; fails without an epoch or an observer.
 
-        The steps: 1. observer at mid-exposure; 2. target when the light left it; 3. its orientation then; 4. the Sun
-        as seen from the target then; 5. the motion of the observer: stellar aberration, and the distance by which the
-        size of the body goes (:func:`~giantlike.core.light.boosted`); 6. the side that the body turns to a camera that
-        moves with respect to it, and the Sun's own aberration there, up to about 1e-4 rad.
-
-        Parameters
-        ----------
-        image : Image
-            Gives the epoch and, where the scene has no observer, the observer.
-        target : Target
-            One of the targets.
-
-        Returns
-        -------
-        ApparentGeometry or Failure
-            Reasons: no_epoch, no_geometry.
-
-        Raises
-        ------
-        InputError
-            An ephemeris table does not cover the epoch.
-        DataError
-            SPICE kernels do not cover the epoch.
+        The steps: 1. observer at mid-exposure; 2. target when the light left it; 3. its orientation then; 4. the Sun as
+        seen from the target then; 5. the motion of the observer: stellar aberration, and the distance by which the size
+        of the body goes (:func:`~giantlike.core.light.boosted`); 6. the side that the body turns to a camera that moves
+        with respect to it, and the Sun's own aberration there, up to about 1e-4 rad. The observer is that of the scene,
+        else of the image. Raises as :meth:`geometry` does.
         """
         ephemeris = target.ephemeris
         if isinstance(ephemeris, ApparentGeometry):
@@ -500,25 +449,8 @@ class Scene(Pictured, Value):
     def circumstances(self, image: Image, target: str | None = None) -> Circumstances | None:
         """States by which the apparent geometry of a target follows from the geometric one.
 
-        Parameters
-        ----------
-        image : Image
-            Gives the epoch and, where the scene has no observer, the observer.
-        target : str, optional
-            Name of the target; may be left out when there is only one.
-
-        Returns
-        -------
-        Circumstances or None
-            None where epoch or observer are not known. Of a target whose apparent geometry is given, the motion is
-            given by its velocity, where known.
-
-        Raises
-        ------
-        InputError
-            There is no such target, or an ephemeris table does not cover the epoch.
-        DataError
-            SPICE kernels do not cover the epoch.
+        None where epoch or observer are not known. Of a target whose apparent geometry is given, the motion is given by
+        its velocity, where known. The target and errors are as for :meth:`geometry`.
         """
         ephemeris, et = self.target(target).ephemeris, image.et
         observer = None if et is None else self._observer_state(image, et)
@@ -560,18 +492,16 @@ class Scene(Pictured, Value):
 
 
 def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 5.0) -> Mask | Failure:
-    """Mask of the pixels that the bodies of a scene cover, for a search of stars around them.
+    """Mask (rows, columns) of the pixels that the bodies of a scene cover, for a search of stars around them.
 
     Parameters
     ----------
     scene : Scene
-        Bodies.
     image : Image
         With the attributes that :meth:`Scene.geometry` needs.
     camera : Camera
-        Camera of the image.
     margin_px : float, px
-        Margin around the outlines, for the error of the attitude and for light scattered near a bright limb.
+        0 or more; margin around the outlines, for the error of the attitude and for light scattered near a bright limb.
 
     Returns
     -------
@@ -579,11 +509,6 @@ def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 
         True on a body, lit or not, and in the margin. The outermost outline counts: bays of an irregular body are
         covered too. A target of which the camera images no limb leaves the mask as it is, unless the body fills the
         view: then everything is covered.
-
-    Raises
-    ------
-    InputError
-        The margin is negative.
     """
     require_number(margin_px, "margin_px", least=0.0)
     covered = np.zeros((camera.rows, camera.columns), dtype=np.uint8)

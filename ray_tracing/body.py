@@ -82,21 +82,13 @@ class Body(Value):
         return self
 
     def at(self, position_camera_km: ArrayLike) -> Body:
-        """Return the same body at another position.
-
-        Parameters
-        ----------
-        position_camera_km : (3,), km, camera axes
-        """
+        """Return the same body at another position (3,), km, camera axes."""
         return replace(self, position_camera_km=np.asarray(position_camera_km, dtype=np.float64))
 
     def turned(self, turn: Rotation) -> Body:
         """Return the same body in the axes of a camera rotated in place: position and attitude rotate together.
 
-        Parameters
-        ----------
-        turn : Rotation
-            From the camera axes to the axes of the rotated camera.
+        ``turn`` takes camera axes to the axes of the rotated camera.
         """
         return replace(
             self,
@@ -105,49 +97,19 @@ class Body(Value):
         )
 
     def to_body(self, vectors_camera: Float) -> Float:
-        """Rotate vectors from camera to body axes.
-
-        Parameters
-        ----------
-        vectors_camera : (..., 3) float64
-
-        Returns
-        -------
-        (..., 3) float64
-        """
+        """Rotate vectors (..., 3) from camera to body axes."""
         return vectors_camera @ self.camera_from_body.as_matrix()
 
     def to_camera(self, vectors_body: Float) -> Float:
-        """Rotate vectors from body to camera axes.
-
-        Parameters
-        ----------
-        vectors_body : (..., 3) float64
-
-        Returns
-        -------
-        (..., 3) float64
-        """
+        """Rotate vectors (..., 3) from body to camera axes."""
         return vectors_body @ self.camera_from_body.as_matrix().T
 
     def center_px(self, model: CameraModel) -> Float:
-        """Project the origin of the shape.
-
-        Returns
-        -------
-        (2,) float64, px
-            In the distorted image; NaN where the model cannot image it.
-        """
+        """Project the origin of the shape: (2,), px, in the distorted image; NaN where the model cannot image it."""
         return model.project(self.position_camera_km)
 
     def hull_px(self, model: CameraModel) -> Float:
-        """Project points whose convex hull contains the body.
-
-        Returns
-        -------
-        (k, 2) float64, px
-            NaN for points that the model cannot image.
-        """
+        """Project points (k, 2), px, whose convex hull contains the body; NaN where the model cannot."""
         return model.project(self.to_camera(self.tracer.hull_points_km) + self.position_camera_km)
 
 

@@ -67,17 +67,7 @@ class FocalPlane(Value):
         return math.ceil(PSF_REACH_SIGMA * self.psf_sigma_px)
 
     def contains(self, points_px: Float) -> Mask:
-        """Return True for points on the detector.
-
-        Parameters
-        ----------
-        points_px : (..., 2) float64, px
-
-        Returns
-        -------
-        (...) bool
-            False for NaN.
-        """
+        """Return True (...) for points (..., 2), px, on the detector; False for NaN."""
         size = np.array([self.columns, self.rows])
         return np.asarray(np.all((points_px >= -0.5) & (points_px <= size - 0.5), axis=-1))
 

@@ -58,18 +58,7 @@ class Template(Value):
     rendered_from_camera: Rotation = field(default_factory=Rotation.identity)
 
     def placed(self, columns: int, rows: int) -> Float:
-        """Return the brightness in a whole frame.
-
-        Parameters
-        ----------
-        columns, rows : int, px
-            Size of the frame.
-
-        Returns
-        -------
-        (rows, columns) float64
-            0 outside the template; cropped to the frame.
-        """
+        """Return the brightness (rows, columns) in a whole frame, 0 outside the template."""
         x, y = self.corner_px.tolist()
         return PixelBox(x=0, y=0, width=columns, height=rows).cut(self.brightness, (x, y))
 

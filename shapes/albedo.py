@@ -33,20 +33,10 @@ class Albedo(Protocol):
         ...
 
     def at(self, points_body_km: Float, facets: Indices, barycentric: Float | None) -> Float:
-        """Relative albedo at points of the surface.
+        """Relative albedo (n,) at points (n, 3) of the surface, km, body axes.
 
-        Parameters
-        ----------
-        points_body_km : (n, 3) float64, km, body
-        facets : (n,) int64
-            Facets that the points lie on; 0 on an ellipsoid.
-        barycentric : (n, 3) float64, optional
-            Weights of the three corners of those facets, as ``TriangleMesh.barycentric`` gives them; only albedo
-            by vertex reads them, and refuses None.
-
-        Returns
-        -------
-        (n,) float64
+        ``facets`` (n,), that the points lie on, 0 on an ellipsoid; ``barycentric`` (n, 3), weights of the three corners
+        of those facets, as ``TriangleMesh.barycentric`` gives them: only albedo by vertex reads them, and refuses None.
         """
         ...
 
@@ -104,23 +94,9 @@ class VertexAlbedo(Value):
         self._keep(values=values, sha256=_hash("vertices", values))
 
     def at(self, points_body_km: Float, facets: Indices, barycentric: Float | None) -> Float:
-        """Relative albedo interpolated between the corners of the facets.
+        """Relative albedo (n,) interpolated between the corners of the facets.
 
-        Parameters
-        ----------
-        points_body_km : (n, 3) float64, km, body
-        facets : (n,) int64
-        barycentric : (n, 3) float64, optional
-            As for :meth:`Albedo.at`.
-
-        Returns
-        -------
-        (n,) float64
-
-        Raises
-        ------
-        InputError
-            The facets of the mesh, or ``barycentric``, are missing.
+        Raises InputError where the facets of the mesh, or ``barycentric``, are missing.
         """
         if self.faces is None or barycentric is None:
             missing = "the facets of its mesh: use mesh.with_albedo(...)" if self.faces is None else "barycentric"
@@ -203,13 +179,7 @@ class AlbedoMap(Value):
         return np.where(inside, (1.0 - down) * above + down * below, self.outside)
 
     def translated(self, offset_body_km: ArrayLike) -> AlbedoMap:
-        """Return the map about another center.
-
-        Parameters
-        ----------
-        offset_body_km : (3,), km, body
-            Added to the center.
-        """
+        """Return the map with an offset (3,), km, body axes, added to its center."""
         return replace(self, center_body_km=self.center_body_km + as_floats(offset_body_km, (3,), "offset_body_km"))
 
     @property

@@ -164,13 +164,7 @@ class Point:
 
     @property
     def best_fit_ellipsoid(self) -> PlacedEllipsoid:
-        """Not defined for a point.
-
-        Raises
-        ------
-        InputError
-            Always.
-        """
+        """Raise an InputError: a point has no ellipsoid."""
         raise InputError(f"{self.name!r} is a point, without limb or ellipsoid: only its light can be measured")
 
     @property

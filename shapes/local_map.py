@@ -77,29 +77,11 @@ class LocalMap(Value):
         return TriangleMesh(self.to_body(np.nan_to_num(self._grid())), self._faces(), self.name, albedo=albedo)
 
     def to_map(self, points_body_km: Float) -> Float:
-        """Transform points from body axes to the axes of the map.
-
-        Parameters
-        ----------
-        points_body_km : (n, 3) float64, km, body
-
-        Returns
-        -------
-        (n, 3) float64, km, map
-        """
+        """Transform points (n, 3), km, from body axes to the axes of the map."""
         return (points_body_km - self.center_body_km) @ self.body_from_map.as_matrix()
 
     def to_body(self, points_map_km: Float) -> Float:
-        """Transform points from the axes of the map to body axes.
-
-        Parameters
-        ----------
-        points_map_km : (n, 3) float64, km, map
-
-        Returns
-        -------
-        (n, 3) float64, km, body
-        """
+        """Transform points (n, 3), km, from the axes of the map to body axes."""
         return points_map_km @ self.body_from_map.as_matrix().T + self.center_body_km
 
     def _grid(self) -> Float:

@@ -193,19 +193,7 @@ class TriangleMesh(Value):
         )
 
     def barycentric(self, points_body_km: ArrayLike, facets: Indices) -> Float:
-        """Barycentric coordinates of points on facets.
-
-        Parameters
-        ----------
-        points_body_km : (n, 3), km, body
-        facets : (n,) int64
-            The facets that the points lie on.
-
-        Returns
-        -------
-        (n, 3) float64
-            Weights of the three corners, which sum to 1.
-        """
+        """Barycentric coordinates (n, 3), which sum to 1, of points (n, 3), km, body axes, on their facets (n,)."""
         points = as_floats(points_body_km, (3,), "points_body_km")
         a, b, c = (self.vertices_km[self.faces[facets, corner]] for corner in range(3))
         twice = 2.0 * self.areas_km2[facets]
@@ -215,23 +203,11 @@ class TriangleMesh(Value):
         return np.stack([1.0 - at_b - at_c, at_b, at_c], axis=-1)
 
     def with_albedo(self, albedo: Albedo | None) -> TriangleMesh:
-        """Return the same surface with another relative albedo, by its own facets or vertices.
-
-        Raises
-        ------
-        InputError
-            The albedo has another number of values.
-        """
+        """Return the same surface with another relative albedo, which has a value for each facet or vertex."""
         return TriangleMesh(self.vertices_km, self.faces, self.name, self._surface_sha256, albedo)
 
     def translated(self, offset_body_km: ArrayLike) -> TriangleMesh:
-        """Return the mesh translated in body axes, with a new hash; the albedo moves with it.
-
-        Parameters
-        ----------
-        offset_body_km : (3,), km, body
-            Added to the vertices.
-        """
+        """Return the mesh with an offset (3,), km, added to its vertices, with a new hash; the albedo moves with it."""
         offset = as_floats(offset_body_km, (3,), "offset_body_km")
         albedo = self.albedo.translated(offset) if isinstance(self.albedo, AlbedoMap) else self.albedo
         return TriangleMesh(self.vertices_km + offset, self.faces, self.name, albedo=albedo)

@@ -50,22 +50,26 @@ def findings(name: str) -> list[str]:
     found = [f"{code} {text}" for code, text in result["errors"] if code in CHECKS]
     if any(text.startswith("PR01") for text in found) and _bases_document_parameters(name):
         found = [text for text in found if not text.startswith("PR01")]
-    stated = _stated_by_annotations(name)
-    found = [text for text in found if not text.startswith(stated)]
+    not_needed = _sections_not_needed(name)
+    found = [text for text in found if not text.startswith(not_needed)]
     summary = str(result["docstring"]).split(maxsplit=1)
     if summary and summary[0] in RIDDLES:
         found.append(f"summary begins with {summary[0]!r}: say what the thing is or does, or 'True if ...'")
     return found
 
 
-def _stated_by_annotations(name: str) -> tuple[str, ...]:
-    """Codes of the sections that a function does not need, since its annotations say all that they would."""
+def _sections_not_needed(name: str) -> tuple[str, ...]:
+    """Codes of the sections that methods need not have, and those that would only repeat the annotations of a function.
+
+    A method with a section of parameters describes all of them.
+    """
     function = Validator._load_obj(name)
     if isinstance(function, property) or not inspect.isroutine(function):
-        return ()
+        return ("RT01",) if isinstance(function, property) else ()
     signature, documented = inspect.signature(function), Validator(get_doc_object(function)).doc_parameters
-    returns = () if NUMBERS.search(str(signature.return_annotation)) else ("RT01",)
-    plain = not any(NUMBERS.search(str(one.annotation)) for one in signature.parameters.values())
+    method = inspect.isclass(Validator._load_obj(name.rpartition(".")[0]))
+    returns = () if NUMBERS.search(str(signature.return_annotation)) and not method else ("RT01",)
+    plain = method or not any(NUMBERS.search(str(one.annotation)) for one in signature.parameters.values())
     return (*returns, "PR01") if plain and not documented else returns
 
 

@@ -80,27 +80,9 @@ class ModeMachine:
     def command(
         self, state: InstrumentState, mode: Mode, *, target: str | None = None, target_camera: int | None = None
     ) -> tuple[InstrumentState, Telemetry]:
-        """Change the mode.
+        """Change the mode; a refused command leaves the state as it was.
 
-        Parameters
-        ----------
-        state : InstrumentState
-        mode : Mode
-        target : str, optional
-            The body that the target camera sees, as declared.
-        target_camera : int, optional
-            0 or 1.
-
-        Returns
-        -------
-        InstrumentState
-            As it was, where the command is refused.
-        Telemetry
-
-        Raises
-        ------
-        InputError
-            The camera is not 0 or 1.
+        ``target`` is the body that the target camera, 0 or 1, sees, as declared; InputError for another camera.
         """
         require(target_camera in (None, 0, 1), f"target_camera must be 0 or 1, got {target_camera}")
         asked = replace(
@@ -127,14 +109,7 @@ class ModeMachine:
         return ""
 
     def step(self, state: InstrumentState) -> tuple[InstrumentState, Telemetry]:
-        """Carry out one cycle of the mode.
-
-        Returns
-        -------
-        InstrumentState
-            As it was, where the cycle failed.
-        Telemetry
-        """
+        """Carry out one cycle of the mode; one that fails leaves the state as it was."""
         if state.mode is Mode.IDLE:
             return state, Telemetry(mode=state.mode, done=True, detail="idle")
         start = time.process_time()

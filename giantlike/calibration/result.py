@@ -150,19 +150,9 @@ class CalibrationResult(Pictured, Estimate):
         return float(np.sqrt(np.mean(np.sum(self.residuals_px[self.used] ** 2, axis=1))))
 
     def weighted_rms_px(self, image: int | None = None) -> float:
-        """Radial residual rms of the observations used, with their weights in the fit.
+        """Radial residual rms, px, of the observations used in one image or all, with their weights in the fit.
 
-        Faint stars, dominated by noise, have little weight in it.
-
-        Parameters
-        ----------
-        image : int, optional
-            Number of one image; default: all.
-
-        Returns
-        -------
-        float, px
-            NaN without observations.
+        Faint stars, dominated by noise, have little weight in it. NaN without observations.
         """
         mine = self.used if image is None else self.used & (self.image_index == image)
         if not mine.any():
@@ -188,13 +178,7 @@ class CalibrationResult(Pictured, Estimate):
         return result
 
     def camera_from(self, camera: Camera) -> Camera:
-        """Return a camera with the model of this calibration and its covariance.
-
-        Parameters
-        ----------
-        camera : Camera
-            Camera before the calibration; its name, PSF and detector are kept.
-        """
+        """Return a camera with the model of this calibration and its covariance; name, PSF and detector are kept."""
         uncertainty = ModelUncertainty(
             estimated=self.estimated,
             covariance=self.covariance,

@@ -101,13 +101,7 @@ class AffineModel(ABC):
 
     @classmethod
     def unit_lens(cls, coefficients: tuple[float, ...]) -> Self:
-        """Return the model with these lens coefficients, unit focal lengths and the principal point at zero.
-
-        Parameters
-        ----------
-        coefficients : tuple of float
-            As :attr:`lens_coefficients` has them.
-        """
+        """Return the model with these :attr:`lens_coefficients`, unit focal lengths and the principal point at zero."""
         names = cls.parameter_names[len(AFFINE_NAMES) : -len(TEMPERATURE_NAMES)]
         return cls(fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0, **dict(zip(names, coefficients, strict=True)))
 
@@ -146,17 +140,9 @@ class AffineModel(ABC):
         return blockwise(block, points, (2, len(self.parameter_names)))
 
     def at_temperature(self, temperature_c: float) -> Self:
-        """Return the model at a temperature: focal lengths and shear scaled, without temperature terms.
+        """Return the model at a temperature (Celsius): focal lengths and shear scaled, without temperature terms.
 
-        Parameters
-        ----------
-        temperature_c : float, Celsius
-            Temperature of the optics.
-
-        Raises
-        ------
-        InputError
-            The focal length would not be positive there: the terms were fitted at other temperatures.
+        Raises InputError where the focal length would not be positive: the terms were fitted at other temperatures.
         """
         scale = self._magnification(temperature_c)
         require(
@@ -170,10 +156,7 @@ class AffineModel(ABC):
     def binned(self, factor: float) -> Self:
         """Return the model of an image whose pixels are blocks of ``factor`` by ``factor`` pixels.
 
-        Parameters
-        ----------
-        factor : float
-            Pixels along one side of a block; not a whole number for resampled images, below 1 for enlarged ones.
+        The factor is not a whole number for resampled images, and below 1 for enlarged ones.
         """
         require_number(factor, "a binning factor", above=0.0)
         middle = (factor - 1) / 2  # of the first block
@@ -187,13 +170,7 @@ class AffineModel(ABC):
         )
 
     def windowed(self, x0_px: float, y0_px: float) -> Self:
-        """Return the model of a window of the image.
-
-        Parameters
-        ----------
-        x0_px, y0_px : float, px
-            First pixel of the window.
-        """
+        """Return the model of a window of the image that begins at the pixel ``x0_px``, ``y0_px``."""
         return dataclasses.replace(self, cx_px=self.cx_px - x0_px, cy_px=self.cy_px - y0_px)
 
     @abstractmethod

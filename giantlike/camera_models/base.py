@@ -40,13 +40,7 @@ class CameraModel(Protocol):
         ...
 
     def with_parameters(self, values: ArrayLike) -> Self:
-        """Return the same model with other parameter values.
-
-        Parameters
-        ----------
-        values : (k,) array_like
-            Values in the order and units of :attr:`parameter_names`.
-        """
+        """Return the same model with other values (k,), in the order and units of :attr:`parameter_names`."""
         ...
 
     @property
@@ -85,58 +79,23 @@ class CameraModel(Protocol):
         ...
 
     def project_jacobian(self, points_camera: ArrayLike) -> Float:
-        """Derivative of :meth:`project` with respect to the point.
-
-        Parameters
-        ----------
-        points_camera : (..., 3) array_like, camera axes
-            Points or directions, in any unit of length.
-
-        Returns
-        -------
-        (..., 2, 3) float64, px per unit of the points
-        """
+        """Derivative (..., 2, 3) of :meth:`project` by the points (..., 3), px per unit of the points."""
         ...
 
     def unproject_jacobian(self, points_px: ArrayLike) -> Float:
-        """Derivative of :meth:`unproject` with respect to the pixel.
-
-        Parameters
-        ----------
-        points_px : (..., 2) array_like, px
-            Pixels.
-
-        Returns
-        -------
-        (..., 3, 2) float64, 1/px
-        """
+        """Derivative (..., 3, 2) of :meth:`unproject` by the pixels (..., 2), 1/px."""
         ...
 
     def parameter_jacobian(self, points_camera: ArrayLike, temperature_c: float = 0.0) -> Float:
-        """Derivative of the pixels at a temperature with respect to :attr:`parameters`.
+        """Derivative (..., 2, k) of the pixels of points (..., 3) at a temperature (Celsius) by :attr:`parameters`.
 
-        Parameters
-        ----------
-        points_camera : (..., 3) array_like, camera axes
-            Points or directions, in any unit of length.
-        temperature_c : float, Celsius
-            Temperature of the optics.
-
-        Returns
-        -------
-        (..., 2, k) float64, px per unit of each parameter
-            Columns in the order of :attr:`parameter_names`; temperature terms are zero at 0 degrees.
+        Columns are in the order of :attr:`parameter_names`, px per unit of each; temperature terms are zero at 0
+        degrees.
         """
         ...
 
     def at_temperature(self, temperature_c: float) -> Self:
-        """Return the model at a temperature, with its temperature terms applied and cleared.
-
-        Parameters
-        ----------
-        temperature_c : float, Celsius
-            Temperature of the optics.
-        """
+        """Return the model at a temperature of the optics (Celsius), with its temperature terms applied and cleared."""
         ...
 
 

@@ -73,17 +73,10 @@ class GridCorrectedModel(Value):
 
     @classmethod
     def flat(cls, base: AffineModel, columns: int, rows: int, *, step_px: float) -> Self:
-        """Return a model without correction, whose grid covers a frame.
+        """Return a model without correction, whose grid covers a frame of ``columns`` by ``rows`` pixels.
 
-        Parameters
-        ----------
-        base : AffineModel
-            Any lens model.
-        columns, rows : int
-            Size of the frame.
-        step_px : float, px
-            Spacing of the control values: for a fit, not less than the spacing of neighboring measurements, all images
-            together.
+        ``step_px``, px: spacing of the control values; for a fit, not less than the spacing of neighboring
+        measurements, all images together.
         """
         zero = np.zeros((int(np.ceil(rows / step_px)) + 3, int(np.ceil(columns / step_px)) + 3))
         return cls(base=base, corner_px=np.array([-0.5, -0.5]), step_px=step_px, dx_px=zero, dy_px=zero)
@@ -124,13 +117,7 @@ class GridCorrectedModel(Value):
         return self._slope(pixels) @ self.base.parameter_jacobian(points_camera, temperature_c)
 
     def at_temperature(self, temperature_c: float) -> Self:
-        """Return the model at a temperature: the base model scaled, the correction unchanged.
-
-        Parameters
-        ----------
-        temperature_c : float, Celsius
-            Temperature of the optics.
-        """
+        """Return the model at a temperature (Celsius): the base model scaled, the correction unchanged."""
         return dataclasses.replace(self, base=self.base.at_temperature(temperature_c))
 
     def binned(self, factor: float) -> Self:
@@ -149,17 +136,7 @@ class GridCorrectedModel(Value):
         )
 
     def correction(self, base_px: ArrayLike) -> Float:
-        """Displacement by the spline.
-
-        Parameters
-        ----------
-        base_px : (..., 2) array_like, px
-            Pixels of the base model.
-
-        Returns
-        -------
-        (..., 2) float64, px
-        """
+        """Displacement (..., 2), px, by the spline at pixels (..., 2) of the base model."""
         return blockwise(self._correction_block, as_floats(base_px, (2,), "base_px"), (2,))
 
     def _correction_block(self, pixels: Float) -> Float:

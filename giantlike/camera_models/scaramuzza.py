@@ -57,15 +57,8 @@ class ScaramuzzaModel(AxialModel):
     ) -> ScaramuzzaModel:
         """Return the model of a published polynomial in pixels, ``a0 + a2 rho^2 + a3 rho^3 + a4 rho^4``.
 
-        Parameters
-        ----------
-        a0_px, a2, a3, a4 : float
-            Coefficients in powers of a pixel; ``a0_px`` positive (a toolbox whose z axis points into the camera has
-            all signs reversed).
-        cx_px, cy_px : float, px
-            Center of the image circle.
-        stretch : float
-            Width over height of the image circle.
+        ``a0_px`` is positive (a toolbox whose z axis points into the camera has all signs reversed); ``cx_px``,
+        ``cy_px``, px: center of the image circle; ``stretch``: width over height of the image circle.
         """
         return cls(
             fx_px=a0_px * stretch,

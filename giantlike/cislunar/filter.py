@@ -106,33 +106,14 @@ class FilterState(Value):
     factors: UduFactors
 
     def error(self, truth: ArrayLike) -> Float:
-        """Errors of the estimate, multiplicative in attitude.
-
-        Parameters
-        ----------
-        truth : (..., 21) array_like
-
-        Returns
-        -------
-        (..., 21) float64
-            Truth minus estimate.
-        """
+        """Errors (..., 21), truth minus estimate, multiplicative in attitude."""
         actual = as_floats(truth, (STATES,), "truth")
         error = actual - self.mean
         error[..., ATTITUDE] = _compose_rotations(actual[..., ATTITUDE], -self.mean[..., ATTITUDE])
         return error
 
     def squared_error(self, truth: ArrayLike) -> Float:
-        """Normalized squared error: with the mean 21 for a consistent filter.
-
-        Parameters
-        ----------
-        truth : (..., 21) array_like
-
-        Returns
-        -------
-        (...) float64
-        """
+        """Normalized squared error (...) from a truth (..., 21): with the mean 21 for a consistent filter."""
         error = self.error(truth)
         independent = np.linalg.solve(self.factors.upper, error[..., None])[..., 0]
         return np.asarray(np.sum(independent**2 / self.factors.diagonal, axis=-1))

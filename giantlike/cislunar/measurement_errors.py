@@ -51,80 +51,33 @@ class BodyErrorModel(Value):
         Value.__post_init__(self)
 
     def sigmas_px(self, range_km: ArrayLike) -> Float:
-        """Standard deviations at a range.
-
-        Parameters
-        ----------
-        range_km : (...) array_like, km
-
-        Returns
-        -------
-        (..., 3) float64, px
-            Of the center along the Sun, across it, and of the radius.
-        """
+        """Standard deviations (..., 3), px, at ranges (...), km: center along the Sun, across it, radius."""
         return np.hypot(self.noise_px, self.relief_px_km / _ranges(range_km))
 
     def biases_px(self, range_km: ArrayLike) -> Float:
-        """Biases at a range.
-
-        Parameters
-        ----------
-        range_km : (...) array_like, km
-
-        Returns
-        -------
-        (..., 3) float64, px
-            Of the center along the Sun, across it, and of the radius.
-        """
+        """Biases (..., 3), px, at ranges (...), km: center along the Sun, across it, radius."""
         return self.bias_px + self.bias_px_km / _ranges(range_km)
 
     def covariance_px2(self, range_km: float, sun_direction_image: ArrayLike) -> Float:
-        """Covariance of the center and the radius in the axes of the image.
+        """Covariance (3, 3), px^2, of x and y of the center and of the radius at a range.
 
-        Parameters
-        ----------
-        range_km : float, km
-        sun_direction_image : (2,) array_like
-            Direction to the Sun in the image, of any length.
-
-        Returns
-        -------
-        (3, 3) float64, px^2
-            Of x, y and the radius.
+        ``sun_direction_image`` (2,): direction to the Sun in the image, of any length.
         """
         axes = _axes(sun_direction_image)
         covariance: Float = axes @ np.diag(self.sigmas_px(range_km) ** 2) @ axes.T
         return (covariance + covariance.T) / 2.0
 
     def bias_in_image_px(self, range_km: float, sun_direction_image: ArrayLike) -> Float:
-        """Biases of the center and the radius in the axes of the image.
+        """Biases (3,), px, of x and y of the center and of the radius at a range.
 
-        Parameters
-        ----------
-        range_km : float, km
-        sun_direction_image : (2,) array_like
-            Direction to the Sun in the image, of any length.
-
-        Returns
-        -------
-        (3,) float64, px
-            Of x, y and the radius.
+        ``sun_direction_image`` (2,): direction to the Sun in the image, of any length.
         """
         return _axes(sun_direction_image) @ self.biases_px(range_km)
 
     def measurement_sigmas(self, range_km: ArrayLike, radius_km: float, focal_px: float) -> Float:
         """Standard deviations of the measurements of a filter, in a camera whose x axis is along the Sun.
 
-        Parameters
-        ----------
-        range_km : (...) array_like, km
-        radius_km : float, km
-        focal_px : float, px
-
-        Returns
-        -------
-        (..., 3) float64
-            Of the two tangents, and of the range in km.
+        Returns (..., 3) for ranges (...), km: of the two tangents, and of the range in km.
 
         References
         ----------
@@ -136,16 +89,8 @@ class BodyErrorModel(Value):
     def measurement_biases(self, range_km: ArrayLike, radius_km: float, focal_px: float) -> Float:
         """Biases of the measurements of a filter, in a camera whose x axis is along the Sun.
 
-        Parameters
-        ----------
-        range_km : (...) array_like, km
-        radius_km : float, km
-        focal_px : float, px
-
-        Returns
-        -------
-        (..., 3) float64
-            Of the two tangents, and of the range in km: a radius that is too large gives a range too short.
+        Returns (..., 3) for ranges (...), km: of the two tangents, and of the range in km; a radius that is too large
+        gives a range too short.
         """
         return self._errors_of_measurement(self.biases_px(range_km), range_km, radius_km, focal_px, sign=-1.0)
 

@@ -112,15 +112,8 @@ class Detector:
     def from_mapping(cls, table: object) -> Detector:
         """Build a detector from the ``[detector]`` table of a camera file.
 
-        Parameters
-        ----------
-        table : mapping
-            Fields by name, without those of images; ``estimated`` is True where neither gain nor read noise is given.
-
-        Raises
-        ------
-        InputError
-            It is not a table, a key is unknown, or a value is not a number or out of range.
+        Its keys are the fields without those of images; ``estimated`` is True where neither gain nor read noise is
+        given. Raises InputError where a key is unknown, or a value is not a number or out of range.
         """
         keys = [entry.name for entry in fields(cls) if entry.name not in _OF_IMAGES]
         checked = checked_table(table, "[detector]", keys, [])
@@ -133,12 +126,7 @@ class Detector:
         return cls(**numbers, gamma=checked_gamma(gamma), estimated=not any(key in numbers for key in _NOISE))
 
     def to_mapping(self) -> dict[str, float | str]:
-        """Return the ``[detector]`` table of a camera file, without fields that are estimated or infinite.
-
-        Returns
-        -------
-        dict of str to float or str
-        """
+        """Return the ``[detector]`` table of a camera file, without fields that are estimated or infinite."""
         left_out = (*_OF_IMAGES, *_NOISE) if self.estimated else _OF_IMAGES
         values = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.name not in left_out}
         texts = {key: value for key, value in values.items() if isinstance(value, str)}
@@ -148,23 +136,15 @@ class Detector:
     def of_image(self, pixels: NDArray[Any], mask: Mask | None = None, *, step_dn: float | None = None) -> Detector:
         """Return the detector in the unit of the pixels of an image, with all of its noise known.
 
-        Parameters
-        ----------
-        pixels : (rows, columns) real, DN
-            Finite, as stored.
-        mask : (rows, columns) bool, optional
-            True where a pixel is bad.
-        step_dn : float, DN, optional
-            Step of the numbers where the format of the file gives it; by default the step that the pixels show.
+        ``pixels`` (rows, columns), DN, finite, as stored; ``mask`` (rows, columns), True where a pixel is bad;
+        ``step_dn``: step of the numbers where the format of the file gives it, by default the step that the pixels
+        show.
 
-        Returns
-        -------
-        Detector
-            ``step_dn`` is the step of the pixels: 0 for floating point numbers without a common one. Where gain and
-            read noise are ``estimated``, they are those of :func:`~giantlike.core.pixel_noise.estimate_noise`, kept in
-            ``noise_of_image``: reflectances (I/F) get a noise in their own unit. Floating point numbers that all lie
-            within the declared read noise cannot be in its unit: they are treated likewise, and their bias is 0. A
-            detector with a ``step_dn`` and a known noise belongs to an image already.
+        In the result, ``step_dn`` is the step of the pixels: 0 for floating point numbers without a common one. Where
+        gain and read noise are ``estimated``, they are those of :func:`~giantlike.core.pixel_noise.estimate_noise`,
+        kept in ``noise_of_image``: reflectances (I/F) get a noise in their own unit. Floating point numbers that all
+        lie within the declared read noise cannot be in its unit: they are treated likewise, and their bias is 0. A
+        detector with a ``step_dn`` and a known noise belongs to an image already.
         """
         if self.step_dn is not None and not self.estimated:
             return self
@@ -191,16 +171,9 @@ class Detector:
         )
 
     def variance_dn2(self, signal_dn: Float) -> Float:
-        """Return the noise variance of pixels: shot noise, read noise, quantization and calibration frames.
+        """Return the noise variance (...), DN^2: shot noise, read noise, quantization and calibration frames.
 
-        Parameters
-        ----------
-        signal_dn : (...) float64, DN
-            Signal above bias; negative signals count as zero.
-
-        Returns
-        -------
-        (...) float64, DN^2
+        ``signal_dn`` (...), DN: signal above bias; negative signals count as zero.
         """
         light = np.maximum(signal_dn, 0.0)
         step_dn = 1.0 if self.step_dn is None else self.step_dn
@@ -211,16 +184,8 @@ class Detector:
     def of_light(self, curve: GammaCurve) -> Detector:
         """Return the detector of linearized values, with the noise propagated through the curve.
 
-        Parameters
-        ----------
-        curve : GammaCurve
-            Curve from values above bias to the linear signal.
-
-        Returns
-        -------
-        Detector
-            Without a ``gamma``; its read noise, gain and relative noise refer to the linear signal
-            (:meth:`~giantlike.core.gamma.GammaCurve.noise_of_light`).
+        It has no ``gamma``; its read noise, gain and relative noise refer to the linear signal
+        (:meth:`~giantlike.core.gamma.GammaCurve.noise_of_light`).
         """
         constant, linear, square = curve.noise_of_light(self.variance_dn2(curve.samples_dn()))
         gain_e_per_dn = 1.0 / max(linear, constant / curve.full_scale_dn)
@@ -236,18 +201,7 @@ class Detector:
         )
 
     def averaged(self, factor: int) -> Detector:
-        """Return the detector of means over blocks of pixels, each with its own noise.
-
-        Parameters
-        ----------
-        factor : int
-            Pixels along one side of a block.
-
-        Returns
-        -------
-        Detector
-            Of the same unit and limits.
-        """
+        """Return the detector of means over blocks of ``factor`` by ``factor`` pixels with independent noise."""
         return replace(
             self,
             gain_e_per_dn=factor**2 * self.gain_e_per_dn,

@@ -49,14 +49,9 @@ class Pictured:
     __slots__ = ()
 
     def plot(self, axes: Axes | None = None, **options: Any) -> Axes:
-        """Draw on axes.
+        """Draw on axes, by default those of a new pyplot figure, which a notebook shows below the cell.
 
-        Parameters
-        ----------
-        axes : matplotlib Axes, optional
-            Default: the axes of a new pyplot figure, which a notebook shows below the cell.
-        **options
-            Of the painter, see docs/notebooks.md.
+        ``options`` are those of the painter: see docs/notebooks.md.
         """
         from matplotlib import pyplot
 

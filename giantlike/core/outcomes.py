@@ -45,13 +45,7 @@ class Failure:
         return False
 
     def unwrap(self) -> NoReturn:
-        """Raise with the text of this failure, where a caller needs the fix.
-
-        Raises
-        ------
-        EstimationError
-            Always.
-        """
+        """Raise an EstimationError with the text of this failure, where a caller needs the fix."""
         raise EstimationError(f"{self.reason}: {self.detail}")
 
 
@@ -80,15 +74,8 @@ class AttitudeErrors(Value):
     def apart_from_camera(self, covariance_rad2: Float) -> Float:
         """Covariance of the attitude for a body whose camera part already includes the rotation of the stars.
 
-        Parameters
-        ----------
-        covariance_rad2 : (3, 3) float64, rad^2
-            Of the attitude.
-
-        Returns
-        -------
-        (3, 3) float64, rad^2
-            Without the camera part where :attr:`by_camera` is known, else unchanged.
+        ``covariance_rad2`` (3, 3), rad^2, of the attitude; returned without the camera part where :attr:`by_camera` is
+        known.
         """
         if self.by_camera is None or Cause.CAMERA not in self.parts:
             return covariance_rad2

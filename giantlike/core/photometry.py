@@ -133,18 +133,11 @@ class Photometry(Value):
 
     @classmethod
     def from_mapping(cls, table: object) -> Self:
-        """Build from a ``[photometry]`` table.
+        """Build from the fields in a ``[photometry]`` table.
 
-        Parameters
-        ----------
-        table : mapping
-            Fields by name. ``zero_point_mag``, or ``aperture_m2`` with the other arguments of :meth:`from_aperture`,
-            may take the place of ``zero_point_e_s``, and ``sigma_mag`` that of ``covariance_mag2``.
-
-        Raises
-        ------
-        InputError
-            It is not a table, a key is unknown or missing, two keys exclude each other, or a value is wrong.
+        ``zero_point_mag``, or ``aperture_m2`` with the other arguments of :meth:`from_aperture`, may take the place of
+        ``zero_point_e_s``, and ``sigma_mag`` that of ``covariance_mag2``. Raises InputError where a key is unknown or
+        missing, two keys exclude each other, or a value is wrong.
         """
         where, names = "[photometry]", [entry.name for entry in fields(cls)]
         values = dict(checked_table(table, where, dict.fromkeys([*names, *sum(_KEYS.values(), ())])))
@@ -167,12 +160,7 @@ class Photometry(Value):
         return cls.from_aperture(**lens, **values) if lens else cls(**values)
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the ``[photometry]`` table, without fields that are empty.
-
-        Returns
-        -------
-        dict
-        """
+        """Return the ``[photometry]`` table, without fields that are empty."""
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         values["covariance_mag2"] = self.covariance_mag2.tolist()
         return {key: value for key, value in values.items() if value not in (None, "")}
@@ -196,19 +184,10 @@ class Photometry(Value):
     def star_rate_e_s(
         self, magnitudes: ArrayLike, *, color_bp_rp: ArrayLike = _REFERENCE_COLOR, angle_rad: ArrayLike = 0.0
     ) -> Float:
-        """Signal of stars.
+        """Signal (...), electron/s, of stars of magnitudes (...).
 
-        Parameters
-        ----------
-        magnitudes : (...), mag
-        color_bp_rp : (...), mag
-            NaN where unknown: then that of the zero point, 1.
-        angle_rad : (...), rad
-            From the optical axis.
-
-        Returns
-        -------
-        (...) float64, electron/s
+        ``color_bp_rp`` (...), mag, NaN where unknown: then that of the zero point, 1; ``angle_rad`` (...), rad, from
+        the optical axis.
         """
         rows = self.partials(color_bp_rp=color_bp_rp, angle_rad=angle_rad)
         change = rows[..., 1:] @ np.array([self.color_term, self.field_term_mag])
@@ -217,20 +196,10 @@ class Photometry(Value):
     def body_rate_e_s(
         self, relative_irradiance: ArrayLike, *, sun_distance_au: ArrayLike = 1.0, angle_rad: ArrayLike = 0.0
     ) -> Float:
-        """Signal of a body, or of a part of it, that reflects sunlight.
+        """Signal (...), electron/s, of a body, or of a part of it, that reflects sunlight.
 
-        Parameters
-        ----------
-        relative_irradiance : (...)
-            Irradiance at the camera over that of the Sun at the body.
-        sun_distance_au : (...), au
-            Of the body from the Sun.
-        angle_rad : (...), rad
-            From the optical axis.
-
-        Returns
-        -------
-        (...) float64, electron/s
+        ``relative_irradiance`` (...): irradiance at the camera over that of the Sun at the body; ``sun_distance_au``
+        (...), au, of the body; ``angle_rad`` (...), rad, from the optical axis.
         """
         darker = self.star_rate_e_s(0.0, angle_rad=angle_rad) / self.zero_point_e_s
         light = as_floats(relative_irradiance, (), "relative_irradiance")
@@ -244,22 +213,10 @@ class Photometry(Value):
         sun_distance_au: ArrayLike = 1.0,
         angle_rad: ArrayLike = 0.0,
     ) -> Float:
-        """Signal of pixels that see a sunlit surface.
+        """Signal (...), electron/s, of pixels that see a sunlit surface.
 
-        Parameters
-        ----------
-        radiance_factor : (...)
-            I/F: the normal albedo times the reflectance law.
-        pixel_sr : (...), sr
-            Solid angle of a pixel.
-        sun_distance_au : (...), au
-            Of the body from the Sun.
-        angle_rad : (...), rad
-            From the optical axis.
-
-        Returns
-        -------
-        (...) float64, electron/s
+        ``radiance_factor`` (...): I/F, the normal albedo times the reflectance law; ``pixel_sr`` (...), sr, solid angle
+        of a pixel; ``sun_distance_au`` (...), au, of the body; ``angle_rad`` (...), rad, from the optical axis.
         """
         light = as_floats(radiance_factor, (), "radiance_factor") * as_floats(pixel_sr, (), "pixel_sr") / np.pi
         return self.body_rate_e_s(light, sun_distance_au=sun_distance_au, angle_rad=angle_rad)
@@ -272,23 +229,12 @@ class Photometry(Value):
         sun_distance_au: ArrayLike = 1.0,
         angle_rad: ArrayLike = 0.0,
     ) -> Float:
-        """Signal of a whole body.
+        """Signal (...), electron/s, of a whole body.
 
-        Parameters
-        ----------
-        radiance_factor : (...)
-            Mean I/F of the disk, lit or not: of a sphere, its normal albedo times
-            :func:`giantlike.ray_tracing.disk_integrated`, which is the geometric albedo times the phase function.
-        half_angle_rad : (...), rad
-            Apparent angular radius.
-        sun_distance_au : (...), au
-            Of the body from the Sun.
-        angle_rad : (...), rad
-            From the optical axis.
-
-        Returns
-        -------
-        (...) float64, electron/s
+        ``radiance_factor`` (...): mean I/F of the disk, lit or not; of a sphere, its normal albedo times
+        :func:`giantlike.ray_tracing.disk_integrated`, which is the geometric albedo times the phase function;
+        ``half_angle_rad`` (...), rad, apparent angular radius; ``sun_distance_au`` (...), au, of the body;
+        ``angle_rad`` (...), rad, from the optical axis.
         """
         light = as_floats(radiance_factor, (), "radiance_factor") * np.sin(half_angle_rad) ** 2
         return self.body_rate_e_s(light, sun_distance_au=sun_distance_au, angle_rad=angle_rad)
@@ -296,52 +242,21 @@ class Photometry(Value):
     def magnitude(
         self, rate_e_s: ArrayLike, *, color_bp_rp: ArrayLike = SUN_COLOR_BP_RP, angle_rad: ArrayLike = 0.0
     ) -> Float:
-        """Magnitude of a source of a known signal.
+        """Magnitude (...) of a source of a known signal (...), electron/s; NaN where the signal is not positive.
 
-        Parameters
-        ----------
-        rate_e_s : (...), electron/s
-        color_bp_rp : (...), mag
-            By default that of sunlight.
-        angle_rad : (...), rad
-            From the optical axis.
-
-        Returns
-        -------
-        (...) float64, mag
-            NaN where the signal is not positive.
+        ``color_bp_rp`` (...), mag, by default that of sunlight; ``angle_rad`` (...), rad, from the optical axis.
         """
         rate = as_floats(rate_e_s, (), "rate_e_s")
         ratio = self.star_rate_e_s(0.0, color_bp_rp=color_bp_rp, angle_rad=angle_rad) / np.where(rate > 0, rate, np.nan)
         return np.asarray(2.5 * np.log10(ratio))
 
     def sigma_mag(self, *, color_bp_rp: ArrayLike = SUN_COLOR_BP_RP, angle_rad: ArrayLike = 0.0) -> Float:
-        """Standard deviation of the zero point for a source, by ``covariance_mag2`` alone.
-
-        Parameters
-        ----------
-        color_bp_rp : (...), mag
-        angle_rad : (...), rad
-
-        Returns
-        -------
-        (...) float64, mag
-        """
+        """Standard deviation (...), mag, of the zero point for a source, by ``covariance_mag2`` alone."""
         rows = self.partials(color_bp_rp=color_bp_rp, angle_rad=angle_rad)
         return np.asarray(np.sqrt(np.einsum("...i,ij,...j", rows, self.covariance_mag2, rows)))
 
     def partials(self, *, color_bp_rp: ArrayLike, angle_rad: ArrayLike) -> Float:
-        """Derivatives of the magnitude of one electron per second by zero point, color term and field term.
-
-        Parameters
-        ----------
-        color_bp_rp : (...), mag
-        angle_rad : (...), rad
-
-        Returns
-        -------
-        (..., 3) float64
-        """
+        """Derivatives (..., 3) of the magnitude of one electron per second by zero point, color term and field term."""
         color = as_floats(color_bp_rp, (), "color_bp_rp") - _REFERENCE_COLOR
         off_axis = as_floats(angle_rad, (), "angle_rad") / np.radians(self.field_angle_deg)
         color, off_axis = np.broadcast_arrays(np.where(np.isnan(color), 0.0, color), off_axis)

@@ -346,10 +346,5 @@ class Quality(enum.Flag):
         return bool(self & Quality.SUSPECT)
 
     def names(self) -> tuple[str, ...]:
-        """Return the lower-case names of the flags that are set, in order of definition.
-
-        Returns
-        -------
-        tuple of str
-        """
+        """Return the lower-case names of the flags that are set, in order of definition."""
         return tuple(str(flag.name).lower() for flag in Quality if flag in self and flag.value.bit_count() == 1)

@@ -68,13 +68,7 @@ class SpiceKernels:
     paths: tuple[Path, ...]
 
     def sha256(self) -> dict[str, str]:
-        """SHA-256 of each file, for provenance; reads them all.
-
-        Returns
-        -------
-        dict of str to str
-            Hexadecimal hashes by path.
-        """
+        """SHA-256 of each file, hexadecimal, by path, for provenance; reads them all."""
         return {str(path): file_sha256(path) for path in self.paths}
 
     def unload(self) -> None:

@@ -146,13 +146,7 @@ class NetworkFix(Estimate):
         return self.photos[0].model
 
     def summary(self) -> dict[str, Any]:
-        """Return what ``result.json`` of ``giantlike network adjust`` holds.
-
-        Returns
-        -------
-        dict
-            Numbers, texts, lists and dicts of these.
-        """
+        """Return what ``result.json`` of ``giantlike network adjust`` holds."""
         status = [str(each) for each in self.point_status]
         tracks, used = self.tracks, self.used
         photos = []

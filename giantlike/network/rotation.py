@@ -46,35 +46,14 @@ class Rotating(Value):
         Value.__post_init__(self)
 
     def angles_deg(self, et: float) -> Float:
-        """Right ascension and declination of the pole and W at an epoch.
-
-        Parameters
-        ----------
-        et : float, s
-            TDB seconds past J2000.
-
-        Returns
-        -------
-        (3,) float64, deg
-        """
+        """Right ascension and declination of the pole and W at an epoch: (3,), deg."""
         days = et / SECONDS_PER_DAY
         times = (days / _DAYS_PER_CENTURY, days / _DAYS_PER_CENTURY, days)
         parts = zip((self.pole_ra_deg, self.pole_dec_deg, self.pm_deg), times, strict=True)
         return np.array([values[0] + values[1] * t + values[2] * t**2 for values, t in parts])
 
     def inertial_from_body(self, et: float) -> Rotation:
-        """Orientation at an epoch.
-
-        Parameters
-        ----------
-        et : float, s
-            TDB seconds past J2000.
-
-        Returns
-        -------
-        Rotation
-            Takes body axes to inertial ones.
-        """
+        """Orientation ``inertial_from_body`` at an epoch."""
         require_number(et, "et")
         ra, dec, w = self.angles_deg(et)
         return Rotation.from_euler("ZXZ", [ra + 90.0, 90.0 - dec, w], degrees=True)
@@ -82,21 +61,9 @@ class Rotating(Value):
     def correct(self, et: float, inertial: Rotation, rate_rad_s: float, covariance: Float) -> Rotating:
         """Rotation after a correction at an epoch, carried to J2000 with its covariance.
 
-        Parameters
-        ----------
-        et : float, s
-            Epoch of the correction.
-        inertial : Rotation
-            Correction: the new orientation then is ``inertial * inertial_from_body(et)``.
-        rate_rad_s : float, rad/s
-            Correction of the rate.
-        covariance : (4, 4) float64, rad^2 and rad^2/s
-            Of the pole toward the east and toward the north, of the angle about it, and of the rate.
-
-        Returns
-        -------
-        Rotating
-            With the further terms as they were declared.
+        The orientation at ``et`` becomes ``inertial * inertial_from_body(et)``; ``covariance`` (4, 4), rad^2 and
+        rad^2/s, is of the pole toward the east and toward the north, of the angle about it, and of the rate. Further
+        terms stay as declared.
         """
         before = self.angles_deg(et)
         x, z = (inertial * self.inertial_from_body(et)).as_matrix().T[[0, 2]]

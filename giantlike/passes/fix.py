@@ -113,56 +113,15 @@ class PassFix(Value):
         return self.covariance / np.outer(self.sigmas, self.sigmas)
 
     def value(self, name: str) -> float:
-        """Value of a parameter.
-
-        Parameters
-        ----------
-        name : str
-            One of ``names``.
-
-        Returns
-        -------
-        float
-
-        Raises
-        ------
-        InputError
-            There is no such parameter.
-        """
+        """Value of a parameter, one of ``names``; InputError for others."""
         return float(self.values[self._index(name)])
 
     def sigma(self, name: str) -> float:
-        """Standard deviation of a parameter.
-
-        Parameters
-        ----------
-        name : str
-            One of ``names``.
-
-        Returns
-        -------
-        float
-
-        Raises
-        ------
-        InputError
-            There is no such parameter.
-        """
+        """Standard deviation of a parameter, one of ``names``; InputError for others."""
         return float(self.sigmas[self._index(name)])
 
     def test(self, term: str) -> TermTest:
-        """Test of a term.
-
-        Parameters
-        ----------
-        term : str
-            One of ``terms``.
-
-        Raises
-        ------
-        InputError
-            The term was not estimated.
-        """
+        """Test of a term, one of ``terms``; InputError for one that was not estimated."""
         for each in self.tests:
             if each.term == term:
                 return each

@@ -76,21 +76,10 @@ class LimbPoints(Value):
     ) -> LimbPoints:
         """Points of a measured limb, with their shared errors.
 
-        Parameters
-        ----------
-        measured : LimbMeasurement
-        model : CameraModel
-        figure : Figure
-            The body without the altitude of the limb.
-        uncertainty : ModelUncertainty, optional
-            Of the camera model, such as ``camera.uncertainty``; without it the camera is exact.
-        attitude_errors : AttitudeErrors, optional
-            Those of the image's attitude, which follows the parameters of the camera where it is from stars.
-
-        Returns
-        -------
-        LimbPoints
-            Blur, law, relief and camera are errors that all images of the pass have in common.
+        ``figure`` is the body without the altitude of the limb; ``uncertainty`` of the camera model, such as
+        ``camera.uncertainty``: without it the camera is exact; ``attitude_errors`` of the image's attitude, which
+        follows the parameters of the camera where it is from stars. Blur, law, relief and camera are errors that all
+        images of the pass have in common.
         """
         points, keep = measured.observed_px[measured.keep], measured.keep
         shared = {str(cause): px[keep] for cause, px in measured.common_px.items()}
@@ -115,23 +104,12 @@ class LimbPoints(Value):
         return len(self.points_px)
 
     def effects(self, position_camera_km: Float, altitude_km: float, errors: Float) -> tuple[Float, Float]:
-        """Residuals and their derivatives by the errors of the image.
+        """Residuals (n,), sigmas, and their design (n, 8 + c), sigmas per unit of each error of the image.
 
-        Parameters
-        ----------
-        position_camera_km : (3,) float64, km, camera axes
-            Predicted position of the body.
-        altitude_km : float, km
-            Altitude of the limb before ``errors``.
-        errors : (8 + c,) float64
-            Rotation (rad), displacement (km), altitude (km), outward shift (px), shared errors (sigmas).
-
-        Returns
-        -------
-        residuals : (n,) float64, sigmas
-            Measured minus predicted; NaN where the horizon has no point nearby.
-        design : (n, 8 + c) float64, sigmas per unit of each error
-            Growth of the prediction.
+        ``position_camera_km`` (3,), km, camera axes: predicted position of the body; ``altitude_km``, km, of the limb
+        before ``errors`` (8 + c,): rotation (rad), displacement (km), altitude (km), outward shift (px), shared errors
+        (sigmas). Residuals are measured minus predicted, NaN where the horizon has no point nearby; the design is the
+        growth of the prediction.
         """
         turn = Rotation.from_rotvec(errors[ROTATION])
         position = rotate(turn, position_camera_km + errors[DISPLACEMENT])

@@ -62,12 +62,7 @@ class Sources:
             require_number(getattr(self, name), name, above=0.0)
 
     def surface_rate_e_s(self, camera: Camera, target: Target | None = None) -> float:
-        """Signal of a pixel that sees a surface lit and seen along its normal.
-
-        Returns
-        -------
-        float, electron/s
-        """
+        """Signal, electron/s, of a pixel that sees a surface lit and seen along its normal."""
         albedo = self.albedo if target is None or target.normal_albedo is None else target.normal_albedo
         pixel_sr = float(camera.ifov_rad()) ** 2
         return float(self.photometry.surface_rate_e_s(albedo, pixel_sr, sun_distance_au=self.sun_distance_au))

@@ -64,13 +64,7 @@ class Shot(Value):
         Value.__post_init__(self)
 
     def at(self, since_middle_s: float) -> Shot:
-        """Return the exposure with the epoch, attitude and observer of another moment of it.
-
-        Parameters
-        ----------
-        since_middle_s : float, s
-            Time of that moment after mid-exposure.
-        """
+        """Return the exposure with the epoch, attitude and observer of a time within it."""
         if since_middle_s == 0.0:
             return self
         turn = Rotation.from_rotvec(-since_middle_s * self.angular_rate_camera_rad_s)

@@ -108,43 +108,22 @@ class StarNavigation:
         image : Image
             Without an epoch, stars are taken at J2016.0; without an observer, as seen from the solar system barycenter
             at rest, so that aberration (up to 20 arcsec from Earth) becomes part of the attitude. The provenance of the
-            fix says which.
+            fix says which. An image of another size than the camera raises InputError.
 
         Returns
         -------
         AttitudeFix or Failure
             Reasons: as for :func:`~giantlike.processing.detect_sources` and of the identification.
-
-        Raises
-        ------
-        InputError
-            The image and the camera differ in size.
         """
         return self.detect_and_solve(image)[1]
 
     @one_thread()
     def detect_and_solve(self, image: Image) -> tuple[Detections | Failure, AttitudeFix | Failure]:
-        """Detect the stars of an image and estimate its attitude.
+        """Detect the stars of an image and estimate its attitude, as :meth:`solve` does.
 
-        Unless ``StarOptions.all_stars`` is set, the brightest sources are measured first. The rest are measured
-        too if no attitude is found or if they would shrink its covariance by more than 5 %, which errors that do not
-        depend on brightness, of camera or catalog, make likely.
-
-        Parameters
-        ----------
-        image : Image
-            As in :meth:`solve`.
-
-        Returns
-        -------
-        detections : Detections or Failure
-        attitude : AttitudeFix or Failure
-            As from :meth:`solve`; the failure of the detection if that failed.
-
-        Raises
-        ------
-        InputError
-            The image and the camera differ in size.
+        Unless ``StarOptions.all_stars`` is set, the brightest sources are measured first. The rest are measured too if
+        no attitude is found or if they would shrink its covariance by more than 5 %, which errors that do not depend on
+        brightness, of camera or catalog, make likely. Both results are the failure of the detection if that failed.
         """
         first = 1.0 if self.options.all_stars else _MEASURED_FIRST
         until_s = time.thread_time() + self.options.time_limit_s
@@ -194,19 +173,7 @@ class StarNavigation:
 
     @one_thread()
     def detect(self, image: Image, options: DetectionOptions | None = None) -> Detections | Failure:
-        """Detect the point sources of an image.
-
-        Parameters
-        ----------
-        image : Image
-        options : DetectionOptions, optional
-            Default: the options of this object.
-
-        Raises
-        ------
-        InputError
-            The image and the camera differ in size.
-        """
+        """Detect the point sources of an image, with the detection options of this object unless others are given."""
         options = self.detection if options is None else options
         return next(self._detections(image, options, (options.information,)))
 
@@ -227,16 +194,10 @@ class StarNavigation:
 
     @one_thread()
     def solve_detections(self, image: Image, detections: Detections) -> AttitudeFix | Failure:
-        """Estimate the attitude of an image from its detections.
+        """Estimate the attitude of an image from its detections; the pixels of the image are not used.
 
         Detections without the flags of ``NOT_A_STAR`` are tried first, then all that are not extended, because
         undersampled stars may be flagged as hot pixels.
-
-        Parameters
-        ----------
-        image : Image
-            Time, a priori pose and name; the pixels are not used.
-        detections : Detections
         """
         outcome = self._solve(image, detections, time.thread_time() + self.options.time_limit_s)
         return self._explain(image, detections, outcome) if isinstance(outcome, Failure) else outcome.fix

@@ -43,21 +43,11 @@ class AngularRates(Value):
     def turn(self, from_et: float, to_et: float) -> Rotation | Failure:
         """Integrate the rates to a rotation ``camera(to_et) from camera(from_et)``.
 
-        Each interval between samples is integrated with its mean rate and the commutator of its ends (Magnus series to
-        second order), so that the error falls with the fourth power of the interval. In ``dC/dt = -[w x] C``, with
-        ``w`` going linearly from ``w0`` to ``w1`` in a time ``h``, the commutators of the rates at two times add
-        ``h^2 / 12 (w0 x w1)`` to the turn ``h (w0 + w1) / 2`` of the camera.
-
-        Parameters
-        ----------
-        from_et, to_et : float, TDB seconds past J2000
-            In any order.
-
-        Returns
-        -------
-        Rotation or Failure
-            Takes vectors in camera axes at ``from_et`` to camera axes at ``to_et``. ``NO_ATTITUDE`` if the samples do
-            not cover both times.
+        The times may be in any order; NO_ATTITUDE if the samples do not cover both. Each interval between samples is
+        integrated with its mean rate and the commutator of its ends (Magnus series to second order), so that the error
+        falls with the fourth power of the interval. In ``dC/dt = -[w x] C``, with ``w`` going linearly from ``w0`` to
+        ``w1`` in a time ``h``, the commutators of the rates at two times add ``h^2 / 12 (w0 x w1)`` to the turn ``h (w0
+        + w1) / 2`` of the camera.
         """
         start, stop = min(from_et, to_et), max(from_et, to_et)
         if not (self.et[0] <= start and stop <= self.et[-1]):

@@ -96,20 +96,10 @@ class HeightMap(Value):
 
     @classmethod
     def from_array(cls, heights_km: ArrayLike, *, reference_radii_km: ArrayLike, sigma_km: float = 0.0) -> HeightMap:
-        """Make a map of the whole body from an array.
+        """Make a map of the whole body from heights (rows, columns), km; InputError for an array that is no map.
 
-        Parameters
-        ----------
-        heights_km : (rows, columns), km
-            Rows from the north pole to the south, columns from longitude 0 to the east, samples in the middles of
-            cells; NaN where nothing is known.
-        reference_radii_km : (3,), km
-        sigma_km : float, km
-
-        Raises
-        ------
-        InputError
-            The array is no map, or an argument makes no sense.
+        Rows go from the north pole to the south, columns from longitude 0 to the east, samples are in the middles of
+        cells; NaN where nothing is known. ``reference_radii_km`` (3,), km.
         """
         heights = as_floats(heights_km, (), "heights_km").astype(np.float32)
         require(heights.ndim == 2 and min(heights.shape) > 1, f"heights_km must be a grid, got {heights.shape}")
@@ -131,10 +121,7 @@ class HeightMap(Value):
     def save(self, path: str | Path) -> None:
         """Write the map as a numpy archive in tiles, which is opened again without reading all of it.
 
-        Raises
-        ------
-        InputError
-            Rows do not go from north to south, or columns not to the east.
+        Raises InputError where rows do not go from north to south, or columns not to the east.
         """
         down = self.grid.latitude_step_rad < 0.0 < self.grid.longitude_step_rad
         require(down, "a map is written with rows from north to south and columns to the east")
@@ -166,16 +153,9 @@ class HeightMap(Value):
         return _statistics(self)[1]
 
     def unresolved_km(self, step_rad: float | None = None) -> float:
-        """Root mean square of the relief that samples at a step do not resolve, as the map itself lets expect.
+        """Root mean square, km, of the relief that samples at a step do not resolve, as the map itself lets expect.
 
-        Parameters
-        ----------
-        step_rad : float, rad, optional
-            Distance of the samples; that of the map by default.
-
-        Returns
-        -------
-        float, km
+        ``step_rad``, rad: distance of the samples; that of the map by default.
 
         Notes
         -----
@@ -187,17 +167,9 @@ class HeightMap(Value):
         return math.sqrt(variance * wider ** math.log2(growth))
 
     def heights_km(self, directions: ArrayLike) -> Float:
-        """Heights in some directions from the center of the body.
+        """Heights (...), km, above the reference ellipsoid in directions (..., 3) from the center, body axes.
 
-        Parameters
-        ----------
-        directions : (..., 3)
-            Body axes, of any length.
-
-        Returns
-        -------
-        (...) float64, km
-            Above the reference ellipsoid, interpolated linearly; NaN outside the map.
+        They are interpolated linearly; NaN outside the map.
         """
         vectors = as_floats(directions, (3,), "directions")
         x, y, z = np.moveaxis(vectors, -1, 0)
@@ -205,18 +177,7 @@ class HeightMap(Value):
         return self._looked_up(latitude.ravel(), longitude.ravel()).reshape(latitude.shape)
 
     def radii_km(self, directions: ArrayLike) -> Float:
-        """Distances of the surface from the center in some directions.
-
-        Parameters
-        ----------
-        directions : (..., 3)
-            Body axes, of any length.
-
-        Returns
-        -------
-        (...) float64, km
-            NaN outside the map.
-        """
+        """Distances (...), km, of the surface from the center in directions (..., 3); NaN outside the map."""
         vectors = as_floats(directions, (3,), "directions")
         length = np.linalg.norm(vectors, axis=-1)
         reference = length / np.linalg.norm(vectors / self.grid.reference_radii_km, axis=-1)
@@ -225,20 +186,8 @@ class HeightMap(Value):
     def mesh(self, step_deg: float = 1.0) -> TriangleMesh:
         """Closed mesh of the surface, for templates that are rendered.
 
-        Parameters
-        ----------
-        step_deg : float, deg
-            Distance of the vertices; 1 deg makes 129,000 facets.
-
-        Returns
-        -------
-        TriangleMesh
-            Where the map holds nothing it lies on the reference ellipsoid.
-
-        Raises
-        ------
-        InputError
-            The step is not in [0.1, 20] deg.
+        ``step_deg``, deg, in [0.1, 20]: distance of the vertices; 1 deg makes 129,000 facets. Where the map holds
+        nothing it lies on the reference ellipsoid.
         """
         require_number(step_deg, "step_deg", least=0.1, most=20.0)
         bands, around = max(round(180.0 / step_deg), 4), max(round(360.0 / step_deg), 8)

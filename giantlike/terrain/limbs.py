@@ -78,18 +78,10 @@ class LimbProfile(Value):
     scatter_km: float
 
     def at(self, directions_body: Float, *, width_rad: float = 0.0) -> Float:
-        """Altitude of the limb where lines of sight touch it.
+        """Altitude (n,), km, of the limb where lines of sight (n, 3), body axes, touch it.
 
-        Parameters
-        ----------
-        directions_body : (n, 3) float64, body axes
-            From the camera to the limb, of any length.
-        width_rad : float, rad
-            Position angle over which the altitude is averaged: what a measurement of the limb sees together.
-
-        Returns
-        -------
-        (n,) float64, km
+        ``width_rad``, rad: position angle over which the altitude is averaged, the width that one measurement of the
+        limb sees.
         """
         step = 2.0 * math.pi / self.angles_rad.size
         count = max(round(width_rad / step), 1)
@@ -105,21 +97,10 @@ class LimbProfile(Value):
     def in_image(
         self, model: CameraModel, camera_from_body: Rotation, position_camera_km: ArrayLike
     ) -> tuple[Float, Float]:
-        """Outline in an image.
+        """Outline with its relief (k, 2), px, and how far it lies outside that of the smooth body (k,), px.
 
-        Parameters
-        ----------
-        model : CameraModel
-        camera_from_body : Rotation
-        position_camera_km : (3,), km, camera axes
-            Of the center of the body, as in the geometry of the profile.
-
-        Returns
-        -------
-        points_px : (k, 2) float64, px
-            The outline with its relief; NaN where the camera does not image it.
-        altitude_px : (k,) float64, px
-            How far it lies outside that of the smooth body.
+        ``position_camera_km`` (3,), km, camera axes: center of the body, as in the geometry of the profile. NaN where
+        the camera does not image it.
         """
         place = as_finite(position_camera_km, (3,), "position_camera_km")
         raised_km = self.points_body_km + self.altitude_km[:, None] * self.normals_body
@@ -132,22 +113,10 @@ class LimbProfile(Value):
     def bias(self, sun_direction_body: ArrayLike | None = None) -> tuple[float, Float]:
         """Bias that the relief gives a fit of the smooth body, before there is an image.
 
-        Parameters
-        ----------
-        sun_direction_body : (3,), unitless, body axes, optional
-            Unit vector to the Sun: the limb that it lights counts; all of it by default.
-
-        Returns
-        -------
-        radius_km : float, km
-            By which the body seems larger: the range comes out shorter by as much, times range over radius.
-        center_km : (2,) float64, km
-            By which its center seems moved, along ``first_body`` and ``second_body``.
-
-        Raises
-        ------
-        InputError
-            The Sun lights too little of the limb to tell them.
+        ``sun_direction_body`` (3,), unit vector to the Sun, body axes: the limb that it lights counts; all of it by
+        default. Returns the growth of the radius, km (the range comes out shorter by as much, times range over radius),
+        and the shift of the center (2,), km, along ``first_body`` and ``second_body``. Raises InputError where the Sun
+        lights too little of the limb.
         """
         lit = np.ones(self.angles_rad.size, dtype=np.bool_)
         if sun_direction_body is not None:

@@ -198,17 +198,7 @@ class StarEphemeris(Value):
         Value.__post_init__(self)
 
     def state(self, et: float) -> tuple[Float, Float]:
-        """Position and velocity when light leaves the star.
-
-        Parameters
-        ----------
-        et : float, TDB seconds past J2000
-
-        Returns
-        -------
-        position_km : (3,) float64, km, ICRF axes
-        velocity_km_s : (3,) float64, km/s, ICRF axes
-        """
+        """Position (3,), km, and velocity (3,), km/s, ICRF axes, when light leaves the star."""
         star = self.star
         distance_km = AU_KM / (float(star.parallax_mas[0]) * RAD_PER_MAS)
         radial = direction_from_radec(star.ra_deg[0], star.dec_deg[0])
@@ -223,10 +213,5 @@ class StarEphemeris(Value):
         return position, velocity
 
     def inertial_from_body(self, et: float) -> Rotation:
-        """Orientation of the inertial axes.
-
-        Parameters
-        ----------
-        et : float, TDB seconds past J2000
-        """
+        """Orientation of the inertial axes: the identity."""
         return Rotation.identity()

@@ -22,18 +22,10 @@ class Reflectance(Protocol):
     """Name in campaign files."""
 
     def __call__(self, cos_incidence: ArrayLike, cos_emission: ArrayLike, phase_rad: ArrayLike) -> Float:
-        """Brightness relative to normal incidence; 0 where the Sun or the camera is below the horizon.
+        """Brightness (...) relative to normal incidence; 0 where the Sun or the camera is below the horizon.
 
-        Parameters
-        ----------
-        cos_incidence, cos_emission : (...) float64
-            Cosines of the angles from the surface normal to Sun and camera.
-        phase_rad : (...) float64, rad
-            Angle Sun - surface - camera, in [0, pi].
-
-        Returns
-        -------
-        (...) float64
+        The cosines (...) are of the angles from the surface normal to Sun and camera; ``phase_rad`` (...), rad: angle
+        Sun - surface - camera, in [0, pi].
         """
         ...
 
@@ -50,16 +42,8 @@ class SurfaceLaw(ABC):
     def __call__(self, cos_incidence: ArrayLike, cos_emission: ArrayLike, phase_rad: ArrayLike) -> Float:
         """Brightness (...) relative to normal incidence and emission at zero phase, 0 below either horizon.
 
-        Parameters
-        ----------
-        cos_incidence, cos_emission : (...) float64
-            Cosines of the angles from the surface normal to Sun and camera; NaN counts as below the horizon.
-        phase_rad : (...) float64, rad
-            Angle Sun - surface - camera, in [0, pi].
-
-        Returns
-        -------
-        (...) float64
+        The cosines (...) are of the angles from the surface normal to Sun and camera, NaN below the horizon;
+        ``phase_rad`` (...), rad: angle Sun - surface - camera, in [0, pi].
         """
         angles = (np.asarray(angle, dtype=np.float64) for angle in (cos_incidence, cos_emission, phase_rad))
         mu0, mu, phase = np.broadcast_arrays(*angles)
@@ -81,18 +65,7 @@ class SurfaceLaw(ABC):
 
     @abstractmethod
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
-        """Return the brightness by the formula of the law.
-
-        Parameters
-        ----------
-        mu0, mu : (n,) float64
-            Cosines of incidence and emission, > 0.
-        phase_rad : (n,) float64, rad
-
-        Returns
-        -------
-        (n,) float64
-        """
+        """Return the brightness (n,) by the formula of the law, for positive cosines (n,) of incidence and emission."""
 
 
 def checked_number(law: str, name: str, value: float, interval: str = "(-inf, inf)") -> None:

@@ -143,13 +143,7 @@ class Campaign:
 
     @classmethod
     def load(cls, path: str | Path) -> Campaign:
-        """Read and check a campaign file and the files it names.
-
-        Raises
-        ------
-        DataError
-            The file has an error; one line names the file, the key and the expectation.
-        """
+        """Read and check a campaign file and the files it names; DataError says file, key and what was expected."""
         path = Path(path)
         content, table = read_toml(path, CampaignFile, "campaign file", complete=with_mission)
         with resolving(path, "a campaign file"):
@@ -158,10 +152,7 @@ class Campaign:
     def with_network(self, section: NetworkSection) -> Campaign:
         """Return the campaign with the step ``network``.
 
-        Raises
-        ------
-        InputError
-            The target is unknown, its shape is not a mesh, or fewer than two images may show it.
+        Raises InputError where the target is unknown, its shape is not a mesh, or fewer than two images may show it.
         """
         anywhere = self.spice is not None or self.label_geometry
         seen = Counter(name for known in self.geometry.values() for name in {*known.targets, *known.seen})
@@ -178,17 +169,9 @@ class Campaign:
         return replace(self, network=NetworkSetup(target=target, section=section))
 
     def apriori_covariance_rad2(self, key: str) -> Float | None:
-        """Return the covariance of the a priori attitude of an image, as declared, else as in its SUMFILE.
+        """Return the covariance (3, 3), rad^2, camera axes, of the a priori attitude of an image.
 
-        Parameters
-        ----------
-        key : str
-            Of the image.
-
-        Returns
-        -------
-        (3, 3) float64, rad^2, camera axes, or None
-            None where it is not known.
+        It is as declared, else as in the SUMFILE of the image; None where it is not known.
         """
         known = self.geometry.get(key)
         if self.apriori_sigma_rad is not None:
@@ -200,24 +183,14 @@ class Campaign:
         return Path(os.path.relpath(path, self.output)).as_posix()
 
     def is_star_image(self, exposure_s: float | None) -> bool:
-        """Return True if an image of this exposure gets its attitude from its own stars.
-
-        Parameters
-        ----------
-        exposure_s : float or None, s
-        """
+        """Return True if an image of this exposure gets its attitude from its own stars."""
         if self.stars is None:
             return False
         limit = self.stars.long_exposure_s
         return limit is None or (exposure_s is not None and exposure_s >= limit)
 
     def is_body_image(self, exposure_s: float | None) -> bool:
-        """Return True if estimators run on an image of this exposure: bodies are usually saturated in star images.
-
-        Parameters
-        ----------
-        exposure_s : float or None, s
-        """
+        """Return True if estimators run on an image of this exposure: bodies are usually saturated in star images."""
         if self.stars is None or self.stars.long_exposure_s is None:
             return True
         return not self.is_star_image(exposure_s)

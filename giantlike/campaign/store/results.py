@@ -130,18 +130,10 @@ class RunResult(Pictured, Value):
         )
 
     def table(self, name: str = "observations") -> QTable:
-        """Return a table of the run, with units.
+        """Return a table of the run, with units; InputError where there is no such table.
 
-        Returns
-        -------
-        astropy QTable
-            A column for each of docs/tables.md that a CSV file has, cells without a value masked. ``table.to_pandas()``
-            makes a data frame of it where pandas is installed.
-
-        Raises
-        ------
-        InputError
-            There is no such table.
+        It has a column for each of docs/tables.md that a CSV file has; cells without a value are masked.
+        ``table.to_pandas()`` makes a data frame of it where pandas is installed.
         """
         from giantlike.campaign.store.tables import table_of
 
@@ -175,12 +167,7 @@ class RunResult(Pictured, Value):
         return tuple(record.file for record in self.attitudes if record.file in wrong)
 
     def summary(self) -> dict[str, Any]:
-        """Counts of the run, as JSON has them.
-
-        Returns
-        -------
-        dict
-        """
+        """Counts of the run, as JSON has them."""
         return {
             "campaign": self.name,
             "output": str(self.folder),

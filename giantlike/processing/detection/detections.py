@@ -41,10 +41,6 @@ class DetectionFlag(enum.IntFlag):
     def names(self) -> tuple[str, ...]:
         """Lower-case names of the flags that are set, in order of definition.
 
-        Returns
-        -------
-        tuple of str
-
         Examples
         --------
         >>> (DetectionFlag.BLENDED | DetectionFlag.SATURATED).names()
@@ -142,42 +138,16 @@ class Detections(Value):
         """True (n,) for detections that look like stars: none of the flags of ``NOT_A_STAR``.
 
         Saturated, blended, masked and cut stars are included: their covariance is larger.
-
-        Examples
-        --------
-        >>> Detections.empty(psf_sigma_px=0.8, noise_dn=3.0).clean.tolist()
-        []
         """
         result: Mask = (self.flags & np.uint16(NOT_A_STAR)) == 0
         return result
 
     def select(self, which: Mask | NDArray[np.integer]) -> Detections:
-        """Detections of a mask or of indices.
-
-        Parameters
-        ----------
-        which : (n,) bool, (k,) int
-
-        Returns
-        -------
-        Detections
-            In the order of the indices.
-        """
+        """Detections of a mask (n,) or of indices (k,), in their order."""
         return select_rows(self, which)
 
     def joined(self, other: Detections) -> Detections:
-        """Detections of two parts of the sources of an image.
-
-        Parameters
-        ----------
-        other : Detections
-            Of sources that are not among these, and no streaks.
-
-        Returns
-        -------
-        Detections
-            These, then the others; nothing is left out.
-        """
+        """These detections, then those of other sources of the same image, without streaks; nothing is left out."""
         parts: dict[str, Any] = {
             field.name: np.concatenate([getattr(self, field.name), getattr(other, field.name)])
             for field in fields(self)
@@ -187,13 +157,7 @@ class Detections(Value):
 
     @classmethod
     def empty(cls, *, psf_sigma_px: float, noise_dn: float) -> Detections:
-        """Result of an image without sources.
-
-        Parameters
-        ----------
-        psf_sigma_px : float, px
-        noise_dn : float, DN
-        """
+        """Result of an image without sources."""
         none = np.zeros(0)
         return cls(
             points_px=np.zeros((0, 2)),
