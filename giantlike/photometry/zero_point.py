@@ -117,12 +117,7 @@ class ZeroPoint(Estimate):
         return self.photometry.covariance_mag2
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the zero point as a mapping for JSON; ``photometry`` is the table of camera files.
-
-        Returns
-        -------
-        dict
-        """
+        """Return the zero point as a mapping for JSON; ``photometry`` is the table of camera files."""
         return {
             "photometry": self.photometry.to_mapping(),
             "zero_point_mag": self.value_mag,

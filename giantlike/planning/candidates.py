@@ -73,14 +73,9 @@ class Candidate(Value):
         Value.__post_init__(self)
 
     def image(self, exposure_s: float | None = None, pixels: NDArray[Any] = _NO_PIXELS) -> Image:
-        """Return an image with the epoch and the pose of the candidate.
+        """Return an image with the epoch and the pose of the candidate; by default of one black pixel.
 
-        Parameters
-        ----------
-        exposure_s : float, s, optional
-            That of the candidate by default.
-        pixels : (rows, columns) real numbers, DN
-            By default one black pixel.
+        ``exposure_s`` is that of the candidate by default; ``pixels`` (rows, columns), DN.
         """
         return Image(
             pixels=pixels,
@@ -92,17 +87,7 @@ class Candidate(Value):
         )
 
     def shot(self, exposure_s: float) -> Shot:
-        """Return the exposure to simulate.
-
-        Parameters
-        ----------
-        exposure_s : float, s
-
-        Raises
-        ------
-        InputError
-            The candidate has no epoch or attitude.
-        """
+        """Return the exposure to simulate; InputError where the candidate has no epoch or attitude."""
         if self.epoch is None or self.camera_from_inertial is None:
             raise InputError(f"{self.name}: an exposure needs an epoch and an attitude")
         return Shot(
@@ -115,13 +100,7 @@ class Candidate(Value):
         )
 
     def scene(self, scene: Scene) -> Scene:
-        """Return a scene with the geometry of this candidate.
-
-        Returns
-        -------
-        Scene
-            The same, where the candidate has no places.
-        """
+        """Return a scene with the geometry of this candidate; the same scene where the candidate has no places."""
         if not self.places:
             return scene
         return replace(

@@ -134,13 +134,7 @@ class Session:
 
     @property
     def campaign_file(self) -> Path:
-        """The campaign file of the run.
-
-        Raises
-        ------
-        InputError
-            It is not where it was, and was not given.
-        """
+        """The campaign file of the run; InputError where it is not where it was, and was not given."""
         named = self._store.provenance().get("environment", {}).get("campaign_file")
         path = self._campaign_file or (None if named is None else (self.folder / named).resolve())
         if path is None or not path.is_file():
@@ -154,13 +148,7 @@ class Session:
 
     @cached_property
     def workbench(self) -> Workbench:
-        """Catalog, shapes and kernels of the campaign, loaded once.
-
-        Raises
-        ------
-        InputError, DataError
-            The campaign file or one of its files is missing or wrong.
-        """
+        """Catalog, shapes and kernels of the campaign, loaded once; InputError or DataError where one is wrong."""
         campaign = Campaign.load(self.campaign_file)
         return Workbench.load(replace(campaign, camera=self.camera))
 
@@ -172,21 +160,12 @@ class Session:
     def find(self, name: str) -> str:
         """Name of an image in the tables, from that name, a path that ends in it, or its start.
 
-        Raises
-        ------
-        InputError
-            There is none, or there are several.
+        Raises InputError where there is no such image, or several.
         """
         return find_image(name, self.files, self.folder)
 
     def seen(self, file: str) -> SeenImage:
-        """Return the results of the run for an image.
-
-        Parameters
-        ----------
-        file : str
-            One of :attr:`files`.
-        """
+        """Return the results of the run for an image, one of :attr:`files`."""
         record = next(each for each in self.result.attitudes if each.file == file)
         observations = [one for image in self.result.bodies if image.file == file for one in image.observations]
         names = dict.fromkeys(one.target for one in observations)
@@ -210,23 +189,14 @@ class Session:
         )
 
     def pixels(self, file: str) -> Image:
-        """The image as it is stored.
-
-        Raises
-        ------
-        DataError
-            The file is gone or damaged.
-        """
+        """The image as it is stored; DataError where the file is gone or damaged."""
         record = next(each for each in self.result.attitudes if each.file == file)
         return Image.open(self.folder / record.path, hdu=self.result.hdu, bottom_up=self.result.bottom_up)
 
     def image(self, file: str) -> Image:
         """The image as estimators saw it: calibrated pixels, and the attitude that was used.
 
-        Raises
-        ------
-        InputError, DataError
-            The campaign or the image cannot be read.
+        Raises InputError or DataError where the campaign or the image cannot be read.
         """
         bench = self.workbench
         entry = next((each for each in bench.campaign.images if each.key == file), None)
@@ -238,23 +208,9 @@ class Session:
         return with_attitude_used(image, record.attitude)
 
     def geometry(self, file: str, *, image: Image | None = None) -> dict[str, TargetGeometry]:
-        """Geometry of the targets of an image with the attitude that was used.
+        """Geometry of the targets of an image with the attitude that was used, by target.
 
-        Parameters
-        ----------
-        file : str
-        image : Image, optional
-            As :meth:`image` returns it.
-
-        Returns
-        -------
-        dict of str to TargetGeometry
-            By target; those without geometry are left out.
-
-        Raises
-        ------
-        InputError, DataError
-            The campaign or the image cannot be read.
+        ``image`` is as :meth:`image` returns it, and read where it is not given. Targets without geometry are left out.
         """
         image = self.image(file) if image is None else image
         bench, known = self.workbench, {}
@@ -269,17 +225,9 @@ class Session:
         return known
 
     def position_camera_km(self, geometry: TargetGeometry, fix: ObservationRecord | None) -> Float:
-        """Position of a body by a fix of it; where a fix has no range, at the predicted one.
+        """Position (3,), km, camera axes, of a body by a fix of it, with the predicted range where the fix has none.
 
-        Parameters
-        ----------
-        geometry : TargetGeometry
-        fix : ObservationRecord or None
-            None: the prediction.
-
-        Returns
-        -------
-        (3,) float64, km, camera axes
+        The predicted position without a fix.
         """
         if fix is None or fix.center_px is None:
             return geometry.position_camera_km
@@ -288,13 +236,7 @@ class Session:
         return geometry.range_km * unit(self.camera.model.unproject(np.array(fix.center_px)))
 
     def require_attitude(self, file: str) -> Rotation:
-        """``camera_from_inertial`` of an image.
-
-        Raises
-        ------
-        DataError
-            It has none.
-        """
+        """``camera_from_inertial`` of an image; DataError where it has none."""
         attitude = next(each for each in self.result.attitudes if each.file == file).attitude
         if attitude is None:
             raise DataError(self.folder, f"{file} has no attitude in this run")

@@ -81,24 +81,11 @@ class Figure(Value):
         Value.__post_init__(self)
 
     def cone(self, position_camera_km: Float) -> tuple[Float, Float]:
-        """Cone of the rays that graze the ellipsoid.
+        """Cone of the rays that graze an ellipsoid with the center s (3,), km, camera axes.
 
-        Parameters
-        ----------
-        position_camera_km : (3,) float64, km, camera axes
-            Center of the ellipsoid, s.
-
-        Returns
-        -------
-        pull : (3,) float64, 1/km
-        conic : (3, 3) float64, 1/km^2
-            The matrix ``M = A s s.A - (s.A.s - 1) A``: ``x.M.x`` is zero for rays x that graze the body, positive for
-            those that meet it.
-
-        Raises
-        ------
-        InputError
-            The camera is inside the ellipsoid.
+        Returns ``pull`` (3,), 1/km, and ``conic`` (3, 3), 1/km^2, the matrix ``M = A s s.A - (s.A.s - 1) A``: ``x.M.x``
+        is zero for rays x that graze the body, positive for those that meet it. Raises InputError for a camera inside
+        the ellipsoid.
         """
         pull = self.shape_matrix @ position_camera_km
         strength = float(position_camera_km @ pull)

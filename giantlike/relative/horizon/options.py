@@ -83,12 +83,6 @@ class HorizonSearch(IteratedSearch):
         Altitude(self.limb_altitude_km, self.altitude_sigma_km)  # checks the values
 
     def altitude(self, geometry: TargetGeometry) -> Altitude:
-        """Return the a priori altitude of the limb.
-
-        Parameters
-        ----------
-        geometry : TargetGeometry
-            Its target may have an atmosphere.
-        """
+        """Return the a priori altitude of the limb, of a target that may have an atmosphere."""
         own = Altitude(self.limb_altitude_km, self.altitude_sigma_km)
         return Altitude.from_geometry(geometry) if own == Altitude() else own

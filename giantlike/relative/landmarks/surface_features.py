@@ -204,12 +204,7 @@ class SurfaceFeatures(BodyEstimator[SurfaceFeaturesOptions, LandmarkFix]):
     _excluded: frozenset[str] = frozenset()
 
     def exclude(self, names: Iterable[str]) -> SurfaceFeatures:
-        """Return the estimator without some landmarks.
-
-        Parameters
-        ----------
-        names : iterable of str
-        """
+        """Return the estimator without some landmarks, given by name."""
         made = copy(self)
         made._excluded = self._excluded | frozenset(names)
         return made

@@ -120,17 +120,7 @@ class IteratedSearch(LimbSearch):
         require(whole, f"max_iterations must be a whole number in [1, 50], got {self.max_iterations}")
 
     def allowed_rms_px(self, measured: LimbMeasurement) -> float:
-        """Return the residuals beyond which a position is a failure.
-
-        Parameters
-        ----------
-        measured : LimbMeasurement
-            With its relief, which raises the limit.
-
-        Returns
-        -------
-        float, px
-        """
+        """Return the residuals, px, beyond which a position is a failure; the relief of a limb raises them."""
         return self.max_rms_px + _RELIEF_RMS * measured.relief_px
 
 
