@@ -28,6 +28,7 @@ class LimbView(Value):
     plane: FocalPlane  # camera model and point spread function, None where unknown
     sun_direction_camera: Float  # unit vector from body to Sun
     radius_px: float  # predicted apparent radius of the body
+    in_air: bool = False  # air of uncertain altitude blurs the limb more in some directions than in others
 
     @property
     def model(self) -> CameraModel:

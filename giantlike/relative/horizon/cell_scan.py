@@ -373,7 +373,8 @@ class CellScan(Value):
     def _list_shared_unknowns(self, first: bool) -> tuple[Layout, Float]:
         """Blur, the power of the law, other laws, wings and ovality, with their a priori standard deviations.
 
-        Ovality of declared optics only: of unknown ones the blur itself is a rough estimate.
+        Ovality of declared optics only, as of unknown ones the blur itself is a rough estimate, and not in air, which
+        blurs the limb more in some directions than in others.
         """
         sigma_px2 = _UNKNOWN_PSF_SIGMA_PX2
         known = self.view.psf_sigma_px is not None
@@ -385,7 +386,7 @@ class CellScan(Value):
                 ("law", Cause.REFLECTANCE, 1),
                 ("laws", Cause.REFLECTANCE, 0 if first else len(self.other_laws)),
                 ("wings", Cause.REFLECTANCE, 0 if first else len(_WING_RATIOS)),
-                ("ovality", Cause.PSF, 2 if known and not first else 0),
+                ("ovality", Cause.PSF, 2 if known and not (first or self.view.in_air) else 0),
             )
         )
         law_sigma = _LAW_SIGMA if self.options.edges is EdgeModel.TEMPLATE else _STEP_LAW_SIGMA

@@ -135,6 +135,7 @@ def limb_view(inputs: EstimatorInputs) -> LimbView:
         plane=FocalPlane(model=camera.model, columns=camera.columns, rows=camera.rows, psf=camera.psf),
         sun_direction_camera=inputs.geometry.sun_direction_camera,
         radius_px=inputs.radius_px,
+        in_air=inputs.geometry.limb_altitude_km[1] > 0.0,
     )
 
 

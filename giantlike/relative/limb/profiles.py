@@ -196,8 +196,9 @@ def expected_profiles(
         changes, blur = [*np.moveaxis(clipped.laws, -1, 0), clipped.brightness], clipped.blur
     if first:
         return _without_shared(values)
-    changes += [blur, *(blur * part[:, None] for part in ovality(scans.normals_px))]
-    layout = _layout(laws=len(laws), whole=level_dn is None, clipped=level_dn is not None)
+    oval = [] if view.in_air else [blur * part[:, None] for part in ovality(scans.normals_px)]
+    changes += [blur, *oval]
+    layout = _layout(laws=len(laws), whole=level_dn is None, clipped=level_dn is not None, oval=len(oval))
     sigmas = {"laws": LAW_SIGMA, "wings": _WING_SIGMA, "trails": SHARE_SIGMA, "brightness": LOG_GAIN_SIGMA}
     sigmas |= {"blur": psf_sigma, "ovality": psf_sigma}
     return ExpectedProfiles(
@@ -209,7 +210,7 @@ def expected_profiles(
     )
 
 
-def _layout(*, laws: int = 0, whole: int = 0, clipped: int = 0) -> Layout:
+def _layout(*, laws: int = 0, whole: int = 0, clipped: int = 0, oval: int = 0) -> Layout:
     """Layout of the parameters that all lines share, of whole or of clipped profiles."""
     return Layout(
         (
@@ -218,7 +219,7 @@ def _layout(*, laws: int = 0, whole: int = 0, clipped: int = 0) -> Layout:
             ("trails", Cause.PSF, 2 * whole),
             ("brightness", Cause.EDGE, clipped),
             ("blur", Cause.PSF, whole + clipped),
-            ("ovality", Cause.PSF, 2 * (whole + clipped)),
+            ("ovality", Cause.PSF, oval),
         )
     )
 

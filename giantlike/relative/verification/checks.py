@@ -24,7 +24,7 @@ from giantlike.relative.inputs import EstimatorInputs
 from giantlike.relative.judge import FALSE_ALARM, Alternative, Judgement, explaining_inflation, inflation
 from giantlike.relative.verification.cells import CELLS_PER_RADIUS, Cells, cells_around
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells, motion_log_evidence
-from giantlike.relative.verification.haze import HAZE_CELLS_PER_RADIUS, hint_of_haze, in_haze, may_be_hazy, veils
+from giantlike.relative.verification.haze import in_haze, may_be_hazy, veils
 from giantlike.relative.verification.light_side import light_side
 from giantlike.relative.verification.proportion import in_proportion, looks_bent
 from giantlike.relative.verification.rival import find_other_size, rival_log_odds
@@ -43,6 +43,7 @@ _BELIEVED = 0.5  # motion in radii, and relative change of the range, beyond whi
 _SMEAR = np.array([[1.0, 0.0, -1.0], [0.0, 2.0, 0.0]])  # anisotropic part of a blur (xx, xy, yy)
 _NOTHING_THERE = 0.0  # log odds of no body where the image fits a dark one better than any bright one
 _SECOND_SHARES = (0.25, 0.5, 0.75)  # fractions of the light in the second of two exposures
+_FINE_CELLS_PER_RADIUS = 60  # cells are not smaller than pixels
 _SHARP_CELLS = 4.0
 """Length of a motion, cells, from which it is distinguished from two exposures: these are at least two cells apart."""
 _OF_ITS_OWN = tuple(cause for cause in IN_IMAGE if cause not in (Cause.SHAPE_SCALE, *DECLARED))
@@ -66,9 +67,8 @@ def verify(
         straight = in_proportion(fix, coarse, inputs, again, lambda one, its: _coarse(one, its, search_px))
         if straight is not None:
             fix, coarse, inputs = straight
-    if again is not None and coarse is not None and hint_of_haze(fix, coarse.fit, inputs):
-        fine = _at(coarse.trace.body, inputs, None, fix)
-        hazy = in_haze(fix, fine, inputs, again, lambda one, its: _coarse(one, its, search_px))
+    if again is not None and coarse is not None:
+        hazy = in_haze(fix, coarse, inputs, again, lambda one, its: _coarse(one, its, search_px))
         if hazy is not None:
             fix, coarse, inputs = hazy
     fit = None if coarse is None else coarse.fit
@@ -280,8 +280,8 @@ def _coarse(fix: CenterFix, inputs: EstimatorInputs, search_px: float) -> _Coars
 def _at(body: Body, inputs: EstimatorInputs, search_px: float | None, fix: CenterFix) -> _Coarse | None:
     """Render a body coarsely and fit it; None where it is too small or not seen.
 
-    Without a search, in the fine cells of the test for haze, which is then made. The response and the smear that the
-    fix estimated are part of the model.
+    Without a search, in the fine cells of the test for a second exposure. The response and the smear that the fix
+    estimated are part of the model.
     """
     room_px = None
     if search_px is not None:
@@ -293,7 +293,7 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float | None, fix: Cente
         inputs.camera,
         body,
         room_px=room_px,
-        per_radius=CELLS_PER_RADIUS if search_px is not None else HAZE_CELLS_PER_RADIUS,
+        per_radius=CELLS_PER_RADIUS if search_px is not None else _FINE_CELLS_PER_RADIUS,
     )
     if cells is not None and inputs.geometry.target.rings is not None:
         cells = _without_rings(cells, inputs.geometry.target.rings, body, inputs.geometry.sun_direction_camera)
@@ -311,7 +311,7 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float | None, fix: Cente
             turn_rad=inputs.turn_rad,
             response=fix.corrections.response,
             motion=None if fix.corrections.smear is None else fix.corrections.smear.on_blocks(cells.size).blur,
-            asked=veils(cells, trace) if may_be_hazy(fix, inputs) else None,
+            veils=veils(cells, trace) if may_be_hazy(fix, inputs) else None,
         )
     return _Coarse(cells=cells, trace=trace, own=own, fit=fit)
 

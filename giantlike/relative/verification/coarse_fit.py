@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -20,6 +20,8 @@ from giantlike.ray_tracing import Lambert, LommelSeeliger, Minnaert, Template
 from giantlike.ray_tracing.cached_trace import Trace
 from giantlike.relative.judge import Alternative
 from giantlike.relative.response import DISPLAY_BEND_SIGMA
+from giantlike.relative.template.haze import VEIL_DEPTH, haze_block
+from giantlike.relative.template.undeclared import IndependentParts, undeclared_effects
 from giantlike.relative.verification.alternatives import (
     CellScores,
     other_outline,
@@ -95,19 +97,6 @@ class Estimate(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Omitted(Value):
-    """Effects left out of a fit of cells, each estimated alone from the residuals; none by default.
-
-    values: (a,); amplitude of the image of each effect in the residuals, with all fitted parameters free.
-    explains: (a,); fraction of the squared residuals beyond noise that each of them explains.
-    """
-
-    values: Float = field(default_factory=lambda: np.zeros(0))
-    sigma: Float = field(default_factory=lambda: np.zeros(0))  # (a,); standard deviations
-    explains: Float = field(default_factory=lambda: np.zeros(0))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoarseFit(Value):
     """A body fitted to cells.
 
@@ -128,7 +117,8 @@ class CoarseFit(Value):
     response: Response
     bend_sigma: float  # standard deviation of its curvature
     bend_log_odds: float  # logarithm of the odds of a curvature other than the linearized one
-    omitted: Omitted
+    haze_chance: float = 0.0  # probability of undeclared haze
+    haze_depth: float = 0.0  # its vertical optical depth
 
     def at(self, moved: Float) -> CoarseFit:
         """Return the same fit with another motion (3,)."""
@@ -228,12 +218,12 @@ def fit_cells(
     turn_rad: float = 0.0,
     response: Response | None = None,
     motion: Callable[[Float], Float] | None = None,
-    asked: Float | None = None,
+    veils: Float | None = None,
 ) -> CoarseFit | None:
     """Fit gain, law, a plane and small changes of the position to the cells around a body.
 
-    ``motion`` blurs images in cells; ``asked`` (a, n, n) are images tested for in the residuals. None where too few
-    cells hold the body.
+    ``motion`` blurs images in cells; ``veils`` (3, n, n) are the images of undeclared haze, where it is tested for.
+    None where too few cells hold the body.
     """
     fresh, design = cells.crop(cells.fresh), _design(cells, trace, own, motion)
     if np.count_nonzero(fresh & _find_lit(design.own)) <= design.layout.count:
@@ -250,6 +240,7 @@ def fit_cells(
     )
     plain = fitted if plain is None or not plain.lit.any() else plain
     bent, bend_sigma, bend_log_odds = _response(plain, response)
+    chance, depth = (0.0, 0.0) if veils is None else _haze(plain, plain.gain * veils)
     return CoarseFit(
         gain_dn=fitted.gain,
         log_evidence=plain.scores.log_evidence,
@@ -261,7 +252,8 @@ def fit_cells(
         response=bent,
         bend_sigma=bend_sigma,
         bend_log_odds=bend_log_odds,
-        omitted=Omitted() if asked is None else _fit_omitted(plain, plain.gain * asked),
+        haze_chance=chance,
+        haze_depth=depth,
     )
 
 
@@ -377,15 +369,12 @@ def _response(fitted: _FittedDesign, known: Response | None) -> tuple[Response, 
     return replace(known, bend=bend), sigma, float(fitted.scores.log_odds(image, DISPLAY_BEND_SIGMA)[0])
 
 
-def _fit_omitted(fitted: _FittedDesign, images: Float) -> Omitted:
-    """Amplitudes of images (a, n, n) in the residuals."""
-    influence, information = _influence(fitted.solution, "omitted", images)
-    values = influence.reshape(len(images), -1) @ fitted.solution.residuals.ravel()
-    of_noise = fitted.noise * fitted.solution.columns.weights
-    variances = np.diag(fitted.covariance(influence, noise=of_noise))
-    by_chance = math.sqrt(2.0 * float(np.sum(of_noise**2)))
-    left = max(float(np.sum(fitted.normalized_residuals**2 - of_noise)), by_chance)
-    return Omitted(values=values, sigma=np.sqrt(variances), explains=values**2 * information / left)
+def _haze(fitted: _FittedDesign, images: Float) -> tuple[float, float]:
+    """Probability of haze by its images (3, n, n), DN, and its vertical optical depth."""
+    cells, columns = fitted.cells, fitted.solution.columns
+    parts = IndependentParts.from_size(int(np.count_nonzero(columns.weights)), cells.radius, 1.0).of_surface
+    haze = undeclared_effects(fitted.solution, {haze_block(images): parts})["haze"]
+    return haze.chance, VEIL_DEPTH * max(-float(haze.score.values[0]), 0.0)
 
 
 def _influence(solution: Solution, effect: str, images: Float) -> tuple[Float, Float]:
@@ -500,7 +489,6 @@ def _nothing_alike() -> CoarseFit:
         response=Response(bend=0.0, dark_dn=0.0, bright_dn=1.0),
         bend_sigma=math.inf,
         bend_log_odds=-math.inf,
-        omitted=Omitted(),
     )
 
 
