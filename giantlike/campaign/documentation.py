@@ -1,4 +1,4 @@
-"""Pages of the documentation generated from code: keys of campaign and scene files, columns, flags, header keywords.
+"""Pages of the documentation generated from code: keys of TOML files, columns, flags, header keywords.
 
 ``python -m giantlike.campaign.documentation docs`` rewrites them; a test compares them with the stored pages.
 """
@@ -23,6 +23,8 @@ from pydantic.fields import FieldInfo
 
 from giantlike.campaign.file.schema import CampaignFile
 from giantlike.campaign.file.toml_file import model_in
+from giantlike.campaign.plan.file import PlanFile
+from giantlike.campaign.plan.write import PlanRow
 from giantlike.campaign.render.schema import RenderFile
 from giantlike.core.attribute_docs import attribute_docs
 from giantlike.core.outcomes import Quality, Reason
@@ -45,9 +47,14 @@ def pages() -> dict[str, str]:
     made: Mapping[str, Iterable[str]] = {
         "campaign_file.md": _sections(CampaignFile),
         "scene_file.md": _sections(RenderFile),
+        "plan_file.md": _sections(PlanFile),
         "camera_presets.md": _presets(),
         "missions.md": _missions(),
-        "tables.md": (*_columns("attitudes", AttitudeRow), *_columns("observations", ObservationRow)),
+        "tables.md": (
+            *_columns("`attitudes.csv`, `attitudes.parquet`", AttitudeRow),
+            *_columns("`observations.csv`, `observations.parquet`", ObservationRow),
+            *_columns("`plan.csv` of `giantlike plan`", PlanRow),
+        ),
         "flags.md": _meanings(),
         "header_keywords.md": _headers(),
         "observables.md": _fields(ObservableRow),
@@ -158,9 +165,9 @@ def _missions() -> Iterator[str]:
         yield ""
 
 
-def _columns(name: str, kind: type[Any]) -> Iterator[str]:
+def _columns(title: str, kind: type[Any]) -> Iterator[str]:
     """Lines of the description of a table."""
-    yield f"## `{name}.csv`, `{name}.parquet`\n\n{_description(kind)}\n"
+    yield f"## {title}\n\n{_description(kind)}\n"
     yield "| column | type | unit | frame | CSV | meaning |\n| --- | --- | --- | --- | --- | --- |"
     for one in columns_of(kind):
         csv = "yes" if one.csv else "no"

@@ -94,7 +94,7 @@ def _compare(planned: Path, run: Path, output: Path | None, *, json: bool) -> Ex
         return "unknown" if value is None else f"{value:.3g}"
 
     lines = [
-        f"{name}: {each['usable']} of {each['images']} images usable; planned / stated sigma "
+        f"{name}: {each['usable']} of {each['images']} usable; planned / stated sigma "
         f"{number(each['planned_over_stated_sigma'])}; NEES {number(each['nees'])}; Brier {number(each['brier'])}"
         for name, each in summary.items()
     ]

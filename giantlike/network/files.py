@@ -50,8 +50,7 @@ def write_network(
     DataError
         A file cannot be written.
     """
-    folder = Path(folder)
-    make_folder(folder)
+    folder = make_folder(folder)
     summary = {"status": "ok", **fix.summary(), **(more or {})}
     write_text_atomic(folder / "points.csv", "\n".join(_point_rows(fix)) + "\n")
     write_text_atomic(folder / "poses.csv", "\n".join(_pose_rows(fix)) + "\n")

@@ -28,7 +28,8 @@ _COLOR_SIGMA, _FIELD_SIGMA = 0.5, 1.0  # mag, before the data: bands from blue t
 _OFF = 1e-9  # mag, of a term that is not fitted
 _MAG = 2.5 / math.log(10.0)  # mag per natural logarithm
 _ROUNDS, _FREE_ROUNDS = 40, 10  # stars come back in the first rounds only, so that the fit settles
-_SETTLED_MAG = 1e-4
+_SETTLED = 0.05  # standard deviations by which a fit may still move, which adds a thousandth to its error
+_LEAST_SCATTER_MAG = 1e-4
 _OUTLIER = 4.0  # standard deviations, scatter included
 _LEAST_SNR = 5.0  # of the median star that starts the fit
 _FIRST_SCATTER_MAG = 0.05
@@ -52,8 +53,6 @@ class ZeroPointOptions:
         Fewest stars of the whole fit, and of each of its terms.
     band : str
         Band of the magnitudes of the stars.
-    max_stars : int
-        Most stars of an image, the brightest of the catalog: bounds the time.
 
     Raises
     ------
@@ -65,7 +64,6 @@ class ZeroPointOptions:
     field: bool = True
     min_stars: int = 6
     band: str = "Gaia G"
-    max_stars: int = 500
 
     def __post_init__(self) -> None:
         require(self.min_stars >= 3, f"min_stars must be >= 3, got {self.min_stars}")
@@ -211,7 +209,6 @@ class _Frame:
         colored = useful & np.isfinite(stars.color_bp_rp)
         if options.color and colored.sum() >= options.min_stars:
             useful = colored
-        useful[np.flatnonzero(useful)[np.argsort(stars.magnitude[useful], kind="stable")][options.max_stars :]] = False
         return cls(fluxes, np.asarray(stars.magnitude), rows[:, 1:], useful)
 
     @property
@@ -259,8 +256,7 @@ class _Fit:
     def solve(self) -> bool:
         """Iterate until values, scatter and stars stand still."""
         for number in range(_ROUNDS):
-            step, scatter, used = self.step()
-            moved = np.abs(step).max() + abs(scatter - self.scatter_mag)
+            step, scatter, used, moved = self.step()
             same = all(np.array_equal(one, other) for one, other in zip(used, self.used, strict=True))
             self.values, self.scatter_mag = self.values + np.clip(step, -1.0, 1.0), scatter
             if number > 0:
@@ -269,12 +265,12 @@ class _Fit:
                 )
                 if self.n_used == 0:
                     return False
-            if moved < _SETTLED_MAG and same:
+            if moved < _SETTLED and same:
                 return True
-        return bool(moved < 0.1 * _FIRST_SCATTER_MAG)
+        return False
 
-    def step(self) -> tuple[Float, float, list[Mask]]:
-        """Step of the values, new scatter, and stars whose residuals are no outliers."""
+    def step(self) -> tuple[Float, float, list[Mask], float]:
+        """Step of the values, new scatter, stars whose residuals are no outliers, and both changes over their sigma."""
         count = len(self.frames)
         information, right = np.zeros((count + 2, count + 2)), np.zeros(count + 2)
         information[[-2, -1], [-2, -1]] = self.prior_sigma**-2.0
@@ -302,7 +298,10 @@ class _Fit:
         freedom = 1.0 - (count + np.sum(self.prior_sigma > _OFF)) / max(self.n_used, count + 3)
         variance = self.scatter_mag**2 + (excess - freedom * trace) / power
         scatter = math.sqrt(0.5 * (max(variance, 0.0) + self.scatter_mag**2))
-        return np.asarray(np.linalg.solve(information, right), float), scatter if scatter > _SETTLED_MAG else 0.0, used
+        scatter = scatter if scatter > _LEAST_SCATTER_MAG else 0.0
+        step = np.linalg.solve(information, right)
+        moved = math.sqrt(float(step @ right)) + abs(scatter**2 - self.scatter_mag**2) * math.sqrt(0.5 * power)
+        return np.asarray(step, float), scatter, used, moved
 
     def result(self, options: ZeroPointOptions) -> ZeroPoint:
         """The fitted value, of several images their mean."""

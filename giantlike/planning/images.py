@@ -113,6 +113,7 @@ class PlanOptions:
         require_number(self.max_blur_px, "max_blur_px", above=0.0)
         require(self.draws >= 1, f"draws must be >= 1, got {self.draws}")
         for name in self.estimators:
+            require(self.estimators.count(name) == 1, f"estimators: {name} is named twice")
             require(name in ESTIMATORS, f"estimators: unknown estimator {name!r}; there are {', '.join(ESTIMATORS)}")
         require_number(self.albedo, "albedo", above=0.0)
         require_number(self.sun_distance_au, "sun_distance_au", above=0.0)

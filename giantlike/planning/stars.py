@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -23,6 +24,7 @@ from giantlike.processing.detection.matched_filter import recorded_width_px
 from giantlike.processing.detection.options import DetectionOptions
 from giantlike.stars.attitude import fit_attitude
 from giantlike.stars.consider import attitude_parts, response_to_camera
+from giantlike.stars.field import StarField
 from giantlike.stars.matching import predicted_in_frame
 from giantlike.stars.navigation import sky_of
 from giantlike.stars.options import StarOptions
@@ -132,24 +134,18 @@ def expect_stars(
         )
         few = Failure(Reason.NO_CATALOG_STARS, text) if count < needed else None
         return StarForecast(in_field=count, expected=count, low=count, high=count, failure=few)
-    width = recorded_width_px(UNKNOWN_PSF_SIGMA_PX if camera.psf is None else camera.psf.sigma_px)
-    length, gain = math.hypot(*blur_px), camera.detector.gain_e_per_dn
-    long_px = math.hypot(width, length / math.sqrt(12.0))
-    noise_e = gain * math.sqrt(float(camera.detector.variance_dn2(np.zeros(()))))
+    trails = _Trails.of_camera(camera, blur_px)
     axis = rotate(attitude.inv(), [0.0, 0.0, 1.0])
     seen_as = {"color_bp_rp": stars.stars.color_bp_rp, "angle_rad": np.arccos(stars.directions_inertial @ axis)}
     light_e = photometry.star_rate_e_s(stars.stars.magnitude, **seen_as) * image.exposure_s
-    sigma_mag = photometry.sigma_mag(**seen_as)
-    squares = width**2 + np.square([width, long_px])
-    off_center = math.exp(-np.sum(1.0 / squares) / 24.0)
-    filtered = _BACKGROUND_LOSS * off_center * width / math.sqrt(math.pi * squares.prod())
+    ratio = light_e * trails.snr_per_electron
     alone = np.ones(count, dtype=bool)
-    alone[cKDTree(points).query_pairs(_BLEND_WIDTHS * long_px, output_type="ndarray")[:, 1]] = False  # the fainter one
+    alone[cKDTree(points).query_pairs(_BLEND_WIDTHS * trails.long_px, output_type="ndarray")[:, 1]] = False  # fainter
 
     def probabilities(sigmas: float) -> Float:
-        ratio = light_e * 10.0 ** (0.4 * sigmas * sigma_mag) * filtered / noise_e
-        spread = np.hypot(1.0, math.log(10.0) / 2.5 * photometry.scatter_mag * ratio)
-        return np.where(alone, ndtr((ratio - detection.threshold_sigma) / spread), 0.0)
+        shifted = ratio * 10.0 ** (0.4 * sigmas * photometry.sigma_mag(**seen_as))
+        spread = np.hypot(1.0, math.log(10.0) / 2.5 * photometry.scatter_mag * shifted)
+        return np.where(alone, ndtr((shifted - detection.threshold_sigma) / spread), 0.0)
 
     found = probabilities(0.0)
     half = np.array([probabilities(sign).sum() for sign in (-1.0, 1.0)]) - found.sum()
@@ -161,22 +157,67 @@ def expect_stars(
     if len(seen) < needed:
         text = f"{image.name}: {found.sum():.1f} stars are expected above the threshold, and an attitude needs {needed}"
         return replace(forecast, failure=Failure(Reason.TOO_FEW_DETECTIONS, text))
-    sides = [width, long_px] if abs(blur_px[0]) < abs(blur_px[1]) else [long_px, width]
-    peak = light_e[seen] / (2.0 * math.pi * width * long_px) / noise_e**2
-    variance = np.square(sides) / (light_e[seen] * (1.0 + spence(1.0 + peak) / peak))[:, None]
-    catalog_px = (stars.sigma_rad[seen] * camera.model.focal_length_px)[:, None]
-    variance += catalog_px**2
+    stars, points, variance = stars.select(seen), points[seen], trails.centroid_variance_px2(light_e[seen])
+    variance += (stars.sigma_rad * camera.model.focal_length_px)[:, None] ** 2
+    return replace(forecast, **_predict_attitude(stars, points, variance, camera, image, options, random))
+
+
+@dataclass(frozen=True, slots=True)
+class _Trails:
+    """Images of stars: widths (x, y) of their trails, px, and the noise of a pixel, electrons."""
+
+    width_px: float
+    sides_px: Float
+    noise_e: float
+
+    @classmethod
+    def of_camera(cls, camera: Camera, blur_px: tuple[float, float]) -> _Trails:
+        """Trails of a motion (x, y) during an exposure."""
+        width = recorded_width_px(UNKNOWN_PSF_SIGMA_PX if camera.psf is None else camera.psf.sigma_px)
+        long = math.hypot(width, *np.array(blur_px) / math.sqrt(12.0))
+        sides = [width, long] if abs(blur_px[0]) < abs(blur_px[1]) else [long, width]
+        noise_dn = math.sqrt(float(camera.detector.variance_dn2(np.zeros(()))))
+        return cls(width, np.array(sides), camera.detector.gain_e_per_dn * noise_dn)
+
+    @property
+    def long_px(self) -> float:
+        """Width along the trail."""
+        return float(self.sides_px.max())
+
+    @property
+    def snr_per_electron(self) -> float:
+        """Ratio after the matched filter, over the electrons of the star."""
+        squares = self.width_px**2 + self.sides_px**2
+        off_center = math.exp(-float(np.sum(1.0 / squares)) / 24.0)
+        return _BACKGROUND_LOSS * off_center * self.width_px / math.sqrt(math.pi * squares.prod()) / self.noise_e
+
+    def centroid_variance_px2(self, light_e: Float) -> Float:
+        """Least variance (n, 2) of the centroids of stars of some electrons (n,)."""
+        peak = light_e / (2.0 * math.pi * self.sides_px.prod()) / self.noise_e**2
+        return np.asarray(self.sides_px**2 / (light_e * (1.0 + spence(1.0 + peak) / peak))[:, None])
+
+
+def _predict_attitude(
+    stars: StarField,
+    points: Float,
+    variance: Float,
+    camera: Camera,
+    image: Image,
+    options: StarOptions,
+    random: np.random.Generator,
+) -> dict[str, Any]:
+    """Attitude, by causes, of a fit to stars with errors drawn from their variances (n, 2); or its failure."""
     order = np.argsort(variance.sum(axis=1))
     if not options.all_stars:
         information = np.cumsum(1.0 / variance.sum(axis=1)[order])
-        order = order[: max(needed, int(np.searchsorted(information, _INFORMATION * information[-1])) + 1)]
-    chosen, variance = stars.select(seen[order]), variance[order]
-    drawn = points[seen[order]] + random.standard_normal(variance.shape) * np.sqrt(variance)
-    covariance = variance[:, :, None] * np.eye(2)
-    directions = chosen.directions_inertial
+        least = int(np.searchsorted(information, _INFORMATION * information[-1])) + 1
+        order = order[: max(options.min_matches, least)]
+    stars, variance = stars.select(order), variance[order]
+    drawn = points[order] + random.standard_normal(variance.shape) * np.sqrt(variance)
+    covariance, directions = variance[:, :, None] * np.eye(2), stars.directions_inertial
     solution = fit_attitude(directions, drawn, covariance, camera.model, outlier_sigma=options.outlier_sigma)
     if isinstance(solution, Failure):
-        return replace(forecast, failure=solution)
-    used = chosen.select(np.flatnonzero(solution.used))
+        return {"failure": solution}
+    used = stars.select(np.flatnonzero(solution.used))
     parts = attitude_parts(solution, used, response_to_camera(solution, used), camera, image, options)
-    return replace(forecast, covariance_rad2=sum_parts(parts, tuple(Cause)), parts=parts)
+    return {"covariance_rad2": sum_parts(parts, tuple(Cause)), "parts": parts}

@@ -12,19 +12,24 @@ from typing import Any
 import numpy as np
 import pytest
 import tomli_w
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from giantlike.campaign import Campaign, write_plan
 from giantlike.campaign.check import check_campaign
+from giantlike.campaign.plan.compare import compare_plan
 from giantlike.campaign.plan.file import PlanSetup
 from giantlike.campaign.render.plan import RenderPlan
 from giantlike.campaign.render.run import render_images
 from giantlike.cli.app import app
 from giantlike.core.errors import DataError, InputError
+from giantlike.core.outcomes import Failure
 from giantlike.core.photometry import Photometry
 from giantlike.core.time import time_from_et
 from giantlike.io import write_geometry
 from giantlike.io.geometry_table import GeometryRow
+from giantlike.terrain import HeightMap
 from tests.simulated import ET, small_camera
 
 Change = Callable[[dict[str, Any]], Any]
@@ -101,6 +106,18 @@ MISTAKES: dict[str, tuple[Change, str]] = {
         ),
         "plan.orbit: orbit state must have shape",
     ),
+    "orbit of rows of two lengths": (
+        lambda table: table["plan"].update(
+            orbit={"epoch_utc": "2024-01-31T19:00:00", "state": [1.0] * 6, "covariance": [[1.0] * 6, [1.0]]}
+        ),
+        "plan.orbit: orbit covariance",
+    ),
+    "estimator twice": (lambda table: table["plan"].update(estimators=["moment"] * 2), "moment is named twice"),
+    "options": (lambda table: table["targets"][0].update(options={"moment": {}}), r"targets\[0\].options: a plan has"),
+    "covariance by epoch": (
+        lambda table: table["targets"][0].update(uncertainty={"ephemeris_table": "orbit.csv"}),
+        r"targets\[0\].uncertainty.ephemeris_table: a plan takes one sigma",
+    ),
     "negative relief": (lambda table: table["plan"]["truth"].update(relief=-0.1), "truth relief must be >= 0"),
     "no target": (lambda table: table["plan"].update(target="MOON"), "no target 'MOON'"),
 }
@@ -119,6 +136,65 @@ def test_a_plan_without_use_fails_with_its_reason(tmp_path: Path) -> None:
     done = RUNNER.invoke(app, ["plan", str(path)])
     assert done.exit_code == 1
     assert "sun_keep_out: none of 3 candidates is of use" in done.stdout
+
+
+def test_the_campaign_has_all_that_is_declared_of_a_body(tmp_path: Path) -> None:
+    moon = {"name": "MOON", "shape": {"radii_km": [20.0, 20.0, 20.0]}, "spice_body": "MOON"}
+    declared = {
+        "air": True,
+        "atmosphere": {"altitude_km": 0.3, "sigma_km": 0.1},
+        "rings": {"inner_km": 25.0, "outer_km": 30.0},
+        "uncertainty": {"pole_deg": "unknown", "sun_deg": 0.5, "scale": 0.01, "albedo": 0.3, "ephemeris_km": 2.0},
+    }
+    heights = HeightMap.from_array(np.full((18, 36), 0.1), reference_radii_km=[20.0] * 3, sigma_km=0.02)
+    heights.save(tmp_path / "heights.npz")
+
+    def change(table: dict[str, Any]) -> None:
+        table["plan"].update(estimators=[], target="BALL")
+        del table["plan"]["select"]
+        table["targets"][0].update(declared)
+        table["targets"].append(moon | {"terrain": "heights.npz", "air": False})
+
+    made = PlanSetup.load(write_plan_file(tmp_path, change)).plan()
+    assert not isinstance(made, Failure)
+    write_plan(made[0], tmp_path / "out")
+    (tmp_path / "out" / "images").mkdir()
+    for image in made[0].usable:
+        (tmp_path / "out" / "images" / image.candidate.name).touch()
+    planned = PlanSetup.load(tmp_path / "plan.toml").targets
+    run = Campaign.load(tmp_path / "out" / "campaign.toml").targets
+    for before, after in zip(planned, run, strict=True):
+        assert after.uncertainty == before.uncertainty
+        for name in ("atmosphere", "rings", "air"):
+            assert getattr(after.limb, name) == getattr(before.limb, name)
+    carried = run[1].limb.height_map()
+    assert carried is not None
+    assert_allclose(carried.heights_km([0.0, 0.0, 1.0]), 0.1)
+    assert carried.sigma_km == 0.02
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: content.pop("target"),
+        lambda content: content["images"][0].pop("file"),
+        lambda content: content["images"][0].pop("stars"),
+        lambda content: content["images"][0].update(x_px=None),
+        lambda content: content["images"][0].update(range_km=-1.0),
+        lambda content: content["images"][0]["fixes"]["moment"].pop("covariance"),
+        lambda content: content["images"][0]["fixes"]["moment"].update(covariance=[[1.0, 0.0], [0.0, -1.0]]),
+        lambda content: content["images"][0]["fixes"]["moment"].update(covariance=[[1.0]]),
+        lambda content: content["images"][0]["fixes"]["moment"].update(failure_probability="low"),
+    ],
+)
+def test_a_damaged_plan_is_refused_in_one_line(damage: Change, tmp_path: Path) -> None:
+    fix = {"covariance": [[1.0, 0.0], [0.0, 1.0]], "failure_probability": 0.1}
+    image = {"file": "a.fits", "stars": 3.0, "x_px": 1.0, "y_px": 2.0, "range_km": 10.0, "fixes": {"moment": fix}}
+    content: dict[str, Any] = {"target": "BALL", "images": [image]}
+    damage(content)
+    (tmp_path / "plan.json").write_text(json.dumps(content))
+    with pytest.raises(DataError, match="cannot be read as a plan"):
+        compare_plan(tmp_path, tmp_path)
 
 
 def test_what_is_no_plan_is_refused(tmp_path: Path) -> None:

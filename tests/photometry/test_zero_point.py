@@ -121,6 +121,14 @@ def test_a_zero_point_goes_through_json_and_a_camera_file(tmp_path: Path) -> Non
     assert again.to_mapping() == answer.photometry.to_mapping()
 
 
+def test_a_fit_that_still_moves_by_a_tenth_of_its_sigma_has_not_converged() -> None:
+    """Eight stars whose scatter shrinks round by round: after all rounds zero point and scatter move by 4 mmag."""
+    magnitude, color = drawn(8, 42, faintest=13.0)
+    moving = fit_zero_point([fluxes_of(magnitude, color, 42, scatter=0.3)], star_table(magnitude, color))
+    assert isinstance(moving, gl.Failure)
+    assert moving.reason is gl.Reason.NOT_CONVERGED
+
+
 def test_too_few_stars_no_light_and_wrong_tables_are_told() -> None:
     magnitude, color = drawn(5, 4)
     fluxes = fluxes_of(magnitude, color, 4)

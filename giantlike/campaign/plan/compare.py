@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from giantlike.campaign.plan.write import PLAN_FILE
+from giantlike.campaign.store.records import ObservationRecord
 from giantlike.campaign.store.results import load_result
-from giantlike.core.arrays import require
+from giantlike.core.arrays import Float, as_floats, require
 from giantlike.core.errors import DataError
 from giantlike.core.reasons import Outcome
 from giantlike.io.csv_rows import write_csv_rows
@@ -36,52 +37,82 @@ class PlannedFixRow:
     obtained_stars: int | None = column("Number of detected stars")
 
 
-def compare_plan(plan: Path, run: Path) -> list[PlannedFixRow]:
-    """Compare a plan with the run of its images."""
-    path = plan / PLAN_FILE if plan.is_dir() else plan
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _PlannedFix:
+    """A fix of ``plan.json``: its covariance (k, k) is of x, y, px, and of the logarithm of the range."""
+
+    file: str
+    estimator: str
+    place: Float  # (3,): x, y, px, and the logarithm of the range
+    stars: float | None
+    failure_probability: float
+    covariance: Float | None
+
+
+def _read_plan(path: Path) -> tuple[str, list[_PlannedFix]]:
+    """Target and fixes of a ``plan.json``."""
+    fixes = []
     try:
         content = json.loads(path.read_bytes())
-        images = [(image, image["fixes"].items()) for image in content["images"]]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        for image in content["images"]:
+            for estimator, fix in image["fixes"].items():
+                planned = None if fix["covariance"] is None else as_floats(fix["covariance"], (), "covariance")
+                if planned is not None:
+                    require(planned.shape in ((2, 2), (3, 3)), f"covariance: 2 x 2 or 3 x 3, got {planned.shape}")
+                    np.linalg.cholesky(planned)
+                stars = None if image["stars"] is None else float(image["stars"])
+                place = np.array([float(image["x_px"]), float(image["y_px"]), math.log(float(image["range_km"]))])
+                fixes.append(
+                    _PlannedFix(
+                        file=str(image["file"]),
+                        estimator=estimator,
+                        place=place,
+                        stars=stars,
+                        failure_probability=float(fix["failure_probability"]),
+                        covariance=planned,
+                    )
+                )
+        return str(content["target"]), fixes
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise DataError(path, "cannot be read as a plan: give the folder that giantlike plan wrote") from error
+
+
+def compare_plan(plan: Path, run: Path) -> list[PlannedFixRow]:
+    """Compare a plan with the run of its images."""
+    target, fixes = _read_plan(plan / PLAN_FILE if plan.is_dir() else plan)
     result = load_result(run)
     detected = {Path(record.path).name: record.n_detected for record in result.attitudes}
     found = {
-        (Path(record.file).name, record.estimator): record
-        for record in result.observations
-        if record.target == content["target"]
+        (Path(record.file).name, record.estimator): record for record in result.observations if record.target == target
     }
-    rows = []
-    for image, fixes in images:
-        for estimator, fix in fixes:
-            record = found.get((image["file"], estimator))
-            if record is not None:
-                rows.append(_row(image, estimator, fix, record, detected.get(image["file"])))
+    rows = [
+        _compare_fix(fix, found[fix.file, fix.estimator], detected.get(fix.file))
+        for fix in fixes
+        if (fix.file, fix.estimator) in found
+    ]
     require(bool(rows), f"{run} has no fix of an image of {plan}: images are matched by name, estimators too")
     return rows
 
 
-def _row(image: dict[str, Any], estimator: str, fix: dict[str, Any], record: Any, stars: int | None) -> PlannedFixRow:
-    planned = None if fix["covariance"] is None else np.array(fix["covariance"])
-    cells: dict[str, Any] = {}
-    if planned is not None:
-        cells["planned_sigma_px"] = math.sqrt(0.5 * float(np.trace(planned[:2, :2])))
+def _compare_fix(fix: _PlannedFix, record: ObservationRecord, stars: int | None) -> PlannedFixRow:
+    cells: dict[str, float] = {}
+    if fix.covariance is not None:
+        cells["planned_sigma_px"] = math.sqrt(0.5 * float(np.trace(fix.covariance[:2, :2])))
     if record.center_px is not None and record.covariance_px2 is not None:
         cells["obtained_sigma_px"] = math.sqrt(0.5 * float(np.trace(np.array(record.covariance_px2))))
-        difference = np.subtract(record.center_px, [image["x_px"], image["y_px"]])
+        ranged = [] if record.range_km is None else [math.log(record.range_km)]
+        difference = np.array([*record.center_px, *ranged]) - fix.place[: 2 + len(ranged)]
         cells |= {"difference_x_px": float(difference[0]), "difference_y_px": float(difference[1])}
-        if planned is not None:
-            if len(planned) == 3 and record.range_km is not None:
-                difference = np.append(difference, math.log(record.range_km / image["range_km"]))
-            size = len(difference)
-            square = difference @ np.linalg.solve(planned[:size, :size], difference) / size
-            cells["normalized_square"] = float(square)
+        if fix.covariance is not None:
+            size = min(len(difference), len(fix.covariance))
+            difference, covariance = difference[:size], fix.covariance[:size, :size]
+            cells["normalized_square"] = float(difference @ np.linalg.solve(covariance, difference)) / size
     return PlannedFixRow(
-        file=image["file"],
-        estimator=estimator,
+        file=fix.file,
+        estimator=fix.estimator,
         outcome=str(record.outcome),
-        failure_probability=fix["failure_probability"],
-        planned_stars=image["stars"],
+        failure_probability=fix.failure_probability,
+        planned_stars=fix.stars,
         obtained_stars=stars,
         **cells,
     )

@@ -19,7 +19,7 @@ from giantlike.campaign.file.schema import PhotometrySection, SpiceSection, Star
 from giantlike.campaign.file.toml_file import TomlSection, prefix_errors, read_toml
 from giantlike.campaign.render.schema import LightSection
 from giantlike.catalogs import load_catalog
-from giantlike.core.arrays import require
+from giantlike.core.arrays import as_finite, require
 from giantlike.core.errors import DataError, InputError
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.time import et_from_time, time_from_utc
@@ -120,15 +120,18 @@ class PlanTargetSection(TargetSection):
 
     estimators: list[str] = Field(default=[])
     """Not used: those of `[plan]` count."""
+    options: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    """Refused: fixes are predicted with the default options."""
     albedo: float = Field(default=0.045, gt=0)
     """Normal albedo."""
 
 
 class PlanFile(TomlSection):
-    """A whole plan file."""
+    """Whole plan file."""
 
     plan: PlanSection
     camera: dict[str, Any]
+    """As in a campaign file."""
     photometry: PhotometrySection = PhotometrySection()
     light: LightSection = LightSection()
     stars: StarsSection | None = None
@@ -159,6 +162,10 @@ class PlanSetup:
             camera, _ = camera_of(path, table)
             camera = camera if zero_point is None else replace(camera, photometry=zero_point)
             spice = spice_of(path, content.spice)
+            for number, section in enumerate(content.targets):
+                where, one_sigma = f"targets[{number}]", section.uncertainty.ephemeris_table is None
+                require(one_sigma, f"{where}.uncertainty.ephemeris_table: a plan takes one sigma: give ephemeris_km")
+                require(not section.options, f"{where}.options: a plan has the default options of estimators")
             targets, warnings = resolve_targets(path, content.targets, spice)
             given = bool(content.plan.window) or content.plan.geometry is not None
             require(given, "plan: there is no candidate: give geometry, or [[plan.window]] with [spice]")
@@ -207,7 +214,7 @@ class PlanSetup:
                 orbit = OrbitPrior(
                     et=et_from_time(time_from_utc(section.orbit.epoch_utc)),
                     state=np.array(section.orbit.state),
-                    covariance=np.array(section.orbit.covariance),
+                    covariance=as_finite(section.orbit.covariance, (6, 6), "orbit covariance"),
                     gm_km3_s2=section.orbit.gm_km3_s2,
                 )
         return plan, plan.select(section.select.count, SelectOptions(min_gap_s=section.select.min_gap_s, orbit=orbit))

@@ -38,40 +38,40 @@ _CAMERA, _GEOMETRY, _SCENE, _CAMPAIGN, _IMAGES = "camera.toml", "geometry.csv", 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanRow:
-    """Row of ``plan.csv``: an image, and what it will show."""
+    """What an image will show; written by `giantlike plan` as CSV alone."""
 
-    file: str = column("Image file")
-    epoch_utc: str | None = column("Mid-exposure, UTC")
-    exposure_s: float | None = column("Exposure", unit="s")
-    reason: str | None = column("Reason for which the image is of no use")
-    detail: str | None = column("What was needed and found")
-    diameter_px: float | None = column("Diameter of the target", unit="px")
-    phase_deg: float | None = column("Angle Sun - target - camera", unit="deg")
-    elongation_deg: float | None = column("Angle of the boresight from the Sun", unit="deg")
-    range_km: float | None = column("Distance of the target", unit="km")
-    x_px: float | None = column("Center of the target, column", unit="px")
-    y_px: float | None = column("Center of the target, row", unit="px")
-    blur_px: float | None = column("Motion of the target during the exposure", unit="px")
-    peak_dn: float | None = column("Expected brightest pixel of the target", unit="DN")
-    peak_05_dn: float | None = column("Its 5 % quantile", unit="DN")
-    peak_95_dn: float | None = column("Its 95 % quantile", unit="DN")
-    saturated: float | None = column("Fraction of the pixels of the target that are saturated")
-    snr_peak: float | None = column("Signal to noise ratio of the brightest pixel")
-    snr: float | None = column("Signal to noise ratio of the whole signal")
-    stars: float | None = column("Expected number of detected stars")
-    stars_low: float | None = column("Lower end of its 95 % interval")
-    stars_high: float | None = column("Upper end")
+    file: str = column("Image file.")
+    epoch_utc: str | None = column("Mid-exposure, UTC.")
+    exposure_s: float | None = column("Exposure.", unit="s")
+    reason: str | None = column("Reason for which the image is of no use.")
+    detail: str | None = column("What was needed and found.")
+    diameter_px: float | None = column("Diameter of the target.", unit="px")
+    phase_deg: float | None = column("Angle Sun - target - camera.", unit="deg")
+    elongation_deg: float | None = column("Angle of the boresight from the Sun.", unit="deg")
+    range_km: float | None = column("Distance of the target.", unit="km")
+    x_px: float | None = column("Center of the target, column.", unit="px")
+    y_px: float | None = column("Center of the target, row.", unit="px")
+    blur_px: float | None = column("Motion of the target during the exposure.", unit="px")
+    peak_dn: float | None = column("Expected brightest pixel of the target.", unit="DN")
+    peak_05_dn: float | None = column("Its 5 % quantile.", unit="DN")
+    peak_95_dn: float | None = column("Its 95 % quantile.", unit="DN")
+    saturated: float | None = column("Fraction of the pixels of the target that are saturated.")
+    snr_peak: float | None = column("Signal to noise ratio of the brightest pixel.")
+    snr: float | None = column("Signal to noise ratio of the whole signal.")
+    stars: float | None = column("Expected number of detected stars.")
+    stars_low: float | None = column("Lower end of its 95 % interval.")
+    stars_high: float | None = column("Upper end.")
     sigma_attitude_arcsec: float | None = column(
-        "Expected sigma of the attitude across the line of sight", unit="arcsec"
+        "Expected sigma of the attitude across the line of sight.", unit="arcsec"
     )
-    sigma_roll_arcsec: float | None = column("Expected sigma about the line of sight", unit="arcsec")
-    estimator: str | None = column("Estimator of the fix")
-    draws: int | None = column("Drawn images that the fix is predicted by")
-    failure_probability: float | None = column("Probability of no usable fix")
-    sigma_x_px: float | None = column("Expected sigma of the center, column", unit="px")
-    sigma_y_px: float | None = column("Expected sigma of the center, row", unit="px")
-    sigma_range: float | None = column("Expected relative sigma of the range")
-    gain: float | None = column("Gain of the orbit by the image: half the logarithm of the ratio of determinants")
+    sigma_roll_arcsec: float | None = column("Expected sigma about the line of sight.", unit="arcsec")
+    estimator: str | None = column("Estimator of the fix.")
+    draws: int | None = column("Drawn images that the fix is predicted by.")
+    failure_probability: float | None = column("Probability of no usable fix.")
+    sigma_x_px: float | None = column("Expected sigma of the center, column.", unit="px")
+    sigma_y_px: float | None = column("Expected sigma of the center, row.", unit="px")
+    sigma_range: float | None = column("Expected relative sigma of the range.")
+    gain: float | None = column("Gain of the orbit by the image: half the logarithm of the ratio of determinants.")
 
 
 def plan_row(plan: Plan, image: PlannedImage) -> PlanRow:
@@ -140,8 +140,7 @@ def write_plan(plan: Plan, folder: str | Path, *, catalog: str = "default", max_
     DataError
         A file cannot be written.
     """
-    folder = Path(folder)
-    make_folder(folder)
+    folder = make_folder(folder)
     rows = [plan_row(plan, image) for image in plan.images]
     write_csv_rows(folder / "plan.csv", [each.name for each in columns_of(PlanRow)], map(astuple, rows))
     content = {
@@ -166,17 +165,14 @@ def write_plan(plan: Plan, folder: str | Path, *, catalog: str = "default", max_
             for table, target in zip(shown, plan.scene.targets, strict=True)
         ],
     }
-    uncertain = plan.scene.target(plan.target).uncertainty
-    declared = {"scale": uncertain.scale, "ephemeris_km": uncertain.ephemeris_km, "albedo": uncertain.albedo}
-    declared |= {"pole_deg": math.degrees(uncertain.pole_rad), "spin_deg": math.degrees(uncertain.spin_rad)}
     estimators = list(plan.options.estimators or ("auto",))
     campaign: dict[str, Any] = {
         "campaign": {"name": "planned", "output": "run"},
         "images": {"files": [f"{_IMAGES}/{_file_of(image)}" for image in plan.usable], "geometry": _GEOMETRY},
         "camera": {"file": _CAMERA},
         "targets": [
-            table | {"estimators": estimators} | ({"uncertainty": declared} if table["name"] == plan.target else {})
-            for table in targets
+            table | {"estimators": estimators} | _declare(folder, target)
+            for table, target in zip(targets, plan.scene.targets, strict=True)
         ],
     }
     if has_stars:
@@ -187,7 +183,7 @@ def write_plan(plan: Plan, folder: str | Path, *, catalog: str = "default", max_
 
 
 def _drawn(plan: Plan, target: Target) -> Target:
-    """Body to render: where images of it can be drawn, one that the target may be, of its own law."""
+    """Body to render: the target with drawn relief, albedo, size and orientation, if that can be; others unchanged."""
     if target.name != plan.target or not can_be_drawn(target):
         return target
     truth, random = replace(plan.options.truth, law=0.0), np.random.default_rng([plan.options.seed, 5])
@@ -228,6 +224,27 @@ def _target_table(folder: Path, target: Target) -> dict[str, Any]:
     file = f"{target.name.lower()}{'_drawn' * (shape.name == 'drawn')}.npz"
     save_shape(shape, folder / file, overwrite=True)
     return table | {"shape": file}
+
+
+def _declare(folder: Path, target: Target) -> dict[str, Any]:
+    """Keys of a campaign for what is uncertain of a body, and for what changes its limb; a map is written beside."""
+    known = target.uncertainty
+    table: dict[str, Any] = {
+        "uncertainty": {
+            "scale": known.scale,
+            "pole_deg": "unknown" if known.pole_unknown else math.degrees(known.pole_rad),
+            "spin_deg": math.degrees(known.spin_rad),
+            "ephemeris_km": known.ephemeris_km,
+            "sun_deg": math.degrees(known.sun_rad),
+            "albedo": known.albedo,
+        }
+    }
+    if target.terrain is not None:
+        table |= {"terrain": f"{target.name.lower()}_heights.npz", "terrain_sigma_km": target.terrain.sigma_km}
+        target.terrain.save(folder / table["terrain"])
+    limbs = {"atmosphere": target.atmosphere, "rings": target.rings}
+    table |= {name: asdict(value) for name, value in limbs.items() if value is not None}
+    return table if target.air is None else table | {"air": target.air}
 
 
 def _law_table(law: Reflectance) -> dict[str, Any]:
