@@ -41,6 +41,7 @@ from giantlike.io.image_files import read_image_file
 from giantlike.io.isis_network import read_control_network, read_image_support
 from giantlike.io.observables_file import read_observables, write_observables
 from giantlike.io.orbit_covariance import COLUMNS, read_orbit_covariance
+from giantlike.io.spc_geometry import read_sumfiles
 from giantlike.io.spc_lmk import read_lmk, write_lmk
 from giantlike.io.spc_sumfile import read_sumfile, write_sumfile
 from giantlike.observables import row_of_body, row_of_landmark
@@ -238,6 +239,10 @@ def _sumfile(path: Path) -> None:
     write_sumfile(path, sumfile_of(exchange.CAMERA, body, [mark]))
 
 
+def _read_sumfile_geometry(path: Path) -> object:
+    return read_sumfiles(path.parent, [path.with_name("a.fits")], ["ROCK"])
+
+
 TDM = """CCSDS_TDM_VERS = 2.0
 CREATION_DATE = 2024-01-01T00:00:00
 ORIGINATOR = X
@@ -394,6 +399,7 @@ KINDS: dict[str, Kind] = {
     "observables": Kind("o.parquet", _observables, read_observables),
     "star index": Kind("i.npz", _index, _read_index),
     "sumfile": Kind("a.SUM", _sumfile, read_sumfile),
+    "sumfile geometry": Kind("a.SUM", _sumfile, _read_sumfile_geometry),
     "control network": Kind("n.pvl", _with(CONTROL_NETWORK), read_control_network),
     "image support data": Kind("i.isd", _with(json.dumps(IMAGE_SUPPORT)), read_image_support),
     "lmk": Kind("a.LMK", _lmk, read_lmk),

@@ -48,6 +48,8 @@ class Arc(Value):
         Position (3,) of the spacecraft relative to the central body at a time.
     per_attitude : int
         Images in a row that share an attitude.
+    drift_rad : float, rad
+        Step of a random walk of the attitude, about each axis, from one of them to the next.
     bodies : mapping of str to callable
         Positions (3,) of the bodies, one an image in turn, relative to the central one.
     center : callable, optional
@@ -57,6 +59,7 @@ class Arc(Value):
     times: Float
     relative_km: Callable[[float], Float]
     per_attitude: int = 10
+    drift_rad: float = 0.0
     bodies: Mapping[str, Callable[[float], Float]] = field(default_factory=lambda: {"BENNU": lambda _: np.zeros(3)})
     center: Callable[[float], tuple[Float, Float]] | None = None
 
@@ -89,13 +92,15 @@ def write_arc(path: Path, arc: Arc, rng: np.random.Generator) -> None:
     center = CircularOrbit(epoch_et=float(arc.times[0])).state if arc.center is None else arc.center
     scale_errors = rng.normal(0.0, SCALE, len(arc.bodies))
     errors = rng.normal(0.0, ATTITUDE_RAD, (1 + len(arc.times) // arc.per_attitude, 3))
-    rows = []
+    rows, walk = [], np.zeros(3)
     for k, et in enumerate(arc.times.tolist()):
-        number = k % len(arc.bodies)
+        number, steps = k % len(arc.bodies), k % arc.per_attitude
+        if arc.drift_rad:
+            walk = walk + rng.normal(0.0, arc.drift_rad, 3) if steps else np.zeros(3)
         name = list(arc.bodies)[number]
         states, apparent_km = _circumstances(center, arc, name, et)
         pointing = _pointing(apparent_km, rng)
-        told = Rotation.from_rotvec(-errors[k // arc.per_attitude]) * pointing
+        told = Rotation.from_rotvec(-errors[k // arc.per_attitude] - walk) * pointing
         true_km = rotate(pointing, apparent_km)
         noise = rng.multivariate_normal(np.zeros(3), NOISE)
         center_px = MODEL.project(true_km) + noise[:2]
@@ -106,7 +111,7 @@ def write_arc(path: Path, arc: Arc, rng: np.random.Generator) -> None:
             shared_camera=CAMERA.name,
             camera_from_inertial=told,
             attitude_source="interpolated",
-            attitude_covariance_rad2=np.diag(ATTITUDE_RAD**2),
+            attitude_covariance_rad2=np.diag(ATTITUDE_RAD**2 + steps * arc.drift_rad**2),
             attitude_shares={f"stars_{k // arc.per_attitude:03d}.fits": 1.0},
             epoch_utc=utc_text(time_from_et(et)),
             et=et,

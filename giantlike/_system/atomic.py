@@ -68,9 +68,11 @@ def name_of_file(text: str) -> str:
     return re.sub(r"[/\\:\x00-\x1f]+", "_", text).lstrip(".")[:_LONGEST_NAME] or "_"
 
 
-def make_folder(path: Path) -> None:
-    """Make a folder and those above it; it may exist."""
+def make_folder(path: str | Path) -> Path:
+    """Make a folder and those above it, which may exist, and return it."""
+    path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DataError(path, f"cannot make this folder: {error.strerror or error}") from error
+    return path

@@ -51,7 +51,7 @@ def photometry(
     failed: dict[str, str] = {}
     for record in session.result.attitudes:
         if not record.outcome.is_usable or record.attitude is None or record.attitude.source != "stars":
-            continue  # bodies, in short exposures; the run has told of stars that it did not solve
+            continue  # short exposures of bodies; the run lists images whose stars it did not solve
         try:
             image = session.image(record.file)
             found = measure_stars(image, session.camera, navigation.catalog, campaign.fluxes)

@@ -30,7 +30,7 @@ def as_floats(value: ArrayLike, last: tuple[int, ...], name: str) -> Float:
 
 def as_finite(value: ArrayLike, shape: tuple[int, ...], name: str) -> Float:
     """Return a copy of ``value`` as a float64 array of exactly ``shape`` with finite values."""
-    array = np.array(value, dtype=np.float64) if not np.isscalar(value) else np.array([value], dtype=np.float64)
+    array = np.array(as_floats(value, (), name), ndmin=1)
     if array.shape != shape:
         raise InputError(f"{name} must have shape {shape}, got {array.shape}")
     if not np.isfinite(array).all():

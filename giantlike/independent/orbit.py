@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -222,7 +222,24 @@ def read(path: str, targets: Sequence[str] = (), *, every: bool = False) -> list
             f"it has {', '.join(names) or 'none'}"
         )
     camera_covariance = np.array(camera["covariance"], dtype=np.float64)
-    return sorted((observation(row, camera_covariance) for row in chosen), key=lambda each: each.et)
+    return sorted(split_drift([observation(row, camera_covariance) for row in chosen]), key=lambda each: each.et)
+
+
+def split_drift(observations: list[Observation]) -> list[Observation]:
+    """Observations that share the smallest covariance of each attitude; the rest, its drift, is noise of the row."""
+    smallest: dict[str, Array] = {}
+    for each in observations:
+        for key, (_, matrix) in each.shared.items():
+            smallest[key] = min(smallest.get(key, matrix), matrix, key=np.trace)
+    split = []
+    for each in observations:
+        noise, shared = each.noise, {}
+        for key, (partial, matrix) in each.shared.items():
+            values, axes = np.linalg.eigh(matrix - smallest[key])
+            drift = partial @ axes * np.sqrt(np.maximum(values, 0.0))
+            noise, shared[key] = noise + drift @ drift.T, (partial, smallest[key])
+        split.append(replace(each, noise=noise, shared=shared))
+    return split
 
 
 def observation(row: dict[str, Any], camera_covariance: Array) -> Observation:

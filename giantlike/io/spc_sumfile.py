@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 FIRST_PIXEL = 1.0  # coordinate of the center of the first pixel in SPC
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
+_HUGE = 1e75  # numbers of a line are smaller, so that products of four of them do not overflow
 _ORTHOGONAL = (
     1e-6  # largest departure of the camera's axes from orthogonal unit vectors: they are written with 10 digits
 )
@@ -99,8 +100,7 @@ def read_sumfile(path: str | Path) -> Sumfile:
     values = [read_numbers(path, lines, number, count) for number, count in
               ((2, 4), (3, 3), (4, 3), (8, 3), (9, 6), (11, 3), (12, 3))]  # fmt: skip
     size, optics, target, sun, k, sigma_target, sigma_pointing = values
-    largest = float(np.abs(sun).max())  # divided by it, the squares of huge numbers do not overflow
-    if largest == 0.0:
+    if not sun @ sun:
         raise DataError(path, "line 9: SZ must not be zero")
     return Sumfile(
         name=lines[0].strip(),
@@ -113,7 +113,7 @@ def read_sumfile(path: str | Path) -> Sumfile:
         pixels_per_mm=k.reshape(2, 3),
         target_km=target,
         camera_from_body=Rotation.from_matrix(read_axes(path, lines, 5, "CX, CY, CZ")),
-        sun_direction_body=unit(sun / largest),
+        sun_direction_body=unit(sun),
         sigma_target_km=sigma_target,
         sigma_pointing_rad=sigma_pointing,
         landmarks_px=dict(_read_landmarks(path, lines)),
@@ -133,8 +133,7 @@ def _read_landmarks(path: Path, lines: list[str]) -> Iterator[tuple[str, Float]]
 def read_axes(path: Path, lines: list[str], first: int, names: str) -> Float:
     """Three orthogonal unit vectors (3, 3), right-handed, of three lines."""
     axes = np.array([read_numbers(path, lines, number, 3) for number in range(first, first + 3)])
-    long = np.abs(axes).max() > 1.0 + _ORTHOGONAL  # before products, which would overflow
-    if long or np.abs(axes @ axes.T - np.eye(3)).max() > _ORTHOGONAL or np.linalg.det(axes) < 0.0:
+    if np.abs(axes @ axes.T - np.eye(3)).max() > _ORTHOGONAL or np.linalg.det(axes) < 0.0:
         where = f"lines {first + 1} to {first + 3}"
         raise DataError(path, f"{where}: {names} must be orthogonal unit vectors, right-handed")
     return axes
@@ -147,7 +146,7 @@ def read_numbers(path: Path, lines: list[str], number: int, count: int, *, skip:
         values = [float(word) for word in words]
     except ValueError:
         values = []
-    if len(values) < count or not np.isfinite(values).all():
+    if len(values) < count or not (np.abs(values) < _HUGE).all():
         raise DataError(path, f"line {number + 1}: {count} numbers are needed, got {lines[number].strip()!r}")
     return np.array(values)
 

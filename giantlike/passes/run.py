@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,19 +22,12 @@ from giantlike.relative.place import apparent_radius_px
 
 OBSERVABLES = "observables.parquet"
 _NEW_PARTS = ("part_noise", "part_background")
-_SHARED_PARTS = (
-    "part_psf",
-    "part_edge",
-    "part_camera",
-    "part_aberration",
-    "part_epoch",
-    "part_reflectance",
-    "part_albedo",
-    "part_relief",
-    "part_pole",
-    "part_spin",
-    "part_sun",
-)
+_LIGHT_PARTS = ("part_psf", "part_edge", "part_reflectance", "part_albedo", "part_relief")
+_LIGHT_CORRELATION = 0.5
+"""Correlation between images of errors by how a body is lit, along the direction of the Sun, across it and along the
+range: the mean of a uniform prior. With a wrong point spread function it is 0.7 to 0.8 along the Sun for templates and
+below 0.3 for limbs (docs/observables.md); in axes of the camera it is lost when the camera rolls."""
+_SHARED_PARTS = ("part_camera", "part_aberration", "part_epoch", "part_pole", "part_spin", "part_sun")
 _ATTITUDE_PARTS = ("part_attitude", "part_orientation")
 
 
@@ -116,7 +108,8 @@ def pass_from_rows(rows: Sequence[ObservableRow], camera: Camera, choice: RunPas
 
     A trajectory error moves all images along a straight line: valid for passes of hours. A late exposure moves the body
     by its motion relative to the spacecraft and, where the attitude is not from its own stars, by the rotation of the
-    camera, as far as its rate is known.
+    camera, as far as its rate is known. Of rows with one attitude, errors are shared as far as the smallest covariance
+    goes; what the others have beyond it, the drift since the image of stars, is new in each.
     """
     chosen = sorted(
         (row for row in rows if _usable(row) and row.target == choice.target and _during(row, choice)), key=_epoch
@@ -124,8 +117,8 @@ def pass_from_rows(rows: Sequence[ObservableRow], camera: Camera, choice: RunPas
     if not chosen:
         return None
     middle = 0.5 * (_epoch(chosen[0]) + _epoch(chosen[-1]))
-    attitudes = Counter(row.shared_attitude for row in chosen)
-    images = tuple(_image(row, camera, choice, middle, attitudes[row.shared_attitude] > 1) for row in chosen)
+    common = _common_attitudes(chosen)
+    images = tuple(_image(row, camera, choice, middle, common.get(row.shared_attitude or "")) for row in chosen)
     covariance = np.zeros((0, 0)) if choice.covariance_trajectory is None else choice.covariance_trajectory
     return NavigationPass(
         images=images,
@@ -133,6 +126,18 @@ def pass_from_rows(rows: Sequence[ObservableRow], camera: Camera, choice: RunPas
         covariance_trajectory=np.array(covariance, dtype=np.float64),
         trajectory_names=() if choice.covariance_trajectory is None else ("x", "y", "z", "vx", "vy", "vz"),
     )
+
+
+def _common_attitudes(rows: Sequence[ObservableRow]) -> dict[str, Sequence[float] | None]:
+    """Smallest covariance of the attitude, by its key, of those that several rows share."""
+    shared: dict[str, list[ObservableRow]] = {}
+    for row in rows:
+        shared.setdefault(row.shared_attitude or "", []).append(row)
+    return {
+        key: min((row.attitude_covariance_rad2 for row in group), key=lambda cells: np.sum((cells or (np.inf,))[::4]))
+        for key, group in shared.items()
+        if len(group) > 1
+    }
 
 
 def _usable(row: ObservableRow) -> bool:
@@ -143,6 +148,7 @@ def _usable(row: ObservableRow) -> bool:
         row.computed_apparent_range_km,
         row.part_noise,
         row.camera_from_icrf_xyzw,
+        row.sun_direction_icrf,
     )
     return row.kind == "body" and row.preferred and row.is_usable and all(value is not None for value in needed)
 
@@ -155,13 +161,16 @@ def _during(row: ObservableRow, choice: RunPass) -> bool:
     return choice.from_et_s <= _epoch(row) <= choice.to_et_s
 
 
-def _image(row: ObservableRow, camera: Camera, choice: RunPass, middle_s: float, attitude_is_shared: bool) -> PassImage:
+def _image(
+    row: ObservableRow, camera: Camera, choice: RunPass, middle_s: float, common: Sequence[float] | None
+) -> PassImage:
+    """Image of a row; ``common``: covariance of the attitude that it shares with other rows, None without any."""
     model = camera.model
     turn = rotation_from_xyzw(np.array(row.camera_from_icrf_xyzw, dtype=np.float64))
     measured = _place(model, row.observed_pixel_px, row.observed_line_px, row.observed_apparent_range_km)
     by_place = np.linalg.inv(np.vstack([model.project_jacobian(measured), unit(measured)]))
     own, shared = np.zeros((3, 3)), {}
-    for name in (*_NEW_PARTS, *_SHARED_PARTS, *_ATTITUDE_PARTS):
+    for name in (*_NEW_PARTS, *_LIGHT_PARTS, *_SHARED_PARTS, *_ATTITUDE_PARTS):
         cells = getattr(row, name)
         if cells is None:
             continue
@@ -169,12 +178,18 @@ def _image(row: ObservableRow, camera: Camera, choice: RunPass, middle_s: float,
         if not part.any():
             continue
         cause = name.removeprefix("part_")
-        if name in _NEW_PARTS or (name in _ATTITUDE_PARTS and not attitude_is_shared):
+        if name in _NEW_PARTS or (name in _ATTITUDE_PARTS and common is None):
             own += part
+        elif name in _LIGHT_PARTS:
+            own += (1.0 - _LIGHT_CORRELATION) * part
+            shared[cause] = covariance_root(_LIGHT_CORRELATION * part) @ _light_axes(row, turn, measured)
         else:
-            shifts = _signed_shifts(row, cause, camera)
+            shifts = _signed_shifts(row, cause, camera, common)
             key = f"{cause} {row.shared_attitude}" if name in _ATTITUDE_PARTS else cause
             shared[key] = covariance_root(part) if shifts is None else by_place @ shifts
+            if name == "part_attitude" and shifts is not None:
+                root = covariance_root(part - shared[key] @ shared[key].T)  # the drift, without what rounding makes
+                own += root @ root.T
     time_s = _epoch(row) - middle_s
     by_state = -turn.as_matrix() @ np.hstack([np.eye(3), time_s * np.eye(3)])
     return PassImage(
@@ -197,14 +212,27 @@ def _image(row: ObservableRow, camera: Camera, choice: RunPass, middle_s: float,
     )
 
 
-def _signed_shifts(row: ObservableRow, cause: str, camera: Camera) -> Float | None:
+def _light_axes(row: ObservableRow, turn: Rotation, measured: Float) -> Float:
+    """Unit vectors (3, 3), as columns: across the line of sight toward the Sun, across both, and along it."""
+    sight = unit(measured)
+    across = np.cross(sight, rotate(turn, np.array(row.sun_direction_icrf, dtype=np.float64)))
+    if not across.any():  # the Sun is behind the camera: no direction of the image differs from the others
+        across = np.cross(sight, np.array([1.0, 0.0, 0.0]))
+    across = unit(across)
+    return np.stack([np.cross(across, sight), across, sight], axis=-1)
+
+
+def _signed_shifts(
+    row: ObservableRow, cause: str, camera: Camera, attitude_rad2: Sequence[float] | None
+) -> Float | None:
     """Shifts (3, k), px, px and km, by one standard deviation of each parameter of a cause, from the partials of a row.
 
+    ``attitude_rad2``: covariance of the attitude.
     Returns None for a cause without partials: its shifts are known apart from their signs.
     """
     pole, spin, sun, known = row.sigma_pole_rad, row.sigma_spin_rad, row.sigma_sun_rad, camera.uncertainty
     covariances: dict[str, tuple[Sequence[float] | None, object]] = {
-        "attitude": (row.partial_attitude, row.attitude_covariance_rad2),
+        "attitude": (row.partial_attitude, attitude_rad2),
         "pole": (row.partial_pole, None if pole is None else pole**2 * np.eye(2)),
         "spin": (row.partial_spin, None if spin is None else spin**2 * np.eye(1)),
         "sun": (row.partial_sun, None if sun is None else sun**2 * np.eye(3)),

@@ -32,6 +32,7 @@ from giantlike.simulation import Shot, Sources, simulate_image
 RADII_KM = (765.0, 763.1, 762.4)
 COLUMNS, FOV_DEG, EXPOSURE_S, SPACING_S = 400, 5.0, 2.0, 400.0
 DETECTOR = Detector(gain_e_per_dn=1.0, read_noise_e=5.0, saturation_dn=60000.0, bias_dn=100.0)
+ZERO_POINT_E_S = 1.5e6
 APRIORI_DEG = 0.02
 K1 = -0.5
 """Of the lens: 1.1 px in the corners."""
@@ -145,7 +146,7 @@ def make_flyby(folder: Path) -> Flyby:
     sources = Sources(
         scene=scene,
         catalog=load_catalog("default"),
-        photometry=Photometry(zero_point_e_s=1.5e6),
+        photometry=Photometry(zero_point_e_s=ZERO_POINT_E_S),
         albedo=1e-4,
         sun_distance_au=9.5,
     )

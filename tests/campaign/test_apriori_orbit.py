@@ -139,6 +139,15 @@ def test_axes_of_a_sumfile_that_point_against_columns_and_rows_are_turned(tmp_pa
     assert (imported.camera_from_mission * half.inv()).magnitude() < 1e-12
 
 
+@pytest.mark.parametrize("name", ["target_km", "sigma_target_km", "sigma_pointing_rad"])
+def test_huge_numbers_of_sumfiles_are_refused(tmp_path: Path, picture: bytes, name: str) -> None:
+    """Their squares would overflow."""
+    huge: dict[str, Any] = {name: np.array([1e160, 0.0, 0.0])}
+    sumfile(tmp_path, **huge)
+    with pytest.raises(DataError, match="3 numbers are needed"):
+        Campaign.load(campaign_of(tmp_path, picture))
+
+
 def test_sumfiles_that_fit_no_image_or_no_body_are_refused(tmp_path: Path, picture: bytes) -> None:
     path = campaign_of(tmp_path, picture)
     with pytest.raises(DataError, match="SUMFILES"):

@@ -13,7 +13,7 @@ from typer.testing import CliRunner, Result
 from giantlike.campaign.file.config import Campaign
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.cli.app import app
-from tests.campaign.flyby import COLUMNS, Flyby, Session, make_flyby, write_session
+from tests.campaign.flyby import COLUMNS, ZERO_POINT_E_S, Flyby, Session, make_flyby, write_session
 from tests.campaign.mistakes import MISTAKES
 from tests.sizes import slow
 
@@ -160,6 +160,21 @@ def test_the_error_of_an_unused_attitude_is_named_with_its_axis(flyby: Flyby, tm
     assert (record.status, record.flags) == ("ok", ["wrong_apriori"])
     (note,) = record.notes
     assert re.search(r"wrong by 23\.4\d* deg about the inertial x axis: .* taken as ECLIPJ2000 it is correct", note)
+
+
+def test_stars_tell_an_exposure_in_ms_of_a_single_image_where_a_zero_point_is_declared(
+    flyby: Flyby, tmp_path: Path
+) -> None:
+    def declared(one: Session) -> None:
+        in_ms = MISTAKES["EXPTIME in ms"]
+        assert in_ms is not None
+        in_ms(one)
+        one.table["photometry"] = {"zero_point_e_s": ZERO_POINT_E_S}
+
+    path = write_session(flyby, tmp_path / "session", declared, images=1)
+    assert_says(giantlike("run", path, "--workers", "1"), "with the exposures divided by 1000 they have .* in ms")
+    path = write_session(flyby, tmp_path / "session", MISTAKES["EXPTIME in ms"], images=1)
+    assert "in ms" not in said(giantlike("run", path, "--workers", "1"))
 
 
 def test_a_refusal_is_a_success_where_nothing_is_expected(flyby: Flyby, tmp_path: Path) -> None:

@@ -54,6 +54,15 @@ def test_errors_of_orbits_are_those_that_the_covariance_states(tmp_path: Path, d
     assert low < fits < high
 
 
+def test_attitudes_that_drift_after_the_image_of_stars_contradict_no_orbit(tmp_path: Path) -> None:
+    """Held in common, a walk of 0.18 px a step leaves chi-squares of 310 to 470 for 135 degrees of freedom."""
+    example, arc = orbit_example(), replace(truth(0.0), drift_rad=5e-5)
+    write_arc(tmp_path / "o.parquet", arc, np.random.default_rng(2))
+    solution = example.solve(example.read(str(tmp_path / "o.parquet")), estimate=True)
+    low, high = (float(chi2.ppf(tail, 3 * 48 - 9)) for tail in (FALSE_ALARM / 2, 1.0 - FALSE_ALARM / 2))
+    assert low < solution.chi2 < high
+
+
 def test_a_hundred_images_do_not_know_the_size_of_a_body_a_hundred_times(tmp_path: Path) -> None:
     example, arc = orbit_example(), truth(0.0)
     write_arc(tmp_path / "o.parquet", arc, np.random.default_rng(1))

@@ -127,6 +127,57 @@ def test_attitudes_that_images_share_are_shared_errors() -> None:
     assert all(set(image.observed.shared_px) == {"attitude one"} for image in given.images)
 
 
+def test_the_drift_of_an_attitude_is_new_in_each_image() -> None:
+    """The error of the star image is one; twice its sigma after a while is no error that doubles."""
+    first, later = (replace(row, shared_attitude="one") for row in rows(2))
+    assert first.attitude_covariance_rad2 is not None
+    assert later.part_attitude is not None
+    grown = replace(
+        later,
+        attitude_covariance_rad2=tuple(4.0 * value for value in first.attitude_covariance_rad2),
+        part_attitude=tuple(4.0 * value for value in later.part_attitude),
+    )
+    choice = RunPass(target="ROCK", radius_km=RADIUS_KM)
+    steady, drifting = (pass_from_rows(made, CAMERA, choice) for made in ([first, later], [first, grown]))
+    assert steady is not None
+    assert drifting is not None
+    before, after = (given.images[1].observed for given in (steady, drifting))
+    assert isinstance(before, MeasuredPosition)
+    assert isinstance(after, MeasuredPosition)
+    shift = before.shared_km["attitude one"]
+    assert_allclose(after.shared_km["attitude one"], shift, rtol=0, atol=1e-6 * np.abs(shift).max())
+    added = after.covariance_camera_km2 - before.covariance_camera_km2
+    assert_allclose(added, 3.0 * shift @ shift.T, rtol=0, atol=1e-3 * np.abs(added).max())
+
+
+def test_errors_by_light_keep_their_direction_to_the_sun_in_a_rolled_camera() -> None:
+    """0.3 px toward the Sun in both images: half of the variance is shared, and turns with the image."""
+    row = rows(1)[0]
+    level = Rotation.from_quat(np.array(row.camera_from_icrf_xyzw))
+    seen = []
+    for turn in (level, Rotation.from_rotvec([0.0, 0.0, 1.0]) * level):
+        position = rotate(turn, np.array(row.apparent_position_icrf_km, dtype=np.float64))
+        sight = position / np.linalg.norm(position)
+        sun = rotate(turn, np.array(row.sun_direction_icrf, dtype=np.float64))
+        toward = MODEL.project_jacobian(position) @ (sun - sun @ sight * sight)
+        part = np.zeros((3, 3))
+        part[:2, :2] = 0.09 * np.outer(toward, toward) / (toward @ toward)
+        pixel, line = MODEL.project(position)
+        rolled = replace(
+            row, camera_from_icrf_xyzw=turn.as_quat().tolist(), observed_pixel_px=pixel, observed_line_px=line
+        )
+        given = pass_from_rows(
+            [replace(rolled, part_psf=part.ravel().tolist())], CAMERA, RunPass(target="ROCK", radius_km=1.0)
+        )
+        assert given is not None
+        observed = given.images[0].observed
+        assert isinstance(observed, MeasuredPosition)
+        seen.append(rotate(turn.inv(), observed.shared_km["psf"].T))
+    size = float(np.abs(seen[0]).max())
+    assert size == pytest.approx(0.3 * math.sqrt(0.5) * RANGE_KM / 7312.5, rel=0.1)
+    assert_allclose(seen[0], seen[1], rtol=0, atol=1e-2 * size)
+
+
 def test_errors_that_images_share_keep_their_signs() -> None:
     """A pole that moves the body to the right in one image and to the left in the next; spin, too, is one error."""
     right = (2.0, 0.0, 1.0, 0.0, 0.0, 3.0)

@@ -338,7 +338,7 @@ class PhotometrySection(TomlSection):
 
 
 class CampaignPhotometrySection(PhotometrySection):
-    """``[photometry]``: zero point of the camera, in place of that of its file; how `giantlike photometry` measures."""
+    """``[photometry]``: zero point of the camera, in place of that of its file; options of `giantlike photometry`."""
 
     apertures_px: tuple[float, float, float] = (3.0, 9.0, 14.0)
     """Radius of the circle, and inner and outer radius of the ring of the level."""

@@ -54,7 +54,7 @@ class ImageCard:
     fixes: list[FixLine]
     picture: str | None = None  # SVG; None if the image file is gone
     residuals: list[str]  # pictures of the residuals, SVG
-    problem: str | None = None  # the reason why there is no picture
+    problem: str | None = None  # reason for a missing picture
 
 
 def center_colors(result: RunResult) -> dict[str, str]:

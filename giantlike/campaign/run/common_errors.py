@@ -19,6 +19,7 @@ _SIGNIFICANT = 5.0  # number of standard deviations from which an error is named
 _EXPLAINED = 0.25
 """Residual rms with a time offset relative to the rms without one, below which the offset explains the residuals."""
 _MIN_IMAGES = 3
+_LIGHT_FACTOR = 3.0  # largest error of a declared zero point with the colors of the stars, 1.2 mag: a prior
 _GPS_FROM_TAI_S = -19.0
 
 
@@ -28,6 +29,7 @@ def find_common_errors(
     """Sentences on errors that the images of a run have in common."""
     return [
         *_overlapping_exposures(attitudes),
+        *_exposure_units(campaign, attitudes),
         *_apriori_errors(campaign, attitudes),
         *_time_offsets(campaign, attitudes, observations),
     ]
@@ -53,6 +55,20 @@ def _overlapping_exposures(attitudes: Sequence[AttitudeRecord]) -> Iterator[str]
     if (gaps[overlapping] > lengths[overlapping] / 1000.0).all():
         text += "; with the exposures divided by 1000 they do not: are they in ms?"
     yield text
+
+
+def _exposure_units(campaign: Campaign, attitudes: Sequence[AttitudeRecord]) -> Iterator[str]:
+    """Exposures for which the stars are a thousand times too faint or too bright for the declared zero point."""
+    found = [record.star_zero_point_e_s for record in attitudes if record.star_zero_point_e_s]
+    if campaign.camera.photometry is None or not found:
+        return
+    ratio = float(np.median(found)) / campaign.camera.photometry.zero_point_e_s
+    for change, factor in (("divided", 1e-3), ("multiplied", 1e3)):
+        if 1.0 / _LIGHT_FACTOR < ratio / factor < _LIGHT_FACTOR:
+            yield (
+                f"the stars have {ratio:.2g} times the signal that the zero point and the exposures give; with the "
+                f"exposures {change} by 1000 they have {ratio / factor:.2g} times: are they in ms?"
+            )
 
 
 def _apriori_errors(campaign: Campaign, attitudes: Sequence[AttitudeRecord]) -> Iterator[str]:

@@ -6,6 +6,8 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from giantlike.calibration import identify_first
 from giantlike.camera import Camera
 from giantlike.campaign.calibration.solve import NO_STAR_IMAGE, record_of_stars, temperature_of
@@ -200,4 +202,10 @@ def _from_stars(record: AttitudeRecord, navigation: StarNavigation, image: Image
     if isinstance(fix, Failure):
         n_detected = int(detections.clean.sum())
         return record.replace(problem=Problem.from_failure(fix), detected_px=detected_px, n_detected=n_detected)
-    return with_stars(record.replace(notes=[*record.notes, *fix.notes]), navigation.camera, fix, detected_px)
+    notes, zero_point = [*record.notes, *fix.notes], None
+    if image.exposure_s:
+        detector = image.detector or navigation.camera.detector
+        signal_e = detections.flux_dn[fix.detection_indices] * detector.gain_e_per_dn * 10.0 ** (0.4 * fix.magnitudes)
+        zero_point = float(np.median(signal_e)) / image.exposure_s
+    record = record.replace(notes=notes, star_zero_point_e_s=zero_point)
+    return with_stars(record, navigation.camera, fix, detected_px)

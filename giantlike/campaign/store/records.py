@@ -39,7 +39,7 @@ from giantlike.core.outcomes import AttitudeErrors, Failure, Outcome, Quality, R
 
 
 class Problem(PlainRecord):
-    """The reason why there is no result."""
+    """Reason for a missing result."""
 
     reason: Reason
     detail: str  # as in :class:`~giantlike.core.outcomes.Failure`
@@ -197,6 +197,7 @@ class AttitudeRecord(_StatusRecord):
     attitude_shares: of a transferred attitude, its star images and the weight of each.
     n_detected, n_matched, n_rejected, rms_px, false_match_probability: of the star solution, as in
         :class:`~giantlike.core.outcomes.AttitudeFix`.
+    star_zero_point_e_s: electron/s; median signal of the matched stars for the exposure, at magnitude 0.
     """
 
     part: ClassVar[str] = "attitude"
@@ -223,6 +224,7 @@ class AttitudeRecord(_StatusRecord):
     n_rejected: int | None = None
     rms_px: float | None = None
     false_match_probability: float | None = None
+    star_zero_point_e_s: float | None = None
     ra_deg: float | None = None  # as in :class:`~giantlike.io.run_tables.AttitudeRow`
     dec_deg: float | None = None  # as in :class:`~giantlike.io.run_tables.AttitudeRow`
     roll_deg: float | None = None  # as in :class:`~giantlike.io.run_tables.AttitudeRow`
