@@ -98,6 +98,14 @@ def test_a_limb_in_haze_gives_the_range_within_its_sigma_when_the_atmosphere_is_
     assert not found.flags.suspect
 
 
+def test_a_full_disk_in_thick_haze_that_is_not_declared_is_within_its_sigma() -> None:
+    """In fine cells markings took up the haze: the limb was 3.3 sigma off."""
+    phase_rad = math.radians(15.0)
+    image = hazy(100.0, DEPTH, "mcewen", phase_rad)
+    error, sigma, _ = radius_error_km("limb_matching", None, image, phase_rad)
+    assert abs(error) < 2.5 * sigma
+
+
 @pytest.mark.parametrize("name", LIMB)
 def test_a_limb_that_is_higher_toward_the_terminator_leaves_the_center_within_its_sigma(name: str) -> None:
     """Horizons were 2.2 sigma off toward the Sun with an altitude that is the same all around."""
