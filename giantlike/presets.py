@@ -47,7 +47,17 @@ def preset_names() -> tuple[str, ...]:
 
 
 def camera_preset(name: str) -> CameraPreset:
-    """Return a real camera by its name, one of :func:`preset_names`; InputError where there is no such preset.
+    """Return a real camera by its name.
+
+    Parameters
+    ----------
+    name : str
+        One of :func:`preset_names`.
+
+    Raises
+    ------
+    InputError
+        The name is unknown.
 
     Examples
     --------

@@ -354,7 +354,7 @@ class Scene(Pictured, Value):
         return f"Scene({', '.join(target.name for target in self.targets)})"
 
     def target(self, name: str | None = None) -> Target:
-        """Return a target by name, needed where there are several; InputError where there is no such target."""
+        """Return a target by name, needed where there are several; InputError for an unknown one."""
         if name is None:
             if len(self.targets) > 1:
                 raise InputError(f"the scene has several targets, name one: {self._names()}")
@@ -501,7 +501,7 @@ def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 
         With the attributes that :meth:`Scene.geometry` needs.
     camera : Camera
     margin_px : float, px
-        0 or more; margin around the outlines, for the error of the attitude and for light scattered near a bright limb.
+        Margin around the outlines, for the error of the attitude and for light scattered near a bright limb.
 
     Returns
     -------
@@ -509,6 +509,11 @@ def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 
         True on a body, lit or not, and in the margin. The outermost outline counts: bays of an irregular body are
         covered too. A target of which the camera images no limb leaves the mask as it is, unless the body fills the
         view: then everything is covered.
+
+    Raises
+    ------
+    InputError
+        The margin is negative.
     """
     require_number(margin_px, "margin_px", least=0.0)
     covered = np.zeros((camera.rows, camera.columns), dtype=np.uint8)

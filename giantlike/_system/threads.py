@@ -27,11 +27,16 @@ def threads(count: int) -> Iterator[None]:
     Parameters
     ----------
     count : int
-        Threads at most, 1 or more; 1 is the default everywhere.
+        Threads at most; 1 is the default everywhere.
 
     Yields
     ------
     None
+
+    Raises
+    ------
+    InputError
+        The number is below 1.
 
     Examples
     --------

@@ -270,7 +270,7 @@ class _Fit:
         return False
 
     def step(self) -> tuple[Float, float, list[Mask], float]:
-        """Step of the values, new scatter, stars whose residuals are no outliers, and both changes over their sigma."""
+        """Step of the values, new scatter, stars that are not outliers, and both changes over their sigma."""
         count = len(self.frames)
         information, right = np.zeros((count + 2, count + 2)), np.zeros(count + 2)
         information[[-2, -1], [-2, -1]] = self.prior_sigma**-2.0

@@ -96,7 +96,7 @@ class HeightMap(Value):
 
     @classmethod
     def from_array(cls, heights_km: ArrayLike, *, reference_radii_km: ArrayLike, sigma_km: float = 0.0) -> HeightMap:
-        """Make a map of the whole body from heights (rows, columns), km; InputError for an array that is no map.
+        """Make a map of the whole body from heights (rows, columns), km; InputError for another shape.
 
         Rows go from the north pole to the south, columns from longitude 0 to the east, samples are in the middles of
         cells; NaN where nothing is known. ``reference_radii_km`` (3,), km.

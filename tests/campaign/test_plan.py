@@ -155,7 +155,12 @@ def test_the_campaign_has_all_that_is_declared_of_a_body(tmp_path: Path) -> None
         table["targets"][0].update(declared)
         table["targets"].append(moon | {"terrain": "heights.npz", "air": False})
 
-    made = PlanSetup.load(write_plan_file(tmp_path, change)).plan()
+    setup = PlanSetup.load(write_plan_file(tmp_path, change))
+    assert [each for each in setup.warnings if "scene.toml" in each] == [
+        "BALL: scene.toml renders it without its atmosphere, rings",
+        "MOON: scene.toml renders it without its terrain",
+    ]
+    made = setup.plan()
     assert not isinstance(made, Failure)
     write_plan(made[0], tmp_path / "out")
     (tmp_path / "out" / "images").mkdir()

@@ -297,7 +297,7 @@ class UncertaintySection(TomlSection):
 
 
 class PhotometrySection(TomlSection):
-    """``[photometry]``: zero point of the camera, in place of that of its file, which has the same table."""
+    """``[photometry]``: zero point that replaces the one in the camera file, where the table is the same."""
 
     zero_point_e_s: float | None = None
     """Signal of a star of magnitude 0 and BP-RP 1 on the optical axis, electrons per second."""
@@ -338,7 +338,7 @@ class PhotometrySection(TomlSection):
 
 
 class CampaignPhotometrySection(PhotometrySection):
-    """``[photometry]``: zero point of the camera, in place of that of its file; options of `giantlike photometry`."""
+    """``[photometry]``: zero point that replaces the one in the camera file; options of `giantlike photometry`."""
 
     apertures_px: tuple[float, float, float] = (3.0, 9.0, 14.0)
     """Radius of the circle, and inner and outer radius of the ring of the level."""

@@ -172,6 +172,10 @@ class PlanSetup:
             require(spice is not None or not content.plan.window, "plan.window: epochs of a window need [spice]")
             if camera.photometry is None:
                 warnings = [*warnings, "no zero point ([photometry], or that of the camera): no signals and no fixes"]
+            for section in content.targets:
+                hidden = [name for name in ("atmosphere", "rings", "terrain") if getattr(section, name) is not None]
+                if hidden:
+                    warnings = [*warnings, f"{section.name}: scene.toml renders it without its {', '.join(hidden)}"]
         return cls(path=path, content=content, camera=camera, targets=targets, spice=spice, warnings=tuple(warnings))
 
     def plan(self) -> tuple[Plan, Plan] | Failure:

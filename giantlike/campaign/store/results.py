@@ -130,7 +130,7 @@ class RunResult(Pictured, Value):
         )
 
     def table(self, name: str = "observations") -> QTable:
-        """Return a table of the run, with units; InputError where there is no such table.
+        """Return a table of the run, with units; InputError for an unknown name.
 
         It has a column for each of docs/tables.md that a CSV file has; cells without a value are masked.
         ``table.to_pandas()`` makes a data frame of it where pandas is installed.

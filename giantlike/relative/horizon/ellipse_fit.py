@@ -143,7 +143,7 @@ class EllipseFit(BodyEstimator[EllipseFitOptions, PositionFix]):
             return stand_in
         altitude = Altitude.from_geometry(inputs.geometry)
         stand_in = replace(stand_in, figure=altitude.above(stand_in.figure))
-        view = limb_view(inputs)
+        view = limb_view(inputs, altitude.sigma_km)
         measured = limb_edges(view, stand_in, sunlight_px(inputs.geometry, inputs.camera.model), self.options)
         if view.clipped_pixels.any() and _mostly_lost(measured):
             search = IteratedSearch(search_px=self.options.search_px, search_range=self.options.search_range)

@@ -181,7 +181,8 @@ def _fit_position(
     inputs: EstimatorInputs, stand_in: EllipsoidStandIn, options: EllipsoidCRAOptions
 ) -> tuple[LimbMeasurement, LimbSolution] | Failure:
     """The limb as measured, and the position by the Christian-Robinson algorithm."""
-    view, altitude, law = limb_view(inputs), options.altitude(inputs.geometry), inputs.geometry.target.reflectance
+    altitude, law = options.altitude(inputs.geometry), inputs.geometry.target.reflectance
+    view = limb_view(inputs, altitude.sigma_km)
     figure, start_km = altitude.above(stand_in.figure), stand_in.position_camera_km
     if isinstance(inputs.geometry.target.shape, Ellipsoid) and inputs.geometry.target.terrain is None:
         measured = measure_by_cells(view, figure, law, start_km, options, options.horizon.about(inputs.geometry.target))

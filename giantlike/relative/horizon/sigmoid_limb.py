@@ -93,8 +93,9 @@ class SigmoidLimb(BodyEstimator[SigmoidLimbOptions, PositionFix]):
                 f"the fit needs an ellipsoid, got a {type(shape).__name__}: use ellipsoid_cra or limb_matching",
                 not_applicable=True,
             )
-        view, geometry = limb_view(inputs), inputs.geometry
+        geometry = inputs.geometry
         altitude = self.options.altitude(geometry)
+        view = limb_view(inputs, altitude.sigma_km)
         axes = geometry.camera_from_body
         figure = altitude.above(Figure(radii_km=shape.radii_km, camera_from_axes=axes, air=geometry.air))
         law, start_km = geometry.target.reflectance, geometry.position_camera_km

@@ -124,8 +124,8 @@ class IteratedSearch(LimbSearch):
         return self.max_rms_px + _RELIEF_RMS * measured.relief_px
 
 
-def limb_view(inputs: EstimatorInputs) -> LimbView:
-    """Take the inputs of a limb measurement from the inputs of an estimator."""
+def limb_view(inputs: EstimatorInputs, altitude_sigma_km: float) -> LimbView:
+    """Take the inputs of a limb measurement, at an uncertain altitude, from the inputs of an estimator."""
     camera = inputs.camera
     return LimbView(
         pixels_dn=inputs.pixels_dn,
@@ -135,7 +135,7 @@ def limb_view(inputs: EstimatorInputs) -> LimbView:
         plane=FocalPlane(model=camera.model, columns=camera.columns, rows=camera.rows, psf=camera.psf),
         sun_direction_camera=inputs.geometry.sun_direction_camera,
         radius_px=inputs.radius_px,
-        in_air=inputs.geometry.limb_altitude_km[1] > 0.0,
+        in_air=altitude_sigma_km > 0.0,
     )
 
 

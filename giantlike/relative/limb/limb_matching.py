@@ -110,8 +110,8 @@ class LimbMatching(BodyEstimator[LimbMatchingOptions, PositionFix]):
                 f"the body is {diameter_px:.1f} px across, min_diameter_px is {least_px:g}: {advice}",
                 not_applicable=True,
             )
-        view = limb_view(inputs)
         body, (altitude_km, sigma_km) = inputs.geometry.seen_body(), inputs.geometry.limb_altitude_km
+        view = limb_view(inputs, sigma_km)
         lines = self._lines(view, body, in_haze=altitude_km != 0.0 and sigma_km > 0.0)
         if isinstance(lines, Failure):
             return lines

@@ -37,18 +37,17 @@ class _Veil(SurfaceLaw):
     type_name: ClassVar[str] = "veil"
 
     ground: Reflectance | None = None
-    depth: float = VEIL_DEPTH
 
     def above_horizon(self, mu0: Float, mu: Float, phase_rad: Float) -> Float:
         """Return the light (n,) lost or scattered; arguments as for all laws."""
         down, up = np.hypot(mu0, _LEAST_COSINE), np.hypot(mu, _LEAST_COSINE)
         own = down / (down + up) if self.ground is None else self.ground(mu0, mu, phase_rad)
-        return np.asarray(-own * np.expm1(-self.depth * (1.0 / down + 1.0 / up)))
+        return np.asarray(-own * np.expm1(-VEIL_DEPTH * (1.0 / down + 1.0 / up)))
 
 
-def haze_laws(ground: Reflectance, *, depth: float = VEIL_DEPTH) -> tuple[Reflectance, ...]:
+def haze_laws(ground: Reflectance) -> tuple[Reflectance, ...]:
     """Return laws whose images are haze templates: attenuation, scattered light, and a uniformly bright body."""
-    return _Veil(ground, depth), _Veil(None, depth), LommelSeeliger()
+    return _Veil(ground), _Veil(None), LommelSeeliger()
 
 
 def haze_block(images: Float) -> Block:

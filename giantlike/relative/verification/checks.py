@@ -311,7 +311,7 @@ def _at(body: Body, inputs: EstimatorInputs, search_px: float | None, fix: Cente
             turn_rad=inputs.turn_rad,
             response=fix.corrections.response,
             motion=None if fix.corrections.smear is None else fix.corrections.smear.on_blocks(cells.size).blur,
-            veils=veils(cells, trace) if may_be_hazy(fix, inputs) else None,
+            veils=veils(cells, trace) if search_px is not None and may_be_hazy(fix, inputs) else None,
         )
     return _Coarse(cells=cells, trace=trace, own=own, fit=fit)
 

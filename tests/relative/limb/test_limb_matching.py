@@ -251,7 +251,7 @@ def test_the_whole_limb_is_used_at_opposition(phase_deg: float, law: Reflectance
     case = body_image(body(), 47, phase_deg=phase_deg, law=law, radius_px=50.0).believed(**OFF)  # type: ignore[arg-type]
     inputs = gather(case.image, case.camera, case.scene, None, estimator="test", options=None)
     assert not isinstance(inputs, Failure)
-    view = limb_view(inputs)
+    view = limb_view(inputs, 0.0)
     outline = Outline.from_body(view, inputs.geometry.body())
     lines = lay_lines(view, outline, max_lines=300, spacing_px=1.5, margin_px=0.0)
     assert lines is not None
@@ -460,7 +460,7 @@ def test_the_limb_of_a_mesh_moves_with_it_as_the_design_says() -> None:
     case = body_image(body(), 51, phase_deg=60.0)
     inputs = gather(case.image, case.camera, case.scene, None, estimator="test", options=None)
     assert not isinstance(inputs, Failure)
-    view, options, shape = limb_view(inputs), LimbMatchingOptions(), inputs.geometry.body()
+    view, options, shape = limb_view(inputs, 0.0), LimbMatchingOptions(), inputs.geometry.body()
     measured = []
     for shift_px in (0.0, 0.5):
         position = case.believed(off_px=(shift_px, 0.0)).scene.geometry(case.image)
