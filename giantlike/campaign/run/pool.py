@@ -6,6 +6,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -111,7 +112,9 @@ class WorkerPool:
 
         def hand_out() -> None:
             while waiting and len(running) < _QUEUED_PER_WORKER * self._workers:
-                future = self._executor(self._workers).submit(_call, each, function, jobs[waiting[0]])
+                job = jobs[waiting[0]]
+                with _signals_held():
+                    future = self._executor(self._workers).submit(_call, each, function, job)
                 running[future] = waiting.popleft()
 
         def answers() -> Iterator[tuple[int, Answer | None]]:
@@ -162,10 +165,27 @@ class WorkerPool:
         self._executors.pop(size).shutdown(wait=True)
 
 
+@contextlib.contextmanager
+def _signals_held() -> Iterator[None]:
+    """Context manager in which signals that end this process wait, so that no process is left half started."""
+    _hold_signals(True)
+    try:
+        yield
+    finally:
+        _hold_signals(False)
+
+
+def _hold_signals(hold: bool) -> None:
+    if sys.platform != "win32":
+        how = signal.SIG_BLOCK if hold else signal.SIG_UNBLOCK
+        signal.pthread_sigmask(how, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
+
+
 _bench_of_this_process: list[Workbench] = []
 
 
 def _start_worker(campaign: Campaign) -> None:
+    _hold_signals(False)  # a process inherits what is held while it starts
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C reaches all processes: the others end without a traceback
     threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
