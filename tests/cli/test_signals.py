@@ -12,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from giantlike.campaign.file.config import Campaign
+from giantlike.campaign.run.border import attempt
 from giantlike.campaign.run.runner import run_campaign
 from giantlike.campaign.store.lock import hold_lock
 from giantlike.campaign.store.run_folder import RunFolder
@@ -58,6 +59,14 @@ def test_workers_that_a_signal_finds_half_started_leave_no_traceback(tmp_path: P
         ended, errors = end_run(folder, signal.SIGTERM, 0.0125 * step)
         assert ended == ExitCode.TERMINATED
         assert "Traceback" not in errors, (step, errors)
+
+
+def test_an_interrupt_in_compiled_code_is_no_failure_of_an_image() -> None:
+    def interrupted() -> None:
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    with pytest.raises(KeyboardInterrupt):
+        attempt(interrupted)
 
 
 def test_other_commands_say_that_a_run_is_at_work(tmp_path: Path) -> None:

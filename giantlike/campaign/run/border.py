@@ -28,7 +28,7 @@ def reading(
 def attempt(
     function: Callable[Arguments, Answer], *args: Arguments.args, **kwargs: Arguments.kwargs
 ) -> Answer | Problem:
-    """Call a function; any exception becomes a :class:`Problem`."""
+    """Call a function; any exception but an interrupt becomes a :class:`Problem`."""
     try:
         return function(*args, **kwargs)
     except CoverageError as error:
@@ -36,5 +36,7 @@ def attempt(
     except OpNavError as error:
         return Problem(reason=Reason.INTERNAL_ERROR, detail=str(error))
     except Exception as error:  # noqa: BLE001 - the border of a worker: one image must never end a run
+        if isinstance(error.__cause__, KeyboardInterrupt):  # compiled code makes a SystemError of an interrupt
+            raise error.__cause__ from None
         detail = f"{type(error).__name__}: {' '.join(str(error).split())}"
         return Problem(reason=Reason.INTERNAL_ERROR, detail=detail, traceback=traceback.format_exc())
