@@ -26,7 +26,7 @@ from giantlike.core.frames import camera_from_inertial_of_pointing, direction_fr
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.processing import DetectionFlag, DetectionOptions, Detections, detect_sources
 from giantlike.processing.detection.centroid import fit_stars
-from giantlike.processing.detection.patches import cut_patches, pixel_shares
+from giantlike.processing.detection.patches import cut_patches, draw_stars, pixel_shares
 from giantlike.processing.psf.estimate import PsfEstimate, estimate_psf, remeasure
 from giantlike.simulation.cosmic_rays import CosmicRays, draw_tracks
 from tests.numerical import numerical_jacobian
@@ -480,7 +480,13 @@ def test_misuse_is_an_input_error(pixels: NDArray[Any], settings_: dict[str, Any
 
 @pytest.mark.parametrize(
     "options",
-    [{"threshold_sigma": 0.0}, {"max_sources": 0}, {"min_area_px": 0}, {"max_saturated_fraction": 0.0}],
+    [
+        {"threshold_sigma": 0.0},
+        {"max_sources": 0},
+        {"min_area_px": 0},
+        {"max_saturated_fraction": 0.0},
+        {"searches": 0},
+    ],
 )
 def test_options_out_of_range_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=next(iter(options))):
@@ -531,3 +537,34 @@ def test_the_brightest_clean_detections_of_real_frames_are_catalog_stars(
         distance, _ = paired(expected, stars.points_px[:30])
         assert len(distance) == 30
         assert np.mean(distance < CATALOG_MATCH_PX) >= share, row["file"]
+
+
+def test_a_second_search_finds_faint_sources_among_bright_ones() -> None:
+    """40 stars of SNR 200 on 96 x 96 pixels raise the noise of their gaps, in which 12 sources of SNR 8 lie."""
+    width, random = np.hypot(0.7, np.sqrt(1.0 / 12.0)), np.random.default_rng(5)
+    bright = random.uniform(3.0, 92.0, (40, 2))
+    gaps = random.uniform(6.0, 89.0, (400, 2))
+    gaps = gaps[np.linalg.norm(gaps[:, None] - bright, axis=2).min(axis=1) > 4.0]
+    faint = gaps[[k for k in range(len(gaps)) if np.all(np.linalg.norm(gaps[:k] - gaps[k], axis=1) > 8.0)]][:12]
+    unit_dn = 2.0 * np.sqrt(np.pi) * width
+    flux = np.repeat([200.0, 8.0], [len(bright), len(faint)]) * unit_dn
+    light = draw_stars((96, 96), np.vstack([bright, faint]), flux, np.full(len(flux), 0.7))
+    pixels = random.normal(100.0 + light, np.sqrt(1.0 + light / 50.0))
+    found = [
+        detect_sources(
+            pixels,
+            detector=Detector(gain_e_per_dn=50.0),
+            psf_sigma_px=0.7,
+            options=DetectionOptions(searches=searches),
+        )
+        for searches in (1, 2)
+    ]
+    near = [
+        np.linalg.norm(one.points_px - faint[:, None], axis=2).min(axis=1) < 0.5
+        for one in found
+        if isinstance(one, Detections)
+    ]
+    assert np.count_nonzero(near[0]) <= len(faint) // 2
+    assert np.count_nonzero(near[1]) >= len(faint) - 1
+    extra = len(found[1].points_px) - len(bright) - len(faint)  # type: ignore[union-attr]
+    assert extra <= 1  # wings of the bright ones are no sources

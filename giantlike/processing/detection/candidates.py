@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,11 @@ class Candidates(Value):
     def select(self, which: NDArray[np.integer] | Mask | slice) -> Candidates:
         """Candidates of a mask, of indices or of a slice, in that order."""
         return select_rows(self, which)
+
+    def joined(self, other: Candidates) -> Candidates:
+        """These candidates, then the others."""
+        names = [field.name for field in fields(self)]
+        return Candidates(**{name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in names})
 
 
 def find_candidates(frame: Frame, filtered: FilteredImage, options: DetectionOptions) -> Candidates:

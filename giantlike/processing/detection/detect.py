@@ -18,8 +18,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from giantlike._system.processes import one_thread
 from giantlike.core.arrays import Float, Mask, require_number
@@ -42,12 +44,13 @@ from giantlike.processing.detection.matched_filter import (
     recorded_width_px,
 )
 from giantlike.processing.detection.options import DetectionOptions
-from giantlike.processing.detection.particles import CORE_WIDTHS, core_of, find_few_pixels
+from giantlike.processing.detection.particles import CORE_WIDTHS, MODEL_ERROR, core_of, find_few_pixels
 from giantlike.processing.detection.patches import (
     MIN_PSF_SIGMA_PX,
     PIXEL_VARIANCE_PX2,
     Patches,
     cut_patches,
+    draw_stars,
     neighbor_reach_px,
 )
 from giantlike.processing.detection.streak import line_shares
@@ -65,6 +68,8 @@ _LEAST_MEASURED = 100
 """Minimum number of measured sources: attitudes from 100 and 2,000 bright stars agree to 0.0013 px
 (``max_sources``)."""
 _GROWTH = 1.1  # minimum growth of their number where their information is too low: bounds the number of rounds
+
+_SAME_PEAK_PX = 1.5  # from a peak, within which one found later is what the model of the star leaves
 
 _STREAK_MIN_SIGNIFICANCE = 8.0  # of sources that show a common streak: three sigma above the detection limit
 _STREAK_LENGTH_SIGMAS, _STREAK_LENGTH_RELATIVE = 5.0, 0.25  # largest difference from the length of the common streak
@@ -163,6 +168,8 @@ def detect_in_parts(
         noise_dn = float(np.median(frame.noise_dn[::8, ::8]))
         at_peaks = frame.noise_dn[found.peaks_px[:, 1], found.peaks_px[:, 0]].astype(np.float64)
     found = replace(found, noise_dn=at_peaks).select(slice(options.max_sources))
+    for _ in range(options.searches - 1 if streak is None and len(found) else 0):
+        found, noise_dn = _search_again(frame, found, psf, noise_dn, options)
     measured: Detections | None = None
     for share in shares:
         if not len(found):
@@ -213,6 +220,27 @@ def _search_with(
         filtered = replace(filtered, noise_dn=np.maximum(frame.noise_dn, np.float32(frame.noise_floor_dn)))
     found = find_candidates(frame, filtered, options)
     return filtered, found if half_streak_px is None else found.select(found.first)
+
+
+def _search_again(
+    frame: Frame, found: Candidates, psf_sigma_px: float, noise_dn: float, options: DetectionOptions
+) -> tuple[Candidates, float]:
+    """Candidates with those in what they leave of the image as stars; of all the noise there, and its median, DN.
+
+    Where stars were, their light counts as noise by the error of its model: their wings are no sources.
+    """
+    stars = _measure(frame, found, psf_sigma_px, noise_dn)
+    stars = stars.select((stars.flags & np.uint16(DetectionFlag.EXTENDED | DetectionFlag.FIT_FAILED)) == 0)
+    light = draw_stars(frame.flat.shape, stars.points_px, stars.flux_dn, stars.width_px)
+    filtered, more = _search_with(replace(frame, flat=frame.flat - light), psf_sigma_px, options)
+    columns, rows = more.peaks_px.T
+    error = MODEL_ERROR * cv2.dilate(light, np.ones((3, 3), dtype=np.uint8))[rows, columns]
+    clear = more.significance * more.noise_dn > options.threshold_sigma * np.hypot(more.noise_dn, error)
+    clear &= cKDTree(found.peaks_px).query(more.peaks_px)[0] > _SAME_PEAK_PX
+    found = found.joined(more.select(clear)).select(slice(options.max_sources))
+    columns, rows = found.peaks_px.T
+    noise = filtered.noise_dn[rows, columns].astype(np.float64)
+    return replace(found, noise_dn=noise), float(np.median(filtered.noise_dn))
 
 
 def _common_streak(frame: Frame, found: Candidates, psf_sigma_px: float | None) -> CommonStreak | None:

@@ -36,6 +36,9 @@ class DetectionOptions:
     streak : bool, optional
         True if the stars are trails of one direction and length, False if they are points; found from the image by
         default. With True an image without a common streak is a failure.
+    searches : int
+        How often to search: all but the first time in what the stars found so far leave of the image, whose noise is
+        not raised by them. Default 1. A second one finds faint sources in crowded fields and beside brighter ones.
 
     Raises
     ------
@@ -51,11 +54,13 @@ class DetectionOptions:
     noise: NoiseSource = NoiseSource.LOCAL
     covered: Region | None = None
     streak: bool | None = None
+    searches: int = 1
 
     def __post_init__(self) -> None:
         require_number(self.threshold_sigma, "threshold_sigma", above=0.0)
         require(self.max_sources >= 1, f"max_sources must be >= 1, got {self.max_sources}")
         require_number(self.information, "information", above=0.0, most=1.0)
+        require(self.searches >= 1, f"searches must be >= 1, got {self.searches}")
         require(self.min_area_px >= 1, f"min_area_px must be >= 1, got {self.min_area_px}")
         require_number(self.max_saturated_fraction, "max_saturated_fraction", above=0.0, most=1.0)
         require(

@@ -32,7 +32,7 @@ from giantlike.processing.detection.patches import Patches
 
 CORE_WIDTHS = 2.0
 """Radius of the core of a source in recorded star widths, to which half a pixel is added: 86 % of the light."""
-_MODEL_ERROR = 0.08  # relative error of the star model in a pixel: no optics are Gaussian
+MODEL_ERROR = 0.08  # relative error of the star model in a pixel: no optics are Gaussian
 _PIXEL_COST = 4.0  # of a free pixel, in chi-square: the expected square of the highest of eight noise values
 _MOST_PIXELS = 12  # of a particle
 _REFUSED_SIGMAS = 4.0  # excess of chi-square over its degrees of freedom, in its standard deviations
@@ -75,7 +75,7 @@ def find_few_pixels(
         np.array(background_dn),
         _core_radius_px(psf_sigma_px),
         gain,
-        _MODEL_ERROR,
+        MODEL_ERROR,
     )
     freedom = np.maximum(np.count_nonzero(used, axis=(1, 2)) - _STAR_UNKNOWNS, 1)
     refused = np.flatnonzero(left > freedom + _REFUSED_SIGMAS * np.sqrt(2.0 * freedom))

@@ -202,6 +202,17 @@ def pixel_shares(first: NDArray[np.integer], size: int, center: Float, width: Fl
     return (0.5 * (below[1:] - below[:-1])).T, ((bell[:-1] - bell[1:]) * scale).T, (u[:-1] - u[1:]).T
 
 
+def draw_stars(shape: tuple[int, ...], points_px: Float, flux_dn: Float, width_px: Float) -> NDArray[np.float32]:
+    """Light (rows, columns), DN, of Gaussians (n,) integrated over the pixels, to six of their widths and a pixel."""
+    half = math.ceil(6.0 * float(width_px.max(initial=0.0))) + 1
+    light = np.zeros((shape[0] + 2 * half, shape[1] + 2 * half), dtype=np.float32)
+    first = np.clip(np.rint(points_px).astype(np.int64), 0, np.array(shape[1::-1]) - 1) - half
+    across, down = (pixel_shares(first[:, k], 2 * half + 1, points_px[:, k], width_px)[0] for k in (0, 1))
+    for (x, y), row, column, flux in zip(first + half, across, down, flux_dn, strict=True):
+        light[y : y + 2 * half + 1, x : x + 2 * half + 1] += flux * np.outer(column, row)
+    return light[half : half + shape[0], half : half + shape[1]]
+
+
 def normal_equations(jacobian: Float, residual: Float, weight: Float) -> tuple[Float, Float]:
     """Form the normal equations of independent fits of p parameters.
 
