@@ -47,7 +47,7 @@ class Candidates(Value):
         """Candidates of a mask, of indices or of a slice, in that order."""
         return select_rows(self, which)
 
-    def joined(self, other: Candidates) -> Candidates:
+    def join(self, other: Candidates) -> Candidates:
         """These candidates, then the others."""
         names = [field.name for field in fields(self)]
         return Candidates(**{name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in names})

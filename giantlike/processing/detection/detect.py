@@ -237,7 +237,7 @@ def _search_again(
     error = MODEL_ERROR * cv2.dilate(light, np.ones((3, 3), dtype=np.uint8))[rows, columns]
     clear = more.significance * more.noise_dn > options.threshold_sigma * np.hypot(more.noise_dn, error)
     clear &= cKDTree(found.peaks_px).query(more.peaks_px)[0] > _SAME_PEAK_PX
-    found = found.joined(more.select(clear)).select(slice(options.max_sources))
+    found = found.join(more.select(clear)).select(slice(options.max_sources))
     columns, rows = found.peaks_px.T
     noise = filtered.noise_dn[rows, columns].astype(np.float64)
     return replace(found, noise_dn=noise), float(np.median(filtered.noise_dn))
