@@ -1,4 +1,4 @@
-"""Edges to a fraction of a pixel: accuracy without and with noise, and speed, of three methods; prints JSON.
+"""Edges to a fraction of a pixel: accuracy without and with noise, and speed, of two windows; prints JSON.
 
 Disks of several radii, drawn ten times as fine and blurred, lit from twelve sides; errors are distances of the edge
 points from the circle. With noise the squared errors stand beside the stated variance (1 where that is honest).
@@ -19,7 +19,6 @@ import numpy as np
 from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector
 from giantlike.processing.limb.edges import EdgePoints, Pixels, scan_edges
-from giantlike.processing.limb.partial_area import partial_area_edges
 from giantlike.processing.limb.zernike import zernike_edges
 
 DETECTOR = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
@@ -38,10 +37,6 @@ def disk(radius_px: float, blur_px: float) -> tuple[Float, Float]:
 
 
 def methods(blur_px: float, curvature: float) -> dict[str, Callable[[Float, Pixels], EdgePoints]]:
-    def partial(image: Float, seeds: Pixels) -> EdgePoints:
-        usable = np.ones(image.shape, dtype=bool)
-        return partial_area_edges(image, usable, seeds, variance_dn2=DETECTOR.variance_dn2, blur_sigma_px=blur_px)
-
     def zernike(size: int) -> Callable[[Float, Pixels], EdgePoints]:
         def measured(image: Float, seeds: Pixels) -> EdgePoints:
             return zernike_edges(
@@ -56,7 +51,7 @@ def methods(blur_px: float, curvature: float) -> dict[str, Callable[[Float, Pixe
 
         return measured
 
-    return {"partial area": partial, "zernike 5x5": zernike(5), "zernike 7x7": zernike(7)}
+    return {"zernike 5x5": zernike(5), "zernike 7x7": zernike(7)}
 
 
 def measured(radius_px: float, blur_px: float, *, noise: bool) -> dict[str, object]:

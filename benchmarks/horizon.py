@@ -29,7 +29,7 @@ from giantlike.core.outcomes import Failure, PositionFix
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
 from giantlike.processing.limb.edges import scan_edges
-from giantlike.processing.limb.partial_area import partial_area_edges
+from giantlike.processing.limb.zernike import zernike_edges
 from giantlike.ray_tracing import Body, LommelSeeliger, LunarLambert, McEwen, RenderOptions, Template, render
 from giantlike.relative import EllipsoidCRA, Estimator, SigmoidLimb
 from giantlike.relative.horizon.geometry import (
@@ -114,7 +114,7 @@ def as_flown(image: Image, camera: Camera, sunlight: Float) -> Float:
     assert camera.psf is not None
     blur = camera.psf.sigma_px
     seeds = scan_edges(pixels, usable, sunlight, threshold_dn=100.0, blur_sigma_px=blur)
-    edges = partial_area_edges(pixels, usable, seeds, variance_dn2=camera.detector.variance_dn2, blur_sigma_px=blur)
+    edges = zernike_edges(pixels, usable, seeds, variance_dn2=camera.detector.variance_dn2, blur_sigma_px=blur)
     outward = edges.normals_px @ sunlight < -0.3  # the terminator and the cusps are left out
     figure = Figure(radii_km=np.full(3, MOON_KM), camera_from_axes=Rotation.identity())
     points = edges.points_px[outward]

@@ -15,7 +15,7 @@ from giantlike.core.detector import Detector, GaussianPsf
 from giantlike.core.outcomes import PositionFix
 from giantlike.ephemeris import ApparentGeometry
 from giantlike.image import Image
-from giantlike.processing.correlated_fit import generalized_solution
+from giantlike.processing.correlated_fit import solution_gain
 from giantlike.ray_tracing import Body, McEwen, Reflectance, RenderOptions, Template, render
 from giantlike.relative.horizon.geometry import CraMethod, Figure, cone_weights, horizon_residuals
 from giantlike.scene import Scene, Target
@@ -157,6 +157,7 @@ def horizon_covariance(
     weights = None
     if method is not CraMethod.MAXIMUM_LIKELIHOOD:
         weights = cone_weights(points_px, model, figure, position_km)
-    residuals, design, _ = horizon_residuals(points_px, model, figure, position_km)
+    _, design, _ = horizon_residuals(points_px, model, figure, position_km)
     noise = np.diag(np.broadcast_to(sigma_px, len(points_px)) ** 2.0)
-    return generalized_solution(residuals, design, noise, weights=weights)[1]
+    gain = solution_gain(design, noise, weights=weights)
+    return gain @ noise @ gain.T

@@ -17,7 +17,6 @@ from giantlike.core.arrays import Float
 from giantlike.core.detector import Detector
 from giantlike.core.errors import InputError
 from giantlike.processing.limb.edges import EdgePoints, Pixels, scan_edges
-from giantlike.processing.limb.partial_area import partial_area_edges
 from giantlike.processing.limb.zernike import zernike_edges, zernike_kernels
 from tests.tolerances import RARE
 
@@ -25,7 +24,7 @@ GOAL_PX = 0.03  # of the requirement, root mean square without noise
 NORMAL_RAD = 0.04  # rms; of a parabola through three columns on a disk of 8 px
 DETECTOR = Detector(gain_e_per_dn=1.0, read_noise_e=5.0)
 DIRECTIONS = np.radians(np.arange(5.0, 365.0, 40.0))
-METHODS = ("partial_area", "zernike_5", "zernike_7")
+METHODS = ("zernike_5", "zernike_7")
 
 
 @cache
@@ -59,8 +58,6 @@ def measured(
     curvature: float = 0.0,
 ) -> EdgePoints:
     usable = np.ones(image.shape, dtype=bool)
-    if method == "partial_area":
-        return partial_area_edges(image, usable, seeds, variance_dn2=variance, blur_sigma_px=blur_px)
     size = int(method[-1])
     return zernike_edges(
         image, usable, seeds, variance_dn2=variance, blur_sigma_px=blur_px, size=size, curvature_px=curvature
@@ -175,8 +172,6 @@ def test_misuse_is_refused() -> None:
     seeds = np.array([[15, 15]])
     with pytest.raises(InputError, match="size must be 5 or 7"):
         zernike_edges(dark, usable, seeds, variance_dn2=np.zeros_like, size=6)
-    with pytest.raises(InputError, match="blur_sigma_px"):
-        partial_area_edges(dark, usable, seeds, variance_dn2=np.zeros_like, blur_sigma_px=-1.0)
     with pytest.raises(InputError, match="direction"):
         scan_edges(dark, usable, [0.0, 0.0], threshold_dn=1.0)
     with pytest.raises(InputError, match="differ in shape"):

@@ -6,18 +6,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from giantlike.core.arrays import Float, as_floats, require
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.values import Value
-from giantlike.processing.correlated_fit import correlated_solution, generalized_solution
 
 MIN_POINTS = 6  # fewest points of an ellipse: its five parameters and one degree of freedom
-_LEAST_CORRELATED = 8  # the same where sigma and correlation length are estimated too
 _ROUNDS = 4  # of reweighting
 _SECOND_ORDER = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.0])  # mean of the monomials of noise of unit variance
-_STEP = 1e-6  # of central differences, in standard deviations of the coefficients
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,27 +38,8 @@ class ConicFit(Value):
         """Center x and y, semi-major and semi-minor axis (5th: angle, rad, from +x to the major axis): (5,)."""
         return ellipse_of(self.coefficients)
 
-    @property
-    def ellipse_covariance(self) -> Float:
-        """Covariance (5, 5) of :attr:`ellipse` to first order; for a circle the angle is undetermined.
 
-        Differences are along the axes of the covariance of the coefficients, because the coefficients of an ellipse far
-        from the origin differ by orders of magnitude.
-        """
-        values, vectors = np.linalg.eigh(self.covariance)
-        sides = []
-        for value, vector in zip(values, vectors.T, strict=True):
-            step = math.sqrt(max(float(value), 0.0)) * _STEP * vector
-            change = ellipse_of(self.coefficients + step) - ellipse_of(self.coefficients - step)
-            change[4] = (change[4] + 0.5 * math.pi) % math.pi - 0.5 * math.pi
-            sides.append(change / (2.0 * _STEP))
-        spread = np.array(sides)
-        return spread.T @ spread
-
-
-def fit_ellipse(
-    points: ArrayLike, *, sigma: ArrayLike = 1.0, correlation_length: float | None = None
-) -> ConicFit | Failure:
+def fit_ellipse(points: ArrayLike, *, sigma: ArrayLike = 1.0) -> ConicFit | Failure:
     r"""Fit an ellipse to points by hyperaccurate least squares, reweighted.
 
     ``points`` (n, 2), any unit; ``sigma`` (n,).
@@ -81,9 +59,10 @@ def fit_ellipse(
     """
     given = as_floats(points, (2,), "points")
     require(given.ndim == 2 and bool(np.isfinite(given).all()), f"points must be finite and (n, 2), got {given.shape}")
-    needed = MIN_POINTS if correlation_length is None else _LEAST_CORRELATED
-    if len(given) < needed:
-        return Failure(Reason.TOO_FEW_DETECTIONS, f"needed at least {needed} points for an ellipse, got {len(given)}")
+    if len(given) < MIN_POINTS:
+        return Failure(
+            Reason.TOO_FEW_DETECTIONS, f"needed at least {MIN_POINTS} points for an ellipse, got {len(given)}"
+        )
     middle, scale = given.mean(axis=0), float(np.sqrt(given.var(axis=0).sum()))
     spread = np.linalg.svd(given - middle, compute_uv=False)
     if not spread[1] > 1e-9 * spread[0]:
@@ -101,7 +80,7 @@ def fit_ellipse(
         )
     if not _value(ellipse_center(theta)[None], theta)[0] > 0.0:
         theta = -theta
-    return _undo_scaling(local, noise, theta, correlation_length, middle, scale)
+    return _undo_scaling(local, noise, theta, middle, scale)
 
 
 def conic_matrix(coefficients: Float) -> Float:
@@ -171,40 +150,20 @@ def _hyper(points: Float, sigma: Float) -> Float:
     return theta
 
 
-def _statistics(
-    points: Float, sigma: Float, theta: Float, correlation_length: float | None, scale: float
-) -> tuple[Float, Float]:
+def _statistics(points: Float, sigma: Float, theta: Float) -> tuple[Float, Float]:
     """Distances (n,) from the conic, positive outside, and covariance (6, 6) of its coefficients."""
     xi, slopes = _monomials(points)
     slope = np.sqrt(np.sum((slopes @ theta) ** 2, axis=0))
     residuals = -(xi @ theta) / slope
     across = np.linalg.svd(theta[None])[2][1:].T  # (6, 5)
     design = (xi @ across) / slope[:, None]  # the ellipse moves outward
-    if correlation_length is None:
-        spread = across @ np.linalg.inv(np.linalg.qr(design / sigma[:, None])[1])
-        return residuals, spread @ spread.T
-    order = _along(points, ellipse_center(theta))
-    fit = correlated_solution(
-        residuals[order], design[order], sigma[order], points[order], min_length=correlation_length / scale
-    )
-    scatter = fit.residual_covariance(sigma, points)
-    covariance = generalized_solution(residuals, design, scatter, weights=1.0 / sigma**2)[1]
-    return residuals, across @ covariance @ across.T
+    spread = across @ np.linalg.inv(np.linalg.qr(design / sigma[:, None])[1])
+    return residuals, spread @ spread.T
 
 
-def _along(points: Float, center: Float) -> NDArray[np.intp]:
-    """Order (n,) of points around a center, starting opposite to where most of them are."""
-    radial = points - center
-    angles = np.arctan2(radial[:, 1], radial[:, 0])
-    middle = np.arctan2(np.sin(angles).sum(), np.cos(angles).sum())
-    return np.argsort((angles - middle + np.pi) % (2.0 * np.pi), kind="stable")
-
-
-def _undo_scaling(
-    local: Float, noise: Float, theta: Float, correlation_length: float | None, middle: Float, scale: float
-) -> ConicFit:
+def _undo_scaling(local: Float, noise: Float, theta: Float, middle: Float, scale: float) -> ConicFit:
     """Convert a fit to points about ``middle`` in units of ``scale`` to the unit of the points."""
-    residuals, covariance = _statistics(local, noise, theta, correlation_length, scale)
+    residuals, covariance = _statistics(local, noise, theta)
     move = _scaling_matrix(middle, scale)
     coefficients = move @ theta
     size = float(np.linalg.norm(coefficients))

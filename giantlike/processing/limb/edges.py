@@ -1,8 +1,4 @@
-"""Edges between light and dark: whole pixels found along the direction of sunlight, and the class of measured edges.
-
-The pixels come from :func:`scan_edges`; ``edges_partial_area`` and ``zernike`` then measure the edge in windows about
-them to a fraction of a pixel.
-"""
+"""Edges between light and dark: pixels along the direction of sunlight, then measured in windows by ``zernike``."""
 
 from __future__ import annotations
 
