@@ -44,8 +44,7 @@ def load_catalog(name: str | Path = "default", *, band: str | Band | None = None
     name : str or path-like
         ``"default"`` for Gaia to G = 10 merged with Hipparcos (magnitudes in Gaia G), else the path of a file that
         ``giantlike catalog build`` made, or of a CSV file with the columns of :class:`StarTable`.
-    band : str or Band, optional
-        Give magnitudes in this band; see :meth:`MemoryCatalog.in_band`.
+    band : str or Band, optional; give magnitudes in this band; see :meth:`MemoryCatalog.in_band`
 
     Raises
     ------

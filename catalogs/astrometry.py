@@ -45,14 +45,12 @@ def apparent_directions(
     Parameters
     ----------
     stars : StarTable
-    et : float, s
-        TDB seconds past J2000.
+    et : float, s; TDB seconds past J2000
     observer_position_km : (3,) float64, km, inertial, optional
         With respect to the solar system barycenter; without it no parallax.
     observer_velocity_km_s : (3,) float64, km/s, inertial, optional
         With respect to the solar system barycenter; without it no aberration.
-    light_deflection : bool
-        Bend light in the field of the Sun.
+    light_deflection : bool; bend light in the field of the Sun
 
     Returns
     -------

@@ -39,14 +39,11 @@ class Band:
     Parameters
     ----------
     name : str
-    base : str
-        The band that it rests on: ``"Gaia G"``, ``"V"`` or the band of the catalog.
+    base : str; the band that it rests on: ``"Gaia G"``, ``"V"`` or the band of the catalog
     coefficients : tuple of float
         Polynomial coefficients, ascending powers of the color: magnitude in this band minus magnitude in ``base``.
-    color : str
-        ``"color_bp_rp"`` (Gaia BP-RP) or ``"color_bv"`` (Johnson B-V).
-    color_range : (float, float)
-        Bluer and redder stars are treated as having the bluest and the reddest color here.
+    color : str; ``"color_bp_rp"`` (Gaia BP-RP) or ``"color_bv"`` (Johnson B-V)
+    color_range : (float, float); bluer and redder stars are treated as having the bluest and the reddest color here
     typical_color : float, optional
         Color of stars whose colors are all unknown; default the median of the default catalog.
 

@@ -53,8 +53,7 @@ class MemoryCatalog:
     Parameters
     ----------
     stars : StarTable
-    name, band, version : str
-        As in :class:`StarCatalog`.
+    name, band, version : str; as in :class:`StarCatalog`
     """
 
     def __init__(self, stars: StarTable, *, name: str, band: str, version: str) -> None:
@@ -121,10 +120,8 @@ class MemoryCatalog:
         Parameters
         ----------
         direction_inertial : (3,), unitless, inertial
-        radius_rad : float, rad
-            In (0, pi].
-        max_magnitude : float, optional
-            Faintest magnitude, in :attr:`band`.
+        radius_rad : float, rad; in (0, pi]
+        max_magnitude : float, optional; faintest magnitude, in :attr:`band`
 
         Raises
         ------

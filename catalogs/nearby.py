@@ -33,14 +33,12 @@ SIGMA_PM_GAIA_MAS_YR = 0.05  # per axis, of the proper motions here, which are G
 
 @dataclass(frozen=True, slots=True)
 class NearbyStar:
-    """Better values of one star; None keeps the value of the catalog.
-
-    motion_mas_yr: mas/yr; proper motion in right ascension (with cos(dec)) and declination.
-    """
+    """Better values of one star; None keeps the value of the catalog."""
 
     name: str
     star_id: int  # identifier in the default catalog: Gaia DR3, or minus the Hipparcos number
     radial_velocity_km_s: float
+    # mas/yr; proper motion in right ascension (with cos(dec)) and declination
     motion_mas_yr: tuple[float, float] | None
     parallax_mas: float | None  # mas
     source: str  # letters of the list above

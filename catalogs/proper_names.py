@@ -45,8 +45,7 @@ def proper_names(stars: StarTable) -> tuple[str, ...]:
 
     Parameters
     ----------
-    stars : StarTable
-        Of any catalog, in any band.
+    stars : StarTable; of any catalog, in any band
 
     Returns
     -------

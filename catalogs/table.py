@@ -24,28 +24,17 @@ class StarTable(Value):
 
     Parameters
     ----------
-    ids : (n,) int64
-        Catalog identifiers: Gaia source ids, negative Hipparcos numbers, or the user's own.
-    ra_deg, dec_deg : (n,) float64, deg
-        Position at ``epoch_jyear``, as seen from the solar system barycenter.
-    pm_ra_mas_yr, pm_dec_mas_yr : (n,) float64, mas/yr
-        Proper motion; the first one includes cos(dec).
-    parallax_mas : (n,) float64, mas
-        0 where unknown.
-    radial_velocity_km_s : (n,) float64, km/s
-        0 where unknown.
-    epoch_jyear : (n,) float64
-        Julian epoch (TDB) of the position.
-    magnitude : (n,) float64
-        In the band of the catalog.
-    color_bv : (n,) float64
-        Johnson B-V, NaN where unknown.
-    sigma_mas : (n,) float64, mas
-        Standard deviation of the position per axis at ``epoch_jyear``.
-    sigma_pm_mas_yr : (n,) float64, mas/yr
-        Standard deviation of the proper motion per axis.
-    color_bp_rp : (n,) float64, optional
-        Gaia BP-RP, NaN where unknown.
+    ids : (n,) int64; catalog identifiers: Gaia source ids, negative Hipparcos numbers, or the user's own
+    ra_deg, dec_deg : (n,) float64, deg; position at ``epoch_jyear``, as seen from the solar system barycenter
+    pm_ra_mas_yr, pm_dec_mas_yr : (n,) float64, mas/yr; proper motion; the first one includes cos(dec)
+    parallax_mas : (n,) float64, mas; 0 where unknown
+    radial_velocity_km_s : (n,) float64, km/s; 0 where unknown
+    epoch_jyear : (n,) float64; Julian epoch (TDB) of the position
+    magnitude : (n,) float64; in the band of the catalog
+    color_bv : (n,) float64; Johnson B-V, NaN where unknown
+    sigma_mas : (n,) float64, mas; standard deviation of the position per axis at ``epoch_jyear``
+    sigma_pm_mas_yr : (n,) float64, mas/yr; standard deviation of the proper motion per axis
+    color_bp_rp : (n,) float64, optional; Gaia BP-RP, NaN where unknown
     is_double : (n,) bool, optional
         Known doubles: the catalog has a companion within a few arcseconds or flags the star as not single,
         or :func:`~giantlike.catalogs.blends.blended` made one of several. Position, motion and magnitude of such a star

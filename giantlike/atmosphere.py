@@ -27,19 +27,14 @@ class Atmosphere:
 
     Parameters
     ----------
-    scale_height_km : float, km
-        0 for a limb that is sharp at ``base_km``.
-    optical_depth : float
-        Vertical, above ``base_km``, at ``reference_nm``.
+    scale_height_km : float, km; 0 for a limb that is sharp at ``base_km``
+    optical_depth : float; vertical, above ``base_km``, at ``reference_nm``
     sigma_km : float, km
         Standard deviation of the altitude of the limb: multiple scattering, clouds, seasons, phase angle.
-    base_km : float, km
-        Altitude above the shape of the body.
+    base_km : float, km; altitude above the shape of the body
     reference_nm : float, nm
-    exponent : float
-        The optical depth goes as the wavelength to the power of minus this: 4 for air, about 0 for dust.
-    wavelength_nm : float, nm
-        At which the body is seen: the mean of a camera's filter.
+    exponent : float; the optical depth goes as the wavelength to the power of minus this: 4 for air, about 0 for dust
+    wavelength_nm : float, nm; at which the body is seen: the mean of a camera's filter
 
     Raises
     ------
@@ -208,8 +203,7 @@ def is_airless(body: str) -> bool:
 
     Parameters
     ----------
-    body : str
-        NAIF name, with or without the number of an asteroid before it (``"4 Vesta"``, ``"101955 BENNU"``).
+    body : str; NAIF name, with or without the number of an asteroid before it (``"4 Vesta"``, ``"101955 BENNU"``)
 
     Examples
     --------

@@ -52,14 +52,10 @@ class ModelUncertainty(Value):
 
     Parameters
     ----------
-    estimated : tuple of str
-        Names of the k parameters that were estimated; the others were held fixed.
-    covariance : (k, k) float64
-        Covariance of the estimated parameters, in their units.
-    residual_sigma_px : float, px
-        Standard deviation of the post-fit residuals, per axis.
-    n_observations, n_images : int
-        Numbers of star observations and of images that were fitted.
+    estimated : tuple of str; names of the k parameters that were estimated; the others were held fixed
+    covariance : (k, k) float64; covariance of the estimated parameters, in their units
+    residual_sigma_px : float, px; standard deviation of the post-fit residuals, per axis
+    n_observations, n_images : int; numbers of star observations and of images that were fitted
 
     Raises
     ------
@@ -100,8 +96,7 @@ class MissionFrame(Value):
 
     Parameters
     ----------
-    name : str
-        Name in the mission's frame kernel.
+    name : str; name in the mission's frame kernel
     camera_from_mission : Rotation
         Takes vectors in that frame to the camera axes of this package: ``camera_from_inertial =
         camera_from_mission * mission_from_inertial``, the last from pointing kernels.
@@ -158,22 +153,17 @@ class Camera(Pictured):
 
     Parameters
     ----------
-    name : str
-        Name in tables and messages; also stands for the camera axes where frames are checked.
-    columns, rows : int
-        Size of the stored images.
-    model : CameraModel
-        Projection from camera axes to pixels.
+    name : str; name in tables and messages; also stands for the camera axes where frames are checked
+    columns, rows : int; size of the stored images
+    model : CameraModel; projection from camera axes to pixels
     psf : GaussianPsf, optional
         None when unknown; algorithms that need it estimate it from the image or return a failure.
-    detector : Detector
-        Gain, read noise, saturation and bias.
+    detector : Detector; gain, read noise, saturation and bias
     uncertainty : ModelUncertainty, optional
         Of the model, where it was calibrated: the ``[calibration]`` table of its file.
     mission_frame : MissionFrame, optional
         Axes of the mission's own kernels, where they differ from the camera axes of this package.
-    photometry : Photometry, optional
-        Zero point; None where it is unknown.
+    photometry : Photometry, optional; zero point; None where it is unknown
 
     Raises
     ------
@@ -214,12 +204,10 @@ class Camera(Pictured):
 
         Parameters
         ----------
-        fov_deg : float, degrees
-            Full angle from the left edge of the image to the right edge.
+        fov_deg : float, degrees; full angle from the left edge of the image to the right edge
         columns, rows : int
         name : str
-        type_name : str
-            A key of :data:`~giantlike.camera_models.MODELS`.
+        type_name : str; a key of :data:`~giantlike.camera_models.MODELS`
 
         Raises
         ------
@@ -340,10 +328,8 @@ class Camera(Pictured):
 
         Parameters
         ----------
-        x0_px, y0_px : int, px
-            First pixel of the window on the detector.
-        columns, rows : int
-            Size of the window.
+        x0_px, y0_px : int, px; first pixel of the window on the detector
+        columns, rows : int; size of the window
 
         Raises
         ------
@@ -385,10 +371,8 @@ class Camera(Pictured):
 
         Parameters
         ----------
-        points_camera : (..., 3) array_like, camera axes
-            Points or directions, in any unit of length.
-        margin_px : float, px
-            Required distance from the edge of the image; negative values accept points outside it.
+        points_camera : (..., 3) array_like, camera axes; points or directions, in any unit of length
+        margin_px : float, px; required distance from the edge of the image; negative values accept points outside it
 
         Returns
         -------

@@ -50,8 +50,7 @@ class PointMasses:
 
     Parameters
     ----------
-    gm_km3_s2 : float, km^3/s^2
-        Of the central body.
+    gm_km3_s2 : float, km^3/s^2; of the central body
     third_bodies : tuple of ThirdBody
     """
 
@@ -116,8 +115,7 @@ def cislunar(first: float | None = None, last: float | None = None) -> PointMass
 
     Parameters
     ----------
-    first, last : float, TDB seconds past J2000, optional
-        Times of the flight: places are then splined, which is faster.
+    first, last : float, TDB seconds past J2000, optional; times of the flight: places are then splined, which is faster
 
     Returns
     -------
@@ -138,10 +136,8 @@ class Flight(Value):
     Parameters
     ----------
     state : (..., 6) float64, km and km/s
-    by_state : (..., 6, 6) float64
-        State transition matrix.
-    by_acceleration : (..., 6, 3) float64
-        Derivative by the acceleration at the start, s^2 and s.
+    by_state : (..., 6, 6) float64; state transition matrix
+    by_acceleration : (..., 6, 3) float64; derivative by the acceleration at the start, s^2 and s
     """
 
     state: Float
@@ -163,14 +159,11 @@ def fly(
     Parameters
     ----------
     dynamics : PointMasses
-    et, until : float, TDB seconds past J2000
-        Start and end; the end may be earlier.
+    et, until : float, TDB seconds past J2000; start and end; the end may be earlier
     state : (..., 6) array_like, km and km/s
         Position and velocity relative to the central body. Many states fly with common steps.
-    acceleration_km_s2 : (..., 3) array_like, km/s^2
-        Further acceleration at the start.
-    time_constant_s : float, s
-        It decays with this; infinite for a constant one.
+    acceleration_km_s2 : (..., 3) array_like, km/s^2; further acceleration at the start
+    time_constant_s : float, s; it decays with this; infinite for a constant one
 
     Raises
     ------

@@ -62,12 +62,10 @@ class SpiceEphemeris:
 
     Parameters
     ----------
-    body : str
-        NAIF name or number as text.
+    body : str; NAIF name or number as text
     frame : str, optional
         Body-fixed frame; default: the frame of the body. Used for the orientation only.
-    origin : str
-        NAIF name of the origin of positions.
+    origin : str; NAIF name of the origin of positions
     """
 
     body: str
@@ -88,12 +86,9 @@ class FixedEphemeris(Value):
 
     Parameters
     ----------
-    position_km : (3,), km, ICRF
-        Position with respect to ``origin``.
-    orientation : Rotation
-        ``inertial_from_body``.
-    origin : str
-        NAIF name of the origin of positions.
+    position_km : (3,), km, ICRF; position with respect to ``origin``
+    orientation : Rotation; ``inertial_from_body``
+    origin : str; NAIF name of the origin of positions
     """
 
     position_km: Float = field(default_factory=lambda: np.zeros(3))
@@ -116,10 +111,8 @@ class TableEphemeris:
 
     Parameters
     ----------
-    samples : EphemerisSamples
-        At least two epochs, increasing.
-    origin : str
-        NAIF name of the origin of positions.
+    samples : EphemerisSamples; at least two epochs, increasing
+    origin : str; NAIF name of the origin of positions
 
     Raises
     ------
@@ -146,8 +139,7 @@ class TableEphemeris:
         Parameters
         ----------
         path : path-like
-        origin : str
-            NAIF name of the origin of positions.
+        origin : str; NAIF name of the origin of positions
 
         Raises
         ------
@@ -177,10 +169,8 @@ class ApparentGeometry(Value):
 
     Parameters
     ----------
-    position_inertial_km : (3,), km, ICRF
-        Position of the body center from the camera.
-    inertial_from_body : Rotation
-        Orientation at the time the light left the body.
+    position_inertial_km : (3,), km, ICRF; position of the body center from the camera
+    inertial_from_body : Rotation; orientation at the time the light left the body
     sun_direction_inertial : (3,), unitless, ICRF, optional
         Unit vector from body to Sun (other lengths are normalized); without it the light of the scene gives it.
     velocity_inertial_km_s : (3,), km/s, ICRF, optional
@@ -252,8 +242,7 @@ class DistantLight(Value):
 
     Parameters
     ----------
-    direction_inertial : (3,), ICRF
-        Direction from the bodies to the light; other lengths are normalized.
+    direction_inertial : (3,), ICRF; direction from the bodies to the light; other lengths are normalized
 
     Raises
     ------
@@ -281,12 +270,9 @@ def light_path(source: Ephemeris, et: float, observer_km: Float) -> tuple[Float,
 
     Parameters
     ----------
-    source : Ephemeris
-        Body that emits or reflects the light.
-    et : float, TDB seconds past J2000
-        Time of reception.
-    observer_km : (3,) float64, km, ICRF axes
-        Position of the observer at reception, from the origin of ``source``.
+    source : Ephemeris; body that emits or reflects the light
+    et : float, TDB seconds past J2000; time of reception
+    observer_km : (3,) float64, km, ICRF axes; position of the observer at reception, from the origin of ``source``
 
     Returns
     -------

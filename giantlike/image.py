@@ -53,31 +53,21 @@ class Image(Pictured, Value):
         As stored: rows are never reordered. Made read-only.
     mask : (rows, columns) bool, optional
         True where a pixel is bad. Default: nowhere.
-    epoch : astropy Time, optional
-        Mid-exposure.
-    exposure_s : float, s, optional
-        Exposure time.
-    camera_from_inertial : scipy Rotation, optional
-        Attitude, a priori or improved.
-    attitude_source : AttitudeSource, optional
-        Default: ``a_priori`` when there is an attitude, else ``none``.
+    epoch : astropy Time, optional; mid-exposure
+    exposure_s : float, s, optional; exposure time
+    camera_from_inertial : scipy Rotation, optional; attitude, a priori or improved
+    attitude_source : AttitudeSource, optional; default: ``a_priori`` when there is an attitude, else ``none``
     attitude_covariance_rad2 : (3, 3) float64, rad^2, camera axes, optional
         Covariance of the small rotation about the camera axes; see
         :class:`~giantlike.core.outcomes.AttitudeFix`.
     attitude_errors : AttitudeErrors
         Its covariance by cause, its share in the errors of the camera, and flags that fixes made with it get too.
-    observer : ObserverState, optional
-        Spacecraft state, for parallax and aberration.
-    metadata : mapping
-        Header values as read.
-    name : str
-        Name in tables and messages.
-    path : Path, optional
-        The file.
-    sha256 : str
-        SHA-256 of the file, for provenance.
-    camera_name : str
-        Name of the camera that took the image and whose axes the attitude refers to; empty when unknown.
+    observer : ObserverState, optional; spacecraft state, for parallax and aberration
+    metadata : mapping; header values as read
+    name : str; name in tables and messages
+    path : Path, optional; the file
+    sha256 : str; SHA-256 of the file, for provenance
+    camera_name : str; name of the camera that took the image and whose axes the attitude refers to; empty when unknown
     detector : Detector, optional
         Noise and limits of these pixels where they differ from the camera's, as after :meth:`calibrated`.
     eight_bit : EightBitValues, optional
@@ -132,8 +122,7 @@ class Image(Pictured, Value):
         Parameters
         ----------
         path : path-like
-        hdu : int or str, optional
-            Number or name of the FITS extension; the first with an image by default.
+        hdu : int or str, optional; number or name of the FITS extension; the first with an image by default
         bottom_up : bool
             True to reverse the rows on reading, for files whose first row is the bottom of the picture, as in many
             telescope images: as stored they show the sky mirrored, which no attitude can represent. Pixel coordinates
@@ -257,12 +246,10 @@ class Image(Pictured, Value):
         attitude : AttitudeFix, FrameRotation or Rotation
             A star solution, whose covariance is used too, or ``camera_from_inertial``. The first two name the camera
             whose axes they refer to, which must be the camera of this image where both are known.
-        source : AttitudeSource, optional
-            Default: ``stars`` for a fix, ``a_priori`` for a rotation.
+        source : AttitudeSource, optional; default: ``stars`` for a fix, ``a_priori`` for a rotation
         covariance_rad2 : (3, 3) array_like, rad^2, camera axes, optional
             Covariance of a rotation; a fix brings its own.
-        errors : AttitudeErrors, optional
-            Of a rotation; a fix brings its own.
+        errors : AttitudeErrors, optional; of a rotation; a fix brings its own
 
         Raises
         ------

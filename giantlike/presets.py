@@ -23,15 +23,11 @@ class CameraPreset:
 
     Parameters
     ----------
-    name : str
-        Name of the preset.
+    name : str; name of the preset
     camera : Camera
-    bottom_up : bool
-        True if image files store the bottom row first, as ``images.bottom_up`` of a campaign says.
-    about : str
-        Frames that it describes, and effects that it neglects.
-    sources : tuple of str
-        Where the numbers come from.
+    bottom_up : bool; True if image files store the bottom row first, as ``images.bottom_up`` of a campaign says
+    about : str; frames that it describes, and effects that it neglects
+    sources : tuple of str; where the numbers come from
     """
 
     name: str
@@ -51,8 +47,7 @@ def camera_preset(name: str) -> CameraPreset:
 
     Parameters
     ----------
-    name : str
-        One of :func:`preset_names`.
+    name : str; one of :func:`preset_names`
 
     Raises
     ------

@@ -24,8 +24,7 @@ class Rings:
 
     Parameters
     ----------
-    inner_km, outer_km : float, km
-        Radii.
+    inner_km, outer_km : float, km; radii
 
     Raises
     ------

@@ -49,19 +49,14 @@ class TargetUncertainty:
 
     Parameters
     ----------
-    scale : float
-        Relative error of the size of the shape, all axes by the same factor.
-    pole_rad : float, rad
-        Error of the direction of the body-fixed z axis, about each of the other two axes.
-    spin_rad : float, rad
-        Error of the rotation about the body-fixed z axis.
-    ephemeris_km : float, km
-        Error of the predicted position, along each axis.
+    scale : float; relative error of the size of the shape, all axes by the same factor
+    pole_rad : float, rad; error of the direction of the body-fixed z axis, about each of the other two axes
+    spin_rad : float, rad; error of the rotation about the body-fixed z axis
+    ephemeris_km : float, km; error of the predicted position, along each axis
     ephemeris_icrf_km2 : (3, 3) array_like, km^2, ICRF axes, optional
         Covariance of the predicted position in an image, in place of ``ephemeris_km``, which becomes the square root of
         its largest eigenvalue.
-    sun_rad : float, rad
-        Error of the direction to the Sun, about each axis across it.
+    sun_rad : float, rad; error of the direction to the Sun, about each axis across it
     albedo : float
         Relative standard deviation of the brightness of the surface about its law (albedo variations), which are not
         attributed to another body, shape or Sun. 0.5 and more for clouds above sea.
@@ -129,14 +124,10 @@ class Target(Value):
 
     Parameters
     ----------
-    name : str
-        Name in tables and messages.
-    shape : Shape
-        Shape in body axes; its origin is the center that estimators report.
-    ephemeris : Ephemeris or ApparentGeometry
-        Position and orientation, geometric or already apparent.
-    reflectance : Reflectance
-        Reflectance law of the surface; McEwen by default.
+    name : str; name in tables and messages
+    shape : Shape; shape in body axes; its origin is the center that estimators report
+    ephemeris : Ephemeris or ApparentGeometry; position and orientation, geometric or already apparent
+    reflectance : Reflectance; reflectance law of the surface; McEwen by default
     uncertainty : TargetUncertainty
         Of shape, orientation and ephemeris, for the covariances of fixes; by default all are exact.
     terrain : HeightMap, optional
@@ -210,15 +201,12 @@ class TargetGeometry(Value):
 
     Parameters
     ----------
-    target : Target
-        The body.
+    target : Target; the body
     position_camera_km : (3,), km, camera axes
         Apparent position of the origin of the shape, from the camera; its length is the range by which the size in
         the image goes, see :func:`~giantlike.core.light.boosted`.
-    camera_from_body : Rotation
-        Orientation at the time the light left the body.
-    sun_direction_camera : (3,), unitless, camera axes
-        Unit vector from body to Sun.
+    camera_from_body : Rotation; orientation at the time the light left the body
+    sun_direction_camera : (3,), unitless, camera axes; unit vector from body to Sun
     covariance_position_km2 : (3, 3), km^2, camera axes, optional
         Of the position, by the ephemeris; by default that of ``ephemeris_km`` of the target.
     """
@@ -287,16 +275,13 @@ class Circumstances(Value):
 
     Parameters
     ----------
-    origin : str
-        NAIF name of the origin of states.
+    origin : str; NAIF name of the origin of states
     observer_position_km, observer_velocity_km_s : (3,) float64, km and km/s, ICRF axes
         Of the spacecraft at the epoch of the image.
-    target_velocity_km_s : (3,) float64, km/s, ICRF axes, optional
-        Of the target when the light left it.
+    target_velocity_km_s : (3,) float64, km/s, ICRF axes, optional; of the target when the light left it
     target_motion_km : (3,) float64, km, ICRF axes, optional
         From where the target was when the light left it to where it is at the epoch of the image.
-    light_time_s : float, s
-        Predicted.
+    light_time_s : float, s; predicted
     """
 
     origin: str
@@ -313,14 +298,11 @@ class Scene(Pictured, Value):
 
     Parameters
     ----------
-    targets : sequence of Target
-        Bodies that may be in the image.
-    observer : Ephemeris, optional
-        The spacecraft; without it the observer of the image is used.
+    targets : sequence of Target; bodies that may be in the image
+    observer : Ephemeris, optional; the spacecraft; without it the observer of the image is used
     light : Ephemeris or DistantLight, optional
         The Sun; not needed where the geometry of every target has a Sun direction.
-    light_time : bool
-        True to take geometric targets at the time the light left them.
+    light_time : bool; True to take geometric targets at the time the light left them
     stellar_aberration : bool
         True to see geometric targets as an observer does who moves with respect to the common origin: shifted, and at
         the distance that belongs to their size in the image.
@@ -369,10 +351,8 @@ class Scene(Pictured, Value):
 
         Parameters
         ----------
-        image : Image
-            Needs an attitude; for geometric ephemerides also an epoch.
-        target : str, optional
-            Name of the target; may be left out when there is only one.
+        image : Image; needs an attitude; for geometric ephemerides also an epoch
+        target : str, optional; name of the target; may be left out when there is only one
 
         Returns
         -------
@@ -497,8 +477,7 @@ def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 
     Parameters
     ----------
     scene : Scene
-    image : Image
-        With the attributes that :meth:`Scene.geometry` needs.
+    image : Image; with the attributes that :meth:`Scene.geometry` needs
     camera : Camera
     margin_px : float, px
         Margin around the outlines, for the error of the attitude and for light scattered near a bright limb.

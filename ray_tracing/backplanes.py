@@ -29,24 +29,18 @@ class Backplanes(Value):
 
     Parameters
     ----------
-    body : (rows, columns) int32
-        Number of the nearest body, in the order they were given.
-    facet : (rows, columns) int32
-        Facet of its mesh; 0 on an ellipsoid.
-    range_km : (rows, columns) float64, km
-        From the camera, along the line of sight.
-    depth_km : (rows, columns) float64, km
-        The part of it along the boresight: camera z.
+    body : (rows, columns) int32; number of the nearest body, in the order they were given
+    facet : (rows, columns) int32; facet of its mesh; 0 on an ellipsoid
+    range_km : (rows, columns) float64, km; from the camera, along the line of sight
+    depth_km : (rows, columns) float64, km; the part of it along the boresight: camera z
     incidence_rad, emission_rad, phase_rad : (rows, columns) float64, rad
         Angles at the surface: from the normal of the facet to the Sun and to the camera, and from Sun to camera.
     longitude_rad, latitude_rad : (rows, columns) float64, rad
         Planetocentric, in the axes of the body: longitude positive to the east in [0, 2 pi), latitude from the equator.
-    point_body_km : (rows, columns, 3) float64, km, body axes
-        The point of the surface.
+    point_body_km : (rows, columns, 3) float64, km, body axes; the point of the surface
     shadowed : (rows, columns) bool
         No direct light of the center of the Sun: below the horizon, or something in the way.
-    normal_body : (rows, columns, 3) float64, body axes
-        Outward unit normal of the facet or ellipsoid.
+    normal_body : (rows, columns, 3) float64, body axes; outward unit normal of the facet or ellipsoid
     resolution_km : (rows, columns) float64, km/px
         Side of a square across the line of sight that has the area of a pixel there.
     """
@@ -102,11 +96,9 @@ def trace_backplanes(
 
     Parameters
     ----------
-    bodies : sequence of Body
-        They hide each other and shade each other.
+    bodies : sequence of Body; they hide each other and shade each other
     model : CameraModel
-    sun_direction_camera : (3,) or (n, 3), unitless, camera axes
-        Unit vector to the Sun, for all bodies or for each.
+    sun_direction_camera : (3,) or (n, 3), unitless, camera axes; unit vector to the Sun, for all bodies or for each
     columns, rows : int, px
 
     Raises

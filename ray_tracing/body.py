@@ -28,14 +28,11 @@ class Body(Value):
 
     Parameters
     ----------
-    shape : Shape
-        A ``TriangleMesh`` or an ``Ellipsoid``; or ``LevelsOfDetail`` or a ``Point``, see :meth:`seen_by`.
+    shape : Shape; a ``TriangleMesh`` or an ``Ellipsoid``; or ``LevelsOfDetail`` or a ``Point``, see :meth:`seen_by`
     camera_from_body : Rotation
-    position_camera_km : (3,) float64, km, camera axes
-        From the camera to the origin of the shape, apparent.
+    position_camera_km : (3,) float64, km, camera axes; from the camera to the origin of the shape, apparent
     reflectance : Reflectance
-    air : Air, optional
-        Over an ellipsoid, which casts no shadow on itself.
+    air : Air, optional; over an ellipsoid, which casts no shadow on itself
 
     Raises
     ------

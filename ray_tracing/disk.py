@@ -19,8 +19,7 @@ def disk_integrated(law: Reflectance, phase_rad: ArrayLike) -> Float:
     Parameters
     ----------
     law : Reflectance
-    phase_rad : (...), rad
-        Phase angles, in [0, pi].
+    phase_rad : (...), rad; phase angles, in [0, pi]
 
     Returns
     -------

@@ -36,10 +36,8 @@ class FocalPlane(Value):
     Parameters
     ----------
     model : CameraModel
-    columns, rows : int, px
-        Size of the detector.
-    psf : GaussianPsf, optional
-        None records without blur beyond the pixel itself.
+    columns, rows : int, px; size of the detector
+    psf : GaussianPsf, optional; None records without blur beyond the pixel itself
 
     Raises
     ------
@@ -74,15 +72,13 @@ class FocalPlane(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VisibleBox(Value):
-    """Part of the image that a body can touch.
-
-    outline_px: (k, 2); points whose hull, widened by ``pad_px``, contains the body; None where the camera model images
-        only part of it.
-    """
+    """Part of the image that a body can touch."""
 
     low_px: Float  # low_px, high_px: (2,); corners, cut at the edges of the detector and the margin that is sampled
     high_px: Float
     extent_px: float  # narrow side of the whole body
+    # (k, 2); points whose hull, widened by ``pad_px``, contains the body; None where the camera model images only part
+    # of it
     outline_px: Float | None
     pad_px: float
 

@@ -35,16 +35,12 @@ class Template(Value):
     ----------
     brightness : (h, w) float64
         Mean over the pixel, relative: 1 is a surface seen and lit along its normal. The PSF is in it.
-    coverage : (h, w) float64
-        Fraction of each pixel that the body covers, lit or not, before the PSF.
-    corner_px : (2,) int64, px
-        Image pixel (x, y) of element [0, 0]; negative when the template reaches over the frame.
-    center_px : (2,) float64, px
-        Projection of the origin of the shape, in the distorted image.
+    coverage : (h, w) float64; fraction of each pixel that the body covers, lit or not, before the PSF
+    corner_px : (2,) int64, px; image pixel (x, y) of element [0, 0]; negative when the template reaches over the frame
+    center_px : (2,) float64, px; projection of the origin of the shape, in the distorted image
     photocenter_px : (2,) float64, px
         Centroid of the light before PSF and pixels, so that it holds for a body inside one pixel too.
-    lit_fraction : float
-        Part of the rays on the body that end on lit surface.
+    lit_fraction : float; part of the rays on the body that end on lit surface
     rendered_from_camera : Rotation
         Takes camera axes to the axes that the body was rendered in: identity, unless it was recentered.
     """
@@ -65,16 +61,13 @@ class Template(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SceneRender(Value):
-    """Several bodies, rendered.
-
-    templates: one for each body, in the order they were given: its visible part, with the shadows of the others. A body
-        that is seen but wholly in shadow is a black template with a NaN photocenter, not a failure. Failures:
-        ``OUT_OF_FRAME``, ``NO_SIGNAL`` for a body behind others, and ``DEGENERATE_GEOMETRY`` for one around the camera,
-        which hides nothing.
-    """
+    """Several bodies, rendered."""
 
     columns: int  # columns, rows: size of the frame
     rows: int
+    # one for each body, in the order they were given: its visible part, with the shadows of the others. A body that is
+    # seen but wholly in shadow is a black template with a NaN photocenter, not a failure. Failures: ``OUT_OF_FRAME``,
+    # ``NO_SIGNAL`` for a body behind others, and ``DEGENERATE_GEOMETRY`` for one around the camera, which hides nothing
     templates: tuple[Template | Failure, ...]
 
     @property
@@ -123,12 +116,9 @@ def render(
     ----------
     body : Body
     model : CameraModel
-    sun_direction_camera : (3,), unitless, camera axes
-        Unit vector from body to Sun.
-    psf : GaussianPsf, optional
-        None renders without blur beyond the pixel itself.
-    columns, rows : int, px
-        Size of the detector; the template is cut at its edges plus ``options.margin_px``.
+    sun_direction_camera : (3,), unitless, camera axes; unit vector from body to Sun
+    psf : GaussianPsf, optional; None renders without blur beyond the pixel itself
+    columns, rows : int, px; size of the detector; the template is cut at its edges plus ``options.margin_px``
     options : RenderOptions
     recenter : bool
         Where no light of the body can fall on the frame, rotate the camera until its middle points at the body and

@@ -20,11 +20,9 @@ _CHECK = np.array([-0.93, -0.41, 0.17, 0.66, 0.98])  # positions between the nod
 
 @dataclass(frozen=True, slots=True)
 class AxisCells:
-    """A row of equal cells along one axis of the image, ``per_px`` to a pixel and aligned with the pixels.
+    """A row of equal cells along one axis of the image, ``per_px`` to a pixel and aligned with the pixels."""
 
-    first, count: number of the first cell, and number of cells; cell 0 starts at the left edge of pixel 0, x = -0.5.
-    """
-
+    # first, count: number of the first cell, and number of cells; cell 0 starts at the left edge of pixel 0, x = -0.5
     first: int
     count: int
     per_px: int

@@ -40,25 +40,18 @@ class Silhouette(Value):
 
     Parameters
     ----------
-    angles_rad : (k,) float64, rad
-        Directions, from +x (columns) towards +y (rows).
-    center_px : (2,) float64, px
-        Start of the directions.
+    angles_rad : (k,) float64, rad; directions, from +x (columns) towards +y (rows)
+    center_px : (2,) float64, px; start of the directions
     valid : (k,) bool
         False where the direction meets no edge that the camera can image; the other arrays hold NaN (False) there.
-    points_px : (k, 2) float64, px
-        Limb points in the distorted image.
-    points_camera_km : (k, 3) float64, km, camera axes
-        The same points on the surface, from the camera.
-    normals_px : (k, 2) float64, unitless
-        Outward unit normals of the outline in the image, taken over one pixel of it.
+    points_px : (k, 2) float64, px; limb points in the distorted image
+    points_camera_km : (k, 3) float64, km, camera axes; the same points on the surface, from the camera
+    normals_px : (k, 2) float64, unitless; outward unit normals of the outline in the image, taken over one pixel of it
     points_by_position : (k, 2, 3) float64, px/km
         Derivative of ``points_px`` with respect to the body's position in camera axes, for fixed directions and a
         fixed ``center_px``. On a mesh, of the current edge: it jumps from edge to edge.
-    cos_incidence : (k,) float64
-        Cosine of the angle from surface normal to Sun.
-    lit : (k,) bool
-        The Sun is over the horizon there, and nothing in the way.
+    cos_incidence : (k,) float64; cosine of the angle from surface normal to Sun
+    lit : (k,) bool; the Sun is over the horizon there, and nothing in the way
     """
 
     angles_rad: Float
@@ -86,12 +79,9 @@ def trace_silhouette(
     ----------
     body : Body
     model : CameraModel
-    angles_rad : (k,), rad
-        Directions in the image, from +x towards +y.
-    sun_direction_camera : (3,), unitless, camera axes
-        Unit vector from body to Sun.
-    center_px : (2,), px, optional
-        Start of the directions; None takes the projection of the body's origin.
+    angles_rad : (k,), rad; directions in the image, from +x towards +y
+    sun_direction_camera : (3,), unitless, camera axes; unit vector from body to Sun
+    center_px : (2,), px, optional; start of the directions; None takes the projection of the body's origin
 
     Raises
     ------
@@ -228,14 +218,12 @@ def _chord_normals(outline: EdgeOutline, center_px: Float, angles_rad: Float, ed
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Crossings(Value):
-    """Outermost intersections of lines in the image with a shape.
-
-    normals_camera: (k, 3); outward and perpendicular to the ray: of an ellipsoid, or of the plane through the camera
-        and the edge of a mesh.
-    """
+    """Outermost intersections of lines in the image with a shape."""
 
     radii_px: Float  # (k,); from the start of each line; NaN where it meets no edge, as all that follows
     points_camera_km: Float  # (k, 3); on the shape
+    # (k, 3); outward and perpendicular to the ray: of an ellipsoid, or of the plane through the camera and the edge of
+    # a mesh
     normals_camera: Float
     facets: Indices  # (k,); facet at the edge that faces the camera, 0 on an ellipsoid; -1 for none
 

@@ -48,8 +48,7 @@ class FacetAlbedo(Value):
 
     Parameters
     ----------
-    values : (m,) float64
-        In the order of the facets that the mesh is made from.
+    values : (m,) float64; in the order of the facets that the mesh is made from
 
     Raises
     ------
@@ -74,10 +73,8 @@ class VertexAlbedo(Value):
 
     Parameters
     ----------
-    values : (n,) float64
-        In the order of the vertices.
-    faces : (m, 3) int64, optional
-        The facets of the mesh; filled in by the mesh that takes this albedo.
+    values : (n,) float64; in the order of the vertices
+    faces : (m, 3) int64, optional; the facets of the mesh; filled in by the mesh that takes this albedo
 
     Raises
     ------
@@ -111,18 +108,15 @@ class AlbedoMap(Value):
 
     Parameters
     ----------
-    values : (rows, columns) float64
-        Values at the centers of the map's pixels, interpolated bilinearly.
+    values : (rows, columns) float64; values at the centers of the map's pixels, interpolated bilinearly
     longitude_edges_rad : (float, float), rad
         East longitudes of the outer edges of the first and the last column; decreasing for a map that counts west.
         A full turn wraps around.
     latitude_edges_rad : (float, float), rad
         Latitudes of the outer edges of the first and the last row. A row that ends at a pole goes over into its
         mean there, so that the pole has one value.
-    outside : float
-        Relative albedo where the map has none.
-    center_body_km : (3,) float64, km, body
-        Where longitude and latitude are counted from.
+    outside : float; relative albedo where the map has none
+    center_body_km : (3,) float64, km, body; where longitude and latitude are counted from
 
     Raises
     ------

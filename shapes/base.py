@@ -59,11 +59,9 @@ class Ellipsoid(Value):
 
     Parameters
     ----------
-    radii_km : (3,) float64, km
-        Semi-axes along body x, y and z.
+    radii_km : (3,) float64, km; semi-axes along body x, y and z
     name : str
-    albedo : Albedo, optional
-        Relative albedo; it enters the hash.
+    albedo : Albedo, optional; relative albedo; it enters the hash
 
     Raises
     ------
@@ -119,10 +117,8 @@ class PlacedEllipsoid(Value):
     Parameters
     ----------
     ellipsoid : Ellipsoid
-    center_body_km : (3,) float64, km, body
-        From the origin of the shape to the center of the ellipsoid.
-    body_from_axes : Rotation
-        Takes vectors along the axes of the ellipsoid to body axes.
+    center_body_km : (3,) float64, km, body; from the origin of the shape to the center of the ellipsoid
+    body_from_axes : Rotation; takes vectors along the axes of the ellipsoid to body axes
     """
 
     ellipsoid: Ellipsoid

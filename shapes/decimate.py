@@ -22,12 +22,10 @@ _HASTES = (7, 6, 5, 8)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Deviation:
-    """Distances between two surfaces of one body.
+    """Distances between two surfaces of one body."""
 
-    rms_km, max_km: distances of the vertices of each surface from the other one; the maximum over both is the Hausdorff
-        distance of the vertices.
-    """
-
+    # rms_km, max_km: distances of the vertices of each surface from the other one; the maximum over both is the
+    # Hausdorff distance of the vertices
     rms_km: float
     max_km: float
     volume_change: float  # volume of the second / volume of the first, minus 1

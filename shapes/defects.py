@@ -47,12 +47,10 @@ class Defects:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Edges(Value):
-    """The edges of a surface, each once.
-
-    of_side: (3 m,); the edge of each side of a facet; side k of facet i, from corner k to the next, is number 3 i + k.
-    """
+    """The edges of a surface, each once."""
 
     ends: Faces  # (e, 2); vertices, the smaller number first
+    # (3 m,); the edge of each side of a facet; side k of facet i, from corner k to the next, is number 3 i + k
     of_side: NDArray[np.int64]
     forward: Mask  # (3 m,); True if a side runs from the smaller vertex number to the larger
     facets: NDArray[np.int64]  # (e,); number of facets at an edge

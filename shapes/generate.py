@@ -25,8 +25,7 @@ def mesh_from_ellipsoid(ellipsoid: Ellipsoid, *, facets: int = 20_480) -> Triang
     Parameters
     ----------
     ellipsoid : Ellipsoid
-    facets : int
-        Smallest number of facets; the mesh has the next larger 20 k^2.
+    facets : int; smallest number of facets; the mesh has the next larger 20 k^2
     """
     directions, faces = geodesic_directions(facets)
     return TriangleMesh(directions * ellipsoid.radii_km, faces, f"{ellipsoid.name} (mesh)")
@@ -49,14 +48,10 @@ def irregular_body(
     Parameters
     ----------
     seed : int
-    radii_km : (3,) float64, km, body
-        Semi-axes of the ellipsoid under the relief.
-    facets : int
-        Smallest number of facets; the mesh has the next larger 20 k^2.
-    relief : float
-        Standard deviation of the lumps, as a fraction of the local radius; craters scale with it.
-    roughness : float
-        Standard deviation of the roughness near facet size, same unit; boulders scale with it.
+    radii_km : (3,) float64, km, body; semi-axes of the ellipsoid under the relief
+    facets : int; smallest number of facets; the mesh has the next larger 20 k^2
+    relief : float; standard deviation of the lumps, as a fraction of the local radius; craters scale with it
+    roughness : float; standard deviation of the roughness near facet size, same unit; boulders scale with it
     name : str, optional
 
     Raises

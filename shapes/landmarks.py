@@ -30,13 +30,11 @@ _FORMAT, _VERSION = "giantlike landmarks", 1
 
 @dataclass(frozen=True, eq=False)
 class Landmark(Value):
-    """A landmark: a local map around a point on a body.
-
-    texture: contrast to match with: rms tilt of the surface, rad, about a uniform curvature, and rms relative albedo,
-        added in quadrature.
-    """
+    """A landmark: a local map around a point on a body."""
 
     map: LocalMap  # heights, and albedo if it is known; its z axis is the normal of the point
+    # contrast to match with: rms tilt of the surface, rad, about a uniform curvature, and rms relative albedo, added in
+    # quadrature
     texture: float
 
     def __post_init__(self) -> None:

@@ -28,16 +28,14 @@ class Limb(Value):
 
     Parameters
     ----------
-    valid : (k,) bool
-        False where the half-plane of a direction meets no limb; the other arrays hold NaN there.
+    valid : (k,) bool; False where the half-plane of a direction meets no limb; the other arrays hold NaN there
     points_body_km : (k, 3) float64, km, body
     normals : (k, 3) float64, unitless, body
         Outward, and perpendicular to the ray from the camera: of the surface on an ellipsoid; on a mesh, whose facets
         meet in an edge there, of the plane through the edge and the camera.
     points_by_camera : (k, 3, 3) float64
         Derivative of the points with respect to the position of the camera in body axes.
-    normals_by_camera : (k, 3, 3) float64, 1/km
-        Derivative of the normals.
+    normals_by_camera : (k, 3, 3) float64, 1/km; derivative of the normals
     """
 
     valid: Mask
@@ -52,10 +50,8 @@ def limb(shape: Shape, camera_body_km: ArrayLike, directions_body: ArrayLike) ->
 
     Parameters
     ----------
-    shape : Shape
-        An ``Ellipsoid`` or a ``TriangleMesh``.
-    camera_body_km : (3,), km, body
-        Position of the camera, outside the shape.
+    shape : Shape; an ``Ellipsoid`` or a ``TriangleMesh``
+    camera_body_km : (3,), km, body; position of the camera, outside the shape
     directions_body : (k, 3), any length, body
         Each picks the half-plane that starts at the line from the camera through the origin of the body and
         contains the direction.

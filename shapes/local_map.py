@@ -25,16 +25,13 @@ class LocalMap(Value):
 
     Parameters
     ----------
-    center_body_km : (3,) float64, km, body
-        Middle of the grid at height zero.
+    center_body_km : (3,) float64, km, body; middle of the grid at height zero
     body_from_map : Rotation
         Takes vectors along the axes of the map to body axes: x along increasing columns, y along increasing rows, z up.
     heights_km : (rows, columns) float64, km
         Along z; NaN where the map has none. At least 2 by 2.
-    spacing_km : float, km
-        Distance of neighboring heights: the ground sample distance.
-    albedo : (rows, columns) float64, optional
-        Relative albedo at the same positions.
+    spacing_km : float, km; distance of neighboring heights: the ground sample distance
+    albedo : (rows, columns) float64, optional; relative albedo at the same positions
     name : str
 
     Raises
@@ -105,10 +102,8 @@ def overlaid(body: TriangleMesh, maps: Sequence[LocalMap], *, reach_km: float | 
 
     Parameters
     ----------
-    body : TriangleMesh
-        The global shape; usually coarser than the maps.
-    maps : sequence of LocalMap
-        With heights everywhere.
+    body : TriangleMesh; the global shape; usually coarser than the maps
+    maps : sequence of LocalMap; with heights everywhere
     reach_km : float, km, optional
         A map replaces the global surface from this far below its lowest height to this far above its highest; None
         takes a tenth of the body's radius. Surface farther along z, such as the far side of the body, stays.

@@ -14,15 +14,7 @@ from giantlike.shapes.mesh import TriangleMesh
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measures(Value):
-    """Size, volume and moments of a mesh, body axes, uniform density.
-
-    principal_axes: (3, 3), body axes; one unit vector per row, right-handed, smallest moment (longest axis) first.
-    principal_moments: (3,) km^5; moments of inertia about those axes through the center of figure for a density of 1:
-        over the volume they are moments per mass, km^2.
-    best_fit_radii_km: of the ellipsoid with the same moments and volume-weighted center, longest first, along the
-        principal axes.
-    circumscribing_radius_km, mean_radius_km: largest distance from the origin; radius of the sphere of the same volume.
-    """
+    """Size, volume and moments of a mesh, body axes, uniform density."""
 
     facets: int  # facets, vertices: numbers of them; vertices count only where a facet uses them
     vertices: int
@@ -30,9 +22,15 @@ class Measures(Value):
     volume_km3: float
     area_km2: float
     center_of_figure_km: Float  # in body axes
+    # (3, 3), body axes; one unit vector per row, right-handed, smallest moment (longest axis) first
     principal_axes: Float
+    # (3,) km^5; moments of inertia about those axes through the center of figure for a density of 1: over the volume
+    # they are moments per mass, km^2
     principal_moments: Float
+    # of the ellipsoid with the same moments and volume-weighted center, longest first, along the principal axes
     best_fit_radii_km: Float
+    # circumscribing_radius_km, mean_radius_km: largest distance from the origin; radius of the sphere of the same
+    # volume
     circumscribing_radius_km: float
     mean_radius_km: float
     euler_number: int  # vertices minus edges plus facets: 2 for one closed surface without handles

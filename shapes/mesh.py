@@ -37,20 +37,16 @@ class TriangleMesh(Value):
     Parameters
     ----------
     vertices_km : (n, 3) float64, km, body
-    faces : (m, 3) int64
-        Indices of the corners of each facet, from 0, counter-clockwise seen from outside.
+    faces : (m, 3) int64; indices of the corners of each facet, from 0, counter-clockwise seen from outside
     name : str
     sha256 : str
         Hash of the file the mesh came from; empty means: hash the arrays. The hash of the albedo is mixed in.
-    albedo : Albedo, optional
-        Relative albedo, by facet or vertex in the order given here.
+    albedo : Albedo, optional; relative albedo, by facet or vertex in the order given here
 
     Attributes
     ----------
-    areas_km2 : (m,) float64, km^2
-        Areas of the facets.
-    normals : (m, 3) float64, unitless, body
-        Outward unit normals of the facets.
+    areas_km2 : (m,) float64, km^2; areas of the facets
+    normals : (m, 3) float64, unitless, body; outward unit normals of the facets
 
     Raises
     ------

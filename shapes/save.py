@@ -25,10 +25,8 @@ def save_shape(
         single precision. ``.icq`` and ``.txt`` (ICQ model) take only a mesh that is connected as one. ``.bds`` and
         ``.dsk`` need ``dsk``. Albedo by facet and by vertex is kept in ``.npz``, by vertex in an ICQ model, and
         nowhere else.
-    overwrite : bool
-        True to replace an existing file.
-    dsk : DskIdentity, optional
-        Body, frame and surface that a DSK must name.
+    overwrite : bool; True to replace an existing file
+    dsk : DskIdentity, optional; body, frame and surface that a DSK must name
 
     Raises
     ------

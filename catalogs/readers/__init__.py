@@ -47,10 +47,8 @@ class Built(Value):
     ----------
     catalog : MemoryCatalog
     sources : tuple of Source
-    left_out : int
-        Number of entries without a position or a magnitude.
-    repeated : int
-        Number of entries whose identifier an earlier one has.
+    left_out : int; number of entries without a position or a magnitude
+    repeated : int; number of entries whose identifier an earlier one has
     """
 
     catalog: MemoryCatalog
@@ -72,18 +70,12 @@ def build_catalog(
 
     Parameters
     ----------
-    paths : sequence of Path
-        Files of one format; for UCAC4 also folders of zone files.
-    form : str
-        A key of :data:`FORMATS`.
-    name : str
-        Name of the new catalog.
-    mapping : ColumnMap, optional
-        For the format ``table``, which needs one.
-    max_magnitude : float, optional
-        Leave out fainter stars.
-    progress : callable, optional
-        Called with the number of files done and of all files.
+    paths : sequence of Path; files of one format; for UCAC4 also folders of zone files
+    form : str; a key of :data:`FORMATS`
+    name : str; name of the new catalog
+    mapping : ColumnMap, optional; for the format ``table``, which needs one
+    max_magnitude : float, optional; leave out fainter stars
+    progress : callable, optional; called with the number of files done and of all files
 
     Raises
     ------

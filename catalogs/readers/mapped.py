@@ -130,8 +130,7 @@ class ColumnMap:
         ``"pmRA*1000"``), or a number for all stars (``epoch_jyear = 2000.0``). ``ra_deg``, ``dec_deg`` and
         ``magnitude`` are needed; without ``ids`` stars are numbered from 1. Columns of the file that already have the
         name of a star table need no term.
-    band : str
-        Photometric band of the magnitudes.
+    band : str; photometric band of the magnitudes
 
     Raises
     ------
@@ -160,8 +159,7 @@ def column_map(settings: Sequence[str], *, file: Path | None = None, band: str |
     ----------
     settings : sequence of str
     file : Path, optional
-    band : str, optional
-        Photometric band of the magnitudes; default: the file's, or ``user``.
+    band : str, optional; photometric band of the magnitudes; default: the file's, or ``user``
 
     Raises
     ------

@@ -26,8 +26,7 @@ def threads(count: int) -> Iterator[None]:
 
     Parameters
     ----------
-    count : int
-        Threads at most; 1 is the default everywhere.
+    count : int; threads at most; 1 is the default everywhere
 
     Yields
     ------

@@ -36,11 +36,9 @@ def expected_dn(
     Parameters
     ----------
     irradiance_w_m2_um : (...), W m^-2 um^-1
-    camera : Photometry
-        Zero point of the camera.
+    camera : Photometry; zero point of the camera
     exposure_s : float, s
-    angle_rad : (...), rad
-        Angle of the body from the boresight: the aperture is foreshortened by its cosine.
+    angle_rad : (...), rad; angle of the body from the boresight: the aperture is foreshortened by its cosine
     gain_e_per_dn : float, electron/DN
 
     Returns
@@ -74,13 +72,11 @@ def chandrasekhar_sphere(single_scattering_albedo: float, phase_rad: ArrayLike) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BodyLight:
-    """A body that may be a patch of light.
-
-    brightness: phase angle (rad) to the brightness relative to a white Lambert disk facing the Sun, such as
-        :func:`chandrasekhar_sphere`.
-    """
+    """A body that may be a patch of light."""
 
     name: str
+    # phase angle (rad) to the brightness relative to a white Lambert disk facing the Sun, such as
+    # ``chandrasekhar_sphere``
     brightness: Callable[[Float], Float]
     relative_sigma: float  # relative error of that brightness: albedo variations, clouds, the law
 
@@ -121,10 +117,8 @@ def identify_body(
     ----------
     patch : PatchOfLight
     bodies : sequence of BodyLight
-    camera : Photometry
-        Zero point of the camera.
-    max_sigmas : float
-        Largest deviation of the body it is, and least deviation of every other.
+    camera : Photometry; zero point of the camera
+    max_sigmas : float; largest deviation of the body it is, and least deviation of every other
     gain_e_per_dn : float, electron/DN
 
     Returns

@@ -40,16 +40,14 @@ class SearchOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SeenPatch(Value):
-    """A patch of light in a wide image.
-
-    second_moment_rad2: (2, 2); of the light around its center, along :attr:`axes_camera`, pixel and optics taken out.
-    """
+    """A patch of light in a wide image."""
 
     center_px: Float  # center of light
     direction_camera: Float
     dn: float  # sum minus background
     sigma_dn: float  # its noise
     saturated: bool
+    # (2, 2); of the light around its center, along ``axes_camera``, pixel and optics taken out
     second_moment_rad2: Float
     axes_camera: Float  # (2, 3); two axes across the direction
     on_edge: bool = False  # it touches the edge of the frame: part of the body may lie outside
@@ -69,8 +67,7 @@ def find_patches(image: Image, camera: Camera, options: SearchOptions | None = N
     Parameters
     ----------
     image : Image
-    camera : Camera
-        Of any lens: directions come from its model, so that a fisheye is searched as it is.
+    camera : Camera; of any lens: directions come from its model, so that a fisheye is searched as it is
     options : SearchOptions, optional
 
     Returns

@@ -57,14 +57,12 @@ class SimulatedCamera:
 
 @dataclass(slots=True)
 class FolderCamera:
-    """A camera whose images are the files of a folder, in the order of their names, each once.
-
-    wait_s: 0 for a folder that is complete; else how long to wait for the next file, which is taken as whole when its
-        size did not change between two looks.
-    """
+    """A camera whose images are the files of a folder, in the order of their names, each once."""
 
     camera: Camera
     folder: Path
+    # 0 for a folder that is complete; else how long to wait for the next file, which is taken as whole when its size
+    # did not change between two looks
     wait_s: float = 0.0
     poll_s: float = 0.2  # time between two looks
     sleep: Callable[[float], None] = time.sleep  # takes seconds
@@ -107,12 +105,10 @@ class FolderCamera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TriggerPlan:
-    """Order of two cameras, and how much later the second one starts.
-
-    delay_s: from the start of the primary to the start of the secondary: the middles of both exposures then coincide.
-    """
+    """Order of two cameras, and how much later the second one starts."""
 
     primary: int  # 0 or 1: the camera with the longer exposure, which triggers the other
+    # from the start of the primary to the start of the secondary: the middles of both exposures then coincide
     delay_s: float
 
 

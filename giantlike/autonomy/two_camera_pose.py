@@ -17,13 +17,11 @@ from giantlike.core.values import Value
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Interlock(Value):
-    """Fixed rotation between two cameras.
-
-    covariance_rad2: of the small rotation about its axes, in one pair of images: the calibration error and the bending
-        of the structure.
-    """
+    """Fixed rotation between two cameras."""
 
     second_from_first: Rotation
+    # of the small rotation about its axes, in one pair of images: the calibration error and the bending of the
+    # structure
     covariance_rad2: Float
 
     def reversed(self) -> Interlock:
@@ -35,11 +33,7 @@ class Interlock(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PairPose(Value):
-    """Attitude of the camera on a body, and position of the body, from a pair of images.
-
-    parts: mapping of Cause to (3, 3) km^2, ICRF axes; ``noise`` (limb, models and camera) and ``attitude``, which sum
-        to it.
-    """
+    """Attitude of the camera on a body, and position of the body, from a pair of images."""
 
     target: str
     camera_from_inertial: Rotation  # of the camera that sees the body
@@ -48,6 +42,7 @@ class PairPose(Value):
     covariance_camera_km2: Float  # without the attitude
     position_inertial_km: Float  # in ICRF axes; the same vector
     covariance_inertial_km2: Float  # in ICRF axes; with the attitude
+    # mapping of Cause to (3, 3) km^2, ICRF axes; ``noise`` (limb, models and camera) and ``attitude``, which sum to it
     parts: Mapping[Cause, Float]
 
 
@@ -63,10 +58,8 @@ def pose_of_pair(body: PositionFix, camera_from_inertial: Rotation, attitude_cov
 
     Parameters
     ----------
-    body : PositionFix
-        Of the image with the body.
-    camera_from_inertial : Rotation
-        Of that camera, from :func:`carried_attitude`.
+    body : PositionFix; of the image with the body
+    camera_from_inertial : Rotation; of that camera, from :func:`carried_attitude`
     attitude_covariance_rad2 : (3, 3), rad^2, axes of that camera
 
     Raises

@@ -24,19 +24,17 @@ _MEDIAN_CHI2 = 2.365973884375338  # of chi-square with three degrees of freedom
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AlignmentResult(Estimate):
-    """A rotation between two sensors: ``rotation_at(t) = from_rotvec(rate * (t - reference)) * rotation``.
-
-    covariance_rad2: (3, 3), rad^2; of the small rotation, axes of the second sensor, at the reference temperature.
-    reduced_chi2: of the measurements used. If it is more than noise explains, the covariances are scaled with it.
-    """
+    """A rotation between two sensors: ``rotation_at(t) = from_rotvec(rate * (t - reference)) * rotation``."""
 
     rotation: Rotation  # ``second_from_first`` at the reference temperature
     rate_rad_per_c: Float  # (3,), rad/Celsius; about the axes of the second sensor; zero for a static alignment
     reference_c: float  # Celsius; mean temperature of the observations
+    # (3, 3), rad^2; of the small rotation, axes of the second sensor, at the reference temperature
     covariance_rad2: Float
     rate_covariance: Float  # (3, 3), (rad/Celsius)^2; zero for a static alignment
     residuals_rad: Float  # (n, 3), rad; observed minus fitted, axes of the second sensor
     used: Mask  # (n,); False for outliers
+    # of the measurements used. If it is more than noise explains, the covariances are scaled with it
     reduced_chi2: float
     first: str = ""  # first, second: names of the two frames; empty when unknown
     second: str = ""

@@ -33,11 +33,7 @@ MAX_CONDITION = 1e13
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Data(Value):
-    """Observations of m images, n in all, with the unknowns and their a priori values.
-
-    prior, prior_sigma: (k,); a priori values and standard deviations, infinite for none, in the units of the
-        parameters.
-    """
+    """Observations of m images, n in all, with the unknowns and their a priori values."""
 
     targets: Float  # (n, 3); unit vectors or points, reference axes
     points_px: Float  # (n, 2)
@@ -46,6 +42,8 @@ class Data(Value):
     temperatures_c: Float  # (m,)
     pose: int  # unknowns of an image: 3 (orientation) or 6 (orientation and position)
     estimated: NDArray[np.intp]  # (k,); indices of the estimated parameters of the model
+    # prior, prior_sigma: (k,); a priori values and standard deviations, infinite for none, in the units of the
+    # parameters
     prior: Float
     prior_sigma: Float
     start: Rotation  # a priori orientations of the m images

@@ -51,15 +51,12 @@ def calibrate(
 
     Parameters
     ----------
-    observations : sequence of ImageObservations
-        All of directions, or all of finite targets.
-    model : CameraModel
-        Start; a rough focal length without distortion suffices.
+    observations : sequence of ImageObservations; all of directions, or all of finite targets
+    model : CameraModel; start; a rough focal length without distortion suffices
     estimate : sequence of str
         Names of the parameters to estimate; the others keep their values in ``model``. Without ``cx_px, cy_px`` the
         principal point is fixed: in a narrow field it is degenerate with the orientation.
-    columns, rows : int
-        Size of the detector, over which the uncertainty of the map is evaluated.
+    columns, rows : int; size of the detector, over which the uncertainty of the map is evaluated
     options : CalibrationOptions, optional
     criteria : CalibrationCriteria, optional
 

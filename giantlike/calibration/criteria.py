@@ -14,22 +14,18 @@ _PARTS = 3  # parts of the field along each axis: center, edges and corners
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationCriteria:
-    """Acceptance criteria of a calibration; the defaults are for stars with centroids of about 0.1 px.
+    """Acceptance criteria of a calibration; the defaults are for stars with centroids of about 0.1 px."""
 
-    max_residual_px: largest radial residual rms of the observations kept, with their weights in the fit. Default 0.5:
-        real frames have 0.16 to 0.26.
-    max_map_sigma_px: largest uncertainty of the camera map over the field (radial, modulo a rotation). Default 0.5, as
-        the residuals.
-    min_observations_per_parameter: smallest number of observations kept per parameter of the camera. Default 3, six
-        equations.
-    min_covered: smallest fraction of nine equal parts of the field with observations. Default 0.6: six of nine.
-    """
-
+    # largest radial residual rms of the observations kept, with their weights in the fit. Default 0.5: real frames have
+    # 0.16 to 0.26
     max_residual_px: float = 0.5
     max_image_residual_px: float = 1.0  # largest residual rms of a single image. Default 1: twice the limit for all.
     max_rejected: float = 0.25  # largest fraction of observations rejected. Default a quarter; no study yet.
+    # largest uncertainty of the camera map over the field (radial, modulo a rotation). Default 0.5, as the residuals
     max_map_sigma_px: float = 0.5
+    # smallest number of observations kept per parameter of the camera. Default 3, six equations
     min_observations_per_parameter: float = 3.0
+    # smallest fraction of nine equal parts of the field with observations. Default 0.6: six of nine
     min_covered: float = 0.6
 
     def __post_init__(self) -> None:

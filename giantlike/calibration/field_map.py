@@ -68,8 +68,7 @@ def map_difference(
     Parameters
     ----------
     model, other : CameraModel
-    columns, rows : int
-        Size of the detector.
+    columns, rows : int; size of the detector
     temperature_c : float, Celsius
 
     Returns

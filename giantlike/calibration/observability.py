@@ -35,19 +35,16 @@ class ParameterVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterSupport:
-    """Estimate, effect and classification of one parameter.
-
-    effect_px: largest effect of the value over the field (for focal length and principal point: of its change from the
-        start).
-    sigma_effect_px: largest effect of one sigma of this parameter alone. Far above the uncertainty of the map if other
-        parameters compensate it.
-    """
+    """Estimate, effect and classification of one parameter."""
 
     name: str
     value: float  # value, start, sigma: in the unit of the parameter
     start: float
     sigma: float
+    # largest effect of the value over the field (for focal length and principal point: of its change from the start)
     effect_px: float
+    # largest effect of one sigma of this parameter alone. Far above the uncertainty of the map if other parameters
+    # compensate it
     sigma_effect_px: float
     partner: str  # parameter with the highest correlation; empty for a single parameter
     correlation: float  # correlation with the partner
@@ -113,15 +110,13 @@ def support_of(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WeakCombination:
-    """A combination of parameters that the measurements of a pass hardly determine.
+    """A combination of parameters that the measurements of a pass hardly determine."""
 
-    weights: fraction of each parameter, in units of the standard deviation that it would have were all others known;
-        the largest first, small ones left out.
-    inflation: ratio of the standard deviation of the combination by the measurements alone to the standard deviation of
-        one of its parameters with all others known; infinite where the measurements do not determine it.
-    """
-
+    # fraction of each parameter, in units of the standard deviation that it would have were all others known; the
+    # largest first, small ones left out
     weights: Mapping[str, float]
+    # ratio of the standard deviation of the combination by the measurements alone to the standard deviation of one of
+    # its parameters with all others known; infinite where the measurements do not determine it
     inflation: float
 
     def __str__(self) -> str:

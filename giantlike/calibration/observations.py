@@ -18,29 +18,23 @@ class ImageObservations(Value):
 
     Parameters
     ----------
-    name : str
-        Name of the image in reports.
+    name : str; name of the image in reports
     targets : (n, 3) float64
         Unit vectors in a reference frame (stars: apparent directions, inertial axes), or points of a board in the
         board's own axes where ``finite``, in any unit of length.
-    points_px : (n, 2) float64, px
-        Measured pixels of the targets.
-    sigma_px : (n,) float64, px
-        Standard deviation per axis; a scalar applies to all.
+    points_px : (n, 2) float64, px; measured pixels of the targets
+    sigma_px : (n,) float64, px; standard deviation per axis; a scalar applies to all
     camera_from_reference : Rotation, optional
         A priori orientation; by default estimated from the targets and the starting model (directions only).
     attitude_sigma_rad : float, rad, optional
         Standard deviation per axis of the a priori orientation; by default it is only a start and has no weight.
     position_reference : (3,) float64, optional
         For ``finite`` targets: start of the vector from the camera to the origin of the board, camera axes.
-    finite : bool
-        True if the targets are points at a finite distance, False if they are directions.
-    temperature_c : float, Celsius
-        Of the camera.
+    finite : bool; True if the targets are points at a finite distance, False if they are directions
+    temperature_c : float, Celsius; of the camera
     labels : (n,) int64
         Labels of the targets: catalog identifiers, corner numbers. Default: 0, 1, 2, ...
-    magnitudes : (n,) float64
-        Default NaN.
+    magnitudes : (n,) float64; default NaN
 
     Raises
     ------

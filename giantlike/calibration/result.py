@@ -20,13 +20,7 @@ from giantlike.core.values import Estimate, Value
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageCalibration(Value):
-    """One image of a calibration.
-
-    influence_px: shift of the camera map (rms over the field, modulo a rotation) when this image is left out; infinite
-        if the other images do not determine a parameter.
-    influence: squared shift of the parameters in units of their covariance, over their number (Cook's distance). Above
-        1, one image dominates the result.
-    """
+    """One image of a calibration."""
 
     name: str
     temperature_c: float
@@ -36,17 +30,17 @@ class ImageCalibration(Value):
     n_used: int
     n_rejected: int
     rms_px: float  # radial; NaN where nothing was kept
+    # shift of the camera map (rms over the field, modulo a rotation) when this image is left out; infinite if the other
+    # images do not determine a parameter
     influence_px: float
+    # squared shift of the parameters in units of their covariance, over their number (Cook's distance). Above 1, one
+    # image dominates the result
     influence: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RejectedObservation:
-    """A rejected observation.
-
-    cause: ``outlier``, ``not_imaged`` (the model cannot project the target) or ``image`` (the whole image was rejected,
-        because too few of its observations agree).
-    """
+    """A rejected observation."""
 
     image: str  # name of the image
     label: int  # label of the target
@@ -54,6 +48,8 @@ class RejectedObservation:
     predicted_px: tuple[float, float]
     distance_px: float  # NaN if the model cannot project the target
     sigmas: float  # distance over the sigma of the observation
+    # ``outlier``, ``not_imaged`` (the model cannot project the target) or ``image`` (the whole image was rejected,
+    # because too few of its observations agree)
     cause: str
 
 
@@ -64,38 +60,29 @@ class CalibrationResult(Pictured, Estimate):
     Parameters
     ----------
     model : CameraModel
-    start : CameraModel
-        Model from which the fit started.
+    start : CameraModel; model from which the fit started
     columns, rows : int
-    estimated : tuple of str
-        Names of the k parameters estimated; the others have the values of ``start``.
+    estimated : tuple of str; names of the k parameters estimated; the others have the values of ``start``
     covariance : (k, k) float64
         Of those parameters, in their units. Includes ``covariance_scale``.
     covariance_scale : float
         Factor on the covariance for residuals larger than the given sigmas explain; 1 if these explain them.
     images : tuple of ImageCalibration
-    image_index : (n,) int
-        Image of each observation; the arrays below contain all observations, used or not.
+    image_index : (n,) int; image of each observation; the arrays below contain all observations, used or not
     observed_px, predicted_px : (n, 2) float64, px
         The prediction is by the calibrated model, NaN for targets that it cannot project.
     sigma_px, magnitudes : (n,) float64
     labels : (n,) int64
     used : (n,) bool
-    rejected : tuple of RejectedObservation
-        Worst first.
-    residual_sigma_px : float, px
-        Post-fit residual per axis, corrected for the degrees of freedom.
+    rejected : tuple of RejectedObservation; worst first
+    residual_sigma_px : float, px; post-fit residual per axis, corrected for the degrees of freedom
     reduced_chi2 : float
-    condition_number : float
-        Of the scaled information of the parameters.
-    support : tuple of ParameterSupport
-        Verdict on each parameter.
+    condition_number : float; of the scaled information of the parameters
+    support : tuple of ParameterSupport; verdict on each parameter
     map_points_px, map_sigma_px : (g, 2), (g,) float64, px
         Uncertainty of the camera map over the field, radial, modulo a rotation.
-    problems : tuple of str
-        Criteria that were missed, each with the limit and the value; empty if accepted.
-    steps, rounds : int
-        Levenberg-Marquardt steps in all, and rounds of rejection.
+    problems : tuple of str; criteria that were missed, each with the limit and the value; empty if accepted
+    steps, rounds : int; Levenberg-Marquardt steps in all, and rounds of rejection
     provenance : mapping of str to str
     """
 

@@ -38,19 +38,17 @@ _MARGIN = 0.2  # of the image size: a rough camera may see a star of its solutio
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarImage(Estimate):
-    """Sources, sky and first identification of a star image for calibration.
-
-    points_px, covariance_px2, snr: (m, 2), (m, 2, 2), (m,); sources without flags of ``NOT_A_STAR``, brightest first.
-    star_ids, source_indices: (k,); stars of the first solution, and the indices of their sources.
-    """
+    """Sources, sky and first identification of a star image for calibration."""
 
     name: str
     sky: Sky
+    # points_px, covariance_px2, snr: (m, 2), (m, 2, 2), (m,); sources without flags of ``NOT_A_STAR``, brightest first
     points_px: Float
     covariance_px2: Float
     snr: Float
     camera_from_inertial: Rotation  # first solution
     focal_length_px: float  # focal length that the first solution found
+    # star_ids, source_indices: (k,); stars of the first solution, and the indices of their sources
     star_ids: NDArray[np.int64]
     source_indices: NDArray[np.int64]
     sigma_px: Float  # (k,); standard deviation of these stars per axis
@@ -69,14 +67,12 @@ class AllStars:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarCalibration(Estimate):
-    """A calibration from star images.
-
-    failed: images whose stars could not be identified with the calibrated camera, and why.
-    """
+    """A calibration from star images."""
 
     result: CalibrationResult
     rounds: int  # of identification and calibration
     settled: bool  # True if the matches stopped changing
+    # images whose stars could not be identified with the calibrated camera, and why
     failed: tuple[tuple[str, Failure], ...]
     all_stars: AllStars | None = None  # residuals of stars of all brightnesses; None for other targets than stars
 
@@ -100,10 +96,8 @@ def identify_first(
     ----------
     image : Image
     camera : Camera
-    navigation : StarNavigation
-        Catalog and options; its camera is not used.
-    scale_error : float
-        Largest relative error of the focal length, in (0, 0.2].
+    navigation : StarNavigation; catalog and options; its camera is not used
+    scale_error : float; largest relative error of the focal length, in (0, 0.2]
     temperature_c : float, Celsius
     """
     options = replace(navigation.options, lost_in_space=True, estimate_scale=True, scale_error=scale_error)
@@ -184,12 +178,9 @@ def calibrate_stars(
     Parameters
     ----------
     images : sequence of StarImage
-    camera : Camera
-        A rough camera.
-    estimate : sequence of str
-        Parameters to estimate, as in :func:`~giantlike.calibration.calibrate`.
-    model_type : str, optional
-        Type of the model to estimate, see :func:`start_model`.
+    camera : Camera; a rough camera
+    estimate : sequence of str; parameters to estimate, as in :func:`~giantlike.calibration.calibrate`
+    model_type : str, optional; type of the model to estimate, see :func:`start_model`
     min_snr : float
         Lowest signal to noise ratio of the stars used (the 20 brightest of each image are always used). Default: all,
         each with its weight.

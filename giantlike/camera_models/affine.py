@@ -39,14 +39,10 @@ class AffineModel(ABC):
 
     Parameters
     ----------
-    fx_px, fy_px : float, px
-        Focal lengths over pixel pitch, positive.
-    cx_px, cy_px : float, px
-        Principal point.
-    skew_px : float, px
-        Shear: x moves by ``skew_px`` per unit of focal-plane y.
-    a1_per_c, a2_per_c2, a3_per_c3 : float
-        Temperature terms, per degree Celsius and its powers.
+    fx_px, fy_px : float, px; focal lengths over pixel pitch, positive
+    cx_px, cy_px : float, px; principal point
+    skew_px : float, px; shear: x moves by ``skew_px`` per unit of focal-plane y
+    a1_per_c, a2_per_c2, a3_per_c3 : float; temperature terms, per degree Celsius and its powers
 
     Raises
     ------

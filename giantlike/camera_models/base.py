@@ -53,8 +53,7 @@ class CameraModel(Protocol):
 
         Parameters
         ----------
-        points_camera : (..., 3) array_like, camera axes
-            Points or directions, in any unit of length.
+        points_camera : (..., 3) array_like, camera axes; points or directions, in any unit of length
 
         Returns
         -------
@@ -68,8 +67,7 @@ class CameraModel(Protocol):
 
         Parameters
         ----------
-        points_px : (..., 2) array_like, px
-            Pixels.
+        points_px : (..., 2) array_like, px; pixels
 
         Returns
         -------
@@ -104,10 +102,8 @@ def ifov_rad(model: CameraModel, points_px: ArrayLike) -> Float:
 
     Parameters
     ----------
-    model : CameraModel
-        Any camera model.
-    points_px : (..., 2) array_like, px
-        Pixels.
+    model : CameraModel; any camera model
+    points_px : (..., 2) array_like, px; pixels
 
     Returns
     -------

@@ -27,14 +27,12 @@ _SAME_LETTERS = frozenset({"pinhole", "brown", "opencv"})
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Conversion(Value):
-    """A camera model of another type, with its residuals against the original.
-
-    residuals_px: (rows, columns, 2); pixel of the fitted model minus pixel of the original, for the same direction; NaN
-        where one of them has none.
-    """
+    """A camera model of another type, with its residuals against the original."""
 
     model: AffineModel  # the fitted model; temperature terms as in the original
     points_px: Float  # (rows, columns, 2); grid of pixels at which the two are compared
+    # (rows, columns, 2); pixel of the fitted model minus pixel of the original, for the same direction; NaN where one
+    # of them has none
     residuals_px: Float
 
     @property

@@ -24,8 +24,7 @@ class FisheyeModel(AxialModel):
     ----------
     fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float
         See :class:`~giantlike.camera_models.affine.AffineModel`.
-    k1, k2, k3, k4 : float
-        Coefficients of the powers 2, 4, 6, 8 of the ideal radius.
+    k1, k2, k3, k4 : float; coefficients of the powers 2, 4, 6, 8 of the ideal radius
     """
 
     parameter_names: ClassVar[tuple[str, ...]] = (*AFFINE_NAMES, "k1", "k2", "k3", "k4", *TEMPERATURE_NAMES)
@@ -90,8 +89,7 @@ class EquidistantModel(FisheyeModel):
     ----------
     fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float
         See :class:`~giantlike.camera_models.affine.AffineModel`.
-    k1, k2, k3, k4 : float
-        Coefficients of the angle's powers 2, 4, 6, 8, relative to the angle.
+    k1, k2, k3, k4 : float; coefficients of the angle's powers 2, 4, 6, 8, relative to the angle
 
     References
     ----------
@@ -119,8 +117,7 @@ class EquisolidModel(FisheyeModel):
     ----------
     fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float
         See :class:`~giantlike.camera_models.affine.AffineModel`.
-    k1, k2, k3, k4 : float
-        Coefficients of the ideal radius's powers 2, 4, 6, 8, relative to it.
+    k1, k2, k3, k4 : float; coefficients of the ideal radius's powers 2, 4, 6, 8, relative to it
     """
 
     type_name: ClassVar[str] = "equisolid"

@@ -33,14 +33,10 @@ class GridCorrectedModel(Value):
 
     Parameters
     ----------
-    base : AffineModel
-        Any lens model.
-    corner_px : (2,) float64, px
-        Corner of the frame that the spline covers.
-    step_px : float, px
-        Spacing of the control values.
-    dx_px, dy_px : (rows, columns) float64, px
-        Control values of the displacement, at least 4 by 4.
+    base : AffineModel; any lens model
+    corner_px : (2,) float64, px; corner of the frame that the spline covers
+    step_px : float, px; spacing of the control values
+    dx_px, dy_px : (rows, columns) float64, px; control values of the displacement, at least 4 by 4
 
     Raises
     ------

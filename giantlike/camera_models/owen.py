@@ -27,10 +27,8 @@ class OwenModel(PlaneModel):
     e1, e3 : float
         Pinwheel coefficients of r and r^3, for an image plane at unit distance (files in millimeters are converted
         by powers of the focal length on import).
-    e2, e4 : float
-        Radial coefficients of r^2 and r^4.
-    e5, e6 : float
-        Tip/tilt of the detector, along y and along x.
+    e2, e4 : float; radial coefficients of r^2 and r^4
+    e5, e6 : float; tip/tilt of the detector, along y and along x
 
     References
     ----------

@@ -51,8 +51,7 @@ def model_from_mapping(table: Mapping[str, Any]) -> CameraModel:
 
     Parameters
     ----------
-    table : mapping
-        ``type`` and the parameters of that type; parameters with a default may be absent.
+    table : mapping; ``type`` and the parameters of that type; parameters with a default may be absent
 
     Raises
     ------

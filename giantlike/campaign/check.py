@@ -348,11 +348,9 @@ def _evaluate(check: _Check, campaign: Campaign, shapes: Mapping[str, Shape], *,
 
 @dataclass(slots=True)
 class _Seen:
-    """Predictions of a target in the images opened so far.
+    """Predictions of a target in the images opened so far."""
 
-    ranges_km: by image; outside_px: distance from the image by image; other_px: the same with states in ECLIPJ2000.
-    """
-
+    # by image; outside_px: distance from the image by image; other_px: the same with states in ECLIPJ2000
     ranges_km: dict[str, float] = field(default_factory=dict)
     outside_px: list[float] = field(default_factory=list)
     other_px: list[float] = field(default_factory=list)

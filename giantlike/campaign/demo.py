@@ -67,15 +67,12 @@ _WHY = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Goal:
-    """A requirement on the demonstration.
-
-    low, high: limits, inclusive.
-    """
+    """A requirement on the demonstration."""
 
     text: str
     value: float  # value reached; NaN if nothing could be measured
     high: float
-    low: float = 0.0
+    low: float = 0.0  # low, high: limits, inclusive
     unit: str = ""
 
     @property

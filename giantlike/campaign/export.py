@@ -108,23 +108,19 @@ EXPORT_NAMES: Mapping[ExportFormat, str] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportOptions:
-    """Options of an export.
-
-    frame_name: CK and AEM: name of the camera frame; default: the mission's frame, or the name of the camera.
-    object_name, object_id, originator: AEM: see :func:`~giantlike.io.ccsds_aem.write_aem`. TDM, PSF: the spacecraft,
-        and who writes the message.
-    spacecraft_id, target_id: SPK: NAIF codes; that of the target for a run with one, by default by its name.
-    landmarks: SUMFILE: catalog of landmarks or folder of their maps, of which LMK files are written.
-    """
+    """Options of an export."""
 
     pointing: PointingSource = PointingSource.STARS
     suspect: bool = False  # write suspect attitudes as well
     stars_only: bool = False  # leave out attitudes that were transferred from other images
     max_gap_s: float = 600.0  # CK, AEM and SPK: longest gap to interpolate over. The default is not from a study.
     instrument_id: int | None = None  # CK: NAIF code of the camera frame
+    # CK and AEM: name of the camera frame; default: the mission's frame, or the name of the camera
     frame_name: str | None = None
     sclk: Path | None = None  # CK: clock kernel of the spacecraft; without it, one is made
     ck_type: int = 3  # CK: 3, continuous, or 1, discrete
+    # object_name, object_id, originator: AEM: see ``giantlike.io.ccsds_aem.write_aem``. TDM, PSF: the spacecraft, and
+    # who writes the message
     object_name: str = "UNKNOWN"
     object_id: str = "UNKNOWN"
     originator: str = "UNKNOWN"
@@ -132,8 +128,10 @@ class ExportOptions:
     inertial: InertialFrame = InertialFrame.ICRF  # AEM, TDM: name of the inertial axes
     sip_order: int = 5  # WCS: order of the polynomials, 2 to 9
     ades: Path | None = None  # ADES: TOML file with a table ``[ades]``, such as the campaign file
+    # spacecraft_id, target_id: SPK: NAIF codes; that of the target for a run with one, by default by its name
     spacecraft_id: int | None = None
     target_id: int | None = None
+    # SUMFILE: catalog of landmarks or folder of their maps, of which LMK files are written
     landmarks: Path | None = None
 
     def __post_init__(self) -> None:

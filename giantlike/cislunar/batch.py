@@ -29,17 +29,14 @@ from giantlike.core.values import Value
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BatchSolution(Value):
-    """States at both ends of an arc.
-
-    squared_residual: normalized by the covariance of all data and of the a priori state: its mean is the number of
-        measurements.
-    """
+    """States at both ends of an arc."""
 
     first_mean: Float  # first_mean, last_mean: (21,); at the start, and at the last image
     last_mean: Float
     covariance_first: Float  # covariance_first, covariance_last: (21, 21); of their errors
     covariance_last: Float
     residuals: Float  # (m, 3); measured minus predicted
+    # normalized by the covariance of all data and of the a priori state: its mean is the number of measurements
     squared_residual: float
     iterations: int
 
@@ -60,12 +57,10 @@ def estimate_batch(
     start : FilterState
         A priori estimate of one spacecraft, not later than the first image. All states are estimated, and nothing is
         edited.
-    observations : sequence of BodyObservation
-        In order of time, at least one.
+    observations : sequence of BodyObservation; in order of time, at least one
     model : FilterModel
     most_iterations : int
-    settled_sigmas : float
-        Iterations end when no state moves by more of its sigma.
+    settled_sigmas : float; iterations end when no state moves by more of its sigma
 
     Returns
     -------

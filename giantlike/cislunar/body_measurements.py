@@ -113,11 +113,9 @@ def range_sigma(range_km: ArrayLike, radius_km: float, diameter_px: ArrayLike, d
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TangentCamera(Value):
-    """Pixels of an ideal camera and the tangents of angles.
+    """Pixels of an ideal camera and the tangents of angles."""
 
-    focal_px: (2,); focal length over pixel pitch along x and y; negative where a coordinate grows against its tangent.
-    """
-
+    # (2,); focal length over pixel pitch along x and y; negative where a coordinate grows against its tangent
     focal_px: Float
     principal_px: Float  # (2,); pixel of the boresight
 

@@ -58,14 +58,10 @@ class FilterModel(Value):
     sigmas : (15,) float64
         Steady standard deviations of the parameters: attitude, rad; unmodeled acceleration, km/s^2; accelerometer
         bias, km/s^2, and scale; optical biases of the two tangents and of the disk diameter.
-    time_constants_s : (15,) float64, s
-        Of the parameters; infinite for constants.
-    considered : (21,) bool
-        States that are not estimated.
-    edit_sigmas : float
-        A measurement farther from its prediction is left out.
-    longest_step_s : float, s
-        Longer coasts are divided.
+    time_constants_s : (15,) float64, s; of the parameters; infinite for constants
+    considered : (21,) bool; states that are not estimated
+    edit_sigmas : float; a measurement farther from its prediction is left out
+    longest_step_s : float, s; longer coasts are divided
     """
 
     dynamics: PointMasses = field(default_factory=cislunar)
@@ -94,8 +90,7 @@ class FilterState(Value):
     Parameters
     ----------
     et : float, TDB seconds past J2000
-    mean : (..., 21) float64
-        Position and velocity from the central body, km and km/s; parameters.
+    mean : (..., 21) float64; position and velocity from the central body, km and km/s; parameters
     factors : UduFactors
         Of the covariance of the error; the attitude error is a small rotation about the camera axes that follows the
         estimated one.
@@ -239,14 +234,10 @@ class BodyObservation(Value):
     Parameters
     ----------
     et : float, TDB seconds past J2000
-    measured : (..., 3) float64
-        Tangents of the two angles, and the range in km.
-    variances : (..., 3) float64
-        Of independent noise.
-    camera_from_inertial : (..., 3, 3) float64
-        As declared; the true one is the rotation by the attitude error after it.
-    body_position_km : (3,) float64, km
-        Apparent place of the body relative to the central body of the flight.
+    measured : (..., 3) float64; tangents of the two angles, and the range in km
+    variances : (..., 3) float64; of independent noise
+    camera_from_inertial : (..., 3, 3) float64; as declared; the true one is the rotation by the attitude error after it
+    body_position_km : (3,) float64, km; apparent place of the body relative to the central body of the flight
     radius_km : float, km
     """
 
@@ -286,12 +277,10 @@ def predict_measurement(observation: BodyObservation, mean: Float) -> tuple[Floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Innovations(Value):
-    """Measured minus predicted values, one after the other.
+    """Measured minus predicted values, one after the other."""
 
-    values, variances: (..., 3); each given those before it, with its variance: independent where the filter is
-        consistent.
-    """
-
+    # values, variances: (..., 3); each given those before it, with its variance: independent where the filter is
+    # consistent
     values: Float
     variances: Float
     used: Mask  # (..., 3); False where the measurement was left out
@@ -308,8 +297,7 @@ def measurement_update(
 
     Parameters
     ----------
-    state : FilterState
-        At the time of the image.
+    state : FilterState; at the time of the image
     observation : BodyObservation
     model : FilterModel
 

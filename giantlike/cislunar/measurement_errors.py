@@ -24,14 +24,10 @@ class BodyErrorModel(Value):
 
     Parameters
     ----------
-    noise_px : (3,) float64, px
-        Sigmas of a smooth body, or of a distant body.
-    relief_px_km : (3,) float64, px km
-        Sigma of relief, times the focal length.
-    bias_px : (3,) float64, px
-        Bias of a distant body.
-    bias_px_km : (3,) float64, px km
-        Bias that shrinks with the range, times the focal length.
+    noise_px : (3,) float64, px; sigmas of a smooth body, or of a distant body
+    relief_px_km : (3,) float64, px km; sigma of relief, times the focal length
+    bias_px : (3,) float64, px; bias of a distant body
+    bias_px_km : (3,) float64, px km; bias that shrinks with the range, times the focal length
 
     References
     ----------

@@ -38,8 +38,7 @@ def udu_factors(covariance: ArrayLike) -> UduFactors:
 
     Parameters
     ----------
-    covariance : (..., n, n) array_like
-        Symmetric and positive semi-definite; a variance may be zero.
+    covariance : (..., n, n) array_like; symmetric and positive semi-definite; a variance may be zero
 
     Raises
     ------

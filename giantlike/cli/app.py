@@ -15,12 +15,10 @@ from giantlike.cli.outcome import command
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A command: the function with its arguments, or a group of commands.
-
-    module, function: module in ``giantlike.cli``, and the function in it that returns an exit code; empty for a group.
-    """
+    """A command: the function with its arguments, or a group of commands."""
 
     summary: str  # line in the list of commands
+    # module, function: module in ``giantlike.cli``, and the function in it that returns an exit code; empty for a group
     module: str = ""
     function: str = ""
     commands: Mapping[str, Entry] = field(default_factory=dict)  # those of a group

@@ -40,10 +40,7 @@ class DetectedImage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectRequest:
-    """Options of a search for sources, shared by all images.
-
-    psf: estimate a point spread function of this kind from each image, and the positions of stars with it.
-    """
+    """Options of a search for sources, shared by all images."""
 
     camera: Camera | None = None  # its PSF and detector are used, and images of another size fail
     psf_sigma_px: float | None = None  # instead of the camera's; by default it is estimated from each image
@@ -51,6 +48,7 @@ class DetectRequest:
     hdu: int | str | None = None  # of FITS files
     reader: ImageReader  # opens the images
     sequence: bool = False  # the images are of one camera: a fixed pattern is removed, and detections are compared
+    # estimate a point spread function of this kind from each image, and the positions of stars with it
     psf: PsfKind | None = None
     psf_degree: int = 0  # of the polynomials with which it varies over the field
     options: DetectionOptions = field(default_factory=DetectionOptions)

@@ -32,12 +32,10 @@ _LARGEST_PX = 8192  # 64 megapixels; bounds the memory of a picture
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureView:
-    """Viewing and illumination geometry of a picture of a shape.
-
-    longitude_deg, latitude_deg: east longitude and latitude of the point that faces the camera; body north is up.
-    """
+    """Viewing and illumination geometry of a picture of a shape."""
 
     phase_deg: float  # angle at the body between Sun and camera; the Sun is to the right
+    # longitude_deg, latitude_deg: east longitude and latitude of the point that faces the camera; body north is up
     longitude_deg: float
     latitude_deg: float
     size_px: int

@@ -53,14 +53,11 @@ class Detector:
 
     Parameters
     ----------
-    gain_e_per_dn : float, electron/DN
-        Electrons per number; 1 by default, so that numbers count electrons.
+    gain_e_per_dn : float, electron/DN; electrons per number; 1 by default, so that numbers count electrons
     read_noise_e : float, electron
         Standard deviation of the read noise. The default, 5, is used until the camera file gives the measured value.
-    saturation_dn : float, DN
-        Pixels at or above this value are saturated; infinite when unknown.
-    bias_dn : float, DN
-        Value of a pixel without light.
+    saturation_dn : float, DN; pixels at or above this value are saturated; infinite when unknown
+    bias_dn : float, DN; value of a pixel without light
     step_dn : float, DN, optional
         Step of the converter; ``step_dn**2 / 12`` is the variance of quantization. Default: the step of the pixels of
         each image (:meth:`of_image`), and 1 without an image.
@@ -71,8 +68,7 @@ class Detector:
     frame_noise_dn : float, DN
         Standard deviation that calibration frames (bias, dark) and the shot noise of the dark current leave in
         calibrated pixels.
-    relative_noise : float
-        Standard deviation of the response of a pixel that a flat leaves, relative to the signal.
+    relative_noise : float; standard deviation of the response of a pixel that a flat leaves, relative to the signal
     gamma : float or 'srgb', optional
         Coding of the values: the exponent of the value that gives the signal, such as 2.2, or ``"srgb"``. Values are
         then linearized before they are used (:meth:`giantlike.image.Image.linearized`); gain, read noise and limits

@@ -21,8 +21,7 @@ class FrameMismatchError(InputError):
 
     Parameters
     ----------
-    have, need : str
-        Names of the frame that came and of the one that was needed.
+    have, need : str; names of the frame that came and of the one that was needed
     """
 
     def __init__(self, have: str, need: str) -> None:
@@ -36,10 +35,8 @@ class DataError(OpNavError):
 
     Parameters
     ----------
-    path : path-like
-        The file.
-    problem : str
-        What was expected there, what was found and what to do.
+    path : path-like; the file
+    problem : str; what was expected there, what was found and what to do
     """
 
     def __init__(self, path: str | Path, problem: str) -> None:

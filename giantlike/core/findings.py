@@ -202,20 +202,19 @@ class Corrections(_Stated):
 
     Numbers are rounded to the digits with which the provenance of the fix reports them, so that a fix recomputed from
     its provenance is the same. ``one | other`` has the corrections of both; the second takes precedence.
-
-    limb_altitude_km: altitude above the shape at which the limb is seen.
-    altitude_sigma_km: standard deviation of the altitude, by haze or an atmosphere.
-    limb_blur_px2: variance of the blur of the limb in excess of the camera's.
-    seen_size: ratio of the size of the body to its size at the predicted range, of fixes without a range.
     """
 
     response: Response | None = None  # response by which values were linearized
     smear: Smear | None = None  # motion of the body in the image during the exposure
     trails: Trails | None = None  # charge that arrives late
     turn: Turn | None = None  # rotation of the body from its declared orientation
+    # altitude above the shape at which the limb is seen
     limb_altitude_km: float | None = field(default=None, metadata={"digits": 6})
+    # standard deviation of the altitude, by haze or an atmosphere
     altitude_sigma_km: float | None = field(default=None, metadata={"digits": 6})
+    # variance of the blur of the limb in excess of the camera's
     limb_blur_px2: float | None = field(default=None, metadata={"digits": 4})
+    # ratio of the size of the body to its size at the predicted range, of fixes without a range
     seen_size: float | None = field(default=None, metadata={"digits": 6})
 
     def __post_init__(self) -> None:
@@ -229,22 +228,20 @@ class Corrections(_Stated):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Findings(_Stated):
-    """Outcomes of the checks of a fix; None, or empty, for checks that were not made.
+    """Outcomes of the checks of a fix; None, or empty, for checks that were not made."""
 
-    terrain_mean_km: mean altitude, by a height map, of the ground at the limb.
-    terrain_log_odds: logarithm of the Bayes factor of the height map against a smooth limb.
-    terrain_misfit: RMS of the limb residuals, normalized by noise and the errors of the height map.
-    checks: statistics of the tests made on every fix, see :class:`~giantlike.relative.judge.Judgement`, and the
-        variance inflation factor that they gave (``tension``).
-    agreement: p-value of the difference of these two fixes.
-    """
-
+    # mean altitude, by a height map, of the ground at the limb
     terrain_mean_km: float | None = field(default=None, metadata={"digits": 6})
+    # logarithm of the Bayes factor of the height map against a smooth limb
     terrain_log_odds: float | None = field(default=None, metadata={"digits": 3})
+    # RMS of the limb residuals, normalized by noise and the errors of the height map
     terrain_misfit: float | None = field(default=None, metadata={"digits": 3})
+    # statistics of the tests made on every fix, see ``giantlike.relative.judge.Judgement``, and the variance inflation
+    # factor that they gave (``tension``)
     checks: Mapping[str, float] = field(default_factory=dict, metadata={"digits": 3})
     chosen: str = ""  # chosen, because: estimator that ``auto`` chose, and the reason
     because: str = ""
     checked_by: str = ""  # estimators whose fixes confirm the chosen one
+    # p-value of the difference of these two fixes
     agreement: float | None = field(default=None, metadata={"digits": 3})
     weight: float | None = field(default=None, metadata={"digits": 3})  # weight of the first of two fixes in their mean

@@ -14,10 +14,8 @@ class ObserverState(Value):
 
     Parameters
     ----------
-    position_km : (3,) float64, km
-        Position.
-    velocity_km_s : (3,) float64, km/s
-        Velocity.
+    position_km : (3,) float64, km; position
+    velocity_km_s : (3,) float64, km/s; velocity
 
     Raises
     ------

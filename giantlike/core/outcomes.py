@@ -29,12 +29,9 @@ class Failure:
 
     Parameters
     ----------
-    reason : Reason
-        Kind of failure.
-    detail : str
-        One line: the requirement, the finding, and the remedy.
-    not_applicable : bool
-        True where the estimator is not made for such a body, whatever the image shows.
+    reason : Reason; kind of failure
+    detail : str; one line: the requirement, the finding, and the remedy
+    not_applicable : bool; True where the estimator is not made for such a body, whatever the image shows
     """
 
     reason: Reason
@@ -60,8 +57,7 @@ class AttitudeErrors(Value):
     by_camera : (3, m) float64, rad per unit of each parameter, optional
         Derivative of ``e`` by the parameters of the camera model, in the order of their names: an attitude from stars
         depends on errors of the camera. None where it does not, or where this is unknown.
-    flags : Quality
-        Flags of the attitude that fixes made with it inherit.
+    flags : Quality; flags of the attitude that fixes made with it inherit
     """
 
     parts: Mapping[Cause, Float] = field(default_factory=dict)
@@ -88,42 +84,30 @@ class AttitudeFix(Pictured, Estimate):
 
     Parameters
     ----------
-    camera_from_inertial : scipy Rotation
-        Takes ICRF vectors to camera axes.
+    camera_from_inertial : scipy Rotation; takes ICRF vectors to camera axes
     covariance_rad2 : (3, 3) float64, rad^2
         Of the small rotation ``e`` about the camera axes with
         ``camera_from_inertial_true = Rotation.from_rotvec(e) * camera_from_inertial``.
-    star_ids : (n,) int64
-        Catalog identifiers of the stars used.
-    detection_indices : (n,) int64
-        Indices of the matched detections.
+    star_ids : (n,) int64; catalog identifiers of the stars used
+    detection_indices : (n,) int64; indices of the matched detections
     observed_px, predicted_px : (n, 2) float64, px
         Measured centroids; catalog stars projected with the fixed attitude and the camera model.
-    sigma_px : (n,) float64, px
-        Standard deviation per axis used to weight each star.
-    magnitudes : (n,) float64
-        Catalog magnitudes.
-    n_detected, n_rejected : int
-        Detections offered to identification; tentative matches thrown out as outliers.
-    false_match_probability : float
-        Bound on the probability that the whole identification is a chance match.
+    sigma_px : (n,) float64, px; standard deviation per axis used to weight each star
+    magnitudes : (n,) float64; catalog magnitudes
+    n_detected, n_rejected : int; detections offered to identification; tentative matches thrown out as outliers
+    false_match_probability : float; bound on the probability that the whole identification is a chance match
     focal_length_px : float, px
         Focal length along x of the camera model used (the refined one, where the scale was estimated too).
-    fov_deg : float, deg
-        Field of view along x of the camera model used: ``2 atan(columns / (2 fx))``.
-    rejected_px : (n_rejected, 2) float64, px
-        Measured centroids of the matches thrown out.
-    camera_name : str
-        Name of the camera whose axes the attitude refers to; empty when unknown.
+    fov_deg : float, deg; field of view along x of the camera model used: ``2 atan(columns / (2 fx))``
+    rejected_px : (n_rejected, 2) float64, px; measured centroids of the matches thrown out
+    camera_name : str; name of the camera whose axes the attitude refers to; empty when unknown
     flags : Quality
-    provenance : mapping of str to str
-        Versions and hashes of the inputs of the fix.
+    provenance : mapping of str to str; versions and hashes of the inputs of the fix
     parts : mapping of Cause to (3, 3) float64, rad^2
         Terms of ``covariance_rad2`` by cause (noise, camera, aberration, epoch); empty when all is noise.
     by_camera : (3, m) float64, rad per unit of each parameter, optional
         Derivative of ``e`` by the parameters of the camera model, in the order of their names.
-    star_names : tuple of n str
-        Proper names of the stars used, empty for those that have none.
+    star_names : tuple of n str; proper names of the stars used, empty for those that have none
     notes : tuple of str
         Sentences on errors of the inputs that the solution shows: of the a priori attitude, or of the distortion.
     """
@@ -190,24 +174,18 @@ class CenterFix(Pictured, Estimate):
 
     Parameters
     ----------
-    estimator, target : str
-        Names as in the tables.
-    center_px : (2,) float64, px
-        Measured center, in the distorted image.
+    estimator, target : str; names as in the tables
+    center_px : (2,) float64, px; measured center, in the distorted image
     covariance_px2 : (2, 2) float64, px^2
         Covariance of the position in the image: noise and the model errors that move the measured center, the causes of
         :data:`~giantlike.core.causes.IN_IMAGE`. Errors of the camera model, the attitude and the ephemeris of the
         target do not move it and are not included.
-    predicted_px : (2,) float64, px
-        Center predicted from the a priori geometry.
+    predicted_px : (2,) float64, px; center predicted from the a priori geometry
     residuals : (n,) float64
         Post-fit residuals in the estimator's own unit (px for limbs, relative brightness for templates).
-    n_used, n_rejected : int
-        Observations (pixels, limb points, detections) kept and thrown out.
-    score : float
-        Goodness of fit, as defined by the estimator.
-    flags : Quality
-        Quality flags.
+    n_used, n_rejected : int; observations (pixels, limb points, detections) kept and thrown out
+    score : float; goodness of fit, as defined by the estimator
+    flags : Quality; quality flags
     provenance : mapping of str to str
         Versions and hashes of all inputs of the fix, and the texts of ``corrections`` and ``findings``.
     parts : mapping of Cause to (k, k) float64
@@ -222,10 +200,8 @@ class CenterFix(Pictured, Estimate):
         the uncertain parameters of the camera, stars that follow them included.
     residuals_at_px : (n, 2) float64, px
         Position in the image of each of the ``residuals``; empty where the estimator gives none.
-    corrections : Corrections
-        Other effects in the image that the fix corrects for.
-    findings : Findings
-        Outcomes of its checks.
+    corrections : Corrections; other effects in the image that the fix corrects for
+    findings : Findings; outcomes of its checks
 
     Raises
     ------
@@ -302,8 +278,7 @@ class BodyTurn(Value):
     ----------
     turn_rad : float, rad
         Rotation of the observed body from its a priori orientation, about the direction from the camera to it.
-    center_px : (2,) float64, px
-        Position of its center with this rotation.
+    center_px : (2,) float64, px; position of its center with this rotation
     covariance : (3, 3) float64
         Of x and y in px and of the rotation in rad, by noise and the errors of the shape. The a priori orientation does
         not enter; the errors of the camera model are in the variance of the rotation alone.
@@ -334,8 +309,7 @@ class PositionFix(CenterFix):
         Points in the image, for overlays: the limb points used, landmarks used, or the outline of a template.
     limb_rejected_px : (k, 2) float64, px
         Points of the illuminated limb that were not used, as measured or, failing that, as predicted.
-    turn : BodyTurn or None
-        Rotation of the body about the line of sight, of estimators that measure it.
+    turn : BodyTurn or None; rotation of the body about the line of sight, of estimators that measure it
     """
 
     position_camera_km: Float

@@ -42,22 +42,15 @@ class Photometry(Value):
     zero_point_e_s : float, electron/s
         Signal of a star of magnitude 0 and BP-RP 1 on the optical axis. The default suits the demonstration: a star of
         magnitude 8.5 gives 400 electrons in 5 s.
-    band : str
-        Band of the magnitudes.
-    color_term : float, mag/mag
-        Change with BP-RP.
+    band : str; band of the magnitudes
+    color_term : float, mag/mag; change with BP-RP
     field_term_mag : float, mag
         Change from the axis to ``field_angle_deg``, with the square of the angle; negative where the field darkens.
-    field_angle_deg : float, degrees
-        Angle from the axis at which ``field_term_mag`` is stated.
-    covariance_mag2 : (3, 3), mag^2
-        Covariance of zero point, color term and field term; zeros where they are exact.
-    scatter_mag : float, mag
-        Standard deviation of single stars about the relation, beyond their noise.
-    epoch : str
-        UTC at which it was measured, ISO 8601.
-    sun_magnitude : float, mag, optional
-        Of the Sun at 1 au in ``band``; by default that of :data:`SUN_MAGNITUDES`.
+    field_angle_deg : float, degrees; angle from the axis at which ``field_term_mag`` is stated
+    covariance_mag2 : (3, 3), mag^2; covariance of zero point, color term and field term; zeros where they are exact
+    scatter_mag : float, mag; standard deviation of single stars about the relation, beyond their noise
+    epoch : str; UTC at which it was measured, ISO 8601
+    sun_magnitude : float, mag, optional; of the Sun at 1 au in ``band``; by default that of :data:`SUN_MAGNITUDES`
 
     Raises
     ------
@@ -100,10 +93,8 @@ class Photometry(Value):
         Parameters
         ----------
         aperture_m2 : float, m^2
-        shortest_um, longest_um : float, um
-            Pass band.
-        quantum_efficiency : float
-            Mean over the pass band, with the transmission of the optics.
+        shortest_um, longest_um : float, um; pass band
+        quantum_efficiency : float; mean over the pass band, with the transmission of the optics
         **others
             Other fields.
 

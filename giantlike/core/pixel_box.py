@@ -66,16 +66,14 @@ class PixelBox:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BoxPixels(Value):
-    """Pixels of an image or a box of it, and their noise.
-
-    censored: (h, w); saturated and not bad: the pixel is at least as bright as its value. None without such pixels.
-    noise_variance_dn2: variance, DN^2, of the noise of pixels for a given signal of the body.
-    """
+    """Pixels of an image or a box of it, and their noise."""
 
     values_dn: Float  # (h, w); bias subtracted
     usable: Mask  # (h, w); neither bad nor saturated
+    # (h, w); saturated and not bad: the pixel is at least as bright as its value. None without such pixels
     censored: Mask | None = None
     corner_px: tuple[int, int] = (0, 0)  # column and row of the first element in the image
+    # variance, DN^2, of the noise of pixels for a given signal of the body
     noise_variance_dn2: Callable[[Float], Float]
 
     def cut(self, box: PixelBox) -> BoxPixels:

@@ -81,12 +81,9 @@ def _common_step(differences: Float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EightBitValues:
-    """Values of an 8-bit JPEG or PNG file, gray or the luminance of its colors; they may be coded for display.
+    """Values of an 8-bit JPEG or PNG file, gray or the luminance of its colors; they may be coded for display."""
 
-    step_dn: step of quantization, of variance ``step_dn**2 / 12``: 1, or smaller for the weighted mean of three
-        channels.
-    """
-
+    # step of quantization, of variance ``step_dn**2 / 12``: 1, or smaller for the weighted mean of three channels
     step_dn: float = 1.0
 
     @property
@@ -97,18 +94,15 @@ class EightBitValues:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstimatedNoise:
-    """Noise of an image whose detector is not declared, as its own pixels show it.
-
-    in_sky: the read noise was measured in the sky. False where the sky is constant, as in clipped images: it is then
-        the standard deviation of quantization, or 5 steps where the signal has no noise either.
-    in_light: the gain was measured in the smoothest bright parts. False where too few pixels are bright, or where their
-        noise is lower than the noise of the sky: the read noise is then assumed to be :data:`UNKNOWN_READ_NOISE_E`
-        electrons.
-    """
+    """Noise of an image whose detector is not declared, as its own pixels show it."""
 
     read_noise_dn: float  # standard deviation of a pixel without signal, quantization not included
     gain_e_per_dn: float  # ratio of the signal to the variance that it adds
+    # the read noise was measured in the sky. False where the sky is constant, as in clipped images: it is then the
+    # standard deviation of quantization, or 5 steps where the signal has no noise either
     in_sky: bool
+    # the gain was measured in the smoothest bright parts. False where too few pixels are bright, or where their noise
+    # is lower than the noise of the sky: the read noise is then assumed to be ``UNKNOWN_READ_NOISE_E`` electrons
     in_light: bool
 
     def __str__(self) -> str:

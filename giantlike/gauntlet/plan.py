@@ -45,17 +45,15 @@ Readout = Callable[[Float, np.random.Generator], Float]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class World(Value):
-    """An image as it comes about.
-
-    position_camera_km: of the target, whether it is in the image or not.
-    sun: in camera axes; unit vector from the body to the Sun.
-    """
+    """An image as it comes about."""
 
     view: PinholeView  # the camera
     attitude: Rotation  # ``camera_from_inertial``
     body: Body | None = None  # the target; None where it is not in the image at all
+    # of the target, whether it is in the image or not
     position_camera_km: Float = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     camera_from_body: Rotation = field(default_factory=Rotation.identity)
+    # in camera axes; unit vector from the body to the Sun
     sun: Float = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
     law: str = "mcewen"
     psf: Psf = field(default_factory=lambda: Psf(PSF_PX))
@@ -86,21 +84,18 @@ class World(Value):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Told(Value):
-    """A priori data for the estimators, with declared uncertainties.
-
-    position_camera_km: in true camera axes; prediction, before the error of the attitude.
-    attitude_error: ``told camera_from_inertial = attitude_error * true camera_from_inertial``.
-    mask: bad pixels that are declared: from the pixels that were read (rows, columns) to (rows, columns) bool.
-    """
+    """A priori data for the estimators, with declared uncertainties."""
 
     shape: Shape | None = None  # None without a target
     law: str = "mcewen"
     psf_px: float = PSF_PX
+    # in true camera axes; prediction, before the error of the attitude
     position_camera_km: Float = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
     camera_from_body: Rotation = field(default_factory=Rotation.identity)  # before the error of the attitude
     sun: Float = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))  # in true camera axes
     ephemeris_sigma_km: float = 0.0  # 0 where it is not declared
     scale_sigma: float = 0.0  # relative
+    # ``told camera_from_inertial = attitude_error * true camera_from_inertial``
     attitude_error: Rotation = field(default_factory=Rotation.identity)
     attitude_sigma_deg: float = ATTITUDE_SIGMA_DEG  # declared
     focal_factor: float = 1.0  # ratio of the assumed to the true focal length
@@ -108,6 +103,7 @@ class Told(Value):
     focal_sigma: float = FOCAL_SIGMA  # declared, relative
     saturation_dn: float = FULL_DN  # declared
     dn_scale: float = 1.0  # DN of the image for each DN of the detector: below 1 after requantization
+    # bad pixels that are declared: from the pixels that were read (rows, columns) to (rows, columns) bool
     mask: Callable[[Float], Any] | None = None
     observer_known: bool = True  # False where the velocity of the observer is not declared
     observer_factor: float = 1.0  # ratio of the assumed to the true velocity
@@ -133,11 +129,9 @@ class Plan(Value):
 
 @dataclass(frozen=True, kw_only=True)
 class Base:
-    """Limits from which the undisturbed image is drawn.
+    """Limits from which the undisturbed image is drawn."""
 
-    diameter_px: minimum and maximum, drawn uniformly in the logarithm; rocks only up to :data:`LARGEST_ROCK_PX`.
-    """
-
+    # minimum and maximum, drawn uniformly in the logarithm; rocks only up to ``LARGEST_ROCK_PX``
     diameter_px: tuple[float, float] = (20.0, 250.0)
     phase_deg: tuple[float, float] = (5.0, 125.0)  # smallest and largest
     rocks: float = 0.3  # fraction of bodies of irregular shape

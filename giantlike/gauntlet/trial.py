@@ -59,27 +59,20 @@ class TrialRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """Outcome of an estimator, in numbers.
+    """Outcome of an estimator, in numbers."""
 
-    status: ok, suspect, failed or raised.
-    sigmas: largest error over its sigma.
-    error_px, sigma_px: of the center: length of the error, and sigma by axis.
-    range_error, range_sigma: relative; NaN where the range is not estimated. Of stars, of the roll in px at the edge of
-        the frame.
-    center_sigmas, range_sigmas: errors / sigmas.
-    prior_px, prior_range: sigmas of the errors declared with the image.
-    """
-
-    status: str
+    status: str  # ok, suspect, failed or raised
     reason: str = ""
     detail: str = ""
-    error_px: float = math.nan
+    error_px: float = math.nan  # error_px, sigma_px: of the center: length of the error, and sigma by axis
     sigma_px: float = math.nan
+    # range_error, range_sigma: relative; NaN where the range is not estimated. Of stars, of the roll in px at the edge
+    # of the frame
     range_error: float = math.nan
     range_sigma: float = math.nan
-    center_sigmas: float = math.nan
+    center_sigmas: float = math.nan  # center_sigmas, range_sigmas: errors / sigmas
     range_sigmas: float = math.nan
-    prior_px: float = 0.0
+    prior_px: float = 0.0  # prior_px, prior_range: sigmas of the errors declared with the image
     prior_range: float = 0.0
     cpu_s: float = 0.0
 

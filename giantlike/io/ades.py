@@ -39,15 +39,12 @@ _UTC = re.compile(r"\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2}(\.\d{1,6})?")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AdesContext:
-    """Observatory, people and telescope of a submission.
-
-    design, detector: of the telescope, such as ``Refractor`` and ``CCD``.
-    """
+    """Observatory, people and telescope of a submission."""
 
     station: str  # code of the observatory, three or four characters
     submitter: str  # name, as initials and family name
     measurers: tuple[str, ...]  # names
-    design: str
+    design: str  # design, detector: of the telescope, such as ``Refractor`` and ``CCD``
     aperture_m: float  # its aperture
     detector: str = "CCD"
     star_catalog: str = "Gaia3"  # of the attitudes, one of :data:`STAR_CATALOGS`
@@ -68,10 +65,7 @@ class AdesContext:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AdesObservation(Value):
-    """One observation, astrometric: light time in, aberration out, in ICRF.
-
-    position_km, velocity_km_s: (3,); of the spacecraft from the geocenter, ICRF, geometric, at the epoch.
-    """
+    """One observation, astrometric: light time in, aberration out, in ICRF."""
 
     identification: tuple[str, str]  # name of the element (``permID``, ``provID`` or ``trkSub``) and its text
     epoch_utc: str  # mid-exposure, ISO 8601, to microseconds
@@ -80,6 +74,7 @@ class AdesObservation(Value):
     sigma_ra_arcsec: float  # of right ascension times the cosine of the declination
     sigma_dec_arcsec: float  # sigma_dec_arcsec, correlation: of the declination, and of both
     correlation: float
+    # position_km, velocity_km_s: (3,); of the spacecraft from the geocenter, ICRF, geometric, at the epoch
     position_km: Float
     velocity_km_s: Float
     position_covariance_km2: Float | None = None  # (3, 3), positive definite

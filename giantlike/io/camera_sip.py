@@ -31,11 +31,9 @@ _ORDERS = range(2, 10)  # the keywords have one digit for each power: Shupe et a
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SipCamera(Value):
-    """Camera and attitude of a TAN-SIP header.
+    """Camera and attitude of a TAN-SIP header."""
 
-    camera: ``rows_reversed`` where the header describes a mirrored array, as sky images stored from the bottom are.
-    """
-
+    # ``rows_reversed`` where the header describes a mirrored array, as sky images stored from the bottom are
     camera: ImportedCamera
     camera_from_inertial: Rotation  # attitude, boresight at CRVAL, x along increasing columns
     conversion: Conversion  # differences of the fitted lens from the polynomials, over the frame

@@ -39,8 +39,7 @@ def read_ephemeris_table(path: str | Path) -> EphemerisSamples:
 
     Parameters
     ----------
-    path : path-like
-        CSV file with the columns of :mod:`giantlike.io.ephemeris_table`.
+    path : path-like; CSV file with the columns of :mod:`giantlike.io.ephemeris_table`
 
     Raises
     ------

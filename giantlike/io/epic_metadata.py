@@ -35,10 +35,7 @@ _SAME_POINT_DEG = 1.0
 
 @reads("EPIC metadata")
 def read_epic(path: str | Path, images: Sequence[Path], targets: Mapping[str, str]) -> GeometryTable:
-    """Read the geometry of EPIC pictures.
-
-    Universal time is taken as UTC: 0.004 degrees of rotation at most.
-    """
+    """Read the geometry of EPIC pictures. Universal time is taken as UTC: 0.004 degrees of rotation at most."""
     path = Path(path)
     records = json.loads(path.read_text(encoding="utf-8"))
     check(isinstance(records, list) and all(isinstance(one, dict) for one in records), "needed a list of records")

@@ -89,12 +89,9 @@ def navigation_header(
 
     Parameters
     ----------
-    epoch : Time, optional
-        Mid-exposure: ``DATE-AVG``, to the microsecond, with ``TIMESYS = 'UTC'``.
-    exposure_s : float, s, optional
-        ``EXPTIME``.
-    camera_from_inertial : Rotation, optional
-        A priori attitude: ``GL_QX, GL_QY, GL_QZ, GL_QW``, scalar last.
+    epoch : Time, optional; mid-exposure: ``DATE-AVG``, to the microsecond, with ``TIMESYS = 'UTC'``
+    exposure_s : float, s, optional; ``EXPTIME``
+    camera_from_inertial : Rotation, optional; a priori attitude: ``GL_QX, GL_QY, GL_QZ, GL_QW``, scalar last
     observer_position_km, observer_velocity_km_s : (3,), km and km/s, ICRF, optional
         Spacecraft with respect to the solar system barycenter: ``GL_OBSX ... GL_OBSVZ``; both or none.
 
@@ -137,16 +134,13 @@ def write_fits(
 
     Parameters
     ----------
-    path : path-like
-        Replaced when it exists.
-    pixels : (rows, columns) integer or floating
-        Written in their own type; half precision is widened to float32.
+    path : path-like; replaced when it exists
+    pixels : (rows, columns) integer or floating; written in their own type; half precision is widened to float32
     header : mapping, optional
         Keywords (at most eight of A-Z, 0-9, ``_``, ``-``) and plain values, or values with a comment;
         :func:`navigation_header` makes those that are read back. Keywords that describe the structure of the file
         are refused.
-    extensions : mapping, optional
-        More HDUs by EXTNAME: a 2-D array becomes an image, a structured array a table.
+    extensions : mapping, optional; more HDUs by EXTNAME: a 2-D array becomes an image, a structured array a table
 
     Raises
     ------

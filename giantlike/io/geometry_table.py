@@ -65,10 +65,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GeometryRow(Value):
-    """One row of a geometry table; None for cells that are empty.
-
-    target_velocity_inertial_km_s: velocity of the target with respect to the barycenter when the light left it.
-    """
+    """One row of a geometry table; None for cells that are empty."""
 
     file: str  # as written in the table
     epoch: Time | None = None  # Mid-exposure
@@ -79,39 +76,36 @@ class GeometryRow(Value):
     body_from_inertial: Rotation | None = None  # orientation of the target when the light left it
     sun_direction_inertial: Float | None = None  # unit vector from target to Sun
     observer: ObserverState | None = None  # state of the spacecraft with respect to the solar system barycenter
+    # velocity of the target with respect to the barycenter when the light left it
     target_velocity_inertial_km_s: Float | None = None
     line: int = 0  # line in the file, 0 for a row that was not read from one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageGeometry(Value):
-    """Geometry of one image, from all its rows of a table.
-
-    seen: geometry in camera axes of targets without a row, by name.
-    in_body_axes: all that is known is in axes of the body: SPICE gives the attitude, or these axes are inertial.
-    """
+    """Geometry of one image, from all its rows of a table."""
 
     epoch: Time | None
     exposure_s: float | None
     camera_from_inertial: Rotation | None
     observer: ObserverState | None
     targets: Mapping[str, GeometryRow]  # the rows with a target, by its name
+    # geometry in camera axes of targets without a row, by name
     seen: Mapping[str, StatedGeometry] = field(default_factory=dict)
     covariance_attitude_rad2: Float | None = None  # of the attitude that follows from them, about the camera axes
+    # all that is known is in axes of the body: SPICE gives the attitude, or these axes are inertial
     in_body_axes: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GeometryTable(Value):
-    """A geometry table.
-
-    rows: in file order; no two have the same ``file`` and ``target``, and all rows of a file agree on epoch, exposure,
-        attitude and observer where they give them.
-    images: geometry of images in a folder of SUMFILEs, in place of rows.
-    """
+    """A geometry table."""
 
     path: Path
+    # in file order; no two have the same ``file`` and ``target``, and all rows of a file agree on epoch, exposure,
+    # attitude and observer where they give them
     rows: tuple[GeometryRow, ...]
+    # geometry of images in a folder of SUMFILEs, in place of rows
     images: Mapping[Path, ImageGeometry] = field(default_factory=dict)
 
     def image(self, file: str) -> ImageGeometry | None:
@@ -149,8 +143,7 @@ def read_geometry(path: str | Path, *, default_target: str | None = None) -> Geo
     Parameters
     ----------
     path : path-like
-    default_target : str, optional
-        Name for rows that leave ``target`` empty; for campaigns with one target.
+    default_target : str, optional; name for rows that leave ``target`` empty; for campaigns with one target
 
     Raises
     ------

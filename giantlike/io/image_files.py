@@ -54,22 +54,16 @@ class ImageFile(Value):
         As stored, native byte order, read-only. Floating pixels are float32 and finite: bad ones are 0.
     mask : (rows, columns) bool
         True where a pixel is bad: NaN, infinite or blank in the file, or in a line that was never received.
-    epoch : Time or None
-        Mid-exposure, where the file determines it.
+    epoch : Time or None; mid-exposure, where the file determines it
     exposure_s : float or None, s
-    camera_from_inertial : Rotation or None
-        A priori attitude, only from headers that this package wrote.
-    observer : ObserverState or None
-        Spacecraft state with respect to the solar system barycenter.
+    camera_from_inertial : Rotation or None; a priori attitude, only from headers that this package wrote
+    observer : ObserverState or None; spacecraft state with respect to the solar system barycenter
     header : dict of str to str, int, float or bool
         Header or label items. Empty for PNG, TIFF and JPEG.
     format : {'fits', 'png', 'tiff', 'jpeg', 'vicar', 'pds3', 'pds4', 'isis'}
-    sha256 : str
-        Of the file that holds the pixels.
-    path : Path
-        As it was given.
-    eight_bit : EightBitValues or None
-        Of 8-bit JPEG and PNG files.
+    sha256 : str; of the file that holds the pixels
+    path : Path; as it was given
+    eight_bit : EightBitValues or None; of 8-bit JPEG and PNG files
     """
 
     pixels: NDArray[Any]
@@ -94,8 +88,7 @@ def read_image_file(path: str | Path, *, hdu: int | str | None = None, bottom_up
         A FITS, PNG, TIFF, JPEG or VICAR file, an ISIS cube, an image with a PDS3 label attached, a PDS3 or PDS4 label
         that points to its image, or a raw image with such a label next to it (same name, ``.LBL`` or ``.xml``). Files
         may be gzipped, but for ISIS cubes and PDS4 products, which are read by libraries of the extra ``planetary``.
-    hdu : int or str, optional
-        For FITS: index or EXTNAME of the HDU; the first with a 2-D image by default.
+    hdu : int or str, optional; for FITS: index or EXTNAME of the HDU; the first with a 2-D image by default
     bottom_up : bool
         The first stored row is the bottom of the picture, as telescopes store the sky: turn the rows around, so that
         the picture is not mirrored. Row y of the result is row ``rows - 1 - y`` of the file.

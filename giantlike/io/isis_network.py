@@ -60,10 +60,7 @@ class ControlNetwork:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageSupport(Value):
-    """State and optics of a frame camera, as an ISD has them.
-
-    center: (2,); sample and line of the optical axis of the whole detector, from 1; NaN where the file has none.
-    """
+    """State and optics of a frame camera, as an ISD has them."""
 
     platform: str
     sensor: str
@@ -71,6 +68,7 @@ class ImageSupport(Value):
     lines: int
     et: float
     focal_length_mm: float
+    # (2,); sample and line of the optical axis of the whole detector, from 1; NaN where the file has none
     center: Float
     pixels_per_mm: Float  # (2, 2); sample and line by x and y of the focal plane
     first: tuple[float, float]

@@ -20,15 +20,13 @@ _FOLDER = files("giantlike.io") / "missions"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mission:
-    """A priori information on the images of one camera.
-
-    defaults: keys of the tables ``camera``, ``images`` and ``spice`` of a campaign file that holds none.
-    """
+    """A priori information on the images of one camera."""
 
     name: str
     about: str  # images that it describes, and values that it does not give
     sources: tuple[str, ...]  # where the numbers come from
     kernels: tuple[str, ...]  # patterns of the names of SPICE kernels, in loading order
+    # keys of the tables ``camera``, ``images`` and ``spice`` of a campaign file that holds none
     defaults: Mapping[str, Mapping[str, Any]]
 
 

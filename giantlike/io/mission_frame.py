@@ -22,18 +22,16 @@ _LETTERS_XY = ("e1", "e3")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportedCamera:
-    """A camera model from a file of another program, in our axes and pixels.
-
-    camera_from_mission: takes vectors in the mission's camera frame (the one of its pointing kernels) to ours.
-    rows_reversed: the model counts rows from the last stored one: read ``image[::-1]``. Such a file describes a
-        mirrored image, which no rotation explains.
-    """
+    """A camera model from a file of another program, in our axes and pixels."""
 
     name: str  # name in the file
     model: CameraModel
     columns: int | None = None  # columns, rows: size of the detector, where the file states it
     rows: int | None = None
+    # takes vectors in the mission's camera frame (the one of its pointing kernels) to ours
     camera_from_mission: Rotation
+    # the model counts rows from the last stored one: read ``image[::-1]``. Such a file describes a mirrored image,
+    # which no rotation explains
     rows_reversed: bool = False
     ignored: tuple[str, ...] = ()  # names of the parameters in the file that the model does not have
 

@@ -15,17 +15,15 @@ from giantlike.io.decoded import HeaderValue
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RawLayout:
-    """Position and type of the pixels of an image in a file.
-
-    sample: ``u``, ``i`` or ``f`` with byte order and size as numpy writes them (``>i2``), or ``vax4``, ``vax8`` for the
-        F and D floating formats of the VAX.
-    """
+    """Position and type of the pixels of an image in a file."""
 
     offset_bytes: int  # first byte of the first row's record
     rows: int
     columns: int
     prefix_bytes: int = 0  # prefix_bytes, suffix_bytes: bytes before and after the pixels of each row
     suffix_bytes: int = 0
+    # ``u``, ``i`` or ``f`` with byte order and size as numpy writes them (``>i2``), or ``vax4``, ``vax8`` for the F and
+    # D floating formats of the VAX
     sample: str = "u1"
 
     @property

@@ -26,11 +26,7 @@ _SAME_PX = 0.01  # largest difference of a pixel between an LMK file and a SUMFI
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lmk(Value):
-    """Content of an LMK file.
-
-    pictures_px, limbs_px: mapping of str to (2,); places in images by their names; 0 is the center of the first pixel.
-    overlaps: mapping of str to (3,); offsets to other landmarks by name.
-    """
+    """Content of an LMK file."""
 
     name: str  # of the landmark, up to 6 characters
     half_size: int  # pixels of its map from the center to the edge: the map has ``2 half_size + 1`` along each side
@@ -42,7 +38,9 @@ class Lmk(Value):
     sigma_km: float = 0.0  # sigma_km, rms_km: error of the position, and RMS of the landmark
     rms_km: float = 0.0
     horizon: tuple[int, int, int, int] = (-1, -1, -1, -1)  # no longer used
+    # pictures_px, limbs_px: mapping of str to (2,); places in images by their names; 0 is the center of the first pixel
     pictures_px: Mapping[str, Float] = field(default_factory=dict)
+    # mapping of str to (3,); offsets to other landmarks by name
     overlaps: Mapping[str, Float] = field(default_factory=dict)
     limbs_px: Mapping[str, Float] = field(default_factory=dict)
 

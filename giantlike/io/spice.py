@@ -61,8 +61,7 @@ class SpiceKernels:
 
     Parameters
     ----------
-    paths : tuple of Path
-        In loading order: where two overlap, SPICE prefers the later one.
+    paths : tuple of Path; in loading order: where two overlap, SPICE prefers the later one
     """
 
     paths: tuple[Path, ...]
@@ -114,12 +113,9 @@ def load_kernels(patterns: Sequence[str | Path], base: str | Path, *, trusted: b
 
     Parameters
     ----------
-    patterns : sequence of path-like
-        Paths or glob patterns, as for :func:`find_kernels`.
-    base : path-like
-        Folder that relative paths start from.
-    trusted : bool
-        They were loaded before, by another process of this run: do not try them first.
+    patterns : sequence of path-like; paths or glob patterns, as for :func:`find_kernels`
+    base : path-like; folder that relative paths start from
+    trusted : bool; they were loaded before, by another process of this run: do not try them first
 
     Raises
     ------

@@ -40,12 +40,9 @@ _COMMENT = 1000  # characters of a line that dafac takes
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CkTarget:
-    """The instrument whose attitudes a C-kernel holds.
+    """The instrument whose attitudes a C-kernel holds."""
 
-    instrument_id: NAIF code of the camera frame, such as -64361; its thousands are the spacecraft and its clock, such
-        as -64.
-    """
-
+    # NAIF code of the camera frame, such as -64361; its thousands are the spacecraft and its clock, such as -64
     instrument_id: int
     frame_name: str  # name for the frame kernel: capitals, digits, underscores; at most 26
 

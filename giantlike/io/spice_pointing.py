@@ -22,15 +22,13 @@ _CODE = re.compile(r"-\d+")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LabelClock:
-    """A count of the spacecraft clock in a label, from which the epoch of an image follows.
-
-    zero_utc: in place of ``count``, for a clock of seconds that needs no kernel: the UTC at which it read 0.
-    """
+    """A count of the spacecraft clock in a label, from which the epoch of an image follows."""
 
     spacecraft: str  # NAIF name or code of the spacecraft whose clock it is
     item: str  # item of the label
     pattern: str  # regular expression that is searched for in the value of the item
     count: str | None  # clock count as SPICE reads it, with the groups of the expression as ``{0}``, ``{1}``,
+    # in place of ``count``, for a clock of seconds that needs no kernel: the UTC at which it read 0
     zero_utc: str | None
     after_exposure_s: float  # time from the closing of the shutter to that count
 

@@ -34,15 +34,13 @@ class StatedGeometry(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewingGeometry(Value):
-    """Angles by which planetary images are described; azimuths are in the image, at the center of the body.
-
-    north_azimuth_rad: direction in which the body-fixed +z axis is projected, from the +x (columns) axis of the image
-        to its +y (rows) axis: clockwise where the first row is on top.
-    """
+    """Angles by which planetary images are described; azimuths are in the image, at the center of the body."""
 
     target: str  # name
     center_px: Float  # pixel of the center of the body
     range_km: float  # distance from the camera to that center
+    # direction in which the body-fixed +z axis is projected, from the +x (columns) axis of the image to its +y (rows)
+    # axis: clockwise where the first row is on top
     north_azimuth_rad: float | None = None
     observer_direction_body: Float | None = None  # to the camera, body-fixed axes: the sub-observer point
     sun_direction_body: Float | None = None  # to the Sun, body-fixed axes: the sub-solar point

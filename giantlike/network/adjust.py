@@ -40,12 +40,9 @@ def adjust(
 
     Parameters
     ----------
-    photos : sequence of Photo
-        Cameras and a priori poses.
-    tracks : Tracks
-        Measures, and a priori points where there are any.
-    body : Rotating, optional
-        Rotation of the body, which then replaces the orientations of the photos.
+    photos : sequence of Photo; cameras and a priori poses
+    tracks : Tracks; measures, and a priori points where there are any
+    body : Rotating, optional; rotation of the body, which then replaces the orientations of the photos
     options : NetworkOptions, optional
 
     Returns

@@ -35,15 +35,11 @@ def write_network(
 
     Parameters
     ----------
-    folder : path-like
-        Is made if it does not exist.
+    folder : path-like; is made if it does not exist
     fix : NetworkFix
-    more : mapping, optional
-        Further content of ``result.json``.
-    naif_id : int, optional
-        Code of the body.
-    catalog : LandmarkCatalog, optional
-        Landmarks whose names the points have.
+    more : mapping, optional; further content of ``result.json``
+    naif_id : int, optional; code of the body
+    catalog : LandmarkCatalog, optional; landmarks whose names the points have
 
     Raises
     ------

@@ -46,18 +46,12 @@ def read_isis(
 
     Parameters
     ----------
-    network : path-like
-        Control network in PVL.
-    isds : sequence of path-like
-        ISDs of frame cameras.
-    reduction : float
-        Pixels of the detector along a pixel of the images in which the network is measured.
-    sigma_px : float, px of the detector
-        Standard deviation of measures, per axis.
-    sigma_position_km : float, km
-        A priori standard deviation of positions, per axis.
-    sigma_angles_deg : float, deg
-        A priori standard deviation of the angles RA, DEC and TWIST of ISIS.
+    network : path-like; control network in PVL
+    isds : sequence of path-like; ISDs of frame cameras
+    reduction : float; pixels of the detector along a pixel of the images in which the network is measured
+    sigma_px : float, px of the detector; standard deviation of measures, per axis
+    sigma_position_km : float, km; a priori standard deviation of positions, per axis
+    sigma_angles_deg : float, deg; a priori standard deviation of the angles RA, DEC and TWIST of ISIS
 
     Returns
     -------

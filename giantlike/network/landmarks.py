@@ -46,12 +46,9 @@ class TrackOptions:
 
     Parameters
     ----------
-    search_px : int, px
-        Largest error of the predicted center, along each axis.
-    min_score : float
-        Minimum correlation of a landmark that counts as found.
-    min_landmarks : int
-        Minimum number of landmarks of an image.
+    search_px : int, px; largest error of the predicted center, along each axis
+    min_score : float; minimum correlation of a landmark that counts as found
+    min_landmarks : int; minimum number of landmarks of an image
     sigma_points_km : float, km, optional
         A priori standard deviation of landmarks along each axis, by errors of the shape; by default their spread about
         it, as found from the images.
@@ -84,15 +81,11 @@ class LandmarkMeasures(Value):
 
     Parameters
     ----------
-    numbers : (k,) int64
-        In the catalog of the shape.
+    numbers : (k,) int64; in the catalog of the shape
     points_px : (k, 2) float64, px
-    covariance_px2 : (k, 2, 2) float64, px^2
-        By the noise of the pixels alone.
-    scores : (k,) float64
-        Correlations with the templates.
-    rendered : Photo
-        Pose of the templates.
+    covariance_px2 : (k, 2, 2) float64, px^2; by the noise of the pixels alone
+    scores : (k,) float64; correlations with the templates
+    rendered : Photo; pose of the templates
     """
 
     numbers: NDArray[np.int64]
@@ -108,15 +101,11 @@ class FoundTracks(Value):
 
     Parameters
     ----------
-    photos : tuple of Photo
-        Images with tracks, in their a priori poses.
+    photos : tuple of Photo; images with tracks, in their a priori poses
     tracks : Tracks
-    failures : mapping of str to Failure
-        By the names of the other images.
-    floor_px : float, px
-        Error of templates, per axis, that the sigmas of the measures hold beside the noise.
-    sigma_points_km : float, km
-        A priori sigma of the landmarks.
+    failures : mapping of str to Failure; by the names of the other images
+    floor_px : float, px; error of templates, per axis, that the sigmas of the measures hold beside the noise
+    sigma_points_km : float, km; a priori sigma of the landmarks
     """
 
     photos: tuple[Photo, ...]
@@ -131,12 +120,10 @@ def photo_of(image: Image, camera: Camera, scene: Scene, target: str | None = No
 
     Parameters
     ----------
-    image : Image
-        With an attitude.
+    image : Image; with an attitude
     camera : Camera
     scene : Scene
-    target : str, optional
-        May be left out where the scene has one.
+    target : str, optional; may be left out where the scene has one
 
     Returns
     -------
@@ -341,12 +328,10 @@ def find_tracks(
 
     Parameters
     ----------
-    images : sequence of Image
-        With attitudes; read twice, so that a sequence may load them when asked.
+    images : sequence of Image; with attitudes; read twice, so that a sequence may load them when asked
     camera : Camera
     scene : Scene
-    target : str, optional
-        May be left out where the scene has one; its shape has to be a mesh.
+    target : str, optional; may be left out where the scene has one; its shape has to be a mesh
     options : TrackOptions, optional
 
     Returns

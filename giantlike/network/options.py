@@ -21,25 +21,18 @@ class NetworkOptions:
         Estimated, considered (kept, while their a priori covariance enters that of the others), or fixed. ``pole``,
         ``w`` (angle of the prime meridian at the mean epoch of the images) and ``rate`` need a ``body``; ``size``
         scales the a priori positions of the points.
-    sigma_pole_deg : float, deg
-        A priori standard deviation of the pole, toward the east and toward the north.
-    sigma_w_deg : float, deg
-        Of the angle about the pole.
-    sigma_rate : float
-        Of the rate, relative to it.
-    sigma_size : float
-        Of the size, relative.
+    sigma_pole_deg : float, deg; a priori standard deviation of the pole, toward the east and toward the north
+    sigma_w_deg : float, deg; of the angle about the pole
+    sigma_rate : float; of the rate, relative to it
+    sigma_size : float; of the size, relative
     sigma_camera : mapping of str to float
         Parameters of the camera model that are not fixed, and their standard deviations in their units.
-    loss : Loss
-        Loss function of the fit that finds outliers; a fit by least squares to the other measures follows.
+    loss : Loss; loss function of the fit that finds outliers; a fit by least squares to the other measures follows
     outlier_sigmas : float
         Measures with residuals beyond this many standard deviations (of the stated noise, or of the noise found where
         that is larger) are rejected; infinite: none, and ``loss`` is then that of the result.
-    scale_by_residuals : bool
-        Multiply all covariances by chi-square per degree of freedom, as jigsaw does.
-    max_rounds, max_steps : int
-        Bounds of the rounds of rejection, and of the Levenberg-Marquardt steps in each.
+    scale_by_residuals : bool; multiply all covariances by chi-square per degree of freedom, as jigsaw does
+    max_rounds, max_steps : int; bounds of the rounds of rejection, and of the Levenberg-Marquardt steps in each
 
     Raises
     ------

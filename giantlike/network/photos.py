@@ -27,20 +27,15 @@ class Photo(Value):
     camera_from_inertial : Rotation
         Takes vectors of the reference axes (inertial, or those of the body where ``inertial_from_body`` is the
         identity) to camera axes, stellar aberration at the center of the body removed.
-    position_km : (3,) float64, km, reference axes
-        Camera, from the center of the body, light time removed.
+    position_km : (3,) float64, km, reference axes; camera, from the center of the body, light time removed
     covariance_pose : (6, 6) float64, rad^2, rad km and km^2, optional
         Of the rotation vector ``e`` about the camera axes (true attitude: ``Rotation.from_rotvec(e) *
         camera_from_inertial``) and of the position. A singular one holds a direction; infinite variances leave one
         free. Without it nothing is known and the pose is only a start.
-    inertial_from_body : Rotation
-        Orientation of the body when its light left it.
-    et : float, s
-        That time, TDB seconds past J2000.
-    columns, rows : int
-        Size of the image; 0 where it is not known.
-    sun_direction : (3,) float64, reference axes, optional
-        Unit vector from the body to the Sun; files of SPC hold it.
+    inertial_from_body : Rotation; orientation of the body when its light left it
+    et : float, s; that time, TDB seconds past J2000
+    columns, rows : int; size of the image; 0 where it is not known
+    sun_direction : (3,) float64, reference axes, optional; unit vector from the body to the Sun; files of SPC hold it
 
     Raises
     ------
@@ -76,13 +71,10 @@ class Tracks(Value):
 
     Parameters
     ----------
-    names : tuple of str
-        Of the p points.
-    point, photo : (n,) int
-        Indices of the point and the image of each measure.
+    names : tuple of str; of the p points
+    point, photo : (n,) int; indices of the point and the image of each measure
     points_px : (n, 2) float64, px
-    sigma_px : (n,) float64, px
-        Standard deviation per axis; a scalar applies to all.
+    sigma_px : (n,) float64, px; standard deviation per axis; a scalar applies to all
     points_km : (p, 3) float64, km, body axes, optional
         A priori positions; NaN, or nothing, where they are to be intersected from the images.
     covariance_points_km2 : (p, 3, 3) float64, km^2, optional

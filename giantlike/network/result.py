@@ -31,13 +31,11 @@ class PointStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameDirection:
-    """One of the seven directions of the frame of a network that no pixel shows.
-
-    sigma: km, rad, or relative; of what the a priori values say about it; infinite where they say nothing, and the
-        direction is held at the a priori poses.
-    """
+    """One of the seven directions of the frame of a network that no pixel shows."""
 
     name: str  # shift or rotation along or about a body axis, or scale
+    # km, rad, or relative; of what the a priori values say about it; infinite where they say nothing, and the direction
+    # is held at the a priori poses
     sigma: float
     share: float  # of the variance of the points that it makes
 
@@ -57,53 +55,35 @@ class NetworkFix(Estimate):
 
     Parameters
     ----------
-    photos : tuple of Photo
-        Images with adjusted attitudes, positions and covariances, and the adjusted camera.
-    tracks : Tracks
-        Measures, in the order of all arrays of measures.
-    points_km : (p, 3) float64, km, body axes
-        NaN for points that the measures in use do not determine.
+    photos : tuple of Photo; images with adjusted attitudes, positions and covariances, and the adjusted camera
+    tracks : Tracks; measures, in the order of all arrays of measures
+    points_km : (p, 3) float64, km, body axes; NaN for points that the measures in use do not determine
     covariance_points_km2 : (p, 3, 3) float64, km^2
-    point_status : (p,) str
-        Values of :class:`PointStatus`.
-    covariance_poses : (m, 6, 6) float64, rad^2, rad km, km^2
-        Rotation vectors about the camera axes, and positions.
-    body : Rotating or None
-        Rotation of the body after the adjustment, with its covariance at J2000.
+    point_status : (p,) str; values of :class:`PointStatus`
+    covariance_poses : (m, 6, 6) float64, rad^2, rad km, km^2; rotation vectors about the camera axes, and positions
+    body : Rotating or None; rotation of the body after the adjustment, with its covariance at J2000
     shared_names : tuple of str
         The k parameters common to all images: ``pole_east``, ``pole_north`` and ``w`` (rad, at ``mean_et``), ``rate``
         (rad/s), ``size`` (relative) and those of the camera.
-    shared : (k,) float64
-        Their departures from the a priori values.
+    shared : (k,) float64; their departures from the a priori values
     covariance_shared : (k, k) float64
-    mean_et : float, s
-        Mean epoch of the images, TDB seconds past J2000.
-    residuals_px : (n, 2) float64, px
-        Measured minus computed.
-    used : (n,) bool
-        Measures that were not rejected.
-    redundancy : (n,) float64
-        Of each measure, 0 to 2; NaN for rejected ones.
+    mean_et : float, s; mean epoch of the images, TDB seconds past J2000
+    residuals_px : (n, 2) float64, px; measured minus computed
+    used : (n,) bool; measures that were not rejected
+    redundancy : (n,) float64; of each measure, 0 to 2; NaN for rejected ones
     detectable_px : (n,) float64, px
         Smallest error that would be rejected with a probability of 80 %, in the worst direction (reliability after
         Baarda); infinite where none would be.
-    noise : float
-        Standard deviation of the measures in units of the stated one, robust.
-    chi2, freedom : float, int
-        Weighted squares of residuals and departures from a priori values; degrees of freedom.
-    covariance_scale : float
-        Factor that is in all covariances.
-    support : tuple of ParameterSupport
-        Classification of each shared parameter that is estimated.
+    noise : float; standard deviation of the measures in units of the stated one, robust
+    chi2, freedom : float, int; weighted squares of residuals and departures from a priori values; degrees of freedom
+    covariance_scale : float; factor that is in all covariances
+    support : tuple of ParameterSupport; classification of each shared parameter that is estimated
     weak : tuple of WeakCombination
         Combinations of shared parameters, the common attitude error and the common scale of ranges that the images do
         not determine.
-    frame : tuple of FrameDirection
-        The seven directions that no pixel shows.
-    datum : str
-        What ties the frame of the points.
-    parts : mapping of Cause to CovariancePart
-        Covariances by cause, which sum to the total.
+    frame : tuple of FrameDirection; the seven directions that no pixel shows
+    datum : str; what ties the frame of the points
+    parts : mapping of Cause to CovariancePart; covariances by cause, which sum to the total
     steps, rounds : int
     """
 

@@ -33,12 +33,9 @@ def read_spc(
 
     Parameters
     ----------
-    sumfiles : path-like
-        Folder of ``*.SUM``.
-    lmkfiles : path-like, optional
-        Folder of ``*.LMK``; places in images have to be those of the SUMFILEs.
-    sigma_px : float, px
-        Standard deviation of the places, per axis, which the files do not have.
+    sumfiles : path-like; folder of ``*.SUM``
+    lmkfiles : path-like, optional; folder of ``*.LMK``; places in images have to be those of the SUMFILEs
+    sigma_px : float, px; standard deviation of the places, per axis, which the files do not have
 
     Returns
     -------
@@ -108,11 +105,9 @@ def write_spc(folder: str | Path, fix: NetworkFix, catalog: LandmarkCatalog | No
 
     Parameters
     ----------
-    folder : path-like
-        Gets ``SUMFILES`` and ``LMKFILES``.
+    folder : path-like; gets ``SUMFILES`` and ``LMKFILES``
     fix : NetworkFix
-    catalog : LandmarkCatalog, optional
-        Landmarks whose names the points have, for the axes and sizes of their maps.
+    catalog : LandmarkCatalog, optional; landmarks whose names the points have, for the axes and sizes of their maps
 
     Raises
     ------
@@ -208,12 +203,9 @@ def pck_of(fix: NetworkFix, naif_id: int, lines: Sequence[str] = ()) -> str:
 
     Parameters
     ----------
-    fix : NetworkFix
-        With a rotation.
-    naif_id : int
-        Code of the body.
-    lines : sequence of str
-        Further comments.
+    fix : NetworkFix; with a rotation
+    naif_id : int; code of the body
+    lines : sequence of str; further comments
 
     Raises
     ------

@@ -15,15 +15,12 @@ from giantlike.scene import Circumstances
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Removed(Value):
-    """A measured vector from the spacecraft to a target, with light time and stellar aberration taken out.
+    """A measured vector from the spacecraft to a target, with light time and stellar aberration taken out."""
 
-    astrometric_km: in ICRF axes; from the spacecraft at the epoch to the target when the light left it: aberration
-        taken out.
-    geometric_km: in ICRF axes; from the spacecraft to the target, both at the epoch; None where the motion of the
-        target is not known.
-    """
-
+    # in ICRF axes; from the spacecraft at the epoch to the target when the light left it: aberration taken out
     astrometric_km: Float
+    # in ICRF axes; from the spacecraft to the target, both at the epoch; None where the motion of the target is not
+    # known
     geometric_km: Float | None
     light_time_s: float
 

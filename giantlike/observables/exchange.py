@@ -118,14 +118,12 @@ def plain_line(text: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AdesSource:
-    """Inputs of an ADES file besides the rows.
-
-    sigma_position_km, sigma_time_s: of the spacecraft along each axis, and of the epochs.
-    """
+    """Inputs of an ADES file besides the rows."""
 
     earth_kernel: str  # SPK of the Earth
     objects: Mapping[str, str] = field(default_factory=dict)  # designations by target
     n_stars: Mapping[str, int] = field(default_factory=dict)  # stars of the attitudes, by image
+    # sigma_position_km, sigma_time_s: of the spacecraft along each axis, and of the epochs
     sigma_position_km: float | None = None
     sigma_time_s: float | None = None
 

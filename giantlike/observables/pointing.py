@@ -32,19 +32,17 @@ _BODY_AXES = {"partial_pole": slice(0, 2), "partial_spin": slice(2, 3)}
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pointing(Value):
-    """Attitude of a camera from bodies, and from what was known of it before.
-
-    covariance_rad2: in camera axes; of the small rotation about the camera axes; the errors of ephemeris, size, pole
-        and camera are in it.
-    chi2: squared residuals over their covariance; of 2 n_used + n_turns degrees of freedom with an a priori attitude,
-        of 3 less without.
-    """
+    """Attitude of a camera from bodies, and from what was known of it before."""
 
     camera_from_inertial: Rotation
+    # in camera axes; of the small rotation about the camera axes; the errors of ephemeris, size, pole and camera are in
+    # it
     covariance_rad2: Float
     targets: tuple[str, ...]  # bodies used
     n_used: int  # number of bodies and landmarks
     n_turns: int  # number of bodies whose turn about the line of sight was measured
+    # squared residuals over their covariance; of 2 n_used + n_turns degrees of freedom with an a priori attitude, of 3
+    # less without
     chi2: float
 
 

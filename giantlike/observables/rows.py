@@ -32,11 +32,7 @@ _ESTIMATED_LATER = (Cause.EPHEMERIS,)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ImageContext(Value):
-    """What all rows of an image have in common.
-
-    attitude_shares: star images that a transferred attitude is made of, and the share of each.
-    accepted_by, accepted_why: user who accepted the result of the rows, which is suspect, and the reason.
-    """
+    """What all rows of an image have in common."""
 
     file: str
     camera: Camera
@@ -45,10 +41,12 @@ class ImageContext(Value):
     attitude_source: str
     attitude_covariance_rad2: Float | None = None  # in camera axes
     attitude_errors: AttitudeErrors = field(default_factory=AttitudeErrors)
+    # star images that a transferred attitude is made of, and the share of each
     attitude_shares: Mapping[str, float] = field(default_factory=dict)
     epoch_utc: str | None = None
     et: float | None = None
     exposure_s: float | None = None
+    # accepted_by, accepted_why: user who accepted the result of the rows, which is suspect, and the reason
     accepted_by: str | None = None
     accepted_why: str | None = None
     camera_rate_rad_s: Float | None = None  # in rad/s; rotation rate of the camera
@@ -83,15 +81,13 @@ class ImageContext(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sighting(Value):
-    """What was known of a target in an image beforehand.
-
-    circumstances: states that light time and aberration are taken out by; without them the row is apparent alone.
-    """
+    """What was known of a target in an image beforehand."""
 
     predicted_camera_km: Float  # apparent vector to the target by the a priori geometry
     camera_from_body: Rotation  # when the light left, by the attitude used
     sun_direction_camera: Float
     uncertainty: TargetUncertainty = field(default_factory=TargetUncertainty)
+    # states that light time and aberration are taken out by; without them the row is apparent alone
     circumstances: Circumstances | None = None
 
     def cells(self, inertial_from_camera: Rotation) -> dict[str, Any]:

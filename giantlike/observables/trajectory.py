@@ -19,15 +19,13 @@ _MIN_EPOCHS = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RelativeArc(Value):
-    """Measured states of the spacecraft relative to a target.
-
-    states: (n, 6), km and km/s, geometric, ICRF axes; the velocities are a priori or, where these are not known, the
-        derivative of a spline through the positions.
-    """
+    """Measured states of the spacecraft relative to a target."""
 
     target: str
     estimators: tuple[str, ...]  # names, each once
     et: Float  # (n,); strictly increasing, n >= 2
+    # (n, 6), km and km/s, geometric, ICRF axes; the velocities are a priori or, where these are not known, the
+    # derivative of a spline through the positions
     states: Float
     covariances_km2: Float  # (n, 3, 3); of the positions, NaN where unknown
 

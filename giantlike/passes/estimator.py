@@ -56,10 +56,8 @@ def estimate_pass(given: NavigationPass, options: PassOptions | None = None) -> 
 
     Parameters
     ----------
-    given : NavigationPass
-        Images with the measured and predicted values of each.
-    options : PassOptions, optional
-        Terms, and their a priori uncertainties.
+    given : NavigationPass; images with the measured and predicted values of each
+    options : PassOptions, optional; terms, and their a priori uncertainties
 
     Returns
     -------

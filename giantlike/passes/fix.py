@@ -16,17 +16,15 @@ from giantlike.core.values import Value
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TermTest:
-    """Test of the hypothesis that the parameters of a term have their a priori values.
-
-    statistic: squared departure in units of its covariance under the hypothesis, correlations and considered errors
-        included; divided by ``count`` where the noise was scaled by the residuals.
-    freedom: degrees of freedom of the noise: the statistic is F with ``(count, freedom)``, or chi-square of ``count``
-        where None.
-    """
+    """Test of the hypothesis that the parameters of a term have their a priori values."""
 
     term: str
+    # squared departure in units of its covariance under the hypothesis, correlations and considered errors included;
+    # divided by ``count`` where the noise was scaled by the residuals
     statistic: float
     count: int  # number of parameters
+    # degrees of freedom of the noise: the statistic is F with ``(count, freedom)``, or chi-square of ``count`` where
+    # None
     freedom: int | None
     p_value: float  # probability of a statistic at least as large under the hypothesis
 
@@ -37,12 +35,10 @@ class TermTest:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TimetagJitter(Value):
-    """Errors of the timetags in addition to their bias.
-
-    sigma_of_log: standard deviation of the natural logarithm of ``sigma_s``; 0 where it was given, not estimated.
-    """
+    """Errors of the timetags in addition to their bias."""
 
     sigma_s: float  # standard deviation of the errors
+    # standard deviation of the natural logarithm of ``sigma_s``; 0 where it was given, not estimated
     sigma_of_log: float
     p_value: float  # of the hypothesis of no jitter; 1 where it was given
     errors_s: Float  # errors_s, sigmas_s: (n,); error of each tag as the image shows it, and its standard deviation
@@ -55,17 +51,14 @@ class PassFix(Value):
 
     Parameters
     ----------
-    names, units, terms : tuple of str
-        Of the k parameters that were estimated.
+    names, units, terms : tuple of str; of the k parameters that were estimated
     values : (k,) float64
     covariance : (k, k) float64
     parts : mapping of str to (k, k) float64
         Covariance by cause: ``noise`` (scaled by the residuals where they are larger), ``a priori``, and
         ``considered TERM``.
-    apriori, apriori_sigmas : (k,) float64
-        Values and standard deviations before; infinite where nothing was known.
-    learned : (k,) float64
-        Fraction of the a priori variance that the pass removed; 1 where nothing was known.
+    apriori, apriori_sigmas : (k,) float64; values and standard deviations before; infinite where nothing was known
+    learned : (k,) float64; fraction of the a priori variance that the pass removed; 1 where nothing was known
     tests : tuple of TermTest
     weak : tuple of WeakCombination
     jitter : TimetagJitter or None
@@ -73,11 +66,9 @@ class PassFix(Value):
         Position of the body in every image with all terms applied but the altitude and offsets of the limb.
     residuals : tuple of (m,) float64, sigmas
         Of every image: measured minus predicted, the jitter left in; NaN for excluded points.
-    chi2 : float
-        Squared residuals in units of their covariance.
+    chi2 : float; squared residuals in units of their covariance
     freedom : int
-    noise_scale : float
-        Factor on the standard deviations of the noise, at least 1.
+    noise_scale : float; factor on the standard deviations of the noise, at least 1
     n_used, n_rejected, iterations : int
     """
 

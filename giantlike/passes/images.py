@@ -34,13 +34,10 @@ class LimbPoints(Value):
 
     Parameters
     ----------
-    points_px : (n, 2) float64, px
-        In the distorted image.
-    sigma_px : (n,) float64, px
-        Standard deviations across the limb by noise that is new in every point.
+    points_px : (n, 2) float64, px; in the distorted image
+    sigma_px : (n,) float64, px; standard deviations across the limb by noise that is new in every point
     model : CameraModel
-    figure : Figure
-        The body without the altitude of the limb, in the predicted attitude.
+    figure : Figure; the body without the altitude of the limb, in the predicted attitude
     shared_px : mapping of str to (n, c) float64, px
         Outward shifts of the points by one standard deviation of each of c errors that all images with the same key
         have in common, in the same order.
@@ -140,16 +137,14 @@ class LimbPoints(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredPosition(Value):
-    """Position of a body as an estimator measured it in one image.
-
-    shared_km: mapping of str to (3, c), camera axes; shifts of the position by one standard deviation of each of c
-        errors that all images with the same key have in common, in the same order.
-    """
+    """Position of a body as an estimator measured it in one image."""
 
     position_camera_km: Float
     covariance_camera_km2: Float  # by errors that are new in every image
     radius_km: float  # radius of the body without the altitude of the limb
     apparent_radius_px: float  # radius in the image, by which shifts of the limb in px become shifts of the range
+    # mapping of str to (3, c), camera axes; shifts of the position by one standard deviation of each of c errors that
+    # all images with the same key have in common, in the same order
     shared_km: Mapping[str, Float] = field(default_factory=dict)
     _whiten: Float = field(init=False, repr=False)
 
@@ -225,17 +220,14 @@ class PassImage(Value):
     Parameters
     ----------
     name : str
-    time_s : float, s
-        Its timetag, from any origin that the pass shares.
+    time_s : float, s; its timetag, from any origin that the pass shares
     position_camera_km : (3,) float64, km, camera axes
         Apparent position of the body, by the trajectory and the attitude as given.
     rate_camera_km_s : (3,) float64, km/s, camera axes
         Rate of that position, rotation of the camera included: its change by a late exposure.
     observed : LimbPoints or MeasuredPosition
-    exposure_s : float, s
-        Needed by the terms of the exposure alone.
-    sensor : str
-        Sensor that the attitude comes from.
+    exposure_s : float, s; needed by the terms of the exposure alone
+    sensor : str; sensor that the attitude comes from
     by_trajectory : (3, m) float64, km per unit of each, camera axes
         Derivative of the position by the parameters of the trajectory that the pass has a covariance of.
     """
@@ -272,8 +264,7 @@ class NavigationPass(Value):
         A priori altitude of the limb; where positions were measured, the altitude assumed in them.
     covariance_trajectory : (m, m) float64
         Of the parameters of the trajectory, in the squares of their units; empty where it is taken as exact.
-    trajectory_names : tuple of str
-        Their names; by default numbers.
+    trajectory_names : tuple of str; their names; by default numbers
     """
 
     images: tuple[PassImage, ...]

@@ -40,11 +40,7 @@ LIMB_ERRORS = "limb errors"  # name of the term of all errors that limbs share; 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PassLayout(Value):
-    """Parameters of a pass, k in all.
-
-    maps: tuple of (8 + c, k), one for each image; errors of the image by the departure of the parameters from
-        ``apriori``.
-    """
+    """Parameters of a pass, k in all."""
 
     names: tuple[str, ...]  # names, units, terms: of each parameter; ``terms`` names the term that it belongs to
     units: tuple[str, ...]
@@ -53,6 +49,7 @@ class PassLayout(Value):
     covariance_apriori: Float  # (k, k); of these; zero in rows of parameters of which nothing is known (``free``)
     free: Mask  # (k,)
     estimated: Mask  # (k,); the others are considered
+    # tuple of (8 + c, k), one for each image; errors of the image by the departure of the parameters from ``apriori``
     maps: tuple[Float, ...]
 
     @classmethod

@@ -38,15 +38,12 @@ class RunPass:
     Parameters
     ----------
     target : str
-    radius_km : float, km
-        Mean radius of the target without the altitude of its limb.
-    limb_altitude_km : float, km
-        Altitude of the limb that the run was processed with.
+    radius_km : float, km; mean radius of the target without the altitude of its limb
+    limb_altitude_km : float, km; altitude of the limb that the run was processed with
     covariance_trajectory : (6, 6) array_like, optional
         Of the position (km) and the velocity (km/s) of the spacecraft at the middle of the pass, ICRF axes; without it
         the trajectory is taken as exact.
-    from_et_s, to_et_s : float, TDB s
-        First and last epoch of the pass.
+    from_et_s, to_et_s : float, TDB s; first and last epoch of the pass
     """
 
     target: str
@@ -69,8 +66,7 @@ def pass_from_run(folder: Path, choice: RunPass) -> NavigationPass:
 
     Parameters
     ----------
-    folder : Path
-        Of the run, or its ``observables.parquet``.
+    folder : Path; of the run, or its ``observables.parquet``
     choice : RunPass
 
     Returns

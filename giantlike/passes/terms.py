@@ -48,24 +48,19 @@ class PassOptions:
         nothing is known.
     consider : mapping of PassTerm to float
         Terms that stay as they are while their standard deviation enters the covariance.
-    trajectory : Treatment
-        Of the trajectory, where the pass has its covariance.
+    trajectory : Treatment; of the trajectory, where the pass has its covariance
     limb_errors : Treatment
         Of the errors that limbs share (blur, law, relief): estimated with their a priori covariance, which weights
         the points as their full covariance would, or considered.
     timetag_jitter_s : float, s
         Standard deviation of the error of each tag in addition to the bias; the first guess where it is estimated.
-    estimate_jitter : bool
-        Find that standard deviation, by the restricted likelihood.
+    estimate_jitter : bool; find that standard deviation, by the restricted likelihood
     pointing_jitter_rad : float, rad
         Standard deviation, about each axis, of an error of the attitude that is new in every image.
-    scale_noise : bool
-        Enlarge the part of the noise where residuals are larger than it explains.
-    outlier_sigmas : float
-        Points, or positions, with larger residuals are left out.
+    scale_noise : bool; enlarge the part of the noise where residuals are larger than it explains
+    outlier_sigmas : float; points, or positions, with larger residuals are left out
     max_iterations : int
-    tolerance : float
-        The fit has converged when no parameter moves by more than this times its standard deviation.
+    tolerance : float; the fit has converged when no parameter moves by more than this times its standard deviation
     """
 
     estimate: Mapping[PassTerm, float] = field(

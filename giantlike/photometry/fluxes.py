@@ -70,10 +70,8 @@ class FluxOptions:
     method : {"psf", "aperture"}
         Least squares with the point spread function, or the sum of the circle. Where pixels are large (a sigma below
         0.5 px) or the point spread function varies over the field, the circle is the safer one.
-    growth : bool
-        Multiply by what the growth curve of the bright sources has beyond circle or function.
-    max_stars : int
-        Most stars that :func:`measure_stars` measures, the brightest of the catalog: bounds the time.
+    growth : bool; multiply by what the growth curve of the bright sources has beyond circle or function
+    max_stars : int; most stars that :func:`measure_stars` measures, the brightest of the catalog: bounds the time
 
     Raises
     ------
@@ -101,31 +99,21 @@ class Fluxes(Estimate):
 
     Parameters
     ----------
-    points_px : (n, 2) float64, px
-        Where they were measured: the given places, bright sources centered.
-    flux_dn : (n,) float64, DN
-        Light above the level; negative by noise where there is none.
-    noise_covariance_dn2 : (n, n) float64, DN^2
-        Of the noise of the pixels, those in common included.
-    shot_dn : (n,) float64, DN
-        Variance by the shot noise of the source itself, over its flux.
-    level_dn : (n,) float64, DN
-        Level of the ring.
+    points_px : (n, 2) float64, px; where they were measured: the given places, bright sources centered
+    flux_dn : (n,) float64, DN; light above the level; negative by noise where there is none
+    noise_covariance_dn2 : (n, n) float64, DN^2; of the noise of the pixels, those in common included
+    shot_dn : (n,) float64, DN; variance by the shot noise of the source itself, over its flux
+    level_dn : (n,) float64, DN; level of the ring
     flags : (n,) uint16
         Combinations of :class:`~giantlike.processing.detection.DetectionFlag`: saturated, masked, cut, blended.
-    angle_rad : (n,) float64, rad
-        From the optical axis.
-    width_px : float, px
-        Standard deviation of the point spread function.
+    angle_rad : (n,) float64, rad; from the optical axis
+    width_px : float, px; standard deviation of the point spread function
     growth, growth_sigma : float
         Factor of the growth curve that ``flux_dn`` contains, and its relative error, common to all.
     exposure_s : float, s
-    gain_e_per_dn : float, electron/DN
-        Of the camera file.
-    half_diagonal_deg : float, degrees
-        Angle from the axis to the corner of the frame.
-    name, epoch : str
-        Of the image; UTC.
+    gain_e_per_dn : float, electron/DN; of the camera file
+    half_diagonal_deg : float, degrees; angle from the axis to the corner of the frame
+    name, epoch : str; of the image; UTC
     """
 
     points_px: Float
@@ -172,10 +160,8 @@ def measure_fluxes(
 
     Parameters
     ----------
-    image : Image
-        With its exposure time.
-    camera : Camera
-        Its ``psf`` is the first guess of the width, 1 px without one.
+    image : Image; with its exposure time
+    camera : Camera; its ``psf`` is the first guess of the width, 1 px without one
     points_px : (n, 2) array_like, px
         Places, in the frame. Neighbors are told apart only where both are given.
     options : FluxOptions
@@ -248,8 +234,7 @@ def measure_stars(
 
     Parameters
     ----------
-    image : Image
-        With its attitude, solved from stars, and its exposure time.
+    image : Image; with its attitude, solved from stars, and its exposure time
     camera : Camera
     catalog : StarCatalog
     options : FluxOptions

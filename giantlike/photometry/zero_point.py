@@ -45,14 +45,10 @@ class ZeroPointOptions:
 
     Parameters
     ----------
-    color : {"color_bp_rp"} or None
-        Color of the color term; None for no color term.
-    field : bool
-        Fit a term with the square of the angle from the axis.
-    min_stars : int
-        Fewest stars of the whole fit, and of each of its terms.
-    band : str
-        Band of the magnitudes of the stars.
+    color : {"color_bp_rp"} or None; color of the color term; None for no color term
+    field : bool; fit a term with the square of the angle from the axis
+    min_stars : int; fewest stars of the whole fit, and of each of its terms
+    band : str; band of the magnitudes of the stars
 
     Raises
     ------
@@ -78,20 +74,14 @@ class ZeroPoint(Estimate):
     ----------
     photometry : Photometry
         The value for camera files. Of several images: their mean, with their scatter in its covariance.
-    supported : mapping of str to ParameterVerdict
-        What the stars say of each term of :data:`TERMS`.
-    images_mag : (k,) float64, mag
-        Zero point of each image, with the color and field term of all.
-    covariance_images_mag2 : (k + 2, k + 2) float64, mag^2
-        Of ``images_mag``, color term and field term.
+    supported : mapping of str to ParameterVerdict; what the stars say of each term of :data:`TERMS`
+    images_mag : (k,) float64, mag; zero point of each image, with the color and field term of all
+    covariance_images_mag2 : (k + 2, k + 2) float64, mag^2; of ``images_mag``, color term and field term
     residuals : tuple of k (n,) float64
         Flux minus expected flux over the standard deviation of both, scatter included; NaN where a star was not used.
-    used : tuple of k (n,) bool
-        Stars used.
-    n_used, n_rejected : int
-        Stars used, and those left out as outliers.
-    notes : tuple of str
-        What is missing from the fit, and why.
+    used : tuple of k (n,) bool; stars used
+    n_used, n_rejected : int; stars used, and those left out as outliers
+    notes : tuple of str; what is missing from the fit, and why
     """
 
     photometry: Photometry
@@ -140,8 +130,7 @@ def fit_zero_point(
     ----------
     fluxes : sequence of k Fluxes
         Of one camera. Give all catalog stars of each field down to the faintest, not those that were detected.
-    stars : StarTable or sequence of k StarTable
-        The star of each row of each of the fluxes.
+    stars : StarTable or sequence of k StarTable; the star of each row of each of the fluxes
     options : ZeroPointOptions
 
     Returns

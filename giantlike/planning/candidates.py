@@ -35,22 +35,14 @@ class Candidate(Value):
 
     Parameters
     ----------
-    name : str
-        File of the image.
-    epoch : astropy Time, optional
-        Mid-exposure.
-    exposure_s : float, s, optional
-        Exposure time; by default the best of the ``exposures_s`` of the plan.
-    camera_from_inertial : Rotation, optional
-        Attitude.
-    observer : ObserverState, optional
-        Spacecraft, with respect to the solar system barycenter.
-    angular_rate_camera_rad_s : (3,) float64, rad/s, camera axes
-        Angular velocity of the camera.
-    places : mapping of str to ApparentGeometry
-        Geometry of targets, in place of their ephemerides in the scene.
-    failure : Failure, optional
-        Reason for which there is no geometry.
+    name : str; file of the image
+    epoch : astropy Time, optional; mid-exposure
+    exposure_s : float, s, optional; exposure time; by default the best of the ``exposures_s`` of the plan
+    camera_from_inertial : Rotation, optional; attitude
+    observer : ObserverState, optional; spacecraft, with respect to the solar system barycenter
+    angular_rate_camera_rad_s : (3,) float64, rad/s, camera axes; angular velocity of the camera
+    places : mapping of str to ApparentGeometry; geometry of targets, in place of their ephemerides in the scene
+    failure : Failure, optional; reason for which there is no geometry
 
     Raises
     ------
@@ -116,8 +108,7 @@ def candidates_from_table(table: GeometryTable) -> list[Candidate]:
 
     Parameters
     ----------
-    table : GeometryTable
-        From :func:`~giantlike.io.geometry_table.read_geometry`.
+    table : GeometryTable; from :func:`~giantlike.io.geometry_table.read_geometry`
 
     Returns
     -------
@@ -179,21 +170,15 @@ def candidates_in_window(
 
     Parameters
     ----------
-    epochs_et : sequence of float, TDB seconds past J2000
-        Mid-exposures.
+    epochs_et : sequence of float, TDB seconds past J2000; mid-exposures
     camera : Camera
-    scene : Scene
-        With an observer and geometric ephemerides, such as :class:`~giantlike.ephemeris.SpiceEphemeris`.
-    target : str, optional
-        Body that the camera points at; may be left out when there is only one.
-    at_px : (float, float), px, optional
-        Pixel of its center; by default that of the image.
+    scene : Scene; with an observer and geometric ephemerides, such as :class:`~giantlike.ephemeris.SpiceEphemeris`
+    target : str, optional; body that the camera points at; may be left out when there is only one
+    at_px : (float, float), px, optional; pixel of its center; by default that of the image
     roll_deg : float, deg
         Position angle of the upward direction of the image, before the body is moved from the boresight.
-    exposure_s : float, s, optional
-        Exposure time.
-    prefix : str
-        Beginning of the names.
+    exposure_s : float, s, optional; exposure time
+    prefix : str; beginning of the names
 
     Returns
     -------

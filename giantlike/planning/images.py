@@ -49,36 +49,24 @@ class PlanOptions:
 
     Parameters
     ----------
-    target : str, optional
-        Body that is navigated by; may be left out when there is only one.
-    seed : int
-        Of everything random.
-    exposures_s : tuple of float, s
-        Exposure times to choose from, for candidates that have none.
-    keep_out_deg : float, deg
-        Smallest angle of the boresight from the Sun.
+    target : str, optional; body that is navigated by; may be left out when there is only one
+    seed : int; of everything random
+    exposures_s : tuple of float, s; exposure times to choose from, for candidates that have none
+    keep_out_deg : float, deg; smallest angle of the boresight from the Sun
     well_fraction : (float, float)
         Brightest pixel of the body over full scale, between which an exposure is chosen: its 95 % quantile is at most
         the second, and it is no longer than the first needs.
-    min_snr : float
-        Smallest signal to noise ratio of the whole signal of the body.
-    max_blur_px : float, px
-        Largest motion of the body during an exposure that is chosen.
+    min_snr : float; smallest signal to noise ratio of the whole signal of the body
+    max_blur_px : float, px; largest motion of the body during an exposure that is chosen
     estimators : tuple of str
         Estimators whose fixes are predicted by drawn images, the one to choose images by first; none: no images are
         drawn.
-    draws : int
-        Drawn images of each size, phase and brightness; the candidates of one share them.
-    truth : TruthOptions
-        What they are drawn from, beside the uncertainties of the target.
-    albedo : float
-        Normal albedo of a target without one.
-    sun_distance_au : float, au
-        Distance of the Sun where no ephemeris tells.
-    stars : StarOptions
-        Options of the run that is planned.
-    detection : DetectionOptions
-        Options of the run that is planned.
+    draws : int; drawn images of each size, phase and brightness; the candidates of one share them
+    truth : TruthOptions; what they are drawn from, beside the uncertainties of the target
+    albedo : float; normal albedo of a target without one
+    sun_distance_au : float, au; distance of the Sun where no ephemeris tells
+    stars : StarOptions; options of the run that is planned
+    detection : DetectionOptions; options of the run that is planned
 
     Raises
     ------
@@ -126,30 +114,20 @@ class PlannedImage(Value):
     Parameters
     ----------
     candidate : Candidate
-    exposure_s : float, s
-        Given or chosen.
-    geometry : TargetGeometry, optional
-        Of the target.
-    center_px : (2,) float64, px
-        Center of the target; NaN where it is behind the camera.
-    diameter_px : float, px
-        Of the sphere of the volume of the target.
-    elongation_rad : float, rad
-        Angle of the boresight from the Sun.
-    rate_px_s : (2,) float64, px/s
-        Motion of the target over the image.
-    star_rate_px_s : (2,) float64, px/s
-        Motion of the stars at the center of the image.
-    light : LightForecast, optional
-        Signal of the target.
+    exposure_s : float, s; given or chosen
+    geometry : TargetGeometry, optional; of the target
+    center_px : (2,) float64, px; center of the target; NaN where it is behind the camera
+    diameter_px : float, px; of the sphere of the volume of the target
+    elongation_rad : float, rad; angle of the boresight from the Sun
+    rate_px_s : (2,) float64, px/s; motion of the target over the image
+    star_rate_px_s : (2,) float64, px/s; motion of the stars at the center of the image
+    light : LightForecast, optional; signal of the target
     stars : StarForecast, optional
-    fixes : mapping of str to FixForecast
-        By estimator.
+    fixes : mapping of str to FixForecast; by estimator
     gain : float
         Half the logarithm of the ratio of the determinants of the orbit's covariance without and with the image, when
         it was chosen; NaN for an image that was not.
-    failure : Failure, optional
-        Reason for which the image is of no use.
+    failure : Failure, optional; reason for which the image is of no use
     """
 
     candidate: Candidate
@@ -183,8 +161,7 @@ class Plan(Value):
 
     Parameters
     ----------
-    images : tuple of PlannedImage
-        One a candidate, in their order.
+    images : tuple of PlannedImage; one a candidate, in their order
     camera : Camera
     scene : Scene
     target : str
@@ -216,8 +193,7 @@ class Plan(Value):
 
         Parameters
         ----------
-        count : int
-            Number of images; fewer are chosen where no more are usable or far enough apart.
+        count : int; number of images; fewer are chosen where no more are usable or far enough apart
         options : SelectOptions, optional
 
         Returns
@@ -290,12 +266,9 @@ def plan_images(
     Parameters
     ----------
     candidates : sequence of Candidate
-    camera : Camera
-        With its photometry; without it there are no signals, and all stars of the catalog count.
-    scene : Scene
-        Bodies with their declared uncertainties, and the Sun.
-    catalog : StarCatalog, optional
-        None: no stars.
+    camera : Camera; with its photometry; without it there are no signals, and all stars of the catalog count
+    scene : Scene; bodies with their declared uncertainties, and the Sun
+    catalog : StarCatalog, optional; None: no stars
     options : PlanOptions
 
     Returns

@@ -33,16 +33,11 @@ class LightForecast(Value):
 
     Parameters
     ----------
-    peak_dn : float, DN
-        Expected brightest pixel, above bias and not cut at saturation.
-    quantiles_dn : (3,) float64, DN
-        5, 50 and 95 % of that value, by the errors of law, albedo and zero point.
-    saturated : float
-        Expected fraction of the pixels of the body that are saturated.
-    snr_peak : float
-        Signal to noise ratio of the brightest pixel.
-    snr : float
-        Signal to noise ratio of the whole signal, each pixel weighted by its noise.
+    peak_dn : float, DN; expected brightest pixel, above bias and not cut at saturation
+    quantiles_dn : (3,) float64, DN; 5, 50 and 95 % of that value, by the errors of law, albedo and zero point
+    saturated : float; expected fraction of the pixels of the body that are saturated
+    snr_peak : float; signal to noise ratio of the brightest pixel
+    snr : float; signal to noise ratio of the whole signal, each pixel weighted by its noise
     """
 
     peak_dn: float

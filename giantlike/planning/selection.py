@@ -29,14 +29,10 @@ class OrbitPrior(Value):
 
     Parameters
     ----------
-    et : float, TDB seconds past J2000
-        Epoch of the state.
-    state : (6,) float64, km and km/s, ICRF axes
-        Spacecraft minus target.
-    covariance : (6, 6) float64
-        Of the state.
-    gm_km3_s2 : float, km^3/s^2
-        Of the target; 0: motion along a straight line.
+    et : float, TDB seconds past J2000; epoch of the state
+    state : (6,) float64, km and km/s, ICRF axes; spacecraft minus target
+    covariance : (6, 6) float64; of the state
+    gm_km3_s2 : float, km^3/s^2; of the target; 0: motion along a straight line
 
     Raises
     ------
@@ -63,12 +59,10 @@ class SelectOptions:
 
     Parameters
     ----------
-    min_gap_s : float, s
-        Smallest time between two images.
+    min_gap_s : float, s; smallest time between two images
     orbit : OrbitPrior, optional
         By default the geometry of the first image, uncertain by a tenth of the range, and a straight line.
-    estimator : str, optional
-        Whose fixes count; by default the first of the plan.
+    estimator : str, optional; whose fixes count; by default the first of the plan
 
     Raises
     ------
@@ -93,10 +87,8 @@ class Measurement(Value):
     et : float
     partials : (k, 7) float64
         Of x, y, px, and, where it is measured, of the logarithm of the range, by the state and the size of the target.
-    covariance : (k, k) float64
-        Without the error of the size, which all images share.
-    weight : float
-        Probability of a usable fix.
+    covariance : (k, k) float64; without the error of the size, which all images share
+    weight : float; probability of a usable fix
     """
 
     et: float

@@ -45,18 +45,13 @@ class StarForecast(Value):
 
     Parameters
     ----------
-    in_field : int
-        Stars of the catalog in the field of view, down to its limit.
-    expected : float
-        Expected number of detections; equal to ``in_field`` where no zero point is known.
-    low, high : float
-        Interval of 95 % of that number: chance, and the error of the zero point.
+    in_field : int; stars of the catalog in the field of view, down to its limit
+    expected : float; expected number of detections; equal to ``in_field`` where no zero point is known
+    low, high : float; interval of 95 % of that number: chance, and the error of the zero point
     covariance_rad2 : (3, 3) float64, rad^2, camera axes, optional
         Covariance of the attitude from them, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
-    parts : mapping of Cause to (3, 3) float64, rad^2
-        That covariance by cause.
-    failure : Failure, optional
-        Reason for which there is no attitude.
+    parts : mapping of Cause to (3, 3) float64, rad^2; that covariance by cause
+    failure : Failure, optional; reason for which there is no attitude
     """
 
     in_field: int
@@ -83,21 +78,16 @@ def expect_stars(
 
     Parameters
     ----------
-    image : Image
-        Epoch, exposure, attitude and observer; pixels are not used.
+    image : Image; epoch, exposure, attitude and observer; pixels are not used
     camera : Camera
         Its photometry has the zero point in the band of the catalog. Without that, or with an unknown detector, every
         star of the catalog counts, and no attitude follows.
     catalog : StarCatalog
-    blur_px : (float, float), px
-        Motion (x, y) of the stars over the image during the exposure.
-    body : ((2,) float64, float), px, optional
-        Center and radius of a disk that hides stars.
+    blur_px : (float, float), px; motion (x, y) of the stars over the image during the exposure
+    body : ((2,) float64, float), px, optional; center and radius of a disk that hides stars
     options : StarOptions, optional
-    detection : DetectionOptions, optional
-        Threshold and largest number.
-    seed : int
-        Of the errors of the stars that the attitude is fitted to.
+    detection : DetectionOptions, optional; threshold and largest number
+    seed : int; of the errors of the stars that the attitude is fitted to
 
     Returns
     -------

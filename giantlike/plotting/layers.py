@@ -47,11 +47,9 @@ _MARKERS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Layer(Value):
-    """Points of one meaning over an image or in a chart.
+    """Points of one meaning over an image or in a chart."""
 
-    points: (n, 2); over an image px, in a chart in the units of its axes; of ``BARS`` and ``ARROWS`` two for each.
-    """
-
+    # (n, 2); over an image px, in a chart in the units of its axes; of ``BARS`` and ``ARROWS`` two for each
     points: Float
     shape: MarkShape
     color: str

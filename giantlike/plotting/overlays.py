@@ -52,12 +52,10 @@ _SOFTENING = 8.0  # level, in units of the noise, up to which the gray scale is 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarMarks(Value):
-    """Stars of an image, px.
-
-    matched_px, predicted_px: (m, 2); identified stars as measured, and as the solution predicts them.
-    """
+    """Stars of an image, px."""
 
     detected_px: Float  # (n, 2); all detections
+    # matched_px, predicted_px: (m, 2); identified stars as measured, and as the solution predicts them
     matched_px: Float
     predicted_px: Float
     rejected_px: Float = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2); matches rejected as outliers
@@ -70,17 +68,15 @@ class StarMarks(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CenterMark(Value):
-    """Result of one estimator.
-
-    limb_px, limb_rejected_px: (n, 2); limb points used, and points of the illuminated limb not used.
-    outline_px: (n, 2); outline of the body at the result, where it is known.
-    """
+    """Result of one estimator."""
 
     color: str
     center_px: Float
     covariance_px2: Float
+    # limb_px, limb_rejected_px: (n, 2); limb points used, and points of the illuminated limb not used
     limb_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
     limb_rejected_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    # (n, 2); outline of the body at the result, where it is known
     outline_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
 
 

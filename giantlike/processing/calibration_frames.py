@@ -113,32 +113,28 @@ def _is_near_median(block: Float, sigma: float) -> Mask:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibratedPixels(Value):
-    """Pixels corrected for bias, dark current and differences of response, with their mask and detector.
-
-    detector: noise and limits of these pixels: with the noise of the frames, without the bias that was subtracted.
-        Saturation is as in the raw image.
-    """
+    """Pixels corrected for bias, dark current and differences of response, with their mask and detector."""
 
     pixels: NDArray[np.float32]  # in DN; 0 where the mask is True
     mask: Mask  # True where a pixel is bad
+    # noise and limits of these pixels: with the noise of the frames, without the bias that was subtracted. Saturation
+    # is as in the raw image
     detector: Detector
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CalibrationFrames(Value):
-    """Frames that correct the images of one detector: ``(raw - bias - dark * exposure ratio) / flat``.
-
-    dark_has_bias: True if the dark was not corrected for the bias, as raw exposures. Without a bias frame such a dark
-        only applies to images of the same exposure.
-    flat: response of the pixels to uniform light, without bias and dark; scaled to a median of 1.
-    bad: True where a pixel is bad. Hot pixels of the dark and dead ones of the flat are added to it.
-    """
+    """Frames that correct the images of one detector: ``(raw - bias - dark * exposure ratio) / flat``."""
 
     bias: CombinedFrame | None = None  # exposures of zero length
     dark: CombinedFrame | None = None  # exposures without light
     dark_exposure_s: float | None = None  # exposure of the dark; needed with a dark
+    # True if the dark was not corrected for the bias, as raw exposures. Without a bias frame such a dark only applies
+    # to images of the same exposure
     dark_has_bias: bool = True
+    # response of the pixels to uniform light, without bias and dark; scaled to a median of 1
     flat: CombinedFrame | None = None
+    # True where a pixel is bad. Hot pixels of the dark and dead ones of the flat are added to it
     bad: Mask = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
 
     def __post_init__(self) -> None:

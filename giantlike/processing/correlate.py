@@ -33,14 +33,11 @@ _CONTRAST_LIMIT = 1e-5  # minimum standard deviation / largest value that float3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CorrelationOptions:
-    """Options of :func:`locate_template`.
-
-    min_overlap: minimum number of common pixels of image and template, relative to the largest such number in the
-        search region.
-    """
+    """Options of :func:`locate_template`."""
 
     search_px: int = 40  # largest distance from the predicted position, along each axis
     min_score: float = 0.5  # minimum correlation of a detection
+    # minimum number of common pixels of image and template, relative to the largest such number in the search region
     min_overlap: float = 0.3
 
     def __post_init__(self) -> None:
@@ -52,15 +49,13 @@ class CorrelationOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CorrelationPeak(Value):
-    """The highest point of a correlation surface.
-
-    covariance_px2: of ``offset_px``, from the noise of the image as the peak itself shows it: see :func:`find_peak`.
-        Infinite where the surface has no rounded peak.
-    """
+    """The highest point of a correlation surface."""
 
     offset_px: Float  # column and row of the peak in the surface, to a fraction of a pixel
     score: float  # correlation at the pixel of the peak, -1 to 1
     at_edge: bool  # True if the peak lies on the border of the surface or of the part of it that is defined
+    # of ``offset_px``, from the noise of the image as the peak itself shows it: see ``find_peak``. Infinite where the
+    # surface has no rounded peak
     covariance_px2: Float
 
 

@@ -37,12 +37,10 @@ _LEAST_NOISE2 = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OutlineErrors(Value):
-    """Errors of points along an outline, averaged over spectra by their likelihoods.
+    """Errors of points along an outline, averaged over spectra by their likelihoods."""
 
-    noise_scale2: (g,); variance of the independent part / given variances, with each of g correlated errors: several
-        kinds, each with several variances.
-    """
-
+    # (g,); variance of the independent part / given variances, with each of g correlated errors: several kinds, each
+    # with several variances
     noise_scale2: Float
     shared_variance: Float  # (g,); variance of the part correlated between neighbors, unit of the residuals squared
     log_likelihood: Float  # (g,)

@@ -47,14 +47,10 @@ class Visit:
 
     Parameters
     ----------
-    day : float
-        Days since the first visit.
-    diameter_px : float, px
-        Apparent diameter of the sphere of the body's volume.
-    phase_deg : float, deg
-        Angle Sun - body - camera.
-    lost : bool
-        True if there is no a priori attitude.
+    day : float; days since the first visit
+    diameter_px : float, px; apparent diameter of the sphere of the body's volume
+    phase_deg : float, deg; angle Sun - body - camera
+    lost : bool; True if there is no a priori attitude
     """
 
     day: float
@@ -85,33 +81,21 @@ class ApproachOptions:
 
     Parameters
     ----------
-    seed : int
-        Seed of everything random: equal options give equal images.
+    seed : int; seed of everything random: equal options give equal images
     approach, moon : tuple of Visit
         Visits of the irregular body ``ROCK`` and of the ellipsoid ``MOON``; at least two of the first, and none or at
         least two of the second.
-    facets : int
-        Facets of the irregular body.
-    long_exposure_s : float, s
-        Exposure time of the star images.
-    longest_short_s : float, s
-        Longest exposure of the images of the body.
-    peak_of_full_scale : float
-        Brightest pixel of the body in its images, as a fraction of full scale above bias.
-    frame_margin_px : float, px
-        Least distance of the body from the edge of the frame, where it fits.
-    pair_gap_s : float, s
-        Time between mid-exposures of a star image and of the image of the body next to it.
-    attitude_error_deg : (float, float), deg
-        Smallest and largest error of the a priori attitude.
-    drift_arcsec_s : float, arcsec/s
-        Constant rate of the camera during a visit.
-    jitter_arcsec_per_sqrt_s : float, arcsec/s^0.5
-        Random walk added to the drift, per axis.
-    position_error_px : float, px
-        Error of the a priori position across the line of sight.
-    range_error : float
-        Largest relative error of the a priori range.
+    facets : int; facets of the irregular body
+    long_exposure_s : float, s; exposure time of the star images
+    longest_short_s : float, s; longest exposure of the images of the body
+    peak_of_full_scale : float; brightest pixel of the body in its images, as a fraction of full scale above bias
+    frame_margin_px : float, px; least distance of the body from the edge of the frame, where it fits
+    pair_gap_s : float, s; time between mid-exposures of a star image and of the image of the body next to it
+    attitude_error_deg : (float, float), deg; smallest and largest error of the a priori attitude
+    drift_arcsec_s : float, arcsec/s; constant rate of the camera during a visit
+    jitter_arcsec_per_sqrt_s : float, arcsec/s^0.5; random walk added to the drift, per axis
+    position_error_px : float, px; error of the a priori position across the line of sight
+    range_error : float; largest relative error of the a priori range
 
     Raises
     ------
@@ -154,10 +138,7 @@ class ApproachOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ApproachFrame(Value):
-    """An image to be taken: its truth and its a priori knowledge.
-
-    apriori_geometry: geometry of the target with the error of the predicted position; orientation and Sun are exact.
-    """
+    """An image to be taken: its truth and its a priori knowledge."""
 
     shot: Shot  # true exposure
     scene: Scene  # true scene
@@ -166,6 +147,7 @@ class ApproachFrame(Value):
     seed: tuple[int, int]  # (int, int); seed of the noise of this image
     apriori_camera_from_inertial: Rotation | None  # attitude with its error; None where the attitude is lost
     apriori_observer: ObserverState  # observer with its error
+    # geometry of the target with the error of the predicted position; orientation and Sun are exact
     apriori_geometry: ApparentGeometry
 
 
@@ -225,8 +207,7 @@ def plan_approach(options: ApproachOptions = ApproachOptions()) -> Approach:
 
     Parameters
     ----------
-    options : ApproachOptions
-        Visits, errors and exposures.
+    options : ApproachOptions; visits, errors and exposures
 
     Returns
     -------

@@ -26,30 +26,22 @@ _GRID = 5  # points along each side of the frame over which the shift of an atti
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AttitudeError(Value):
-    """Error of the attitude of one image.
-
-    error_px: (2,); root mean square shift of the image by the error, over the frame, per axis. None without an
-        attitude.
-    sigma_px: (2,); as above, for the reported covariance (the three sigmas about the camera axes).
-    """
+    """Error of the attitude of one image."""
 
     file: str  # as in ``attitudes.csv``
     source: str  # as in ``attitudes.csv``
     status: str  # as in ``attitudes.csv``
     reason: str  # as in ``attitudes.csv``
+    # (2,); root mean square shift of the image by the error, over the frame, per axis. None without an attitude
     error_px: Float | None = None
+    # (2,); as above, for the reported covariance (the three sigmas about the camera axes)
     sigma_px: Float | None = None
     normalized: Float | None = None  # (3,); errors about the camera axes over their reported sigmas
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObservationError(Value):
-    """Error of one estimator on one image.
-
-    error_px, sigma_px: (2,); measured minus true center; reported sigmas. None without a fix.
-    nees: squared error normalized by the reported covariance (2 x 2): 2 on average where the covariance is correct.
-    range_error, range_sigma: measured minus true range, and its reported sigma, both divided by the true range.
-    """
+    """Error of one estimator on one image."""
 
     file: str  # as in ``observations.csv``
     target: str  # as in ``observations.csv``
@@ -58,9 +50,12 @@ class ObservationError(Value):
     reason: str  # as in ``observations.csv``
     diameter_px: float  # diameter_px, phase_deg: True apparent diameter and phase angle
     phase_deg: float
+    # error_px, sigma_px: (2,); measured minus true center; reported sigmas. None without a fix
     error_px: Float | None = None
     sigma_px: Float | None = None
+    # squared error normalized by the reported covariance (2 x 2): 2 on average where the covariance is correct
     nees: float | None = None
+    # range_error, range_sigma: measured minus true range, and its reported sigma, both divided by the true range
     range_error: float | None = None
     range_sigma: float | None = None
 
@@ -76,21 +71,19 @@ class TruthComparison(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ErrorSummary(Value):
-    """Errors of many fixes and their reported sigmas.
-
-    rms_px, sigma_px: (2,); root mean square of errors and of reported sigmas, per axis; NaN without fixes.
-    range_rms, range_sigma, range_chi2: relative errors of the range, relative reported sigmas, sum of squared
-        normalized errors; NaN without ranges.
-    """
+    """Errors of many fixes and their reported sigmas."""
 
     n_images: int  # rows in the table
     n_fixes: int  # number of fixes with status ``ok``; only these count below
     n_suspect: int  # number of fixes with status ``suspect``
     failures: Mapping[str, int]  # number of failed rows by reason
+    # rms_px, sigma_px: (2,); root mean square of errors and of reported sigmas, per axis; NaN without fixes
     rms_px: Float
     sigma_px: Float
     chi2: float  # chi2, dof: sum of squared normalized errors and number of them, without the range
     dof: int
+    # range_rms, range_sigma, range_chi2: relative errors of the range, relative reported sigmas, sum of squared
+    # normalized errors; NaN without ranges
     range_rms: float
     range_sigma: float
     range_chi2: float

@@ -20,15 +20,14 @@ class CosmicRays:
     """Rate of the particles that hit a detector and the charge that they leave.
 
     The flux is isotropic, so that the squared sine of the angle of incidence is uniform.
-
-    charge_e_um: in electron/um; median charge per path length. The default, 80, is about the value of a minimum
-        ionizing particle in silicon.
     """
 
     rate_s_cm2: float = 0.0  # in 1/s/cm^2; rate through the area of the detector
     hits_per_image: float = 0.0  # mean number of hits in an image of any exposure, added to the rate
     pixel_um: float = 10.0  # pixel pitch
     thickness_um: float = 15.0  # depth in which charge is collected: with the incidence it gives the length of a track
+    # in electron/um; median charge per path length. The default, 80, is about the value of a minimum ionizing particle
+    # in silicon
     charge_e_um: float = 80.0
     charge_spread: float = 0.4  # standard deviation of the natural logarithm of that charge, from particle to particle
 

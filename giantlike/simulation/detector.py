@@ -49,11 +49,9 @@ class Stream(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HotPixels(Value):
-    """Pixels with a high dark current.
+    """Pixels with a high dark current."""
 
-    points_px: (n, 2) int64, px; column and row of each; those outside a frame are left out.
-    """
-
+    # (n, 2) int64, px; column and row of each; those outside a frame are left out
     points_px: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     rate_e_s: Float = field(default_factory=lambda: np.zeros(0))  # (n,), electron/s; dark current of each
 
@@ -91,8 +89,6 @@ class DetectorModel(Value):
     """Detector effects beyond the gain, bias, read noise and saturation of a camera file.
 
     By default only shot noise is on.
-
-    dead_px: (n, 2) int64, px; column and row of pixels that hold no charge; those outside a frame are left out.
     """
 
     stray: StrayLight = field(default_factory=StrayLight)  # stray light
@@ -100,6 +96,7 @@ class DetectorModel(Value):
     transfer: FrameTransfer = field(default_factory=FrameTransfer)  # smear of the frame transfer
     dark: DarkCurrent = field(default_factory=DarkCurrent)  # dark current
     hot_pixels: HotPixels = field(default_factory=HotPixels)  # pixels with a high dark current
+    # (n, 2) int64, px; column and row of pixels that hold no charge; those outside a frame are left out
     dead_px: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     shot_noise: bool = True  # True to draw shot noise
     cosmic_rays: CosmicRays = field(default_factory=CosmicRays)  # tracks of charged particles

@@ -46,14 +46,12 @@ class StrayLight:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FlatField(Value):
-    """Relative response of the pixels: pixel-to-pixel differences and vignetting.
+    """Relative response of the pixels: pixel-to-pixel differences and vignetting."""
 
-    response: (rows, columns); relative response of single pixels, 1 on average; :func:`pixel_response` draws one.
-    vignetting: fraction of the light lost in the corners of the image; the loss grows with the square of the distance
-        from the center.
-    """
-
+    # (rows, columns); relative response of single pixels, 1 on average; ``pixel_response`` draws one
     response: Float | None = None
+    # fraction of the light lost in the corners of the image; the loss grows with the square of the distance from the
+    # center
     vignetting: float = 0.0
 
     def __post_init__(self) -> None:
@@ -94,16 +92,13 @@ class StorageSide(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameTransfer:
-    """Smear of a frame-transfer detector without shutter, whose rows move under the light.
+    """Smear of a frame-transfer detector without shutter, whose rows move under the light."""
 
-    row_time_s: time that a row spends under the light of each other row that it passes; 0 switches the smear off.
-    swept_before: True if the rows move in the same way right before the exposure, to clear the detector: then every row
-        has passed all others, and the smear of a column is nearly constant. Else a row passes only those on its way
-        out.
-    """
-
+    # time that a row spends under the light of each other row that it passes; 0 switches the smear off
     row_time_s: float = 0.0
     storage: StorageSide = StorageSide.FIRST_ROW  # edge towards which the rows move after the exposure
+    # True if the rows move in the same way right before the exposure, to clear the detector: then every row has passed
+    # all others, and the smear of a column is nearly constant. Else a row passes only those on its way out
     swept_before: bool = True
 
     def __post_init__(self) -> None:
@@ -129,15 +124,12 @@ class FrameTransfer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DarkCurrent:
-    """Dark current, the same in every pixel; hot pixels are added to it.
-
-    doubling_k: K; rise of temperature that doubles the rate. The default, 6.5, stands in until the value of the
-        detector is known.
-    """
+    """Dark current, the same in every pixel; hot pixels are added to it."""
 
     rate_e_s: float = 0.0  # in electron/s; rate per pixel at the reference temperature
     temperature_k: float | None = None  # K; temperature of the detector; without one the rate is not scaled
     reference_temperature_k: float = 293.15  # K; temperature of the rate; 20 degrees Celsius by default
+    # K; rise of temperature that doubles the rate. The default, 6.5, stands in until the value of the detector is known
     doubling_k: float = 6.5
 
     def __post_init__(self) -> None:
@@ -156,13 +148,11 @@ class DarkCurrent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FullWell:
-    """Full-well capacity of the pixels and blooming.
-
-    blooming: True if excess charge spills along the column, half of it either way, into the nearest pixels that have
-        room; charge that reaches an edge of the detector drains off. Without blooming the excess is lost at once.
-    """
+    """Full-well capacity of the pixels and blooming."""
 
     capacity_e: float = math.inf  # charge that a pixel holds; infinite by default, so that only the converter saturates
+    # True if excess charge spills along the column, half of it either way, into the nearest pixels that have room;
+    # charge that reaches an edge of the detector drains off. Without blooming the excess is lost at once
     blooming: bool = False
 
     def __post_init__(self) -> None:

@@ -20,16 +20,14 @@ from giantlike.simulation.stars import DetectorStars
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedImage(Value):
-    """A simulated image and its truth.
-
-    bodies: true apparent geometry at mid-exposure of every target that is seen in the frame, by name.
-    stars: stars whose light falls on the frame and that no body hides, with true positions at mid-exposure.
-    """
+    """A simulated image and its truth."""
 
     image: Image  # pixels uint16, with the true attitude and observer
     shot: Shot  # the exposure
+    # true apparent geometry at mid-exposure of every target that is seen in the frame, by name
     bodies: Mapping[str, TargetGeometry]
     templates: Mapping[str, Template]  # those bodies as rendered at mid-exposure, noise-free, PSF in
+    # stars whose light falls on the frame and that no body hides, with true positions at mid-exposure
     stars: DetectorStars = field(repr=False)
     star_electrons: Float = field(repr=False)  # (n,), electron; light of each star
     readout: Readout = field(repr=False)  # mean charge without noise and charge of cosmic rays, pixel by pixel
@@ -49,18 +47,12 @@ def simulate_image(
 
     Parameters
     ----------
-    shot : Shot
-        The exposure.
-    camera : Camera
-        With its PSF; its detector gives gain, read noise, bias and saturation.
-    sources : Sources
-        Bodies and stars.
-    seed : int or tuple of int
-        Equal seeds give equal images; each random effect has a separate stream.
-    detector : DetectorModel, optional
-        Further effects of the detector; by default there is only shot noise.
-    options : SimulationOptions, optional
-        Sampling.
+    shot : Shot; the exposure
+    camera : Camera; with its PSF; its detector gives gain, read noise, bias and saturation
+    sources : Sources; bodies and stars
+    seed : int or tuple of int; equal seeds give equal images; each random effect has a separate stream
+    detector : DetectorModel, optional; further effects of the detector; by default there is only shot noise
+    options : SimulationOptions, optional; sampling
 
     Raises
     ------

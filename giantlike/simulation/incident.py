@@ -36,14 +36,11 @@ class Sources:
     ----------
     scene : Scene, optional
         True geometry: light time and stellar aberration are applied as the scene says. None: no bodies.
-    catalog : StarCatalog, optional
-        None: no stars.
-    photometry : Photometry
-        Zero point of the camera.
+    catalog : StarCatalog, optional; None: no stars
+    photometry : Photometry; zero point of the camera
     albedo : float
         Radiance factor along the normal of targets without one of their own; a dark asteroid such as Bennu by default.
-    sun_distance_au : float, au
-        Distance of the bodies from the Sun.
+    sun_distance_au : float, au; distance of the bodies from the Sun
 
     Raises
     ------
@@ -70,12 +67,10 @@ class Sources:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulationOptions:
-    """Sampling of simulated images.
+    """Sampling of simulated images."""
 
-    rays_per_pixel_side: rays along each side of a pixel. Each goes through a random position in its cell, so that no
-        estimator's template shares the sampling.
-    """
-
+    # rays along each side of a pixel. Each goes through a random position in its cell, so that no estimator's template
+    # shares the sampling
     rays_per_pixel_side: int = 5
     max_magnitude: float | None = None  # faintest star; by default all stars of the catalog
     sun_radius_rad: float = 0.0  # rad; angular radius of the Sun at the bodies, for penumbrae; 0 is a point
@@ -93,12 +88,10 @@ class SimulationOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class IncidentLight(Value):
-    """Light on the pixels and its sources.
-
-    bodies: true apparent geometry at mid-exposure of every target seen in the frame, by name.
-    """
+    """Light on the pixels and its sources."""
 
     electrons: Float  # (rows, columns); mean number of photoelectrons of the exposure
+    # true apparent geometry at mid-exposure of every target seen in the frame, by name
     bodies: Mapping[str, TargetGeometry]
     templates: Mapping[str, Template]  # those bodies as rendered at mid-exposure
     stars: DetectorStars  # stars whose light falls on the frame, with true positions at mid-exposure

@@ -21,19 +21,17 @@ _SUN_GM_KM3_S2 = 1.32712440041e11
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CircularOrbit:
-    """A body on a circular orbit about the Sun at the solar system barycenter, spinning about its z axis.
-
-    inclination_rad: inclination of the orbit to that equator; the default, 0.41 rad, puts it near the ecliptic.
-    pole_ra_deg, pole_dec_deg: spin axis; the defaults, with 1.1 au and the period, are close to Bennu's.
-    epoch_et: in s; TDB seconds past J2000 at which the prime meridian is at the node of the body's equator.
-    """
+    """A body on a circular orbit about the Sun at the solar system barycenter, spinning about its z axis."""
 
     radius_au: float = 1.1  # au; radius of the orbit
     longitude_rad: float = 0.0  # angle along the orbit at ``et = epoch_et``, from the node on the equator of the ICRF
+    # inclination of the orbit to that equator; the default, 0.41 rad, puts it near the ecliptic
     inclination_rad: float = 0.41
+    # pole_ra_deg, pole_dec_deg: spin axis; the defaults, with 1.1 au and the period, are close to Bennu's
     pole_ra_deg: float = 86.0
     pole_dec_deg: float = -65.0
     spin_period_s: float = 15466.0  # sidereal rotation period
+    # in s; TDB seconds past J2000 at which the prime meridian is at the node of the body's equator
     epoch_et: float = 0.0
     origin: str = field(default=BARYCENTER, init=False)
 

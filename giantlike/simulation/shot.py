@@ -31,14 +31,10 @@ class Shot(Value):
 
     Parameters
     ----------
-    name : str
-        Name of the image.
-    epoch : astropy Time
-        Mid-exposure.
-    exposure_s : float, s
-        Exposure time.
-    camera_from_inertial : Rotation
-        True attitude at mid-exposure.
+    name : str; name of the image
+    epoch : astropy Time; mid-exposure
+    exposure_s : float, s; exposure time
+    camera_from_inertial : Rotation; True attitude at mid-exposure
     observer : ObserverState, optional
         True state of the spacecraft; without one stars have neither parallax nor aberration.
     angular_rate_camera_rad_s : (3,) float64, rad/s, camera axes

@@ -77,17 +77,13 @@ def write_approach(
 
     Parameters
     ----------
-    approach : Approach
-        The plan.
+    approach : Approach; the plan
     folder : Path
         Gets ``images/*.fits``, ``shapes/``, ``camera.toml``, ``geometry.csv``, ``campaign.toml`` and, for the
         comparison afterwards, ``truth.csv``, which no campaign reads.
-    catalog : StarCatalog
-        Stars.
-    workers : int
-        Number of images made at the same time.
-    progress : callable, optional
-        Called with the number of finished images and the number of all.
+    catalog : StarCatalog; stars
+    workers : int; number of images made at the same time
+    progress : callable, optional; called with the number of finished images and the number of all
 
     Returns
     -------

@@ -36,29 +36,26 @@ distribution, one-sided."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AttitudeSolution(Value):
-    """Weighted attitude of one image.
-
-    covariance_rad2: (3, 3), rad^2; of the small rotation about the camera axes, as in
-        :class:`~giantlike.core.outcomes.AttitudeFix`; an estimated scale is marginalized.
-    error_floor_px: px; standard deviation per axis, added in quadrature for every star to explain the residuals; 0 if
-        they need none.
-    hidden_floor_px: px; the floor that is likely where the noise explains the residuals: in the covariance, not in the
-        weights. It matters where one star is far better than the others, so that the fit follows its unmodeled error.
-    shared_error_px: px; standard deviation per axis of the errors that neighboring stars share, times the root of their
-        probability; 0 where no error is likely. The covariance is the mean over all kinds, sizes and lengths of errors,
-        each with its probability.
-    """
+    """Weighted attitude of one image."""
 
     camera_from_inertial: Rotation
+    # (3, 3), rad^2; of the small rotation about the camera axes, as in ``giantlike.core.outcomes.AttitudeFix``; an
+    # estimated scale is marginalized
     covariance_rad2: Float
     model: CameraModel  # camera model, with the estimated scale if there is one
     used: Mask  # (n,); False for outliers
     predicted_px: Float  # (n, 2), px; stars projected by the solution
     sigma_px: Float  # (n,), px; standard deviation per axis by which each star was weighted
+    # px; standard deviation per axis, added in quadrature for every star to explain the residuals; 0 if they need none
     error_floor_px: float
     error_factor: float  # factor on the standard deviations of the stars themselves, at least 1
     reduced_chi2: float  # chi-square over degrees of freedom without the floor
+    # px; the floor that is likely where the noise explains the residuals: in the covariance, not in the weights. It
+    # matters where one star is far better than the others, so that the fit follows its unmodeled error
     hidden_floor_px: float
+    # px; standard deviation per axis of the errors that neighboring stars share, times the root of their probability; 0
+    # where no error is likely. The covariance is the mean over all kinds, sizes and lengths of errors, each with its
+    # probability
     shared_error_px: float
     unmodeled_likely: bool  # whether errors beyond those of the stars and the floor are likely
     by_pixels: Float  # (3, k, 2), rad/px; derivative of the small rotation by the image positions of the k stars used

@@ -38,16 +38,14 @@ class StarField(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sky(Value):
-    """A star catalog as seen by an observer at one time.
-
-    observer_position_km: (3,), km, inertial; from the solar system barycenter; without it parallax is not applied.
-    observer_velocity_km_s: (3,), km/s, inertial; relative to the solar system barycenter; without it aberration is not
-        applied and becomes part of the attitude.
-    """
+    """A star catalog as seen by an observer at one time."""
 
     catalog: StarCatalog
     et: float | None = None  # s; TDB seconds past J2000; default: stars at ``EPOCH_WHEN_UNKNOWN``
+    # (3,), km, inertial; from the solar system barycenter; without it parallax is not applied
     observer_position_km: Float | None = None
+    # (3,), km/s, inertial; relative to the solar system barycenter; without it aberration is not applied and becomes
+    # part of the attitude
     observer_velocity_km_s: Float | None = None
     max_magnitude: float | None = None  # faintest star, in the band of the catalog
     light_deflection: bool = False  # apply the deflection by the Sun; only where the position of the observer is known

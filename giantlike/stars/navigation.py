@@ -81,8 +81,7 @@ class StarNavigation:
     camera : Camera
     catalog : StarCatalog
     options : StarOptions, optional
-    detection : DetectionOptions, optional
-        Options of :func:`~giantlike.processing.detect_sources`.
+    detection : DetectionOptions, optional; options of :func:`~giantlike.processing.detect_sources`
     """
 
     def __init__(

@@ -20,8 +20,7 @@ class StarOptions:
     ----------
     max_magnitude : float, optional
         Faintest catalog star, in the band of the catalog. Default: by the number of detections.
-    lost_in_space : bool
-        Search the whole sky if there is no a priori attitude or no stars are found with it.
+    lost_in_space : bool; search the whole sky if there is no a priori attitude or no stars are found with it
     estimate_scale : bool
         Estimate focal length and radial distortion k1 together with the attitude, for cameras of which only
         a rough field of view is known. Principal point and distortion center stay at the image center.

@@ -43,11 +43,9 @@ class Scope(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Hypothesis(Value):
-    """An attitude shared by several patterns of detections.
+    """An attitude shared by several patterns of detections."""
 
-    camera_from_inertial: for the directions of the index, which has neither aberration nor the epoch of the image.
-    """
-
+    # for the directions of the index, which has neither aberration nor the epoch of the image
     camera_from_inertial: Rotation
     scale: float  # focal length relative to the camera's
     star_ids: NDArray[np.int64]  # (k,); catalog identifiers

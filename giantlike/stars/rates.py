@@ -23,10 +23,8 @@ class AngularRates(Value):
 
     Parameters
     ----------
-    et : (n,) float64, TDB seconds past J2000
-        Increasing, n >= 2.
-    rates_rad_s : (n, 3) float64, rad/s
-        About the camera axes, right-handed: the rotation of the camera itself.
+    et : (n,) float64, TDB seconds past J2000; increasing, n >= 2
+    rates_rad_s : (n, 3) float64, rad/s; about the camera axes, right-handed: the rotation of the camera itself
     """
 
     et: Float

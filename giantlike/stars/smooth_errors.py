@@ -52,15 +52,13 @@ count twice: 6 pi / (8 pi + 3 sqrt(3)), area of a disk / area of two through eac
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class UnmodeledErrors(Value):
-    """Effect of unmodeled errors of stars on an attitude: the mean over sizes and correlation lengths.
-
-    own_px, scale_px, shared_px: root mean square per axis, over all hypotheses, of errors of single stars, of scale
-        errors, and of errors that neighbors share (the part of smooth fields that differs from star to star). All are 0
-        where no error is likely and no star decides alone.
-    """
+    """Effect of unmodeled errors of stars on an attitude: the mean over sizes and correlation lengths."""
 
     likely: bool  # whether errors of any kind are more likely than none
     covariance_rad2: Float  # of the attitude, for these errors alone
+    # own_px, scale_px, shared_px: root mean square per axis, over all hypotheses, of errors of single stars, of scale
+    # errors, and of errors that neighbors share (the part of smooth fields that differs from star to star). All are 0
+    # where no error is likely and no star decides alone
     own_px: float
     scale_px: float
     shared_px: float

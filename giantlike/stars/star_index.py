@@ -79,16 +79,13 @@ class Pattern(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarIndex(Value):
-    """Patterns of stars that can be looked up by shape.
-
-    patterns: (m, 3) or (m, 4) uint32; indices of stars, in the order of :func:`describe_triads` or
-        :func:`describe_quads`.
-    """
+    """Patterns of stars that can be looked up by shape."""
 
     pattern: Pattern
     radius_rad: float  # radius of the caps; no pattern is wider than twice as much
     ids: NDArray[np.int64]  # (n,); catalog identifiers of the stars in patterns
     directions: Float  # (n, 3), inertial axes; unit vectors to the stars
+    # (m, 3) or (m, 4) uint32; indices of stars, in the order of ``describe_triads`` or ``describe_quads``
     patterns: NDArray[np.uint32]
     cells: NDArray[np.uint32]  # (m,) uint32; cell of each pattern's code, ascending
 

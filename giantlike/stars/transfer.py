@@ -42,8 +42,7 @@ class TransferOptions:
 
     Parameters
     ----------
-    method : TransferMethod
-        Default ``interpolate``: it needs neither rates nor a priori attitudes.
+    method : TransferMethod; default ``interpolate``: it needs neither rates nor a priori attitudes
     max_gap_s : float, s
         Star images further away in time are not used. Default: no limit; the drift widens the covariance instead.
     drift_arcsec_per_sqrt_s : float, arcsec/s^0.5
@@ -69,16 +68,13 @@ class TransferOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarAttitude(Value):
-    """A star solution and its time.
-
-    covariance_rad2: of the small rotation about the camera axes, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
-    errors: by cause, and those shared with the camera, of which every solution of one camera has the same.
-    """
+    """A star solution and its time."""
 
     et: float
     camera_from_inertial: Rotation
-    covariance_rad2: Float
+    covariance_rad2: Float  # of the small rotation about the camera axes, as in ``giantlike.core.outcomes.AttitudeFix``
     apriori: Rotation | None = None  # a priori ``camera_from_inertial``
+    # by cause, and those shared with the camera, of which every solution of one camera has the same
     errors: AttitudeErrors = field(default_factory=AttitudeErrors)
 
     def __post_init__(self) -> None:
@@ -88,13 +84,10 @@ class StarAttitude(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TransferredAttitude(Value):
-    """An attitude transferred from star images.
-
-    covariance_rad2: of the small rotation about the camera axes: the propagated errors of the star solutions, and the
-        drift.
-    """
+    """An attitude transferred from star images."""
 
     camera_from_inertial: Rotation
+    # of the small rotation about the camera axes: the propagated errors of the star solutions, and the drift
     covariance_rad2: Float
     used: tuple[int, ...]  # indices of the star solutions used, one or two
     weights: tuple[float, ...]  # fraction of each of them in the attitude; they sum to 1
@@ -158,12 +151,10 @@ def carry_attitude(
 
     Parameters
     ----------
-    image : Image
-        The exposure without stars; an attitude that it has is replaced.
+    image : Image; the exposure without stars; an attitude that it has is replaced
     solved : sequence of Image
         Exposures of the same camera with the attitudes of their stars (``long.with_attitude(fix)``), in any order.
-    rates : AngularRates, optional
-        Used by ``propagate``.
+    rates : AngularRates, optional; used by ``propagate``
     options : TransferOptions
         Default: a constant rate of rotation between the images before and after, and the drift of a quiet platform.
 

@@ -34,8 +34,7 @@ class HeightMap(Value):
 
     Parameters
     ----------
-    grid : HeightGrid
-        As read, or of :meth:`from_array`.
+    grid : HeightGrid; as read, or of :meth:`from_array`
     sigma_km : float, km
         Standard deviation of the heights over wide areas: what is not known of them, beside what the grid does not
         resolve, which the map itself tells.
@@ -69,12 +68,9 @@ class HeightMap(Value):
         ----------
         path : path-like or sequence of path-like
             Several files of one map, such as quarters, are joined; where they overlap, the later counts.
-        sigma_km : float, km, optional
-            Standard deviation of the heights; that of the file, else 0.
-        reference_radii_km : (3,), km, optional
-            Semi-axes of the reference ellipsoid, where the file does not tell them.
-        unit_km : float, km, optional
-            Length of a stored unit, where the file does not tell it.
+        sigma_km : float, km, optional; standard deviation of the heights; that of the file, else 0
+        reference_radii_km : (3,), km, optional; semi-axes of the reference ellipsoid, where the file does not tell them
+        unit_km : float, km, optional; length of a stored unit, where the file does not tell it
 
         Raises
         ------

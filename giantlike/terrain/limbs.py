@@ -47,16 +47,14 @@ class LimbProfile(Value):
     angles_rad : (k,) float64, rad
         In even steps from 0, about the direction from the camera to the center of the body: from ``first_body``
         towards ``second_body``.
-    altitude_km : (k,) float64, km
-        Across the outline; what the map does not resolve is in it as expected.
+    altitude_km : (k,) float64, km; across the outline; what the map does not resolve is in it as expected
     unresolved_km : (k,) float64, km
         The part of that which stands for relief that the map does not resolve; never negative.
     known : (k,) bool
         Where the map holds the ground that may be the limb; elsewhere the altitude is the mean of the others.
     points_body_km, normals_body : (k, 3) float64, km and unitless, body axes
         Limb of the smooth body, and its unit normals there.
-    first_body, second_body : (3,) float64, unitless, body axes
-        Unit vectors across the line of sight.
+    first_body, second_body : (3,) float64, unitless, body axes; unit vectors across the line of sight
     sigma_km : float, km
         Standard deviation of the altitude by the heights of the map and where it holds none, shared by wide parts.
     common_sigma_km : float, km
@@ -141,14 +139,10 @@ def limb_profile(
     Parameters
     ----------
     heights : HeightMap
-    radii_km : (3,), km
-        Semi-axes of the ellipsoid above whose limb the altitude is.
-    camera_body_km : (3,), km, body axes
-        The camera, from the center of the body.
-    angles : int
-        Position angles.
-    up_body : (3,), body axes, optional
-        Direction of the position angle 0; any by default.
+    radii_km : (3,), km; semi-axes of the ellipsoid above whose limb the altitude is
+    camera_body_km : (3,), km, body axes; the camera, from the center of the body
+    angles : int; position angles
+    up_body : (3,), body axes, optional; direction of the position angle 0; any by default
 
     Raises
     ------

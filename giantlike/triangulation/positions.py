@@ -39,8 +39,7 @@ class TriangulationOptions:
     Parameters
     ----------
     method : TriangulationMethod
-    max_steps : int
-        Gauss-Newton steps of the maximum likelihood.
+    max_steps : int; Gauss-Newton steps of the maximum likelihood
     max_range_sigma : float
         Maximum ratio of the position's standard deviation to the distance to the nearest target: beyond 0.3 the ranges
         are not determined by the lines, and no covariance describes the position.
@@ -72,21 +71,14 @@ class TriangulatedPosition(Value):
     covariance_km2 : (3, 3) float64, km^2
     parts : mapping of Cause to (3, 3) float64, km^2
         The covariance by cause: noise of the lines, attitude, ephemeris. They sum to it.
-    residuals_rad : (n, 2) float64, rad
-        Observed minus computed across each line, along two perpendicular axes.
-    chi_square : float
-        Of the residuals by their full covariance.
-    degrees_of_freedom : int
-        2 n - 3.
-    ranges_km : (n,) float64, km
-        To the targets.
-    et : float, TDB seconds past J2000, optional
-        Epoch of the position, where :func:`locate` made it.
+    residuals_rad : (n, 2) float64, rad; observed minus computed across each line, along two perpendicular axes
+    chi_square : float; of the residuals by their full covariance
+    degrees_of_freedom : int; 2 n - 3
+    ranges_km : (n,) float64, km; to the targets
+    et : float, TDB seconds past J2000, optional; epoch of the position, where :func:`locate` made it
     method : TriangulationMethod
-    steps : int
-        Gauss-Newton steps taken; 0 by the linear method.
-    flags : Quality
-        ``LARGE_RESIDUALS`` where their p-value is below 1e-4.
+    steps : int; Gauss-Newton steps taken; 0 by the linear method
+    flags : Quality; ``LARGE_RESIDUALS`` where their p-value is below 1e-4
     """
 
     position_km: Float
@@ -135,8 +127,7 @@ def triangulate(
     ----------
     sightlines : sequence of Sightline
         At least two, aberration removed (:func:`~giantlike.triangulation.sightlines.without_aberration`).
-    positions_km : (n, 3), km, ICRF axes
-        Where the target of each line was when the light left it.
+    positions_km : (n, 3), km, ICRF axes; where the target of each line was when the light left it
     ephemeris_covariances_km2 : mapping of str to (3, 3), km^2, ICRF axes, optional
         By target; none by default. It is one error for all lines to that target.
     options : TriangulationOptions, optional
@@ -206,18 +197,15 @@ def locate(
 
     Parameters
     ----------
-    sightlines : sequence of Sightline
-        At least two.
+    sightlines : sequence of Sightline; at least two
     ephemerides : mapping of str to Ephemeris
         By the names of the targets, all with one origin; a star is a
         :class:`~giantlike.triangulation.StarEphemeris`.
-    et : float, TDB seconds past J2000
-        Epoch of the position.
+    et : float, TDB seconds past J2000; epoch of the position
     velocity_km_s : (3,), km/s, ICRF axes
         Of the spacecraft with respect to the solar system barycenter. An error of 1 m/s rotates every line alike by
         0.7 mas.
-    ephemeris_covariances_km2 : mapping of str to (3, 3), km^2, ICRF axes, optional
-        By target; none by default.
+    ephemeris_covariances_km2 : mapping of str to (3, 3), km^2, ICRF axes, optional; by target; none by default
     options : TriangulationOptions, optional
 
     Returns

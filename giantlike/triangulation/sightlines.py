@@ -32,16 +32,11 @@ class Sightline(Value):
 
     Parameters
     ----------
-    target : str
-        Name; lines to the same target share the error of its ephemeris.
-    image : str
-        Name; lines of the same image share the error of its attitude.
-    et : float, TDB seconds past J2000
-        Mid-exposure.
-    direction_inertial : (3,) float64, unitless, ICRF axes
-        Unit vector to the target.
-    covariance_rad2 : (3, 3) float64, rad^2, ICRF axes
-        Of the direction, without the attitude; zero along the direction.
+    target : str; name; lines to the same target share the error of its ephemeris
+    image : str; name; lines of the same image share the error of its attitude
+    et : float, TDB seconds past J2000; mid-exposure
+    direction_inertial : (3,) float64, unitless, ICRF axes; unit vector to the target
+    covariance_rad2 : (3, 3) float64, rad^2, ICRF axes; of the direction, without the attitude; zero along the direction
     covariance_attitude_rad2 : (3, 3) float64, rad^2, ICRF axes
         Of the small rotation ``e`` with ``true direction = direction - e x direction``; zero where the attitude is
         taken as exact. Lines of the same image use the covariance of the first.
@@ -82,8 +77,7 @@ def sightline_of_fix(fix: CenterFix, image: Image, camera: Camera) -> Sightline 
     fix : CenterFix
         Of an unresolved body or of one with a disk; a :class:`~giantlike.core.outcomes.PositionFix` is used for its
         direction alone.
-    image : Image
-        With an attitude and an epoch; the covariance of its attitude goes into the line.
+    image : Image; with an attitude and an epoch; the covariance of its attitude goes into the line
     camera : Camera
 
     Returns
@@ -112,8 +106,7 @@ def sightline_of_pixel(
     target : str
     center_px : (2,), px
     covariance_px2 : (2, 2), px^2
-    image : Image
-        With an attitude and an epoch.
+    image : Image; with an attitude and an epoch
     camera : Camera
 
     Returns
@@ -171,10 +164,8 @@ class StarEphemeris(Value):
 
     Parameters
     ----------
-    star : StarTable
-        One star, with a parallax above zero.
-    origin : str
-        NAIF name of the origin of positions: parallaxes refer to the solar system barycenter.
+    star : StarTable; one star, with a parallax above zero
+    origin : str; NAIF name of the origin of positions: parallaxes refer to the solar system barycenter
 
     Raises
     ------

@@ -31,20 +31,18 @@ LANDMARK, LANDMARK_REJECTED = "#22d3ff", MARKS["limb points rejected"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MarkLayer(Value):
-    """Marks of one meaning.
-
-    names: short text next to each point; empty where there is none. The most important points come first.
-    sigmas: residual of each point in its sigma, of limb points in the RMS of all; empty where there is none.
-    """
+    """Marks of one meaning."""
 
     name: str  # one of ``LAYERS``
     title: str  # content, with target and estimator
     layer: Layer  # points, shape and color
     labels: Sequence[str] = ()  # description of each point; empty where there is none
+    # short text next to each point; empty where there is none. The most important points come first
     names: Sequence[str] = ()
     star_ids: Sequence[int] = field(default=())  # number of each point in the catalog; empty where points are not stars
     rejected: bool = False  # True for what a user rejected
     subject: tuple[str, str] = ("", "")  # target and estimator of limb points
+    # residual of each point in its sigma, of limb points in the RMS of all; empty where there is none
     sigmas: Sequence[float] = ()
 
 
@@ -54,8 +52,7 @@ def layers_of(seen: SeenImage, names: Sequence[str] | None = None) -> list[MarkL
     Parameters
     ----------
     seen : SeenImage
-    names : sequence of str, optional
-        Of ``LAYERS``; default: all.
+    names : sequence of str, optional; of ``LAYERS``; default: all
 
     Returns
     -------

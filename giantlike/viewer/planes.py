@@ -50,12 +50,9 @@ def backplanes_of(session: Session, file: str, *, estimator: str | None = None, 
     Parameters
     ----------
     session : Session
-    file : str
-        Name of the image.
-    estimator : str, optional
-        Whose fix; default: the best one, and the prediction where there is none.
-    predicted : bool
-        The prediction in any case.
+    file : str; name of the image
+    estimator : str, optional; whose fix; default: the best one, and the prediction where there is none
+    predicted : bool; the prediction in any case
 
     Returns
     -------

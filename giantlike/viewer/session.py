@@ -29,20 +29,17 @@ from giantlike.scene import Scene, TargetGeometry
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeenImage:
-    """Results of a run for one image, after edits.
-
-    points: lists of points as :meth:`~giantlike.campaign.store.run_folder.RunFolder.points` returns them, by target and
-        estimator of an observation; the lists of the image itself by two empty names.
-    terminators: mapping of str to tuple of (n, 2) px; by target, where
-        :func:`~giantlike.viewer.planes.with_terminators` traced them.
-    """
+    """Results of a run for one image, after edits."""
 
     record: AttitudeRecord
     observations: tuple[ObservationRecord, ...]
+    # lists of points as ``giantlike.campaign.store.run_folder.RunFolder.points`` returns them, by target and estimator
+    # of an observation; the lists of the image itself by two empty names
     points: Mapping[tuple[str, str], Mapping[str, Any]]
     targets: tuple[TargetRecord, ...]  # a priori geometry and outlines
     edits: tuple[Edit, ...]  # decisions in effect
     rejected_fixes: tuple[ObservationRecord, ...] = ()  # fixes that were rejected, as they were before
+    # mapping of str to tuple of (n, 2) px; by target, where ``giantlike.viewer.planes.with_terminators`` traced them
     terminators: Mapping[str, tuple[Float, ...]] = field(default_factory=dict)
 
     @property
@@ -102,8 +99,7 @@ class Session:
 
     Parameters
     ----------
-    folder : Path
-        The run folder.
+    folder : Path; the run folder
     campaign : Path, optional
         Its campaign file; by default the one of the run, if it still exists. It is needed for data that the run does
         not keep (shapes, backplanes, templates) and to solve again.

@@ -60,8 +60,7 @@ def reflectance_from_mapping(table: Mapping[str, Any]) -> Reflectance:
 
     Parameters
     ----------
-    table : mapping
-        The ``model`` and its parameters.
+    table : mapping; the ``model`` and its parameters
 
     Raises
     ------

@@ -24,8 +24,7 @@ class UserReflectance(SurfaceLaw):
     function : callable
         From arrays (n,) of the cosines of incidence and emission (both > 0) and of the phase angle, rad, to brightness
         (n,), finite and not negative. A function of a module, where bodies go to other processes.
-    name : str
-        Name in the provenance.
+    name : str; name in the provenance
 
     Raises
     ------

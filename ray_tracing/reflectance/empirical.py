@@ -59,8 +59,7 @@ class McEwen(SurfaceLaw):
 
     Parameters
     ----------
-    phase_scale_deg : float, deg
-        Phase angle at which the Lommel-Seeliger share has fallen to 1/e.
+    phase_scale_deg : float, deg; phase angle at which the Lommel-Seeliger share has fallen to 1/e
 
     Notes
     -----
@@ -119,10 +118,8 @@ class Minnaert(SurfaceLaw):
 
     Parameters
     ----------
-    k : float
-        Limb darkening at zero phase, in [0, 2]: 1 is Lambert, 0.5 a flat disk at full phase.
-    k_per_deg : float, 1/deg
-        Growth of k with the phase angle; the sum is cut to [0, 2].
+    k : float; limb darkening at zero phase, in [0, 2]: 1 is Lambert, 0.5 a flat disk at full phase
+    k_per_deg : float, 1/deg; growth of k with the phase angle; the sum is cut to [0, 2]
 
     Notes
     -----
@@ -157,8 +154,7 @@ class Akimov(SurfaceLaw):
 
     Parameters
     ----------
-    eta : float
-        Exponent of the darkening towards the photometric poles, >= 0: 1 is the parameter-free form.
+    eta : float; exponent of the darkening towards the photometric poles, >= 0: 1 is the parameter-free form
 
     Notes
     -----

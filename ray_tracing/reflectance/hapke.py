@@ -31,16 +31,11 @@ class Hapke(SurfaceLaw):
 
     Parameters
     ----------
-    w : float
-        Single-scattering albedo, in (0, 1].
-    b0 : float
-        Height of the opposition surge, >= 0; shadow hiding alone gives at most 1.
-    h : float
-        Angular half width of the surge, as the tangent of half the phase angle; > 0 where b0 is.
-    theta_bar_deg : float, deg
-        Mean slope of the relief below the resolution of the shape, in [0, 60].
-    hg1 : float
-        Asymmetry of the first lobe, in (-1, 1); negative scatters back to the Sun.
+    w : float; single-scattering albedo, in (0, 1]
+    b0 : float; height of the opposition surge, >= 0; shadow hiding alone gives at most 1
+    h : float; angular half width of the surge, as the tangent of half the phase angle; > 0 where b0 is
+    theta_bar_deg : float, deg; mean slope of the relief below the resolution of the shape, in [0, 60]
+    hg1 : float; asymmetry of the first lobe, in (-1, 1); negative scatters back to the Sun
     hg2 : float
         Fraction of the second lobe, in [0, 1]. Hapke's later (b, c) are ``hg1 = -b, hg2 = (1 - c) / 2``.
 

@@ -22,8 +22,7 @@ class OrenNayar(SurfaceLaw):
 
     Parameters
     ----------
-    sigma_deg : float, deg
-        Standard deviation s of the slopes, in [0, 90]; 0 is Lambert.
+    sigma_deg : float, deg; standard deviation s of the slopes, in [0, 90]; 0 is Lambert
 
     Notes
     -----

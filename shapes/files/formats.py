@@ -30,13 +30,11 @@ def read_text(path: Path) -> Surface:
 
 @dataclass(frozen=True, slots=True)
 class ShapeFormat:
-    """A format of shape files.
-
-    write: takes a path and a mesh; None for a DSK, which needs its identity as well.
-    """
+    """A format of shape files."""
 
     name: str  # with its article, for messages
     read: Callable[[Path], Surface]  # takes a path and returns a :class:`~giantlike.shapes.surface.Surface`
+    # takes a path and a mesh; None for a DSK, which needs its identity as well
     write: Callable[[Path, TriangleMesh], None] | None
     albedo: tuple[type[Albedo], ...] = ()  # kinds of albedo that files can hold
 

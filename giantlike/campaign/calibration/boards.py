@@ -27,16 +27,14 @@ _USUAL = frozenset(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardSetup:
-    """Board, camera model and parameters of a calibration from images of a checkerboard.
-
-    estimate: parameters; None: focal lengths, principal point and the lens terms that an ordinary series of boards
-        supports (for a fisheye ``k1``, ``k2``).
-    """
+    """Board, camera model and parameters of a calibration from images of a checkerboard."""
 
     across: int  # across, down: inner corners of the board
     down: int
     fov_deg: float  # in degrees; rough field of view along x
     model_type: str  # a key of :data:`~giantlike.camera_models.MODELS`
+    # parameters; None: focal lengths, principal point and the lens terms that an ordinary series of boards supports
+    # (for a fisheye ``k1``, ``k2``)
     estimate: tuple[str, ...] | None = None
     sigma_px: float = CORNER_SIGMA_PX  # standard deviation of a corner per axis
 

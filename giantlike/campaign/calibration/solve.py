@@ -51,13 +51,11 @@ _FEWEST_FOR_DRIFT = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CampaignCalibration(Value):
-    """Result of the calibration of a campaign.
-
-    alignment: alignment of the camera with respect to the a priori attitudes, if images have them.
-    """
+    """Result of the calibration of a campaign."""
 
     outcome: StarCalibration | Failure
     camera: Camera | None  # the calibrated camera; None if calibration failed or was not accepted
+    # alignment of the camera with respect to the a priori attitudes, if images have them
     alignment: AlignmentResult | None
     lost: tuple[tuple[str, str], ...]  # images that did not take part, and the reasons
     targets: str = "stars"  # word for the observed points: stars, or corners of a board

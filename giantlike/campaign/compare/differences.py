@@ -20,16 +20,13 @@ _COLUMNS = ("file", "what", "axis", "difference", "sigma", "ratio", "unit")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Difference:
-    """A difference along one axis, first minus second.
-
-    sigma: sigma of the difference: from both results, without their common errors; None where one of the two is
-        unknown.
-    """
+    """A difference along one axis, first minus second."""
 
     file: str  # image
     what: str  # ``attitude``, or target and estimator
     axis: str
     value: float
+    # sigma of the difference: from both results, without their common errors; None where one of the two is unknown
     sigma: float | None
     unit: str
 

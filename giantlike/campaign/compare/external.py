@@ -46,16 +46,13 @@ _FULL_TURN_DEG = 360.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExternalOptions:
-    """Options that SPICE files do not contain.
+    """Options that SPICE files do not contain."""
 
-    kernels: paths or patterns of the kernels that are needed in addition to the file: leap seconds, clock, frames,
-        planets.
-    spacecraft, body: trajectory: NAIF names or codes; the body only where it is not the name of the target.
-    """
-
+    # paths or patterns of the kernels that are needed in addition to the file: leap seconds, clock, frames, planets
     kernels: tuple[str, ...] = ()
     frame: str | None = None  # C-kernel: frame of the camera in them
     camera_from_frame_xyzw: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)  # from that frame to the camera axes, scalar last
+    # spacecraft, body: trajectory: NAIF names or codes; the body only where it is not the name of the target
     spacecraft: str | None = None
     body: str | None = None
 

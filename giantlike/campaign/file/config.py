@@ -78,24 +78,16 @@ class Campaign:
 
     Parameters
     ----------
-    path : Path
-        The campaign file.
-    table : mapping
-        Its content, for provenance.
+    path : Path; the campaign file
+    table : mapping; its content, for provenance
     name : str
-    output : Path
-        The run folder.
-    images : tuple of ImageEntry
-        In input order: patterns as given, files of a pattern by name.
-    hdu : int or str or None
-        FITS extension to read.
-    bottom_up : bool
-        True if the rows of image files are reversed on reading.
-    label_geometry : bool
-        True if the geometry in labels is used.
+    output : Path; the run folder
+    images : tuple of ImageEntry; in input order: patterns as given, files of a pattern by name
+    hdu : int or str or None; FITS extension to read
+    bottom_up : bool; True if the rows of image files are reversed on reading
+    label_geometry : bool; True if the geometry in labels is used
     geometry_file : Path or None
-    geometry : mapping of str to ImageGeometry
-        Rows of the geometry table and tables ``[geometry]``, by image key.
+    geometry : mapping of str to ImageGeometry; rows of the geometry table and tables ``[geometry]``, by image key
     camera : Camera
     camera_file : Path or None
     spice : SpiceSetup or None
@@ -103,18 +95,12 @@ class Campaign:
     calibration : CalibrationSection or None
     targets : tuple of TargetSetup
     network : NetworkSetup or None
-    max_overlays : int
-        Number of images shown in the report.
-    warnings : tuple of str
-        Oddities that are not errors.
-    apriori_sigma_rad : float or None, rad
-        Standard deviation of a priori attitudes about each camera axis.
-    frames : FrameFiles or None
-        Calibration frames that are applied to every image.
-    empty_images : frozenset of str
-        Keys of the images that are expected to hold nothing.
-    fluxes : FluxOptions
-        How ``giantlike photometry`` measures.
+    max_overlays : int; number of images shown in the report
+    warnings : tuple of str; oddities that are not errors
+    apriori_sigma_rad : float or None, rad; standard deviation of a priori attitudes about each camera axis
+    frames : FrameFiles or None; calibration frames that are applied to every image
+    empty_images : frozenset of str; keys of the images that are expected to hold nothing
+    fluxes : FluxOptions; how ``giantlike photometry`` measures
     """
 
     path: Path

@@ -48,13 +48,11 @@ _RATE_STEP_S = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpiceSetup:
-    """SPICE kernels, the spacecraft and its camera frame.
-
-    camera_from_frame: from the camera frame of the kernels to camera axes; None: no attitude from SPICE.
-    """
+    """SPICE kernels, the spacecraft and its camera frame."""
 
     kernels: tuple[Path, ...]  # in loading order
     spacecraft: str  # NAIF name or code
+    # from the camera frame of the kernels to camera axes; None: no attitude from SPICE
     camera_from_frame: FrameRotation | None
     ck_tolerance_s: float = 0.0  # largest distance in time to a single attitude of a CK
     clock: LabelClock | None = None  # clock count in labels that have no epoch

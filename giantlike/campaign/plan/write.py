@@ -119,16 +119,13 @@ def write_plan(plan: Plan, folder: str | Path, *, catalog: str = "default", max_
 
     Parameters
     ----------
-    plan : Plan
-        From :func:`giantlike.planning.plan_images`, or what was chosen of it.
+    plan : Plan; from :func:`giantlike.planning.plan_images`, or what was chosen of it
     folder : path-like
         Gets ``plan.csv``, ``plan.json``, ``plan.html``, ``camera.toml``, ``geometry.csv``, ``scene.toml`` for
         ``giantlike render`` and ``campaign.toml`` for ``giantlike run``, which finds the rendered images in ``images``.
         The scene shows a body drawn from the declared uncertainties, the campaign has the declared one.
-    catalog : str
-        ``default``, or the file of a star catalog, relative to the folder.
-    max_magnitude : float, optional
-        Faintest star.
+    catalog : str; ``default``, or the file of a star catalog, relative to the folder
+    max_magnitude : float, optional; faintest star
 
     Returns
     -------

@@ -32,14 +32,12 @@ _LEAST_SIGMA = 1e-9  # standard deviations below this one have as many digits as
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FixLine:
-    """One fix of a card or of the table of fixes, as text.
-
-    range_km, range_offset: range with its sigma, km; observed minus computed, percent; empty where there is none.
-    """
+    """One fix of a card or of the table of fixes, as text."""
 
     record: ObservationRecord
     center: tuple[str, ...]  # x and y with their sigma, px; empty without a fix
     offset: tuple[str, ...]  # observed minus computed x and y, px
+    # range_km, range_offset: range with its sigma, km; observed minus computed, percent; empty where there is none
     range_km: str
     range_offset: str
     words: list[tuple[str, str]]  # status and sentence, for each reason, flag and remark

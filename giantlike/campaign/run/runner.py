@@ -63,12 +63,9 @@ def run_campaign(
     workers : int, optional
         Number of processes; default one per CPU, never more than images. With fewer images, estimators of one image run
         in parallel, in at most this number of threads in total.
-    resume : bool
-        Accepted and without effect: a run always continues from its folder.
-    bodies : bool
-        Run the estimators of bodies too; without them the run ends with the attitudes (and can be continued).
-    progress : callable, optional
-        Called with the name of the step, the number of images done, and their total.
+    resume : bool; accepted and without effect: a run always continues from its folder
+    bodies : bool; run the estimators of bodies too; without them the run ends with the attitudes (and can be continued)
+    progress : callable, optional; called with the name of the step, the number of images done, and their total
     announce : callable, optional
         Called with lines on the changes, the pending work and the kept results, before the work starts.
     pool : callable, optional

@@ -31,15 +31,13 @@ from giantlike.stars import StarNavigation
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageJob:
-    """Work on one image.
-
-    attitude: for the estimators: the one to use or, where it is to be estimated, the one that the kept results used.
-    """
+    """Work on one image."""
 
     entry: ImageEntry
     camera: Camera | None = None  # the calibrated camera; None: the camera of the campaign
     measuring: Measuring = field(default_factory=Measuring)  # decisions of users
     solve: bool = True  # the attitude is to be estimated; otherwise it is given
+    # for the estimators: the one to use or, where it is to be estimated, the one that the kept results used
     attitude: Attitude | None = None
     bodies: tuple[Work, ...] = ()  # targets and estimators to run
     bodies_if_turned: tuple[Work, ...] = ()  # those to run only if the estimated attitude differs from ``attitude``

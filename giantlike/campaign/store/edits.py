@@ -194,15 +194,13 @@ class Start:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measuring:
-    """Decisions that change how an image is measured.
-
-    areas: masks by target and estimator; by two empty names those of the image.
-    landmarks: names of those that are not to be used, by target and estimator.
-    """
+    """Decisions that change how an image is measured."""
 
     rejected_stars: frozenset[int] = frozenset()  # numbers of stars that are not to be used
     starts: Mapping[str, Start] = field(default_factory=dict)  # by target
+    # masks by target and estimator; by two empty names those of the image
     areas: Mapping[tuple[str, str], tuple[Area, ...]] = field(default_factory=dict)
+    # names of those that are not to be used, by target and estimator
     landmarks: Mapping[tuple[str, str], frozenset[str]] = field(default_factory=dict)
 
     @property

@@ -53,11 +53,7 @@ class PlainRecord(BaseModel):
 
 
 class StarMatches(PlainRecord):
-    """Stars of one solution, for residual plots and overlays.
-
-    star_names: (n,) list of str; proper names, empty for stars without one; no list in runs made before there were
-        names.
-    """
+    """Stars of one solution, for residual plots and overlays."""
 
     star_ids: list[int]
     observed_px: list[Pair]  # (n, 2)
@@ -65,18 +61,17 @@ class StarMatches(PlainRecord):
     sigma_px: Vector  # sigma_px, magnitudes: (n,) px and magnitudes
     magnitudes: Vector
     rejected_px: list[Pair] = Field(default_factory=list)  # (m, 2); matches rejected as outliers
+    # (n,) list of str; proper names, empty for stars without one; no list in runs made before there were names
     star_names: list[str] = Field(default_factory=list)
 
 
 class Landmarks(PlainRecord):
-    """Landmarks of one fix.
-
-    covariance_px2: list of n (2, 2) lists; covariance of each alone: noise and the excess of the residuals.
-    """
+    """Landmarks of one fix."""
 
     names: list[str]  # (n,) list of str
     observed_px: list[Pair]  # observed_px, predicted_px: (n, 2); measured, and projected by the pose that they give
     predicted_px: list[Pair]
+    # list of n (2, 2) lists; covariance of each alone: noise and the excess of the residuals
     covariance_px2: list[TwoByTwo]
     body_km: list[Triple]  # (n, 3), body-fixed axes
     rejected_names: list[str] = Field(default_factory=list)  # (k,) list of str; of those looked for and not used
@@ -94,13 +89,11 @@ class TurnRecord(PlainRecord):
 
 
 class Residuals(PlainRecord):
-    """Residuals of a fix with their positions in the image, for pictures.
-
-    cell_px: 0: all residuals one by one. Else each value is the mean over a square of this side around its position.
-    """
+    """Residuals of a fix with their positions in the image, for pictures."""
 
     at_px: list[Pair]  # (n, 2)
     values: Vector  # (n,); as in :class:`~giantlike.core.outcomes.CenterFix`
+    # 0: all residuals one by one. Else each value is the mean over a square of this side around its position
     cell_px: float
 
 

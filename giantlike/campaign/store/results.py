@@ -80,29 +80,19 @@ class RunResult(Pictured, Value):
 
     Parameters
     ----------
-    folder : Path
-        The run folder.
-    name : str
-        Of the campaign.
-    attitudes : tuple of AttitudeRecord
-        One per image, in input order; lists of stars stay in the run folder.
+    folder : Path; the run folder
+    name : str; of the campaign
+    attitudes : tuple of AttitudeRecord; one per image, in input order; lists of stars stay in the run folder
     bodies : tuple of ObservationsRecord
         One per image that shows a body; limb points and outlines stay in the run folder.
-    hdu : int or str or None
-        FITS extension that was read.
-    bottom_up : bool
-        True if the rows were reversed on reading.
-    max_overlays : int
-        Number of images shown in the report.
+    hdu : int or str or None; FITS extension that was read
+    bottom_up : bool; True if the rows were reversed on reading
+    max_overlays : int; number of images shown in the report
     warnings : tuple of str
-    time_s : float, s
-        Duration of the last part of the run.
-    calibration : dict, optional
-        Content of ``calibration.json``, if the campaign calibrates.
-    empty_images : frozenset of str
-        Images that are expected to hold nothing.
-    network : dict, optional
-        Content of ``network/result.json``, if the campaign adjusts a network.
+    time_s : float, s; duration of the last part of the run
+    calibration : dict, optional; content of ``calibration.json``, if the campaign calibrates
+    empty_images : frozenset of str; images that are expected to hold nothing
+    network : dict, optional; content of ``network/result.json``, if the campaign adjusts a network
     steps : mapping of str to StepCount
         Results computed and kept by this run, by step; empty for a run that was read back.
     """
@@ -198,8 +188,7 @@ def load_result(path: Path) -> RunResult:
 
     Parameters
     ----------
-    path : Path
-        The run folder.
+    path : Path; the run folder
 
     Raises
     ------

@@ -19,8 +19,7 @@ def photos_of_run(run: RunResult, target: str | None = None) -> list[Photo]:
     Parameters
     ----------
     run : RunResult
-    target : str, optional
-        May be left out where the run has one.
+    target : str, optional; may be left out where the run has one
 
     Returns
     -------

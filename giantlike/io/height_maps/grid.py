@@ -29,16 +29,14 @@ _MOST_SAMPLES = 1 << 36  # samples of a map at most; the finest global one, of t
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeightGrid(Value):
-    """An equirectangular grid of heights, in a file or in memory.
-
-    first_latitude_rad, first_longitude_rad: of the center of the first sample; planetocentric, longitudes to the east.
-    latitude_step_rad, longitude_step_rad: from one row or column to the next; negative towards south and west.
-    """
+    """An equirectangular grid of heights, in a file or in memory."""
 
     rows: int
     columns: int
+    # first_latitude_rad, first_longitude_rad: of the center of the first sample; planetocentric, longitudes to the east
     first_latitude_rad: float
     first_longitude_rad: float
+    # latitude_step_rad, longitude_step_rad: from one row or column to the next; negative towards south and west
     latitude_step_rad: float
     longitude_step_rad: float
     reference_radii_km: Float  # semi-axes of the ellipsoid above which the heights are

@@ -23,13 +23,11 @@ _ROWS = 64  # of the image compared with its threshold at a time
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Candidates(Value):
-    """Peaks of the filtered image, most significant first.
-
-    points_px: (n, 2); maximum of the Gaussian through that pixel and its neighbors: the position of a star to about
-        0.03 px and noise.
-    """
+    """Peaks of the filtered image, most significant first."""
 
     peaks_px: NDArray[np.int64]  # (n, 2); brightest pixel (x, y) of each
+    # (n, 2); maximum of the Gaussian through that pixel and its neighbors: the position of a star to about 0.03 px and
+    # noise
     points_px: Float
     flux_dn: Float  # (n,); flux of a star with that maximum
     noise_dn: Float  # (n,)

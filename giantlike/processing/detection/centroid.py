@@ -43,22 +43,19 @@ _SECOND_ORDER = 3.0  # by Monte Carlo, sigma 0.5 to 2.5 px, background and shot 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StarFits(Value):
-    """Fitted Gaussians of n stars.
-
-    flux_dn, background_dn, width_px: (n,); integral, DN; level underneath, DN; standard deviation before pixel
-        integration, px.
-    planes: (n, 3) DN, DN/px, DN/px; background of each patch: level of its central pixel, and slopes along x and y.
-    converged: (n,); True if the fit converged less than ``1 + psf / 2`` px from the central pixel, on more pixels than
-        unknowns.
-    """
+    """Fitted Gaussians of n stars."""
 
     points_px: Float  # (n, 2)
     covariance_px2: Float  # (n, 2, 2)
+    # flux_dn, background_dn, width_px: (n,); integral, DN; level underneath, DN; standard deviation before pixel
+    # integration, px
     flux_dn: Float
     background_dn: Float
     width_px: Float
+    # (n, 3) DN, DN/px, DN/px; background of each patch: level of its central pixel, and slopes along x and y
     planes: Float
     reduced_chi2: Float  # (n,); weighted square residual per degree of freedom
+    # (n,); True if the fit converged less than ``1 + psf / 2`` px from the central pixel, on more pixels than unknowns
     converged: Mask
 
 

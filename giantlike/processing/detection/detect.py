@@ -103,8 +103,7 @@ def detect_sources(
     psf_sigma_px : float, px, optional
         Standard deviation of the point spread function before pixels integrate it. By default it is the median
         over the brightest isolated sources of this image (1 px where there are none).
-    mask : (rows, columns) bool, optional
-        True where a pixel is bad.
+    mask : (rows, columns) bool, optional; True where a pixel is bad
     options : DetectionOptions, optional
 
     Returns

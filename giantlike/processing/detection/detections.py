@@ -73,34 +73,24 @@ class Detections(Value):
 
     Parameters
     ----------
-    points_px : (n, 2) float64, px
-        Centroids (x, y).
-    covariance_px2 : (n, 2, 2) float64, px^2
-        Of each centroid.
-    flux_dn : (n,) float64, DN
-        Integral of the fitted Gaussian.
+    points_px : (n, 2) float64, px; centroids (x, y)
+    covariance_px2 : (n, 2, 2) float64, px^2; of each centroid
+    flux_dn : (n,) float64, DN; integral of the fitted Gaussian
     snr : (n,) float64
         Signal-to-noise ratio of a matched filter: ``flux / (noise * 2 sqrt(pi) sigma)`` with the noise at the source
         and the recorded width of a star, ``sigma^2 = psf_sigma_px^2 + 1/12``.
-    peak_dn : (n,) float64, DN
-        Brightest pixel of the core above background.
-    area_px : (n,) int64, px
-        Connected pixels of the source above the detection threshold.
-    background_dn : (n,) float64, DN
-        Level under the source, from the fit.
+    peak_dn : (n,) float64, DN; brightest pixel of the core above background
+    area_px : (n,) int64, px; connected pixels of the source above the detection threshold
+    background_dn : (n,) float64, DN; level under the source, from the fit
     width_px : (n,) float64, px
         Fitted standard deviation of the source before the pixels integrate it; ``psf_sigma_px`` for a star.
-    flags : (n,) uint16
-        Combinations of :class:`DetectionFlag`.
-    psf_sigma_px : float, px
-        Point spread function used, given or estimated from the image.
-    noise_dn : float, DN
-        Background noise of a pixel, median over the image.
+    flags : (n,) uint16; combinations of :class:`DetectionFlag`
+    psf_sigma_px : float, px; point spread function used, given or estimated from the image
+    noise_dn : float, DN; background noise of a pixel, median over the image
     halves_px : (n, 2) float64, px, optional
         Vector from the middle of a streak to one end, zero where there is no streak; None where streaks were not
         fitted. The ends are ``points_px`` plus and minus this.
-    half_sigma_px : (n,) float64, px, optional
-        Standard deviation of half the length.
+    half_sigma_px : (n,) float64, px, optional; standard deviation of half the length
     moments : (n, 2) float64, optional
         Second moments along the longest and the shortest axis in a Gaussian window as wide as a star, in units of the
         window's; 0.5 for a star; None where streaks were fitted.

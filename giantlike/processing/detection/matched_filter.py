@@ -31,11 +31,9 @@ Image32 = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FilteredImage(Value):
-    """Image after a zero-sum matched filter.
+    """Image after a zero-sum matched filter."""
 
-    response: (rows, columns); filtered image; times ``flux_per_response`` it is the flux of a star at that pixel.
-    """
-
+    # (rows, columns); filtered image; times ``flux_per_response`` it is the flux of a star at that pixel
     response: Image32
     noise_dn: Image32  # (rows, columns); local noise of a pixel: white noise of the same effect on the filtered image
     response_noise: float  # standard deviation of the response to white noise of 1 DN per pixel

@@ -31,8 +31,7 @@ class DetectionOptions:
         not the background.
     noise : NoiseSource
         Source of the noise of a pixel. Default: the image around the pixel, which needs no calibrated detector.
-    covered : (x, y, columns, rows), px, optional
-        Pixels shielded from light, for ``NoiseSource.COVERED``.
+    covered : (x, y, columns, rows), px, optional; pixels shielded from light, for ``NoiseSource.COVERED``
     streak : bool, optional
         True if the stars are trails of one direction and length, False if they are points; found from the image by
         default. With True an image without a common streak is a failure.

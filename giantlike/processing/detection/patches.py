@@ -26,11 +26,7 @@ noise alone exceeds them once in 30,000 sources."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Patches(Value):
-    """Square cut-outs of an image, one around each of n sources.
-
-    relative_noise: error of the response of a pixel, relative to the light on it
-        (:class:`~giantlike.core.detector.Detector`).
-    """
+    """Square cut-outs of an image, one around each of n sources."""
 
     values_dn: Float  # (n, w, w)
     valid: Mask  # (n, w, w); True inside the image where the pixel is not bad
@@ -38,6 +34,7 @@ class Patches(Value):
     corner_px: NDArray[np.int64]  # (n, 2); (x, y) of the first pixel of each
     noise_dn: Float  # (n,); standard deviation of the background of a pixel
     gain_e_per_dn: float  # for the shot noise of the source
+    # error of the response of a pixel, relative to the light on it (``giantlike.core.detector.Detector``)
     relative_noise: float = 0.0
 
     @property

@@ -56,16 +56,14 @@ class StreakGuesses(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LineFits(Value):
-    """Fitted lines of n sources.
-
-    planes: (n, 3) DN, DN/px, DN/px; background of each patch: level of its central pixel, and slopes along x and y.
-    """
+    """Fitted lines of n sources."""
 
     centers_px: Float  # (n, 2); middle of each
     halves_px: Float  # (n, 2); vector from the middle to one end, of the two the one with x (or else y) not negative
     covariance_px2: Float  # (n, 4, 4); of center x, y and half x, y
     flux_dn: Float  # flux_dn, background_dn: (n,); light, and level of the background in the middle
     background_dn: Float
+    # (n, 3) DN, DN/px, DN/px; background of each patch: level of its central pixel, and slopes along x and y
     planes: Float
     chi2: Float  # (n,); weighted square residual
     n_pixels: NDArray[np.int64]  # (n,); pixels used

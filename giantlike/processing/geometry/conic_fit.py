@@ -19,13 +19,11 @@ _SECOND_ORDER = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.0])  # mean of the monomial
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ConicFit(Value):
-    """An ellipse ``A x^2 + 2 B x y + C y^2 + 2 D x + 2 E y + F = 0``.
-
-    residuals: (n,); distances of the points from the ellipse to first order, positive outside; unit of the points.
-    """
+    """An ellipse ``A x^2 + 2 B x y + C y^2 + 2 D x + 2 E y + F = 0``."""
 
     coefficients: Float  # (6,); a to F, of norm one and positive inside
     covariance: Float  # of the coefficients, across their own direction
+    # (n,); distances of the points from the ellipse to first order, positive outside; unit of the points
     residuals: Float
 
     @property

@@ -29,18 +29,15 @@ _OUTLIER_SIGMAS = 5.0  # of the scatter of the other points; a good point exceed
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PnpOptions:
-    """Options of the pose estimation.
+    """Options of the pose estimation."""
 
-    inlier_px: largest distance of a point from its projection to agree with a pose; in the end also five standard
-        deviations of the scatter of the other points. Default 2.
-    attitude_sigma_rad: standard deviation of the a priori attitude about each axis: 0 fixes it, infinity leaves it free
-        (default).
-    max_samples: number of random samples. Default 200: with half of the points wrong, all samples of three contain a
-        wrong one with probability 3e-12.
-    """
-
+    # largest distance of a point from its projection to agree with a pose; in the end also five standard deviations of
+    # the scatter of the other points. Default 2
     inlier_px: float = 2.0
+    # standard deviation of the a priori attitude about each axis: 0 fixes it, infinity leaves it free (default)
     attitude_sigma_rad: float = math.inf
+    # number of random samples. Default 200: with half of the points wrong, all samples of three contain a wrong one
+    # with probability 3e-12
     max_samples: int = 200
     min_inliers: int = 5  # fewest points that must agree. Default 5: two more than fix a pose.
     max_iterations: int = 30  # largest number of Gauss-Newton steps, default 30
@@ -61,18 +58,16 @@ class PnpOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PnpFix(Value):
-    """Pose of a body from its points.
-
-    covariance: in km and rad; of the position and of the small rotation ``e`` about the camera axes with
-        ``camera_from_body_true = Rotation.from_rotvec(e) * camera_from_body``; zero for a fixed attitude.
-    floor_px: standard deviation per axis of the errors beyond the given covariances; included in ``covariance``.
-    """
+    """Pose of a body from its points."""
 
     position_camera_km: Float  # from the camera to the origin of the body axes
     camera_from_body: Rotation
+    # in km and rad; of the position and of the small rotation ``e`` about the camera axes with ``camera_from_body_true
+    # = Rotation.from_rotvec(e) * camera_from_body``; zero for a fixed attitude
     covariance: Float
     inliers: Mask  # (n,); True for points that agree
     residuals_px: Float  # (n, 2); measured minus projected, of all points
+    # standard deviation per axis of the errors beyond the given covariances; included in ``covariance``
     floor_px: float
 
 

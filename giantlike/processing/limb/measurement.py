@@ -30,14 +30,13 @@ class SmoothError:
     """An error of the limb that changes slowly along it and so leaves hardly any residuals.
 
     Its covariance between two points is ``sigma_px^2 exp(-distance / length_px)``.
-
-    along: unit vector in the image. Distances count along it only: the error is the same where light falls alike, on
-        both sides of the direction of the Sun.
     """
 
     cause: Cause
     sigma_px: float  # standard deviation across the limb
     length_px: float  # correlation length
+    # unit vector in the image. Distances count along it only: the error is the same where light falls alike, on both
+    # sides of the direction of the Sun
     along: tuple[float, float] | None = None
 
     def covariance_px2(self, points_px: Float) -> Float:
@@ -62,18 +61,7 @@ class TerrainShift(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LimbMeasurement(Value):
-    """Lit limb of a body, measured in an image across a prediction.
-
-    common_px: mapping of Cause to (n, c); shift of the points by one standard deviation of each of c independent errors
-        common to all: blur, law.
-    n_elsewhere: measured edges that are not points of the limb, and points of it without usable pixels, such as bad
-        columns, which are not outliers.
-    unmeasured_px: (k, 2); predicted positions of the points that ``rejected`` counts.
-    rotation_design: (n, 3) px/rad; outward motion of the points with a small rotation of the body about the camera
-        axes; None where not known.
-    wider_px2: variance of the blur of the limb in excess of the camera's; None where it was not measured or the
-        camera's blur is unknown.
-    """
+    """Lit limb of a body, measured in an image across a prediction."""
 
     predicted_px: Float  # (n, 2); points of the limb of the body at ``position_camera_km``
     normals_px: Float  # (n, 2); outward unit normals of the outline in the image
@@ -81,6 +69,8 @@ class LimbMeasurement(Value):
     shift_px: Float  # (n,); distance from the predicted limb outward to the one in the image
     sigma_px: Float  # (n,); standard deviation of ``shift_px`` from pixel noise
     keep: Mask  # (n,); points consistent with one position
+    # mapping of Cause to (n, c); shift of the points by one standard deviation of each of c independent errors common
+    # to all: blur, law
     common_px: Mapping[Cause, Float]
     smooth_errors: tuple[SmoothError, ...]  # errors in neither of these
     position_camera_km: Float  # position of the body for the prediction
@@ -90,10 +80,17 @@ class LimbMeasurement(Value):
     rejected: Mapping[str, int]  # points of the illuminated limb that are not among the n, by reason
     area: Mask  # (rows, columns); pixels within reach of the limb
     relief: SmoothError | None = None  # deviation of the outline from the outline of the assumed body
+    # measured edges that are not points of the limb, and points of it without usable pixels, such as bad columns, which
+    # are not outliers
     n_elsewhere: int = 0
     terrain: TerrainShift | None = None  # relief by a height map; ``shift_px`` is without it
+    # (k, 2); predicted positions of the points that ``rejected`` counts
     unmeasured_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    # (n, 3) px/rad; outward motion of the points with a small rotation of the body about the camera axes; None where
+    # not known
     rotation_design: Float | None = None
+    # variance of the blur of the limb in excess of the camera's; None where it was not measured or the camera's blur is
+    # unknown
     wider_px2: float | None = None
 
     @property

@@ -66,17 +66,14 @@ class Scans(Value):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ProfileMatch(Value):
-    """Shift of the profile of each line from the expected one.
+    """Shift of the profile of each line from the expected one."""
 
-    complete: (n,); values about the limb and at least half of the others are usable, and the match is of these; the
-        other arrays are undefined elsewhere.
-    without_slope_px: (n,); outward change of the limb with the slope fixed: small where the expected brightness is
-        correct.
-    """
-
+    # (n,); values about the limb and at least half of the others are usable, and the match is of these; the other
+    # arrays are undefined elsewhere
     complete: Mask
     shift_px: Float  # (n,); positive outward
     sigma_px: Float  # (n,); standard deviation of the shift from pixel noise
+    # (n,); outward change of the limb with the slope fixed: small where the expected brightness is correct
     without_slope_px: Float
     gain_dn: Float  # (n,); brightness of the image / that of the expected profile
     correlation: Float  # (n,); normalized correlation at the best shift

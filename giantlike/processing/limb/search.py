@@ -35,14 +35,11 @@ _LIGHT_SIGMAS = 5.0  # of the noise of the sky, above which a pixel is bright
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoarseLimb(Value):
-    """Shift and size of the best fit of a whole outline to an image.
-
-    contrast: mean of (inside - outside) / (inside + outside) across the outline: 1 for a bright body before a black
-        sky.
-    """
+    """Shift and size of the best fit of a whole outline to an image."""
 
     shift_px: Float  # from prediction to image
     scale: float  # size in the image / predicted size
+    # mean of (inside - outside) / (inside + outside) across the outline: 1 for a bright body before a black sky
     contrast: float
 
 

@@ -27,11 +27,9 @@ _PRIOR_SAMPLES = 0.5  # samples of the analytic shape added to each node: decide
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EmpiricalPsf(Value):
-    """Pixel-integrated point spread function on a grid.
+    """Pixel-integrated point spread function on a grid."""
 
-    shares: (m, m); fraction of the flux in a pixel whose center has the offset of the node from the star, rows along y.
-    """
-
+    # (m, m); fraction of the flux in a pixel whose center has the offset of the node from the star, rows along y
     shares: Float
     sigma: Float  # (m, m); standard error of each; very large without samples
     step_px: float  # spacing of the nodes; the middle node is at the star

@@ -51,22 +51,19 @@ UNUSABLE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PsfEstimate(Value):
-    """Point spread function estimated from stars.
-
-    coefficients: (k, t); coefficients of each free parameter of the shape (ln sigma, e1, e2, 1/beta) in the terms 1, x,
-        y, x^2, x y, y^2, ... of ``degree``, where x and y go from -1 to 1 over the image.
-    covariance: (k t, k t); of the coefficients, parameter by parameter; times the reduced chi-square if that is above
-        1.
-    residual_power: squared residuals / squared signal, median of the stars, noise subtracted: 0 for a perfect shape.
-    """
+    """Point spread function estimated from stars."""
 
     kind: PsfKind
+    # (k, t); coefficients of each free parameter of the shape (ln sigma, e1, e2, 1/beta) in the terms 1, x, y, x^2, x
+    # y, y^2, ... of ``degree``, where x and y go from -1 to 1 over the image
     coefficients: Float
+    # (k t, k t); of the coefficients, parameter by parameter; times the reduced chi-square if that is above 1
     covariance: Float
     degree: int  # degree of the polynomials
     columns: int  # columns, rows: size of the image
     rows: int
     reduced_chi2: float
+    # squared residuals / squared signal, median of the stars, noise subtracted: 0 for a perfect shape
     residual_power: float
     n_used: int  # n_used, n_rejected: numbers of stars
     n_rejected: int
