@@ -87,9 +87,7 @@ def apparent_directions(
 
 
 def deflect_light(directions: Float, from_sun_km: ArrayLike) -> Float:
-    """Bend the light of stars in the field of the Sun.
-
-    ``directions`` (n, 3), unit vectors to the stars without deflection; returns (n, 3), unit vectors.
+    """Bend the light of stars, unit vectors (n, 3), in the field of the Sun.
 
     Source: ERFA (liberfa) ld.c and ldsun.c: formula for a deflector at rest, and the limit behind the Sun.
     """
@@ -104,13 +102,7 @@ def deflect_light(directions: Float, from_sun_km: ArrayLike) -> Float:
 
 
 def sun_position_km(et: float) -> Float:
-    """Position of the Sun with respect to the solar system barycenter.
-
-    Returns (3,), inertial axes (ICRF).
-
-    From the analytic ephemeris of ERFA, ``epv00``: no kernel is needed. Good to tens of
-    kilometers from 1900 to 2100, where light deflection needs about a thousand.
-    """
+    """Position (3,), ICRF, of the Sun from the solar system barycenter, by ERFA's ``epv00``: good to tens of km."""
     import erfa
 
     heliocentric, barycentric = erfa.epv00(J2000_JD, et / SECONDS_PER_DAY)  # of the Earth
@@ -137,10 +129,7 @@ def _positions(stars: StarTable, years: Float, position_au: Float) -> Float:
 
 
 def _true_motion(radial_seen: Float, across_seen: Float) -> tuple[Float, Float]:
-    """True motion of stars: stretch of the proper motion, and radial velocity in units of light's speed.
-
-    ``radial_seen``, ``across_seen`` (n,).
-    """
+    """True motion of stars (n,): stretch of the proper motion, and radial velocity in units of light's speed."""
     stretch, radial = np.ones_like(radial_seen), radial_seen
     for _ in range(_ITERATIONS):
         across = stretch * across_seen

@@ -18,16 +18,10 @@ _MAGNITUDE = 2.5 / np.log(10.0)  # magnitudes by the natural logarithm of a rati
 def blended(stars: StarTable, radius_rad: float, *, et: float) -> StarTable:
     """Merge stars that are nearer to each other than a camera resolves.
 
-    Each star, the brightest first, takes in all fainter ones within ``radius_rad`` that no brighter one has taken.
-    The merged star has the identifier, colors and radial velocity of the brightest, the flux of all, and at ``et``
-    the position, motion and parallax of the photocenter, as a fit to the blended image measures while the separation
-    is well below the width of the PSF. It is marked as double. Stars alone stay as they are.
-
-    ``et`` in s.
-
-    The merged position is a catalog position at the epoch ``et``, so that the other functions can move
-    it, take parallax and aberration from there. The direction of the photocenter is correct to second order in the
-    separation; the motions of the members are averaged with their flux as weight.
+    Each star, the brightest first, takes in all fainter ones within ``radius_rad`` that no brighter one has taken. The
+    merged star has the identifier, colors and radial velocity of the brightest, the flux of all, and at ``et`` the
+    position (correct to second order in the separation), motion and parallax of the photocenter, as a fit to the
+    blended image measures while the separation is well below the width of the PSF. It is marked as double.
     """
     require(0.0 < radius_rad < np.inf, f"radius_rad must be positive, got {radius_rad}")
     stars = stars.select(np.argsort(stars.magnitude, kind="stable"))

@@ -84,11 +84,7 @@ def sky_index(stars: StarTable) -> tuple[Index, SkyIndex]:
 
 
 def margins_rad(stars: StarTable) -> Float:
-    """Largest angles of stars from their catalog positions, aberration left out.
-
-    The largest over all times within ``YEARS_FROM_EPOCH`` and observers within ``OBSERVER_AU``; a star that comes
-    nearer all the time moves faster at the end.
-    """
+    """Largest angles of stars from their catalog positions, within ``YEARS_FROM_EPOCH`` and ``OBSERVER_AU``."""
     parallax = np.maximum(stars.parallax_mas, 0.0) * RAD_PER_MAS
     motion = np.hypot(stars.pm_ra_mas_yr, stars.pm_dec_mas_yr) * RAD_PER_MAS
     nearest = 1.0 - np.abs(stars.radial_velocity_km_s) * _PER_KM_S * parallax * YEARS_FROM_EPOCH

@@ -20,11 +20,7 @@ TEXT_COLUMNS = ("name", "source", "comment")  # columns for users, which are not
 
 @reads("a star catalog in CSV")
 def read_csv_catalog(path: Path) -> MemoryCatalog:
-    """Read a star catalog with the columns of :class:`~giantlike.catalogs.StarTable`.
-
-    ``ra_deg``, ``dec_deg`` and ``magnitude`` are required; ``ids`` are row numbers from 1 when absent.
-    The photometric band is not known; it is called ``user``.
-    """
+    """Read a star catalog, band ``user``, with columns of :class:`~giantlike.catalogs.StarTable`, three required."""
     content = path.read_bytes()
     table = text_table(content)
     _check_names(table)

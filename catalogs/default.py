@@ -115,23 +115,15 @@ def _has_companion(stars: StarTable) -> Mask:
 
 
 def g_minus_hp(color_bv: Float, coefficients: Float) -> Float:
-    """Gaia G minus Hp of stars, from B-V.
-
-    ``color_bv`` (n,), Johnson B-V (the median of the catalog stands for NaN); ``coefficients`` (4,), polynomial in B-V,
-    the highest power first; returns (n,) mag.
-    """
+    """Gaia G minus Hp of stars (n,), by a polynomial, highest power first, in B-V (its median where NaN)."""
     color = np.clip(np.where(np.isfinite(color_bv), color_bv, _MEDIAN_BV), *_BV_RANGE)
     return np.asarray(np.polyval(coefficients, color))
 
 
 def fit_g_minus_hp(color_bv: Float, difference: Float) -> Float:
-    """Cubic in B-V through the G - Hp of stars that are in both catalogs, outliers cut at 4 robust sigmas.
+    """Cubic (4,) in B-V through the G - Hp of stars that are in both catalogs, outliers cut at 4 robust sigmas.
 
-    ``color_bv`` (n,), Johnson B-V, NaN where unknown; ``difference`` (n,) mag, Gaia G minus Hp; returns (4,), the
-    highest power first.
-
-    The relation comes from the stars themselves, so it needs no outside source: 0.03 mag scatter below
-    B-V = 1.4, 0.1 above.
+    It scatters by 0.03 mag below B-V = 1.4, by 0.1 above.
     """
     usable = np.isfinite(color_bv) & (color_bv > _BV_RANGE[0]) & (color_bv < _BV_RANGE[1])
     keep, coefficients = usable, np.zeros(4)
@@ -175,9 +167,8 @@ def _hipparcos_stars(path: Path) -> StarTable:
 def _same_stars(gaia: StarTable, hipparcos: StarTable) -> NDArray[np.intp]:
     """Index pairs (k, 2) into Gaia and Hipparcos of stars in both, each star at most once, the closest first.
 
-    Candidates are up to three Gaia stars near the Hipparcos star moved to the epoch of Gaia, and, where none of
-    them will do, near where Hipparcos saw it: some solutions of close doubles have proper motions of arcseconds
-    that are not there.
+    Candidates are near the Hipparcos star moved to the epoch of Gaia, or else where Hipparcos saw it: some solutions of
+    close doubles have proper motions of arcseconds that are not there.
     """
     tree = cKDTree(direction_from_radec(gaia.ra_deg, gaia.dec_deg))
     moved = apparent_directions(hipparcos, et_of_julian_year(GAIA_EPOCH))

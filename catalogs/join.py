@@ -19,11 +19,10 @@ UNNAMED_BAND = "user"  # magnitudes in this band are taken to be in the band of 
 
 
 def join_catalogs(catalogs: Sequence[MemoryCatalog], *, name: str) -> MemoryCatalog:
-    """Join catalogs; a star that two of them have is taken from the later one.
+    """Join catalogs in the band of the first; a star that two have, within ``SAME_STAR_ARCSEC``, is from the later one.
 
-    Stars are the same that are within ``SAME_STAR_ARCSEC`` at the epoch of the later one. A later star whose
-    identifier belongs to another star gets a negative number below all others. Magnitudes are turned into the band of
-    the first catalog; magnitudes of a user's table without a band are used unchanged.
+    A later star whose identifier belongs to another star gets a negative number below all others. Magnitudes of a table
+    without a band are used unchanged.
     """
     require(len(catalogs) > 0, "join_catalogs needs at least one catalog")
     first, *others = catalogs

@@ -57,11 +57,7 @@ class Air:
     def brightness(
         self, ground: Reflectance, cos_incidence: ArrayLike, cos_emission: ArrayLike, phase_rad: ArrayLike
     ) -> Float:
-        """Brightness of ground under the air, and of the air.
-
-        ``cos_incidence``, ``cos_emission`` (...), cosines of the angles from the vertical to Sun and camera
-        (the former may be negative); ``phase_rad`` (...); returns (...), in the unit of the law of the ground.
-        """
+        """Brightness (...) of ground under the air, and of the air, in the unit of the law of the ground."""
         down, up = self.slant_cosine(cos_incidence), self.slant_cosine(cos_emission)
         through = np.exp(-self.optical_depth * (1.0 / down + 1.0 / up))
         sent = 2.0 * _SENT * down / (down + up) * (1.0 - through)

@@ -142,11 +142,7 @@ class Trace(Value):
         return replace(self, view=view, tiles=tuple(in_order(relit, pairs, view.options.threads)))
 
     def daylight(self) -> Daylight:
-        """Return where the body is lit, by the rays in the middles of pixels.
-
-        Another trace may need it of the body turned a little: that moves a face by a few rays, and the eight pixels
-        around reach farther.
-        """
+        """Where the body is lit, by the rays in the middles of pixels; for other traces of it, turned a little."""
         light, (column, row) = self.at_middles()
         cells = AxisCells(column, light.shape[1], 1), AxisCells(row, light.shape[0], 1)
         center_px = self.body.center_px(self.footprint.plane.model)

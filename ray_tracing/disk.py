@@ -48,13 +48,7 @@ def disk_integrated(law: Reflectance, phase_rad: ArrayLike) -> Float:
 
 
 def disk_photocenter(law: Reflectance, phase_rad: ArrayLike) -> Float:
-    """Photocenter of a far sphere, from its center towards the Sun in the image.
-
-    ``phase_rad`` (...); returns (...) radii of the disk, 0 at zero phase, 1 at pi
-    (as the limit of ever thinner crescents).
-
-    The same quadrature as :func:`disk_integrated`.
-    """
+    """Photocenter (...) of a far sphere towards the Sun, radii; 0 at zero phase, in the limit 1 at pi."""
     light, offset = _moments(law, phase_rad)
     return np.where(light > 0.0, offset / np.where(light > 0.0, light, 1.0), 1.0)
 

@@ -106,10 +106,7 @@ class Footprint(Value):
         return across, down
 
     def count_rays(self, tile: Tile, rays: NDArray[np.int64]) -> tuple[int, NDArray[np.int64]]:
-        """Number of rays on each pixel (height, width) of a tile, and the row of the footprint where these start.
-
-        ``rays`` (n,) are numbers of cells of the tile, column after column.
-        """
+        """Number of rays, cells (n,) of a tile, on each of its pixels, and the row of the footprint where they are."""
         ends = (tile.left, tile.right), (tile.start, tile.stop)
         x, y = (
             np.clip((cells.first + np.arange(*end)) // cells.per_px - int(corner), -1, size)
@@ -151,10 +148,7 @@ def _tiles(x: AxisCells, y: AxisCells, box: VisibleBox) -> tuple[Tile, ...]:
 
 
 def _extent(outline_px: Float, pad_px: float, low_px: Float, high_px: Float) -> tuple[Float, Float]:
-    """Smallest and largest x (n,) that the hull of points reaches between heights ``low_px`` and ``high_px`` (n,).
-
-    The hull is bounded by tangents in a few directions, each ``pad_px`` outside: never too narrow.
-    """
+    """Smallest and largest x (n,) of a hull, by tangents ``pad_px`` outside, between two heights (n,)."""
     toward = np.stack([np.cos(_TANGENTS_RAD), np.sin(_TANGENTS_RAD)], axis=-1)
     support = (outline_px @ toward.T).max(axis=0) + pad_px
     room = support - np.minimum(low_px[:, None] * toward[:, 1], high_px[:, None] * toward[:, 1])

@@ -55,13 +55,11 @@ def render_near(
     edges_px: Float | None = None,
     other_laws: Sequence[Reflectance] = (),
 ) -> NearRender | Failure:
-    """Brightness of a body, rendered only near given points, under one or several reflectance laws.
+    """Brightness of a body, rendered only near given points (..., 2), under one or several reflectance laws.
 
-    ``points_px`` (..., 2); ``sun_direction_camera``: unit vector from body to Sun; ``edges_px`` (k, 2).
-
-    The light of a ray is spread over the pixels as from its cell; cell, point spread and pixel together and exactly,
-    as by :func:`giantlike.ray_tracing.render`. The position of a ray in its cell differs from row to row, so that an
-    outline along the rows does not meet all of a row's rays at once.
+    The light of a ray is spread over the pixels as from its cell, as by :func:`giantlike.ray_tracing.render`. The
+    position of a ray in its cell differs from row to row, so that an outline along the rows does not meet a row's rays
+    at once.
     """
     view = view_of(body, plane.model, sun_direction_camera, _OPTIONS)
     box = visible_box(view.body, plane, plane.halo_px)
@@ -103,13 +101,9 @@ def outline_brightness(
     sun_direction_camera: Float,
     radius_px: float,
 ) -> Float:
-    """Brightness of a body just inside its outline: mean over a square with sides near 1/25 of its radius.
+    """Brightness (n,) of a body just inside its outline, mean over a square of 1/25 of its radius; 0 where not finite.
 
-    ``points_px``, ``normals_px`` (n, 2), the outline and its outward normals (points that are not finite get 0);
-    ``sun_direction_camera``: unit vector from body to Sun; returns (n,).
-
-    On the outline itself the cosine of the incidence angle is of little use: with the Sun behind the camera it is zero
-    all around, however bright the limb.
+    On the outline itself, with the Sun behind the camera, the cosine of incidence is zero however bright the limb.
     """
     view = view_of(body, model, sun_direction_camera, _OPTIONS)
     across = np.stack([-normals_px[:, 1], normals_px[:, 0]], axis=-1)
@@ -123,10 +117,7 @@ def outline_brightness(
 
 
 def _pixels_near(places_px: Float, size_px: tuple[int, int], reach_px: int) -> tuple[NDArray[np.int64], Mask]:
-    """Pixels (n, 2) whose light falls near positions (k, 2): those in the frame, and as many beyond as it takes.
-
-    And which of them (n,) lie near enough themselves.
-    """
+    """Pixels (n, 2) whose light falls near positions (k, 2), also beyond the frame, and which lie near themselves."""
     margin = _SPLINE_PX + reach_px
     index = np.rint(places_px).astype(np.int64)
     index = index[np.all((index >= 0) & (index < size_px), axis=1)]
@@ -174,10 +165,7 @@ def _ray_axes(model: CameraModel, pixels: NDArray[np.int64]) -> Float:
 
 
 def _light(view: View, axes: Float, per_side: int, laws: Sequence[Reflectance]) -> Float:
-    """Brightness of ``per_side`` squared rays to each pixel, under each of the laws, (laws, n, rays).
-
-    ``axes`` (n, 3, 3) are from :func:`_ray_axes` in body axes. Rays count the cells of a pixel row by row.
-    """
+    """Brightness (laws, n, rays) of ``per_side`` squared rays to each pixel, row by row; ``axes`` in body axes."""
     place = (np.arange(per_side) + 0.5) / per_side - 0.5
     turn = (np.argsort(np.argsort(np.arange(per_side) * _GOLDEN % 1.0)) + 0.5) / per_side**2 - 0.5 / per_side
     x, y = place[None, :] + turn[:, None], place[:, None] + turn[None, :]
@@ -197,11 +185,7 @@ def _light(view: View, axes: Float, per_side: int, laws: Sequence[Reflectance]) 
 
 @compiled
 def _spread(images: Float, corners: NDArray[np.int64], light: Float, share: Float) -> None:
-    """Add the light of rays to images.
-
-    ``images`` (laws, rows, columns); ``corners`` (n, 2) px, column and row of the first pixel that light of each of n
-    pixels falls on; ``light`` (laws, n, s s); ``share`` (width, s).
-    """
+    """Add the light (laws, n, s s) of rays to images (laws, rows, columns) from each of n first pixels on."""
     width, per_side = share.shape
     shares, down = share.T.copy(), np.empty((per_side, width))
     for law in range(len(images)):

@@ -26,30 +26,21 @@ class Neighbor(Value):
     shades: bool
 
     def hidden(self, camera_body_km: Float, directions_body: Float, points_body_km: Float32) -> Mask:
-        """Return True for points that the neighbor hides.
-
-        ``directions_body`` (k, 4), from the camera to the points; ``points_body_km`` (k, 4); returns (k,).
-        """
+        """Return True for points (k, 4), seen in directions (k, 4) from the camera, that the neighbor hides."""
         camera_km = self.neighbor_from_body @ camera_body_km + self.offset_km
         hits = self.tracer.intersect(camera_km, directions_body[:, :3] @ self.neighbor_from_body.T)
         own_km2 = np.sum((points_body_km[:, :3] - camera_body_km) ** 2, axis=1)
         return np.asarray(np.sum((hits.points_km - camera_km) ** 2, axis=1) < own_km2)
 
     def dark(self, points_body_km: Float32 | Float, to_sun_body: Float) -> Mask:
-        """Return True for points in the shadow of the neighbor.
-
-        ``points_body_km`` (k, 3) or (k, 4); ``to_sun_body`` (3,), (4,), (k, 3) or (k, 4); returns (k,).
-        """
+        """Return True for points (k, 3) or (k, 4) in the shadow of the neighbor, the Sun in one or k directions."""
         starts = points_body_km[:, :3].astype(np.float64) @ self.neighbor_from_body.T + self.offset_km
         directions = np.broadcast_to(to_sun_body[..., :3] @ self.neighbor_from_body.T, starts.shape)
         return self.tracer.is_occluded(starts, directions)
 
 
 def neighbors_of(bodies: Sequence[Body], number: int, sun_camera: Float, sun_radius_rad: float) -> list[Neighbor]:
-    """Return the other bodies that can hide or shade body ``number``, by the spheres around them.
-
-    ``sun_camera``: unit vector from that body to the Sun.
-    """
+    """Return the other bodies that can hide or shade body ``number``, by the spheres around them."""
     body = bodies[number]
     found = []
     for other in (*bodies[:number], *bodies[number + 1 :]):

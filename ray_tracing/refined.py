@@ -67,11 +67,9 @@ class RefinedTrace(Value):
 
 
 def refine_trace(trace: Trace, factor: int, *, uneven: float = UNEVEN) -> RefinedTrace:
-    """Split the cells of a trace where its light is uneven, and trace the parts.
+    """Split the cells of a trace where light differs by ``uneven`` of the brightest, and trace the parts.
 
     Parts of a cell that is lit, as all around it are, are taken to be lit.
-
-    ``uneven``: range of the light of neighboring cells relative to the brightest, from which a cell is split.
     """
     columns, rows = np.nonzero(_uneven(trace.cell_brightness(trace.body.reflectance), uneven))
     (x, y), model = trace.cells, trace.footprint.plane.model

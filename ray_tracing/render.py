@@ -72,10 +72,7 @@ class SceneRender(Value):
 
     @property
     def brightness(self) -> Float:
-        """Sum of all bodies in the whole frame (rows, columns), relative: 1 is a surface lit and seen along its normal.
-
-        It is computed at each access.
-        """
+        """Sum of all bodies in the whole frame (rows, columns), computed at each access; 1 is seen and lit upright."""
         return self.weighted(np.ones(len(self.templates)))
 
     def weighted(self, weights: ArrayLike) -> Float:
@@ -88,10 +85,7 @@ class SceneRender(Value):
         return frame
 
     def coverage(self, number: int) -> Float:
-        """Return the fraction of each pixel of the frame that a body covers, others before it cut out.
-
-        ``number``: of the body, in the order they were given; returns (rows, columns).
-        """
+        """Fraction (rows, columns) of each pixel of the frame that body ``number`` covers, others before it cut out."""
         template = self.templates[number]
         if isinstance(template, Failure):
             return np.zeros((self.rows, self.columns))
@@ -167,12 +161,9 @@ def render_scene(
     rows: int,
     options: RenderOptions = DEFAULT_OPTIONS,
 ) -> SceneRender:
-    """Render bodies that hide each other and shade each other.
+    """Render bodies that hide and shade each other, each with its Sun, as :func:`~giantlike.ray_tracing.render`.
 
-    ``sun_direction_camera`` (3,) or (n, 3), unit vector to the Sun, for all bodies or for each.
-
-    Every body is rendered as :func:`~giantlike.ray_tracing.render` does, but rays that meet another body first are
-    dropped, and shadow rays are tested against all bodies. Light that one body casts on another is left out.
+    Light that one body casts on another is left out.
     """
     plane = FocalPlane(model=model, columns=columns, rows=rows, psf=psf)
     bodies = [body.seen_by(model) for body in bodies]

@@ -50,11 +50,7 @@ class AxisCells:
         return number, (self.first + number) // self.per_px
 
     def spread(self, first_px: int, count_px: int, sigma_px: float) -> Spread:
-        """Fraction of the light of each cell that falls on each pixel.
-
-        The light of a cell is even over the cell, blurred by a Gaussian, and summed over the pixel; all three
-        exactly, by the second antiderivative of the Gaussian.
-        """
+        """Fraction of the light of each cell that falls on each pixel: even, blurred by a Gaussian, summed; exactly."""
         half = 0.5 / self.per_px
         reach = PSF_REACH_SIGMA * sigma_px
         width = int(np.ceil(2 * reach + 2 * half)) + 1

@@ -198,10 +198,7 @@ def _by_position(model: CameraModel, points_camera_km: Float, normals_px: Float,
 
 
 def _chord_normals(outline: EdgeOutline, center_px: Float, angles_rad: Float, edge_px: Float) -> Float:
-    """Outward normals (k, 2) of the chords between outline points half a pixel to either side.
-
-    NaN where the outline breaks off within that pixel: its edge is then not found near ``edge_px``.
-    """
+    """Outward normals (k, 2) of the chords from half a pixel before to half a pixel after; NaN where it breaks off."""
     normals = np.full((edge_px.size, 2), np.nan)
     known = np.flatnonzero(edge_px > 0.0)
     radius = np.tile(edge_px[known], 2)

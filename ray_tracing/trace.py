@@ -181,12 +181,9 @@ def surface_albedo(shape: Shape, points_km: Float, facets: NDArray[np.int64]) ->
 
 
 def disk_directions(sun: Float, radius_rad: float, samples: int, first: Float, turn: Float) -> list[Float]:
-    """Directions to points of an evenly bright disk, as many for each of n rays.
+    """Directions to points of an evenly bright disk, for each of n rays, averaged over ``first`` and ``turn`` the disk.
 
-    ``sun`` (4,), unit vector to the center of the disk, and a zero; ``first``, ``turn`` (n,) in [0, 1); returns list of
-    (n, 4), unit vectors and zeros, one array for each ring.
-
-    Averaged over uniform ``first`` and ``turn``, the mean over the points is the mean over the disk.
+    ``sun`` (4,): to the center, and a zero; ``first``, ``turn`` (n,) in [0, 1); returns an (n, 4) for each ring.
     """
     smallest = int(np.argmin(np.abs(sun[:3])))
     x_axis = unit(np.cross(sun[:3], np.eye(3)[smallest]))

@@ -144,10 +144,7 @@ class MeshTracer:
         return bool(self.intersect(point_body_km, outward[None]).normals[0] @ outward > 0.0)
 
     def is_shadowed(self, hits: Hits, sun_body: Float) -> Mask:
-        """Return True for hits in shadow: none, facing away from the Sun, or with the body in the way.
-
-        ``sun_body``: unit vector to the Sun; returns (n,).
-        """
+        """Return True (n,) for hits in shadow: none, facing away from the Sun, or with the body in the way."""
         dark = ~(hits.normals @ sun_body > 0.0)
         facing = np.flatnonzero(~dark)
         starts = hits.points_km[facing] + self._shadow_offset_km * hits.normals[facing]
@@ -169,21 +166,14 @@ class MeshTracer:
         return Sight(rays, facets, points, normals, -dot(normals, directions))
 
     def dark(self, points_km: Float32, normals: Float32, to_sun: Float) -> Mask:
-        """Return True for points of the mesh in the shadow of the mesh.
-
-        ``points_km``, ``normals`` (k, 4) km and unitless, body axes, points of a :class:`Sight` that face the Sun, and
-        the normals there; ``to_sun`` (4,) or (k, 4), body axes, unit vectors and zeros; returns (k,).
-        """
+        """Return True for points (k, 4) of the mesh, that face the Sun, in the shadow of the mesh."""
         starts = points_km + np.float32(self._shadow_offset_km) * normals
         directions = np.broadcast_to(to_sun.astype(np.float32), starts.shape)  # one in memory, where there is one
         return self._surface.is_occluded(starts[:, :3], directions[:, :3])
 
 
 class EllipsoidTracer:
-    """Rays against an ellipsoid about the origin, by algebra in float64; methods are as in :class:`MeshTracer`.
-
-    Convex: it never shadows itself.
-    """
+    """Rays against an ellipsoid about the origin, convex, in float64; methods are as in :class:`MeshTracer`."""
 
     def __init__(self, ellipsoid: Ellipsoid) -> None:
         self.radius_km = ellipsoid.circumscribing_radius_km
@@ -292,10 +282,7 @@ def tracer_for(shape: Shape) -> Tracer:
 
 
 def facet_distances(corners_km: Float, starts_km: Float, directions: Float) -> Float:
-    """Distances along rays to facets.
-
-    ``corners_km`` (..., 3, 3); ``starts_km``, ``directions`` (..., 3); returns (...), infinite where a ray misses its
-    facet.
+    """Distances (...) along rays (..., 3) to facets (..., 3, 3); infinite where missed.
 
     Source: Moller and Trumbore (1997), Fast, minimum storage ray-triangle intersection: the usual form of the test.
     """
@@ -313,11 +300,7 @@ def facet_distances(corners_km: Float, starts_km: Float, directions: Float) -> F
 def facets_around(
     surface: EmbreeSurface, vertices_km: Float, faces: Indices, starts_km: Float, directions: Float, radius_km: float
 ) -> tuple[Indices, Float]:
-    """Facets near rays that they meet first, in float64.
-
-    ``vertices_km`` (v, 3); ``faces`` (f, 3); ``starts_km``, ``directions`` (k, 3), directions are unit vectors; returns
-    ``facets`` (k,); ``distances_km`` (k,), infinite where no facet nearby is met.
-    """
+    """Facets (k,) near rays that these meet first, and distances, infinite where none nearby is met, in float64."""
     sideways = unit(np.cross(directions, np.eye(3)[np.abs(directions).argmin(axis=1)]))
     plane = np.stack([sideways, np.cross(directions, sideways)], axis=1)
     nearby = starts_km[:, None, :] + radius_km * np.einsum("rc,kcx->krx", _AROUND, plane)

@@ -74,10 +74,7 @@ def edges_of(faces: Faces) -> Edges:
 
 
 def defects_of(surface: Surface) -> Defects:
-    """Count the defects of a surface; invalid facets and open edges are accepted.
-
-    ``surface`` as :func:`~giantlike.shapes.load.read_surface` returns it.
-    """
+    """Count the defects of a surface, as of ``read_surface``; invalid facets and open edges are accepted."""
     valid = surface.valid_faces
     names = coincident_names(surface.vertices)
     faces = names[surface.faces[valid]]

@@ -98,10 +98,8 @@ def levels_of_detail(
 ) -> LevelsOfDetail:
     """Make coarser meshes of a body.
 
-    ``facet_px`` as in :class:`LevelsOfDetail`.
-
-    A camera that sees facets of half a pixel sees no difference in the outline: over a facet of length l the surface of
-    radius R bends by l^2 / 8 R, for 0.5 px on a disk of 300 px 0.0002 px. Only relief smaller than a facet is lost.
+    Facets of half a pixel make no difference in the outline: over a facet of length l a surface of radius R bends by
+    l^2 / 8 R, for 0.5 px on a disk of 300 px 0.0002 px. Only relief smaller than a facet is lost.
     """
     require(
         not isinstance(mesh.albedo, FacetAlbedo | VertexAlbedo),

@@ -79,10 +79,7 @@ def irregular_body(
 
 
 def geodesic_directions(facets: int) -> tuple[Float, Faces]:
-    """Geodesic grid of the sphere: an icosahedron whose facets are split k^2-fold.
-
-    Returns ``directions`` (n, 3), unit vectors to the vertices; ``faces`` (m, 3).
-    """
+    """Unit vectors (n, 3) and facets (m, 3) of an icosahedron whose facets are split k^2-fold."""
     require(1 <= facets <= _MAX_FACETS, f"facets must be in [1, {_MAX_FACETS}], got {facets}")
     k = math.ceil(math.sqrt(facets / 20.0))
     corners, triangles = _icosahedron()
@@ -116,10 +113,9 @@ def _icosahedron() -> tuple[Float, Faces]:
 
 
 def surface_waves(points: Float, random: np.random.Generator, *, wavenumber: float, waves: int) -> Float:
-    """Random smooth field on the sphere with unit variance: a sum of plane waves in all directions.
+    """Random smooth field (n,) on the sphere with unit variance: a sum of plane waves in all directions.
 
-    ``points`` (n, 3), unit vectors; ``wavenumber`` in rad, phase per unit of length, within 30 %: features are half of
-    ``2 pi / wavenumber`` rad wide; returns (n,).
+    ``wavenumber``: rad per unit of length, within 30 %: features are half of ``2 pi / wavenumber`` rad wide.
     """
     vectors = unit(random.normal(size=(waves, 3))) * wavenumber * random.uniform(0.7, 1.3, size=(waves, 1))
     phases = random.uniform(0.0, 2.0 * np.pi, size=waves)

@@ -116,11 +116,7 @@ def silhouette_edges(mesh: TriangleMesh, camera_body_km: Float) -> tuple[Indices
 
 
 def limb_ellipse(ellipsoid: Ellipsoid, camera_body_km: Float) -> tuple[Float, Float, Float]:
-    """Limb of an ellipsoid as an ellipse in space.
-
-    Returns ``middle_km``, ``first_km``, ``second_km`` in body axes, the limb is
-    ``middle + cos(t) first + sin(t) second``, t from 0 to 2 pi, NaN when the camera is inside.
-    """
+    """Limb of an ellipsoid, body axes, km: ``middle + cos(t) first + sin(t) second``; NaN when the camera is inside."""
     radii = ellipsoid.radii_km
     camera = camera_body_km / radii
     square = float(camera @ camera)
@@ -130,11 +126,7 @@ def limb_ellipse(ellipsoid: Ellipsoid, camera_body_km: Float) -> tuple[Float, Fl
 
 
 def crossings(starts: Float, stops: Float, angles_rad: Float) -> tuple[Indices, Indices]:
-    """Find the crossings of segments in a plane with half-lines from its origin.
-
-    ``starts``, ``stops`` (e, 2); ``angles_rad`` (k,), directions of the half-lines, from the first coordinate towards
-    the second; returns ``segments``, ``lines`` (p,).
-    """
+    """Find the crossings (p,) of segments (e, 2) in a plane with half-lines (k,) from its origin, by direction."""
     turn = 2.0 * np.pi
     order = np.argsort(angles_rad % turn, kind="stable")
     angles = (angles_rad % turn)[order]
@@ -263,10 +255,9 @@ def near_silhouette(
     rough_offsets_km: Float32,
     rough_limits_km: Float32,
 ) -> tuple[Indices, Mask]:
-    """Find facets seen nearly edge-on.
+    """Find facets seen nearly edge-on: ``near`` (k,) and whether they are in ``front`` (k,).
 
-    ``normals`` (m, 3), ``offsets_km`` (m,); ``rough_normals`` (3, m), ``rough_offsets_km`` (m,), the same in single
-    precision; ``rough_limits_km`` (m,); returns ``near`` (k,) and ``front`` (k,).
+    ``rough_normals`` (3, m), ``rough_offsets_km`` (m,): the normals and offsets in single precision.
     """
     near, front, count = np.empty(len(offsets_km), np.int64), np.empty(len(offsets_km), np.bool_), 0
     x, y, z = np.float32(camera_body_km[0]), np.float32(camera_body_km[1]), np.float32(camera_body_km[2])
@@ -287,8 +278,7 @@ def edges_between(
 ) -> tuple[Indices, Indices, Mask]:
     """List the edges of some facets whose two vertices lie on a border or on facets of either side.
 
-    ``faces`` (m, 3); ``near`` (k,), ``front`` (k,); ``border_vertices`` (b,); returns ``edges`` (e, 2), ``facets`` (e,)
-    and ``front`` (e,).
+    Returns ``edges`` (e, 2), ``facets`` (e,) and ``front`` (e,).
     """
     sides = np.zeros(vertex_count, np.uint8)
     for i in range(len(near)):

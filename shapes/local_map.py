@@ -145,10 +145,7 @@ class _Surface:
         self.points = np.column_stack([points_km, albedo])
 
     def split(self, faces: Faces, axis: int, side: float) -> tuple[Faces, Faces, Indices]:
-        """Cut triangles (m, 3) where coordinate ``axis`` is ``side``.
-
-        Returns the triangles with greater and with smaller values, and the edges (e, 2) along the cut.
-        """
+        """Cut triangles (m, 3) where ``axis`` is ``side``: those above, those below, and the edges between."""
         offset = self.points[faces, axis] - side
         beyond = offset > 0.0
         count = beyond.sum(axis=1)

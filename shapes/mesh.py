@@ -172,10 +172,7 @@ class TriangleMesh(Value):
 
     @cached_property
     def best_fit_ellipsoid(self) -> PlacedEllipsoid:
-        """The ellipsoid with the same centroid and the same second moments of volume, longest axis first.
-
-        Exact for a mesh of an ellipsoid, to the fineness of its facets.
-        """
+        """The ellipsoid with the same centroid and second moments of volume, longest axis first."""
         center, second = self._moments
         eigenvalues, axes = np.linalg.eigh(second)
         axes = axes[:, ::-1]

@@ -32,10 +32,9 @@ def repair_surface(surface: Surface, *, max_hole_width: float = 0.2) -> Repair:
     """Repair a surface as far as possible without guessing at the shape.
 
     In order: facets that are invalid, without area or doubled are left out; vertices that coincide to 1e-9 of the
-    extent are merged and unreferenced ones left out; the facets of each connected piece are wound alike, and outward
-    by the volume that the piece encloses (so that a cavity becomes a separate body); each hole whose rim is one
-    loop that is narrow enough is closed by a fan around the mean of the rim, a hole of three edges by one triangle.
-    Edges of more than two facets stay as they are.
+    extent are merged; the facets of each connected piece are wound alike, and outward by its volume (so that a cavity
+    becomes a separate body); each hole whose rim is one loop that is narrow enough is closed by a fan around the mean
+    of the rim. Edges of more than two facets stay as they are.
     """
     require(max_hole_width >= 0.0, f"max_hole_width must be >= 0, got {max_hole_width}")
     before = defects_of(surface)
@@ -81,9 +80,8 @@ def _neighbors(faces: Faces) -> tuple[Faces, Faces, Mask]:
 def _wound_alike(surface: Surface) -> tuple[Faces, Mask]:
     """Faces whose neighbors are all wound alike, and the mask (m,) of those that were reversed.
 
-    Each facet is two nodes of a graph, as it is and turned; neighbors join the nodes that agree. The component that
-    holds the first facet of a piece as it is says how the others must be. Where both nodes of a facet are in
-    one component the surface has one side only (a Moebius strip), and nothing is turned.
+    Each facet is two nodes of a graph, as it is and turned; neighbors join the nodes that agree. Where both nodes of a
+    facet are in one component the surface has one side only (a Moebius strip), and nothing is turned.
     """
     count = len(surface.faces)
     left, right, alike = _neighbors(surface.faces)

@@ -69,11 +69,7 @@ class Surface(Value):
 
 
 def split_polygons(corners: Faces) -> Faces:
-    """Split quadrilaterals into triangles.
-
-    ``corners`` (m, 3) or (m, 4), in the four-column form a triangle has -1 in the last column; returns (k, 3), in the
-    order of the polygons.
-    """
+    """Split quadrilaterals (m, 4), or triangles with -1 in the last column, into triangles (k, 3), in order."""
     if corners.shape[1] == 3:
         return corners
     pairs = np.stack([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]], axis=1)

@@ -83,14 +83,12 @@ def read_gaia(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
 def read_usno_gnc(path: Path, *, max_magnitude: float | None = None) -> ReadStars:
     """Read the USNO GNC catalog (``gnc_v1_1_mar_2_2023.csv``), or an extract of it.
 
-    A CSV file with positions in deg at J2016.0 (``ra_2016``, ``de_2016``) from Gaia DR3, Hipparcos and the USNO
-    bright star catalog, proper motions in mas/yr (``pmra`` with cos(dec), ``pmde``), parallax in mas (``plx``), G, BP
-    and RP (``gmag``, ``bpmag``, ``rpmag``), errors with ``e_`` before the name, and ``neighbor_distance_arcsec``.
-    Identifiers are ``gnc_id``. Stars are double whose neighbor is within 5 arcsec. Empty cells are values not known.
+    A CSV file with positions in deg at J2016.0 (``ra_2016``, ``de_2016``) from Gaia DR3, Hipparcos and the USNO bright
+    star catalog, proper motions in mas/yr (``pmra`` with cos(dec), ``pmde``), parallax in mas (``plx``), G, BP and RP
+    (``gmag``, ``bpmag``, ``rpmag``), errors with ``e_`` before the name, and ``neighbor_distance_arcsec``. Identifiers
+    are ``gnc_id``. Stars are double whose neighbor is within 5 arcsec. Empty cells are values not known.
 
-    The catalog is published by the U.S. Naval Observatory with its ICRF products. Its own documentation could
-    not be opened here; the columns, units and epoch are those that three independent public readers agree on: NASA
-    GIANT 2 (``giant/catalogs/usno_gnc.py``), SONIC (``USNOGNC.m``), and a Rust crate with a field description.
+    Columns, units and epoch are those that NASA GIANT 2, SONIC and a Rust crate agree on.
     """
     return _read_archive(path, _USNO_GNC, lambda arcsec: (arcsec <= CLOSE_ARCSEC).astype(np.float64), max_magnitude)
 

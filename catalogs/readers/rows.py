@@ -69,11 +69,7 @@ def stars_of(
     defaults: Mapping[str, float] = DEFAULTS,
     max_magnitude: float | None = None,
 ) -> ReadStars:
-    """Make a star table of columns in which NaN stands for values that are not given.
-
-    ``columns`` mapping of str to (n,), by the names of :class:`StarTable` (at least ``ids``, ``ra_deg``, ``dec_deg``
-    and ``magnitude``).
-    """
+    """Make a star table of columns (n,) by the names of :class:`StarTable`; NaN stands for values not given."""
     given = {name: np.asarray(values) for name, values in columns.items()}
     for name, (low, high) in LIMITS.items():
         if name in given:

@@ -16,11 +16,7 @@ _LONGEST_NAME = 200  # characters: file systems take 255 bytes
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Context manager that yields a temporary path, which becomes ``path`` by one rename when the block ends.
-
-    A reader sees the old content or the new one, never a part; when the block raises, the old file stays.
-    The data are not forced onto the disk: this guards against a killed process, not against a power cut.
-    """
+    """Yield a temporary path, renamed to ``path`` when the block ends; where it raises, the old file stays."""
     target = Path(path)
     part = target.with_name(f".{target.name}.{uuid.uuid4().hex}.part")
     try:

@@ -18,12 +18,10 @@ _held: set[str] = set()
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function of numbers and arrays.
+    """Compile a function of numbers and arrays, once for all processes where the cache is writable.
 
-    The code is cached for later processes, next to the module or in the cache of the user; where neither is writable,
-    each process compiles it. Of processes that need it at once (in a first run) one compiles and the others wait,
-    except on Windows. Divisions by zero give infinities, as in numpy. It is recompiled when its own module changes, not
-    when a module whose functions it calls does: ``make clean`` deletes the cache.
+    Division by zero gives infinity, as in numpy. It is recompiled when its own module changes, not when a module whose
+    functions it calls does: ``make clean`` deletes the cache.
     """
     options = {"error_model": "numpy", "nogil": True}
     try:

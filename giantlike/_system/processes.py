@@ -37,10 +37,7 @@ def available_cpus() -> int:
 
 @contextlib.contextmanager
 def one_thread_each() -> Iterator[None]:
-    """Context manager in which processes start that do arithmetic with one thread each.
-
-    Libraries read environment variables for that when numpy is imported. Variables that are set already are left.
-    """
+    """Context manager in which processes start that do arithmetic with one thread, unless variables are set already."""
     missing = {name: "1" for name in _THREAD_VARIABLES if name not in os.environ}
     os.environ.update(missing)
     try:
@@ -52,12 +49,10 @@ def one_thread_each() -> Iterator[None]:
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Context manager and decorator: linear algebra of this process is done with one thread.
+    """Context manager and decorator: linear algebra of the libraries that are loaded is done with one thread.
 
-    Products of the size that an image needs are not faster with several, which wait for each other: on two busy cores
-    they took up to eleven times the CPU of an estimate. The last bits of sums would depend on the number of threads.
-    It holds the libraries that are loaded when a process first enters it: numpy, scipy and OpenCV, which every caller
-    imports.
+    On busy cores several threads took up to eleven times the CPU of an estimate, and the last bits of sums would
+    differ.
     """
     with _linear_algebra().limit(limits=1):
         yield
@@ -69,10 +64,7 @@ def _linear_algebra() -> ThreadpoolController:
 
 
 def start_server(*modules: str) -> None:
-    """Start the server of :func:`worker_context`, so that it imports modules while this process does other things.
-
-    Without effect where processes start otherwise. The server ends with this process.
-    """
+    """Start the server of :func:`worker_context`, if any: it imports modules while this process does other things."""
     if sys.platform == "linux":
         from multiprocessing import forkserver  # not on all systems
 
@@ -82,11 +74,7 @@ def start_server(*modules: str) -> None:
 
 
 def worker_context(*modules: str) -> BaseContext:
-    """Way in which worker processes start.
-
-    On Linux they are forked from a server that has imported the modules once, in milliseconds; elsewhere, where system
-    libraries do not bear that, each imports them anew, which takes more than a second.
-    """
+    """Context in which workers start: on Linux forked from a server with the modules imported, elsewhere anew."""
     if sys.platform != "linux":
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
@@ -96,11 +84,7 @@ def worker_context(*modules: str) -> BaseContext:
 
 @contextlib.contextmanager
 def importing() -> Iterator[None]:
-    """Context manager for the imports of a process of our own.
-
-    Garbage collection is off meanwhile, and skips the imported objects afterwards (``gc.freeze``). Other objects are
-    collected less often from then on.
-    """
+    """Context manager for the imports of our own processes: without garbage collection, which is rarer afterwards."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -113,11 +97,7 @@ def importing() -> Iterator[None]:
 
 
 def keep_memory() -> None:
-    """Let a process of our own keep the memory of arrays that it frees, for the next image.
-
-    Otherwise each image requests again the memory that the last one returned, cleared page by page. It has no effect
-    with C libraries other than glibc.
-    """
+    """Let a process of our own keep the memory of freed arrays for the next image (no effect but with glibc)."""
     if sys.platform == "linux":
         import ctypes  # not needed by other commands
 

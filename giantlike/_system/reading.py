@@ -47,10 +47,7 @@ def check(condition: bool, sentence: str) -> None:
 
 
 def check_declared_bytes(declared: int, file_bytes: int) -> None:
-    """Raise ``ValueError`` where a header declares far more content than a file of its size can hold.
-
-    ``declared``, bytes of memory that the content takes.
-    """
+    """Raise ``ValueError`` where a header declares far more bytes of content than a file of its size can hold."""
     if declared > max(_SMALL_BYTES, _MOST_COMPRESSION * file_bytes):
         raise ValueError(
             f"it declares {declared / 1e6:.0f} MB of content, more than a file of {file_bytes / 1e6:.1f} MB can hold"
@@ -149,10 +146,7 @@ def file_sha256(path: Path) -> str:
 
 
 def library_message(error: BaseException) -> str:
-    """One line of the text of an exception, or its class if it has no text.
-
-    For SPICE exceptions, the short message and the first sentence of the long one.
-    """
+    """One line of the text of an exception (of SPICE, both its messages), or its class if it has no text."""
     short, long = str(getattr(error, "short", "")), " ".join(str(getattr(error, "long", "") or error).split())
     first = long.split(". ")[0].rstrip(".") if short else long[:_LONGEST_TEXT]
     return f"{short}: {first}" if short else first or type(error).__name__

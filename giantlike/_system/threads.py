@@ -53,10 +53,7 @@ def threads(count: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def at_once(jobs: Mapping[str, Callable[[], Result]]) -> Iterator[Callable[[str], Result]]:
-    """Context manager of independent jobs: with several threads, all are started.
-
-    With one thread, a job runs when its result is requested, which may be done once.
-    """
+    """Context manager of independent jobs: all start at once, or with one thread each when requested (once)."""
     count = min(ALLOWED.get(), len(jobs))
     if count < 2:
         yield lambda name: jobs[name]()

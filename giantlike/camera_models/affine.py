@@ -225,11 +225,7 @@ def blockwise(function: Callable[[Float], Float], values: Float, last: tuple[int
 
 
 def inverse_on_the_sphere(project_jacobian: Float) -> Float:
-    """Derivative (..., 3, 2) of a unit vector by its pixel, from that (..., 2, 3) of the pixel by the vector.
-
-    The length of a vector does not change its pixel, so the derivative by the pixel, which keeps the length, is the
-    pseudo-inverse.
-    """
+    """Derivative (..., 3, 2) of a unit vector by its pixel, the pseudo-inverse of the opposite one (..., 2, 3)."""
     xs, ys = (np.moveaxis(project_jacobian[..., row, :], -1, 0) for row in range(2))  # by component: small products
     a, b, d = (np.sum(one * other, axis=0) for one, other in ((xs, xs), (xs, ys), (ys, ys)))  # are slow
     result = np.empty((*project_jacobian.shape[:-2], 3, 2))

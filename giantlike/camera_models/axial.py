@@ -92,10 +92,7 @@ def _angle_from_axis(across: Float, z: Float) -> Float:
 def solve_increasing(
     residual_and_slope: Callable[[Float, Float], tuple[Float, Float]], target: Float, start: Float, limit: float
 ) -> Float:
-    """Solve for arguments in [0, limit] by Newton's method from a good start.
-
-    ``target``, ``start`` (n,); returns (n,), NaN where the solution is not inside.
-    """
+    """Solve for arguments in [0, limit] by Newton's method from a good start (n,); NaN where they are not inside."""
     result = start.copy()
     todo = np.arange(result.size)
     for _ in range(_MAX_NEWTON_STEPS):

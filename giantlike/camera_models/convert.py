@@ -91,10 +91,7 @@ def _start(model: CameraModel, type_name: str) -> AffineModel:
 
 
 def fit_lens(model: AffineModel, directions: Float, points_px: Float) -> AffineModel:
-    """Fit all parameters but temperature so that directions fall on pixels (Levenberg-Marquardt, equal weights).
-
-    ``directions`` (n, 3), camera axes; ``points_px`` (n, 2).
-    """
+    """Fit all parameters but temperature so that directions (n, 3) fall on pixels (n, 2), with equal weights."""
     free = np.array([name not in TEMPERATURE_NAMES for name in model.parameter_names])
     residuals = points_px - model.project(directions)
     cost, damping, exact = float(np.sum(residuals**2)), 1e-3, _EXACT_PX**2 * len(residuals)

@@ -153,11 +153,7 @@ def _radial_start(model: PlaneModel, distorted: Float) -> Float:
 
 @lru_cache(maxsize=256)
 def radial_table(kind: type[PlaneModel], coefficients: tuple[float, ...]) -> tuple[Float, Float]:
-    """Distorted radii of a lens, averaged over azimuth, and the undistorted radii of them.
-
-    ``coefficients`` as :attr:`~giantlike.camera_models.affine.AffineModel.lens_coefficients` has them; returns
-    ``mapped``, ``radii`` (256,).
-    """
+    """Distorted radii (256,) of a lens, averaged over azimuth, and the undistorted radii of them."""
     model = kind.unit_lens(coefficients)
     widest = min(np.arctan(model.max_radius), np.radians(80.0)) * (1.0 - 1e-6)  # short of a pole
     radii = np.tan(np.linspace(0.0, widest, 256))

@@ -10,8 +10,7 @@ _FARTHEST = 1e12  # larger roots count as none: squared image-plane radii beyond
 def smallest_positive_root(*coefficients: float) -> float:
     """Smallest positive root of ``1 + c1 t + c2 t^2 + ...``; infinite where there is none.
 
-    Computed as the reciprocal of the largest root of the reversed polynomial, whose leading coefficient is one, so
-    that tiny and zero coefficients are harmless.
+    The reciprocal of the largest root of the reversed polynomial, for which tiny and zero coefficients are harmless.
 
     >>> smallest_positive_root(-1.0, -2.0)
     0.5

@@ -18,9 +18,7 @@ Coordinate = TypeVar("Coordinate", float, Float)
 
 
 def distort(x: Coordinate, y: Coordinate, lens: Float) -> tuple[Coordinate, Coordinate]:
-    """Distorted coordinates of points of the image plane.
-
-    ``lens`` (17,); returns ``u``, ``v`` as ``x``.
+    """Distorted coordinates of points of the image plane, by the 17 values of a lens.
 
     Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, eqs. 6 and 7.
     """
@@ -77,11 +75,7 @@ def projected_slopes(points: Float, lens: Float, limit: float) -> Float:
 
 @compiled
 def unproject(pixels: Float, lens: Float, limit: float, mapped: Float, radii: Float) -> Float:
-    """Directions of pixels, by Newton's method from the radial profile.
-
-    ``pixels`` (n, 2) px; ``lens`` (17,); ``mapped``, ``radii`` (m,); returns (n, 3), camera axes, unit vectors, NaN
-    where no point within the limit is imaged there.
-    """
+    """Directions (n, 3) of pixels (n, 2), by Newton's method from the radial profile; NaN where nothing is imaged."""
     directions = np.empty((len(pixels), 3))
     for i in range(len(pixels)):
         v = (pixels[i, 1] - lens[3]) / lens[1]
@@ -94,10 +88,7 @@ def unproject(pixels: Float, lens: Float, limit: float, mapped: Float, radii: Fl
 
 @compiled
 def unprojected_slopes(pixels: Float, lens: Float, limit: float, mapped: Float, radii: Float) -> Float:
-    """Derivatives of :func:`unproject` by the pixels.
-
-    ``pixels``, ``lens``, ``limit``, ``mapped``, ``radii`` as for :func:`unproject`; returns (n, 3, 2) 1/px.
-    """
+    """Derivatives (n, 3, 2) of :func:`unproject` by the pixels (n, 2), 1/px."""
     result, by_point = np.empty((len(pixels), 3, 2)), np.empty((2, 3))
     directions = unproject(pixels, lens, limit, mapped, radii)
     for i in range(len(pixels)):

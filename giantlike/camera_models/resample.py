@@ -27,9 +27,7 @@ def resample(
 ) -> Float:
     """Resample an image to another camera model by bilinear interpolation.
 
-    For measurements use the original image with its model: resampling blurs, and correlates noise.
-
-    OpenCV's ``remap`` takes positions in float32, which are good to about 1e-4 px over 2,000 px.
+    For measurements use the original: resampling blurs, correlates noise, and rounds positions to about 1e-4 px.
     """
     import cv2
 

@@ -288,10 +288,9 @@ def _what_is_meant(check: _Check, campaign: Campaign, *, all_images: bool) -> No
 
 
 def check_run(bench: Workbench) -> list[str]:
-    """Find what a run will fail on, before its first image; warnings, as the campaign has them.
+    """Warn of failures of a run, before its first image.
 
-    Images are opened until one has no error: the errors of others are theirs alone, and fail them. So do damaged files,
-    even if all are.
+    Images are opened until one has no error: errors and damage of others are theirs alone.
     """
     campaign, check = bench.campaign, _Check(bench.campaign.path)
     check.lines = lines_of_keys(campaign.path.read_text(encoding="utf-8")) if campaign.path.is_file() else {}

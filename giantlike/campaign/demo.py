@@ -194,10 +194,7 @@ def run_demo(
 
 
 def _clear(output: Path) -> None:
-    """Mark an empty folder, or clear the output of a demonstration from a marked one; anything else is refused.
-
-    The marker comes before all else, so that an interrupted demonstration does not block the next one.
-    """
+    """Mark an empty folder, or clear a marked one, even of an interrupted demonstration; refuse all others."""
     marker = output / _MARKER
     try:
         output.mkdir(parents=True, exist_ok=True)

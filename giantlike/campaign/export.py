@@ -434,10 +434,7 @@ def _spk(output: Path, result: RunResult, camera: Camera, options: ExportOptions
 
 
 def _sumfiles(output: Path, rows: Iterable[ObservableRow], camera: Camera, landmarks: Path | None) -> Exported:
-    """Write a SUMFILE for each preferred position, with the landmarks of any fix of that target in that image.
-
-    With the maps of the landmarks, an LMK file for each, too.
-    """
+    """Write a SUMFILE for each preferred position, with the landmarks of any fix, and LMK files of known maps."""
     maps = {} if landmarks is None else {one.name: one for one in load_landmarks(landmarks).landmarks}
     lmks = dict[str, Lmk]()
     make_folder(output)

@@ -30,11 +30,9 @@ _MAY_DIFFER = (
 
 
 def merge_runs(runs: Sequence[Path], output: Path) -> RunResult:
-    """Make one run folder of several.
+    """Make one run folder of several, without computing anything; of images in two the first counts.
 
-    Nothing is computed again. The runs must be of the same camera, catalog, kernels, targets, options and version, and
-    of different images, or of the same files where a name is in two: then the result of the first counts. Edit lists
-    are joined. A campaign file for all images, whose output is the new folder, goes on with it.
+    They must be of the same camera, catalog, kernels, targets, options and version. Edit lists are joined.
     """
     require(len(runs) > 1, "give two or more runs to merge")
     require(not output.exists() or not any(output.iterdir()), f"{output}: is not empty; choose another output")

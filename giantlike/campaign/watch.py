@@ -22,8 +22,7 @@ def watch_campaign(
 ) -> None:
     """Run a campaign, and rerun it when its file, an image or the geometry table changes or arrives; until interrupted.
 
-    Errors, such as a pattern that matches no file yet, are reported once and retried. An image that is still being
-    written is unreadable, and retried by the next run.
+    Errors are reported once and retried, as are images that are still being written.
     """
     seen, told = "", ""
     while True:

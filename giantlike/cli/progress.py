@@ -50,10 +50,7 @@ def with_progress(stage: str, items: Sequence[Item]) -> Iterator[Item]:
 
 
 def _in_a_notebook() -> bool:
-    """Return True for a command of a notebook (``!giantlike``): its terminal shows control characters as they are.
-
-    The kernel runs it in a pseudo-terminal, and shows itself by a variable of its launcher or by its backend of plots.
-    """
+    """Return True for a command of a notebook (``!giantlike``), which shows control characters as they are."""
     return "JPY_PARENT_PID" in os.environ or "inline" in os.environ.get("MPLBACKEND", "")
 
 

@@ -11,11 +11,7 @@ _FEW = 8  # pixels along a block up to which columns are added one by one, sever
 
 
 def block_sums(image: NDArray[Scalar], size: int) -> Float:
-    """Sums over blocks of pixels.
-
-    ``image`` (h, w); ``size``: side of a block, px; an incomplete block at the end is left out; returns
-    (h // size, w // size).
-    """
+    """Sums (h // size, w // size) over square blocks of an image (h, w); an incomplete block at the end is left out."""
     rows, columns = (length // size for length in image.shape)
     strips = image[: rows * size, : columns * size].reshape(rows, size, columns * size).sum(axis=1, dtype=np.float64)
     if size > _FEW:

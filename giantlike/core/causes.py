@@ -79,9 +79,7 @@ six digits in float64. Parts of lower rank are positive semi-definite to as many
 
 
 def sum_parts(parts: Mapping[Cause, Float], causes: Iterable[Cause] = IN_IMAGE) -> Float:
-    """Sum of the parts of a covariance.
-
-    ``parts`` mapping of Cause to (k, k); returns (k, k), zero where none of the causes is in ``parts``.
+    """Sum (k, k) of the parts, (k, k) each, of a covariance; zero where none of the causes is in ``parts``.
 
     >>> parts = {Cause.NOISE: np.eye(2), Cause.RELIEF: 2.0 * np.eye(2), Cause.CAMERA: np.eye(2)}
     >>> sum_parts(parts)
@@ -96,9 +94,7 @@ def sum_parts(parts: Mapping[Cause, Float], causes: Iterable[Cause] = IN_IMAGE) 
 
 
 def add_parts(first: Mapping[Cause, Float], second: Mapping[Cause, Float]) -> dict[Cause, Float]:
-    """Add two covariances by cause.
-
-    ``first``, ``second`` mapping of Cause to (k, k); returns dict of Cause to (k, k).
+    """Add two covariances, (k, k) each, cause by cause.
 
     >>> both = add_parts({Cause.NOISE: np.eye(1)}, {Cause.NOISE: np.eye(1), Cause.RELIEF: np.eye(1)})
     >>> both[Cause.NOISE], both[Cause.RELIEF]
@@ -123,10 +119,7 @@ def checked_parts(parts: Mapping[Cause, Float], size: int) -> dict[Cause, Float]
 
 
 def checked_partials(partials: Mapping[Cause, Float], size: int) -> dict[Cause, Float]:
-    """Check the derivatives of a position with respect to its error sources, and make them read-only.
-
-    ``partials`` mapping of Cause or its value to (size, m).
-    """
+    """Check derivatives (size, m) of a position by error sources, by Cause or its value, and make them read-only."""
     checked = {}
     for key, partial in partials.items():
         matrix = as_floats(partial, (), f"partials: {key}")
@@ -138,11 +131,7 @@ def checked_partials(partials: Mapping[Cause, Float], size: int) -> dict[Cause, 
 
 
 def require_sum(parts: Mapping[Cause, Float], causes: Iterable[Cause], covariance: Float, name: str) -> None:
-    """Raise unless parts sum to a covariance, of the leading coordinates where it has fewer than they.
-
-    ``parts`` mapping of Cause to (k, k); ``covariance`` (n, n), with n <= k (one with infinities or NaN, for unknown
-    elements, is not checked).
-    """
+    """Raise unless parts (k, k) sum to a covariance (n, n) of the leading coordinates, if that is finite."""
     count = len(covariance)
     total = sum_parts(parts, causes)[:count, :count]
     if not (np.isfinite(total).all() and np.isfinite(covariance).all()):

@@ -16,10 +16,7 @@ _NOTHING = 1e-100
 
 @compiled
 def solve_normal(normal: Float, right: Float) -> None:
-    """Solve normal equations, whose unknowns are scaled to unit information, with a ridge that makes them regular.
-
-    ``normal`` (m, m), of more rows and columns only the first m count; ``right`` (m, r).
-    """
+    """Solve normal equations (m, m) of scaled unknowns for ``right`` (m, r), with a ridge that makes them regular."""
     size, sides = right.shape
     units = np.empty(size)
     for i in range(size):

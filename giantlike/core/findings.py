@@ -78,10 +78,7 @@ class Response(_Stated):
         return np.sqrt(np.maximum((1.0 - self.bend) ** 2 + 4.0 * self.bend * share, 0.0))
 
     def changes_dn(self, light_dn: Float) -> Float:
-        """Return the derivatives of :meth:`light_dn` by ``bend``, and by that of a cubic that vanishes half way.
-
-        ``light_dn`` (...); returns (2, ...).
-        """
+        """Derivatives (2, ...) of :meth:`light_dn` by ``bend``, and by that of a cubic that vanishes half way."""
         span_dn, straight = self.bright_dn - self.dark_dn, 1.0 - self.bend
         light = light_dn - self.dark_dn
         above = 2.0 * light / np.maximum(straight + self.slope_at(light_dn), 1e-9)
@@ -143,10 +140,7 @@ class Smear(_Stated):
         return self._filter(images, lambda along: np.sinc(self.length_px * along))
 
     def blur_double_exposure(self, images: Float, share: float) -> Float:
-        """Return images blurred by two exposures, the second with a share of the light, of the same second moments.
-
-        ``images`` (..., h, w); returns (..., h, w).
-        """
+        """Blur images (..., h, w) by two exposures of the same second moments, the second with a share of the light."""
         apart = math.sqrt(2.0 * self.size_px2 / (share * (1.0 - share)))
         first, second = (2j * math.pi * apart * place for place in (share, share - 1.0))
         return self._filter(

@@ -62,9 +62,7 @@ class FrameRotation(Value):
 
 
 def direction_from_radec(ra_deg: ArrayLike, dec_deg: ArrayLike) -> Float:
-    """Return the unit vectors of right ascensions and declinations.
-
-    ``ra_deg``, ``dec_deg`` (...); returns (..., 3), inertial axes.
+    """Unit vectors (..., 3), inertial axes, of right ascensions and declinations (...).
 
     >>> direction_from_radec(90.0, 0.0).round(12).tolist()
     [0.0, 1.0, 0.0]
@@ -80,10 +78,7 @@ def radec_from_direction(direction_inertial: ArrayLike) -> tuple[Float, Float]:
 
 
 def east_north(ra_deg: ArrayLike, dec_deg: ArrayLike) -> tuple[Float, Float]:
-    """Unit vectors to the east and to the north at points of the sky.
-
-    ``ra_deg``, ``dec_deg`` (...); returns ``east``, ``north`` (..., 3), inertial axes.
-    """
+    """Unit vectors (..., 3), inertial axes, to the east and to the north at points (...) of the sky."""
     ra, dec = np.radians(as_floats(ra_deg, (), "ra_deg")), np.radians(as_floats(dec_deg, (), "dec_deg"))
     east = np.stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)], axis=-1)
     north = np.stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)], axis=-1)
@@ -102,11 +97,7 @@ def position_angle_deg(direction_inertial: ArrayLike, toward_inertial: ArrayLike
 
 
 def pointing_deg(camera_from_inertial: Rotation, line_of_sight_camera: ArrayLike) -> tuple[float, float, float]:
-    """RA, Dec and roll in degrees of a line of sight of a camera.
-
-    ``line_of_sight_camera``: usually at the image center ``((columns - 1) / 2, (rows - 1) / 2)``; returns
-    ``ra_deg``, ``dec_deg``, ``roll_deg``.
-    """
+    """RA, Dec and roll in degrees of a line of sight of a camera, usually that of the center of the image."""
     inertial_from_camera = camera_from_inertial.inv()
     los = rotate(inertial_from_camera, as_finite(line_of_sight_camera, (3,), "line_of_sight_camera"))
     ra, dec = radec_from_direction(los)
@@ -129,10 +120,7 @@ def camera_from_inertial_of_pointing(ra_deg: float, dec_deg: float, roll_deg: fl
 
 
 def rotate(rotation: Rotation, vectors: ArrayLike) -> Float:
-    """Rotate vectors: ``rotation.apply(vectors)``, which refuses read-only arrays such as the fields of a value.
-
-    ``vectors`` (..., 3); returns (..., 3).
-    """
+    """Rotate vectors (..., 3): ``rotation.apply`` refuses read-only arrays such as the fields of a value."""
     array = as_floats(vectors, (3,), "vectors")
     matrix = rotation.as_matrix()
     return array @ matrix.T if matrix.ndim == 2 else (matrix @ array[..., None])[..., 0]
@@ -164,10 +152,7 @@ def rotation_from_xyzw(quaternion: ArrayLike, name: str = "quaternion") -> Rotat
 
 
 def turned_about(vectors: Float, jacobian: Float) -> Float:
-    """Derivatives (n, k, 3) by a small rotation, from the derivatives (n, k, 3) by vectors (n, 3).
-
-    That is ``-jacobian @ skew(vectors)``, the cross products of the vectors with the rows.
-    """
+    """Derivatives (n, k, 3) by a small rotation, from those by vectors (n, 3): ``-jacobian @ skew(vectors)``."""
     x, y, z = vectors.T[:, :, None]
     a, b, c = np.moveaxis(jacobian, -1, 0)
     result = np.empty(jacobian.shape)

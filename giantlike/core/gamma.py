@@ -80,10 +80,8 @@ class GammaCurve:
     def noise_of_light(self, variance_dn2: Float) -> tuple[float, float, float]:
         """Propagate the noise of values to the noise of the linear signal, as a polynomial of the signal.
 
-        ``variance_dn2`` (64,), of the values of :meth:`samples_dn`; returns ``constant`` in DN^2; ``linear`` in DN;
-        ``square``: of ``constant + linear light + square light^2``, none of which is negative: the variance of the
-        values times the squared slope, by relative least squares, accurate to a factor of 2 (1.4 in sigma) for a power
-        of 2.2.
+        ``variance_dn2`` (64,), of the values of :meth:`samples_dn`; returns the coefficients, none negative, of the
+        variance ``constant + linear light + square light^2``, accurate to a factor of 2 for a power of 2.2.
         """
         from scipy.optimize import nnls
 

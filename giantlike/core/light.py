@@ -11,12 +11,10 @@ from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 
 
 def aberrate(directions: ArrayLike, velocity_km_s: ArrayLike) -> Float:
-    """Compute the apparent directions for a moving observer: stellar aberration by the Lorentz boost.
+    """Compute the apparent directions for a moving observer: stellar aberration by the Lorentz boost, inertial axes.
 
-    ``directions`` (..., 3), inertial axes; ``velocity_km_s`` in inertial axes; returns (..., 3).
-
-    With ``b = v / c``, ``n`` the unit direction and ``g = 1 / sqrt(1 - b^2)``, the boosted direction is
-    ``(n / g + b + (n.b) b g / (1 + g)) / (1 + n.b)``.
+    With ``b = v / c``, ``n`` the unit direction and ``g = 1 / sqrt(1 - b^2)``, the boosted direction (..., 3) is ``(n /
+    g + b + (n.b) b g / (1 + g)) / (1 + n.b)``.
 
     >>> tilt = aberrate([1.0, 0.0, 0.0], [0.0, 29.79, 0.0])
     >>> round(float(np.degrees(np.arctan2(tilt[1], tilt[0])) * 3600), 3)
@@ -34,16 +32,14 @@ def aberrate(directions: ArrayLike, velocity_km_s: ArrayLike) -> Float:
 def boosted(positions_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
     """Compute apparent positions of bodies for a moving observer: direction by aberration, distance by apparent size.
 
-    ``positions_km`` (..., 3), inertial axes; ``velocity_km_s`` in inertial axes; returns (..., 3) km, apparent vectors,
-    inertial axes: the direction is as by :func:`aberrate`, and a body of radius R covers the angle
+    ``positions_km`` (..., 3), inertial axes; returns apparent vectors (..., 3), km: a body of radius R covers the angle
     ``asin(R / length)``.
 
     Emission of the light and its reception are ``(c t, x) = (-r, r n)`` apart, with ``r`` the distance and ``n`` the
     unit direction. The Lorentz boost to the observer gives a vector of the length ``r g (1 + n.b)``, with ``b = v / c``
-    and ``g = 1 / sqrt(1 - b^2)``. That is the distance in the frame of the observer, and it determines the apparent
-    size of a body: angles around a direction shrink by the Doppler factor ``g (1 + n.b)`` from one observer to another
-    who moves toward the source. It makes a body that moves along with the observer appear as far as it is. SPICE's
-    ``LT+S`` keeps the length, which is 1e-4 of the range too small or too large at the speed of the Earth.
+    and ``g = 1 / sqrt(1 - b^2)``. That is the distance in the frame of the observer, which determines the apparent
+    size: a body that moves along with the observer appears as far as it is. SPICE's ``LT+S`` keeps the length, which is
+    1e-4 of the range off at the speed of the Earth.
 
     >>> round(float(np.linalg.norm(boosted([384400.0, 0.0, 0.0], [29.79, 0.0, 0.0])) - 384400.0), 1)
     38.2

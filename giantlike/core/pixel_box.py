@@ -24,10 +24,7 @@ class PixelBox:
 
     @classmethod
     def spanning(cls, low_px: Float, high_px: Float, margin_px: int = 0) -> PixelBox:
-        """Return the box between two pixels, and a margin around it.
-
-        ``low_px``, ``high_px`` (2,), first pixel, and the one after the last (rounded outward).
-        """
+        """Return the box from a first pixel (2,) to the one after the last, rounded outward, and a margin around it."""
         low = np.floor(low_px).astype(np.int64) - margin_px
         (x, y), (width, height) = low.tolist(), (np.ceil(high_px).astype(np.int64) + margin_px - low).tolist()
         return cls(x=x, y=y, width=width, height=height)
@@ -51,10 +48,7 @@ class PixelBox:
         return slice(self.y, self.y + self.height), slice(self.x, self.x + self.width)
 
     def cut(self, image: NDArray[Scalar], corner_px: tuple[int, int] = (0, 0), outside: Any = 0) -> NDArray[Scalar]:
-        """Cut the box out of an image.
-
-        ``image`` (h, w); ``corner_px``: column and row of the first element of ``image``; returns (height, width).
-        """
+        """Cut the box (height, width) out of an image (h, w) whose first element is at column, row ``corner_px``."""
         part = np.full((self.height, self.width), outside, dtype=image.dtype)
         x, y = self.x - int(corner_px[0]), self.y - int(corner_px[1])
         y0, y1 = max(y, 0), min(y + self.height, image.shape[0])

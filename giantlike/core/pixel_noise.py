@@ -163,21 +163,16 @@ class _NoiseBlocks:
 
 
 def sky_noise(pixels: NDArray[Any], mask: Mask | None = None) -> float:
-    """Standard deviation of the pixels of the sky background of an image, about planes.
-
-    ``pixels`` in DN; returned in DN, 0 where most of the background has equal pixels, as in a render without noise or
-    in a clipped image.
-    """
+    """Standard deviation, DN, of the pixels of the sky about planes; 0 where most of them are equal."""
     return math.sqrt(_NoiseBlocks.from_pixels(pixels, mask).sky_variance)
 
 
 def estimate_noise(pixels: NDArray[Any], mask: Mask | None = None, *, step_dn: float) -> EstimatedNoise:
     """Estimate read noise and gain from an image alone.
 
-    Read noise is the residual of the darkest blocks about planes, minus quantization (``step^2 / 12``) and no smaller
-    than it. The signal adds a variance proportional to it, measured on the tenth of the bright blocks with the smallest
-    variance for their signal: an upper bound where nothing in the image is smooth. At the brightest block it is at
-    least the variance of the sky, since a smaller one cannot be distinguished.
+    Read noise is the residual of the darkest blocks about planes, no smaller than quantization (``step^2 / 12``), which
+    is subtracted. The variance per signal is from the tenth of the bright blocks with the smallest variance for their
+    signal: an upper bound where nothing is smooth, and at the brightest block at least the variance of the sky.
     """
     blocks, quantization = _NoiseBlocks.from_pixels(pixels, mask), step_dn**2 / 12.0
     dark, slope = blocks.sky_variance, blocks.variance_per_light()

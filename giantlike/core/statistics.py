@@ -27,10 +27,7 @@ def quartile_sigma(values: ArrayLike) -> float:
 
 
 def whiten(values: Float, covariance: Float) -> Float:
-    """Values (n, 2, ...) in the units of their errors: solutions of ``L x = value`` with ``L L^T`` the covariance.
-
-    ``values`` (n, 2, ...); ``covariance`` (n, 2, 2), positive definite.
-    """
+    """Values (n, 2, ...) in units of their errors: solutions of ``L x = value``, ``L L^T`` the covariance (n, 2, 2)."""
     shape = (-1,) + (1,) * (values.ndim - 2)
     a, b, d = covariance[:, 0, 0], covariance[:, 1, 0], covariance[:, 1, 1]
     first, slope = 1.0 / np.sqrt(a), b / a
@@ -42,11 +39,7 @@ def whiten(values: Float, covariance: Float) -> Float:
 
 
 def squared_residuals(residuals: Float, covariance: Float) -> Float:
-    """Squared residuals in units of their covariance (squared Mahalanobis distances).
-
-    ``residuals`` (n, k); ``covariance`` (n, k, k), of each residual, positive definite; returns (n,), infinite for
-    residuals that are not finite.
-    """
+    """Squared Mahalanobis distances (n,) of residuals (n, k) by covariances (n, k, k); infinite where not finite."""
     if residuals.shape[1] == 2:
         with np.errstate(invalid="ignore"):
             squares: Float = np.sum(whiten(residuals, covariance) ** 2, axis=1)
@@ -56,11 +49,7 @@ def squared_residuals(residuals: Float, covariance: Float) -> Float:
 
 
 def error_floor(residuals: Float, covariance: Float, *, freedom: int | None = None) -> float:
-    """Standard deviation per axis that explains residuals larger than their covariances do.
-
-    ``residuals`` (n, 2); ``covariance`` (n, 2, 2), of each residual, positive definite; returns 0 if they are not
-    larger.
-    """
+    """Standard deviation per axis that explains residuals (n, 2) larger than their covariances (n, 2, 2); else 0."""
     variances, axes = _principal(covariance)
     return _floor_along(_rotate(residuals, axes) ** 2, variances, freedom)
 
@@ -98,11 +87,7 @@ def _rotate(values: Float, axes: Float) -> Float:
 
 
 def nearest_covariance(matrix: Float) -> Float:
-    """Return the positive semi-definite matrix nearest to a symmetric one.
-
-    ``matrix`` (n, n); returns (n, n), without the parts of negative variance, as differences and tabulated correlations
-    have.
-    """
+    """Return the positive semi-definite matrix nearest to a symmetric one (n, n), such as tabulated correlations."""
     try:
         np.linalg.cholesky(matrix)  # a covariance already, which takes a twentieth of the time to see
     except np.linalg.LinAlgError:
@@ -114,10 +99,9 @@ def nearest_covariance(matrix: Float) -> Float:
 
 
 def excess(first: Float, second: Float) -> Float:
-    """Smallest covariance to add to one so that the sum exceeds another in every direction of parameter space.
+    """Smallest covariance to add to the first (k, k) so that the sum exceeds the second in every direction.
 
-    ``first``, ``second`` (k, k), positive semi-definite (a direction in which the first has nothing to rounding counts
-    as if it had that); returns (k, k), positive semi-definite.
+    A direction in which the first has nothing to rounding counts as if it had that.
     """
     scale = np.sqrt(np.maximum(np.maximum(np.diag(first), np.diag(second)), 1e-300))
     squares, axes = np.linalg.eigh(first / np.outer(scale, scale))
@@ -129,15 +113,12 @@ def excess(first: Float, second: Float) -> Float:
 
 
 def error_terms(residuals: Float, covariance: Float, *, freedom: int) -> tuple[float, float]:
-    """Factor on the standard deviations, and an error floor, that together explain residuals.
+    """Factor (at least 1) on the standard deviations, and an error floor, that together explain residuals (n, 2).
 
     Errors of equal size for all observations (unmodeled distortion, turbulence) are a floor; errors that increase with
-    the noise (pixels whose noise is correlated by compression or color filters, an unknown gain) are a factor. Of all
-    pairs that bring the sum of squared residuals to the degrees of freedom the most likely one is taken, for normal
-    errors; a floor alone where the factor does not pay for a parameter by Akaike's criterion.
-
-    ``residuals`` (n, 2); ``covariance`` (n, 2, 2), of each residual, positive definite; returns ``factor``: at least 1;
-    ``floor``: at least 0.
+    the noise (correlated by compression or color filters, an unknown gain) are a factor. Of all pairs that bring the
+    sum of squared residuals to the degrees of freedom the most likely one is taken, for normal errors; a floor alone
+    where the factor does not pay for a parameter by Akaike's criterion.
     """
     variances, axes = _principal(covariance)
     along = _rotate(residuals, axes) ** 2

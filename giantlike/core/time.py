@@ -47,10 +47,7 @@ def utc_text(epoch: Time, digits: int = 6) -> str:
 
 
 def et_from_time(epoch: Time) -> float:
-    """Return TDB seconds past J2000 by SPICE's model of TDB, which differs from astropy's by up to 30 us.
-
-    An epoch that is given in TDB is taken as it is.
-    """
+    """Return TDB seconds past J2000: of an epoch in TDB as it is, else by SPICE's model, up to 30 us from astropy's."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         known = epoch if epoch.scale == "tdb" else epoch.tt

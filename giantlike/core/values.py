@@ -117,11 +117,10 @@ def read_only(array: NDArray[Scalar]) -> NDArray[Scalar]:
 
 
 def check_covariance(covariance: Float, name: str, tolerance: float = EIGENVALUE_TOLERANCE) -> None:
-    """Raise :class:`InputError` unless matrices (..., n, n) are symmetric and positive semi-definite.
+    """Raise :class:`InputError` unless matrices (..., n, n), where finite, are symmetric and positive semi-definite.
 
-    Eigenvalues of correlation matrices may be as low as ``-tolerance``, and mirrored elements may differ by the larger
-    of ``tolerance`` and :data:`ASYMMETRY_TOLERANCE`. Elements are compared after division by the standard deviations,
-    so that units and scales do not matter. Matrices with infinities or NaN (unknown elements) are not checked.
+    Correlation matrices may have eigenvalues down to ``-tolerance``, and an asymmetry of the larger of ``tolerance``
+    and :data:`ASYMMETRY_TOLERANCE`.
     """
     shape = covariance.shape
     require(len(shape) >= 2 and shape[-1] == shape[-2], f"{name} must be square, got shape {shape}")

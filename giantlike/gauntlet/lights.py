@@ -96,10 +96,7 @@ def coverage(world: World, body: Body, position_camera_km: Float) -> Float:
 
 
 def rings(*, inner: float, outer: float, brightness: float, opacity: float) -> Light:
-    """Rings in the plane of the equator, in front of the body and behind it.
-
-    ``inner``, ``outer``: in radii of the body; ``brightness``: relative to the brightest pixel of the body.
-    """
+    """Rings in the plane of the equator, sizes in radii and brightness by the brightest pixel of the body."""
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
         assert world.body is not None
@@ -124,10 +121,7 @@ def rings(*, inner: float, outer: float, brightness: float, opacity: float) -> L
 
 
 def coma(*, brightness: float, core_px: float, fan: float) -> Light:
-    """Dust around a nucleus: brightness inversely proportional to distance, and higher towards the Sun.
-
-    ``brightness``: at ``core_px`` from the center, relative to the brightest pixel of the nucleus.
-    """
+    """Dust around a nucleus, brighter towards the Sun: ``brightness`` of the nucleus at ``core_px``, then as 1/r."""
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
         rows, columns = signal.shape

@@ -139,11 +139,9 @@ def outcome_of(estimate: Callable[[], Outcome]) -> tuple[Outcome | None, Answer]
 
 
 def place_error(stage: Stage, fix: CenterFix) -> Answer:
-    """Compare the position of a body with the truth: its center in the image, and its range.
+    """Compare the position of a body with the truth: its center in the image, if there, and its range.
 
-    The center is compared where the body is in the image, with ``covariance_px2``; the range with the sum of all parts
-    between the pixels and a position in camera axes, the assumed camera included. Attitude and ephemeris are excluded:
-    they are not measured.
+    Range errors count with all parts between the pixels and camera axes; attitude and ephemeris are not measured.
     """
     error = fix.center_px - stage.world.center_px
     parts = fix.parts or {Cause.NOISE: _own_covariance(stage, fix)}
@@ -222,10 +220,7 @@ def verdict_of(answer: Answer, facts: Facts, *, demanded: bool, stars: bool = Fa
 
 
 def is_vague(answer: Answer, nominal: Answer) -> bool:
-    """True if sigmas are more than 3 times the nominal ones, both without the declared errors.
-
-    Returns False where the undisturbed image has no fix.
-    """
+    """True if sigmas are more than 3 times those of a nominal fix, if any, both without the declared errors."""
     if nominal.status not in (_OK, _SUSPECT):
         return False
     center = answer.own_px > VAGUE_FACTOR * nominal.own_px

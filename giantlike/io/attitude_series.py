@@ -97,8 +97,7 @@ def write_attitude_csv(
 ) -> None:
     """Write attitudes as a table: image, UTC, et, quaternion ``camera_from_inertial`` (scalar last), covariance.
 
-    The covariance is the upper triangle by rows, rad^2, about the camera axes; empty where unknown. Numbers keep all
-    their digits.
+    The covariance is the upper triangle by rows, rad^2, about the camera axes; empty where unknown.
     """
     rows: list[list[str | float | None]] = []
     if series is not None:
@@ -112,10 +111,9 @@ def write_attitude_csv(
 
 
 def read_attitude_csv(path: str | Path) -> AttitudeSeries:
-    """Read a table of attitudes, a star tracker's for example, in any order of time.
+    """Read a table of attitudes, in any order of time, with columns of :func:`write_attitude_csv`.
 
-    The columns are as written by :func:`write_attitude_csv`; ``epoch_utc`` or ``et`` and the quaternion are needed,
-    ``name`` and the covariance may be absent or empty.
+    ``epoch_utc`` or ``et`` and the quaternion are needed.
     """
     series, untimed = read_attitude_table(path)
     if untimed or series is None:

@@ -42,9 +42,8 @@ def read_ik_camera(
 ) -> ImportedCamera:
     """Read the geometry of one camera from an instrument kernel.
 
-    ``first_pixel``: coordinate of the center of the first pixel in the mission's convention: 0, 1 or 0.5
-    (edges counted from 0); ``signs``: sense of the instrument frame's x along columns and y along rows, 1 or -1
-    (kernels state it in comments only).
+    ``first_pixel``: coordinate of the center of the first pixel (0, 1 or 0.5); ``signs``: sense, 1 or -1, of the
+    frame's x along columns and y along rows (kernels state both in comments only).
     """
     keywords = _keywords(Path(path).read_text(encoding="ascii", errors="replace"), f"INS{instrument_id}_")
     focal_mm = _number(keywords, "FOCAL_LENGTH")

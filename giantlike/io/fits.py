@@ -56,11 +56,9 @@ WRITTEN_KEYWORDS = {
 def decode_fits(path: Path, data: bytes, hdu: int | str | None) -> DecodedImage:
     """Decode one image of a FITS file.
 
-    ``BSCALE``, ``BZERO`` and ``BLANK`` are applied (blank pixels become NaN); compressed images are
-    expanded; leading axes of length one are dropped. The header is from the image's own HDU, completed by
-    the keywords of the primary HDU that it does not have itself. Cards that break the FITS rules, comments
-    and undefined values are left out. Epoch, exposure, attitude and observer: see
-    :mod:`giantlike.io.fits_keywords`.
+    ``BSCALE``, ``BZERO`` and ``BLANK`` are applied (blank pixels become NaN); compressed images are expanded; leading
+    axes of length one are dropped. Keywords that the HDU lacks are from the primary one. Cards that break the FITS
+    rules, comments and undefined values are left out. Epoch, exposure, attitude: :mod:`giantlike.io.fits_keywords`.
     """
     require_whole_fits(data)
     cards, pixels = _open(data, hdu)
@@ -195,10 +193,9 @@ def _open(data: bytes, hdu: int | str | None) -> tuple[dict[str, Card], NDArray[
 
 
 def _counts(data: bytes, unit: Any) -> NDArray[Any] | None:
-    """Pixels of 16 or 32 bits without a scale, as detectors count; None of all others.
+    """Pixels of 16 or 32 bits without a scale, as detectors count, faster than by astropy; None of all others.
 
-    astropy takes five times as long for them. Where half of their range is added, they are without a sign
-    (FITS standard 4.0, section 4.4.2.5).
+    Where half of their range is added, they are without a sign (FITS standard 4.0, section 4.4.2.5).
     """
     from astropy.io import fits
 

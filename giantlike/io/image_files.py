@@ -158,10 +158,9 @@ def _decode_product(label: Path, content: bytes) -> tuple[DecodedImage, str]:
 
 
 def _decode_labeled(path: Path, data: bytes, digest: str) -> tuple[DecodedImage, str]:
-    """Decode the image of a PDS3 label at the start of ``data``; the hash is of the file with the pixels.
+    """Decode the image of a PDS3 label; the hash is of the file with the pixels.
 
-    An image file that describes itself (FITS, VICAR) is read as such; the label gives the epoch and exposure
-    that it lacks.
+    A FITS or VICAR file is read as such; the label gives the epoch and exposure that it lacks.
     """
     label = parse_pds3(path, data)
     pointer = image_pointer(path, label)

@@ -296,10 +296,7 @@ def _distortion(table: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
 
 
 def angles_covariance(camera_from_inertial: Rotation, sigma_deg: float) -> Float:
-    """Covariance (3, 3), rad^2, camera axes, of errors of one size in the Euler angles RA, DEC and TWIST of ISIS.
-
-    ``camera = R3(TWIST) R1(DEC) R3(RA)``; each of the angles rotates about its own axis.
-    """
+    """Covariance (3, 3), rad^2, camera axes, of errors of one size in RA, DEC, TWIST of ISIS (axes 3, 1, 3)."""
     by_ra = camera_from_inertial.as_matrix()[:, 2]
     twist = np.arctan2(by_ra[0], by_ra[1])
     by_dec = np.array([np.cos(twist), -np.sin(twist), 0.0])

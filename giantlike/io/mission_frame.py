@@ -47,10 +47,8 @@ def from_mission_frame(
 ) -> ImportedCamera:
     """Convert a model whose focal lengths may be negative to one with +x along columns, +y along rows, +z forward.
 
-    ``parameters``: by the names of the class, but with signs as in the mission's model
-    (``cx_px``, ``cy_px`` in our pixels).
-
-    Where the image is mirrored, rows are counted from the last one instead: see :class:`ImportedCamera`.
+    ``parameters``: by the names of the class, with signs as in the mission's model, the principal point in our pixels.
+    Where the image is mirrored, rows are counted from the last one: see :class:`ImportedCamera`.
 
     Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Table 1 (f_y < 0).
     """

@@ -310,10 +310,7 @@ class ObservableBlock(Value):
 
 
 def write_observables(path: Path, rows: Iterable[ObservableRow | ObservableBlock], metadata: Mapping[str, str]) -> int:
-    """Write observables: Parquet, or JSON lines where the file name ends in ``.jsonl``, with its metadata in the first.
-
-    Rows are written as they come, so that no more than some thousand are in memory.
-    """
+    """Write observables as they come: Parquet, or JSON lines (``.jsonl``) with the metadata in the first."""
     writers = {".parquet": _write_parquet, ".jsonl": _write_json_lines}
     require(path.suffix in writers, f"{path}: observables are written as .parquet or .jsonl, got {path.suffix!r}")
     with replacing(path) as part:

@@ -45,12 +45,11 @@ class _TiffTag:
 
 @reads("a PNG, TIFF or JPEG image")
 def decode_raster(path: Path, data: bytes, kind: str) -> DecodedImage:
-    """Decode a PNG, TIFF or JPEG file.
+    """Decode a PNG, TIFF (its first page) or JPEG file.
 
-    Gray images keep their type; so do color images whose channels are equal. Other color images become
-    luminance, float32, with :data:`LUMINANCE_BGR`. An alpha channel is dropped, a palette resolved, a scale
-    in which white is zero inverted. Rows and columns are as stored: orientation tags are ignored. Of a
-    TIFF with several pages the first is read.
+    Gray images, and color images whose channels are equal, keep their type; others become luminance, float32, with
+    :data:`LUMINANCE_BGR`. An alpha channel is dropped, a palette resolved, a scale in which white is zero inverted.
+    Rows and columns are as stored: orientation tags are ignored.
     """
     if kind == "tiff":
         return DecodedImage(pixels=_decode_tiff(data), format=kind)

@@ -69,13 +69,10 @@ def read_raw(data: bytes, layout: RawLayout) -> NDArray[Any]:
 
 
 def vax_floats(stored: NDArray[np.uint8]) -> Float:
-    """Values of VAX F or D floating numbers.
+    """Values (...) of the bytes (..., 4) or (..., 8) of VAX F or D floating numbers.
 
-    ``stored`` (..., 4) or (..., 8), their bytes; returns (...).
-
-    Both are sign, 8 exponent bits of excess 128 and a fraction with a hidden leading bit in [0.5, 1), stored
-    as little-endian 16-bit words with the most significant word first. The reserved operand (sign set,
-    exponent zero) is NaN.
+    Both are sign, 8 exponent bits of excess 128 and a fraction with a hidden leading bit in [0.5, 1), stored as
+    little-endian 16-bit words, the most significant first. The reserved operand (sign set, exponent zero) is NaN.
     """
     words = np.ascontiguousarray(stored).view("<u2").astype(np.int64)
     exponent = (words[..., 0] >> 7) & 0xFF

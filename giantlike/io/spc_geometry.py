@@ -26,9 +26,8 @@ def read_sumfiles(
 ) -> GeometryTable:
     """Read the geometry of images from the SUMFILEs of a folder.
 
-    A SUMFILE belongs to the image with the name of its first line, upper or lower case, whatever its ending. It does
-    not name its body: that is the target of a campaign with one, else the target with which the name of the file ends.
-    ``size``: columns and rows of the camera.
+    A SUMFILE belongs to the image named in its first line, in any case, whatever its ending; its body is the only
+    target, else the one with which the name of the file ends. ``size``: columns and rows of the camera.
     """
     files = sorted(path for path in folder.iterdir() if path.suffix.upper() == ".SUM")
     if not files:

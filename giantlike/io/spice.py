@@ -210,11 +210,7 @@ def orientation(frame_or_body: str | int, et: float) -> Rotation:
 
 
 def attitude(frame: str, et: float) -> Rotation:
-    """Attitude ``camera_from_inertial`` of an instrument frame.
-
-    The axes are from the SPICE frame; where they are not +x along columns, +y along rows, +z boresight, the
-    caller rotates them.
-    """
+    """Attitude ``camera_from_inertial`` of an instrument frame, in axes of that frame."""
     import spiceypy
 
     matrix = _ask(
@@ -244,10 +240,7 @@ def ellipsoid_from_pck(body: str | int, kernels: Sequence[str | Path] = (), base
 
 
 def rotation_coefficients(body: str) -> tuple[Float, Float, Float] | None:
-    """Coefficients of right ascension and declination of the pole and of the prime meridian of a body, deg.
-
-    Those of the loaded planetary constants kernels; None where they have none.
-    """
+    """Coefficients of the pole and the prime meridian of a body, deg, by the loaded kernels; None without."""
     import spiceypy
 
     code, found = body_id(body), list[Float]()

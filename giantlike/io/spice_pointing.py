@@ -73,11 +73,7 @@ class LabelClock:
 
 
 def nearest_attitude(frame: str, et: float, tolerance_s: float) -> Rotation:
-    """Attitude ``camera_from_inertial`` of an instrument frame, also where a C-kernel holds single attitudes.
-
-    Frames at fixed angles from the frame of the C-kernel are followed down to it; an attitude at ``et`` itself is
-    preferred.
-    """
+    """Attitude of an instrument frame, also where a C-kernel holds single ones; fixed frames are followed to it."""
     import spiceypy
     from spiceypy.utils.exceptions import SpiceyError
 

@@ -62,11 +62,7 @@ def columns_of(kind: type[Any]) -> tuple[Column, ...]:
 
 
 def write_rows(stem: Path, kind: type[Row], rows: Sequence[Row]) -> None:
-    """Write a table as CSV and as Parquet.
-
-    CSV numbers keep all their digits, and a cell without a value is empty. In the Parquet file each column has its
-    unit, frame and description as metadata.
-    """
+    """Write a table as CSV, with all digits, and as Parquet, whose columns have unit, frame and description."""
     columns = columns_of(kind)
     names = [column.name for column in columns if column.csv]
     write_csv_rows(stem.with_suffix(".csv"), names, ([getattr(row, name) for name in names] for row in rows))

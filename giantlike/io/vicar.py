@@ -48,15 +48,14 @@ class LabelItem:
 def decode_vicar(path: Path, data: bytes) -> DecodedImage:
     """Decode a VICAR file.
 
-    Label items become header items under their own name; a name that occurs in more than one group is
-    written ``GROUP.NAME``, where the group is the property or the history task (``TASK``, ``TASK[2]``, ...);
-    system items always keep their own name. Lists are joined by commas. Epoch and exposure:
-    :func:`~giantlike.io.label_times.label_epoch` and :func:`~giantlike.io.label_times.label_exposure_s`.
+    Label items become header items under their own name; a name that occurs in more than one group is written
+    ``GROUP.NAME`` (the property or the history task, ``TASK``, ``TASK[2]``, ...); system items always keep their own
+    name. Lists are joined by commas.
 
-    Pixels that never reached the ground are zero in the file, and are masked: where the label counts
-    ``MISSING_LINES``, the zeros of rows that are at least half zero; where it names a ``CUT_OUT_WINDOW``, rows
-    and columns of nothing but zeros; where its history names a program that resampled the image (``GEOMA`` and others
-    of that name), zeros that are joined to the edge of the frame, where the old one ended.
+    Pixels that never reached the ground are zero in the file, and are masked: where the label counts ``MISSING_LINES``,
+    the zeros of rows that are at least half zero; where it names a ``CUT_OUT_WINDOW``, rows and columns of nothing but
+    zeros; where its history names a program that resampled the image (``GEOMA`` and others of that name), zeros that
+    are joined to the edge of the frame.
     """
     match = _LABEL_SIZE.match(data)
     size = int(match[1]) if match else 0

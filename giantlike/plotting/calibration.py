@@ -25,11 +25,7 @@ _LABEL_SHARE = 0.995  # correlations above it would be rounded to 1.00, and get 
 def distortion_figure(
     points_px: Float, distortion_px: Float, sigma_points_px: Float, sigma_px: Float, columns: int, rows: int
 ) -> Figure:
-    """Distortion over the field (arrows on its size), and next to it the uncertainty of the camera map.
-
-    ``points_px``, ``distortion_px`` (n, 2), a pinhole of the same focal length would image the direction of a point at
-    ``points_px - distortion_px``; ``sigma_points_px`` (m, 2), ``sigma_px`` (m,).
-    """
+    """Distortion from a pinhole over the field (arrows on its size), and the uncertainty of the camera map."""
     with drawing():
         figure, (left, right) = new_panels(10.0, 3.9, columns=2)
         size = np.linalg.norm(distortion_px, axis=1)
@@ -86,10 +82,7 @@ def correlation_figure(names: Sequence[str], correlation: Float) -> Figure:
 
 
 def residual_trend_figure(trends: Mapping[str, tuple[Float, Float, Float]]) -> Figure:
-    """Residual rms against quantities it might depend on, one panel each, with the rms expected from the noise.
-
-    ``trends`` mapping of str to (n,), (n,), (n,).
-    """
+    """Residual rms against quantities it might depend on, one panel each (three arrays), with the expected rms."""
     with drawing():
         figure, panels = new_panels(2.2 + 2.6 * len(trends), 2.9, columns=max(len(trends), 1), sharey=True)
         for axis, (label, (at, rms, noise)) in zip(panels, trends.items(), strict=False):

@@ -40,10 +40,7 @@ class Axis:
 
     @classmethod
     def around(cls, label: str, values: Float, *, margin: float = 0.05, logarithmic: bool = False) -> Axis:
-        """Axis that contains given values; as wide as a single value is large, or by 1 about zero.
-
-        ``values`` (n,), those that are not finite do not count.
-        """
+        """Axis that contains the finite ones of values (n,); of a single one, as wide as it is large."""
         known = values[np.isfinite(values)]
         known = np.log10(known) if logarithmic else known
         low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)

@@ -93,10 +93,7 @@ class BodyMarks(Value):
 
 
 def stretch_image(pixels: NDArray[np.generic], *, longest_px: int = 640) -> NDArray[np.uint8]:
-    """Return an image for viewing: noise dark gray, faint stars visible, the shading of bodies kept.
-
-    ``pixels`` in DN; returns ``gray`` (rows, columns).
-    """
+    """Return a gray image (rows, columns) for viewing: noise dark, faint stars visible, the shading of bodies kept."""
     image = np.ascontiguousarray(pixels, dtype=np.float32)
     factor = int(np.ceil(max(image.shape) / longest_px))
     if factor > 1:

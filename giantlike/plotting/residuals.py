@@ -76,12 +76,9 @@ def _layers_of(part: Series, quantity: int, color: str, marker: MarkShape, *, la
 def star_residual_charts(
     points_px: Float, residuals_px: Float, magnitudes: Float, sigma_px: Float, columns: int, rows: int
 ) -> ChartSheet:
-    """Residuals of matched stars: arrows over the field, histogram per axis, size against magnitude.
+    """Residuals (n, 2) of matched stars: arrows over the field, histogram per axis, size against magnitude.
 
     Observations without magnitudes, such as corners of a board, are shown against the distance from the image center.
-
-    ``points_px`` (n, 2); ``residuals_px`` (n, 2), observed minus predicted; ``magnitudes``, ``sigma_px`` (n,), catalog
-    magnitudes, NaN where there are none (standard deviation per axis that weighted each star, px).
     """
     known, label, title = np.isfinite(magnitudes), "magnitude", "Against magnitude"
     if not known.any():
@@ -150,10 +147,7 @@ def _bin_medians(magnitudes: Float, values: Float) -> Float:
 
 
 def correlation_surface_figure(surface: Float, peak_px: Float | None, title: str) -> Figure:
-    """Correlation for shifts around a position, and the shift of its peak.
-
-    ``surface`` (2 h + 1, 2 h + 1), NaN where it is undefined; ``peak_px`` (2,).
-    """
+    """Correlation for shifts around a position, NaN where undefined, and the shift (2,) of its peak."""
     half = (np.array(surface.shape[::-1]) - 1) / 2
     left, top = -half - 0.5
     with drawing():

@@ -169,11 +169,10 @@ class CalibrationFrames(Value):
     ) -> CalibratedPixels:
         """Correct the pixels of an image.
 
-        The detector gets one number for the noise of bias and dark, uniform over the frame, and one relative to the
-        signal for the noise of the flat. The shot noise of the dark current is that of its median; pixels far above it
-        are hot and bad. Where a detector's noise is estimated from images, the corrected ones are used, which include
-        both. Gain and read noise refer to a response of 1: in the corners of a lens that passes half of the light
-        there, noise is understated by up to 1.4 (shot) and 2 (read noise) times.
+        The detector gets the noise of bias and dark as one number, and the noise of the flat relative to the signal.
+        Shot noise of the dark current is that of its median; pixels far above it are hot and bad. Gain and read noise
+        refer to a response of 1: where a lens passes half of the light, noise is understated by up to 1.4 (shot) and 2
+        (read noise) times.
         """
         array = as_image(pixels, "pixels")
         require(
@@ -236,10 +235,7 @@ def flat_from(
     offsets: CalibrationFrames | None = None,
     exposures_s: Sequence[float | None] | None = None,
 ) -> CombinedFrame:
-    """Combine exposures of even light into a flat.
-
-    ``exposures`` sequence of (rows, columns) DN; ``masks`` sequence of (rows, columns).
-    """
+    """Combine exposures of even light, (rows, columns) DN each, into a flat."""
     if offsets is None:
         return combine_frames(exposures, masks, normalize=True)
     noiseless = Detector(gain_e_per_dn=_NO_SHOT_NOISE, read_noise_e=0.0, step_dn=0.0)

@@ -67,10 +67,9 @@ def normalized_correlation(
     template_usable: Mask | None = None,
     min_overlap: float = 0.3,
 ) -> Float:
-    """Correlation coefficient of a template with every part of an image that has its size.
+    """Correlation coefficient (H - h + 1, W - w + 1) of a template (h, w) with every part of an image (H, W).
 
-    ``image`` (H, W); ``template`` (h, w); ``image_usable`` (H, W), ``template_usable`` (h, w); returns
-    (H - h + 1, W - w + 1), NaN where it is undefined: too few shared pixels, or no contrast in one of the two.
+    NaN where it is undefined: too few shared pixels, or no contrast in one of the two.
     """
     require(
         template.shape[0] <= image.shape[0] and template.shape[1] <= image.shape[1],
@@ -88,21 +87,18 @@ def normalized_correlation(
 
 
 def find_peak(surface: Float, *, n_pixels: int = 0) -> CorrelationPeak | None:
-    r"""Highest point of a correlation surface, refined by a paraboloid.
+    r"""Highest point of a correlation surface, refined by a paraboloid; None where it is nowhere defined.
 
-    ``surface`` (rows, columns); ``n_pixels``: number of common pixels of template and image at the peak
-    (without it the covariance is infinite); returns None where the surface is nowhere defined.
+    ``n_pixels``: number of common pixels of template and image at the peak (without it the covariance is infinite).
 
     The paraboloid ``c0 + c1 x + c2 y + c3 x^2 + c4 x y + c5 y^2`` is the least-squares fit to the 3 x 3 pixels around
-    the peak; a fit without a maximum within a pixel leaves the peak on its pixel.
-
-    The highest correlation is the least-squares fit of position, gain and level of the template. With N pixels of the
-    same, independent noise, a peak of height r and K the negative second derivatives of the surface there, the
-    covariance of the position is :math:`(1 - r^2) / (r (N - 4)) K^{-1}`: the ratio of the variance of the noise to the
-    squared signal of the template is ``(1 - r^2) / (r^2 (N - 4))``, and K is r times the information of a unit of
-    signal. (Derived here.) It underestimates differences of image and template that are correlated over several pixels,
-    such as errors of the model, and excludes the error of the paraboloid itself, up to a few hundredths of a pixel for
-    a peak as narrow as a point spread function.
+    the peak; a fit without a maximum within a pixel leaves the peak on its pixel. With N pixels of the same,
+    independent noise, a peak of height r and K the negative second derivatives of the surface there, the covariance of
+    the position is :math:`(1 - r^2) / (r (N - 4)) K^{-1}`: the ratio of the variance of the noise to the squared signal
+    of the template is ``(1 - r^2) / (r^2 (N - 4))``, and K is r times the information of a unit of signal. (Derived
+    here.) It underestimates differences that are correlated over several pixels, such as errors of the model, and
+    excludes the error of the paraboloid, up to a few hundredths of a pixel for a peak as narrow as a point spread
+    function.
 
     Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, "Template Matching".
     """
@@ -130,10 +126,7 @@ def locate_template(
     *,
     options: CorrelationOptions = CorrelationOptions(),
 ) -> CorrelationPeak | Failure:
-    """Find a template near its predicted position; either may extend beyond the frame.
-
-    ``template`` (h, w); ``corner_px``: predicted column and row of the template's element [0, 0].
-    """
+    """Find a template (h, w), predicted to begin at ``corner_px`` (column, row); either may extend beyond the frame."""
     corner = np.array(corner_px)
     box = PixelBox.spanning(corner, corner + template.shape[::-1], options.search_px)
     window, window_usable = box.cut(pixels), box.cut(usable)
@@ -246,10 +239,7 @@ def _sum_directly(flat: Float, image_ok: Mask, pattern: Float, template_ok: Mask
 
 
 def _paraboloid(patch: Float) -> tuple[Float, float, Float]:
-    """Maximum of the paraboloid through 3 x 3 values: position from their middle (2,), height, curvature (2, 2).
-
-    Without a maximum near the middle the position is the middle and the curvature zero.
-    """
+    """Maximum of the paraboloid through 3 x 3 values: position from the middle, height, curvature (0 without one)."""
     c1, c2, c3, c4, c5 = (_PARABOLOID @ patch.ravel()).tolist()
     determinant = 4.0 * c3 * c5 - c4**2
     middle = float(patch[1, 1])

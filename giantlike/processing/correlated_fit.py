@@ -23,11 +23,10 @@ _SINGULAR = 1e-12  # minimum pivot of a normal matrix of trace 1 that determines
 def robust_solution(residuals: Float, design: Float, sigma: Float, *, outlier_mad: float) -> tuple[Float, Mask]:
     """Solve ``design @ solution = residuals`` and find the outliers among the residuals.
 
-    ``residuals`` (n,); ``design`` (n, k), n > k; ``sigma`` (n,); returns ``solution`` (k,) and ``keep`` (n,).
+    ``residuals``, ``sigma`` (n,); ``design`` (n, k), n > k; returns ``solution`` (k,) and ``keep`` (n,).
 
     Starts from reweighting towards least absolute residuals, which is biased by outliers on one side that are half of
-    the data, but not a quarter; continues with Tukey's biweight, whose weights fall to zero smoothly, so that residuals
-    near the limit do not make the solution jump.
+    the data, but not a quarter; continues with Tukey's biweight, whose weights fall to zero smoothly.
     """
     require(residuals.size > design.shape[1], f"needed more than {design.shape[1]} residuals, got {residuals.size}")
     values, columns, noise = (np.array(one, dtype=np.float64) for one in (residuals, design, sigma))

@@ -54,14 +54,11 @@ def minimize(
 
     ``tolerance``: predicted decrease of the cost at convergence, by default 1e-8, 1e-2 for a rough fit; its root is the
     largest remaining step in units of sigma. ``linearize`` and ``apply_step`` return None for states that cannot be
-    observed. A rough fit ends after ``max_steps`` without a failure.
-
-    The update of the paper lacks the weight on its right-hand side, without which a weighted fit converges to another
-    point. Damping grows tenfold after a step that increases the cost and shrinks tenfold after one that decreases it
-    (step 4 of the paper).
+    observed. A rough fit ends after ``max_steps`` without a failure. Damping changes tenfold, up after a step that
+    increases the cost. (The paper's update lacks the weight on its right-hand side.)
 
     Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Camera Calibration,
-    steps 1-5.
+    1-5.
     """
     normal = linearize(state)
     if normal is None:

@@ -61,12 +61,10 @@ class OutlineErrors(Value):
         return float(np.sqrt(self.chance[first:] @ self.shared_variance[first:]))
 
     def covariances(self, sigma: Float, points: Float) -> PointCovariances:
-        """Covariances of points.
+        """Covariances of points (n, 2) of noise ``sigma`` (n,).
 
-        ``sigma`` (n,); ``points`` (n, 2).
-
-        Weights by smooth relief would rely on the exact correlation of neighbors, and fit the position to the curvature
-        of residuals: on bodies with relief of 1 % such positions scatter by 0.6 px, without them by 0.3 px.
+        Weights by smooth relief would rely on the exact correlation of neighbors: on bodies with relief of 1 % such
+        positions scatter by 0.6 px, without them by 0.3 px.
         """
         smooth = np.arange(self.log_likelihood.size) >= self.log_likelihood.size - _SMOOTH * _RATIOS.size
         rough = replace(self, log_likelihood=np.where(smooth, -np.inf, self.log_likelihood))
@@ -149,10 +147,7 @@ def outline_errors(
 
 
 def averages(points: Float, sigma: Float) -> Float:
-    """Matrix that averages points along an outline in bins, with their noise as weights; one that keeps few points.
-
-    ``points`` (n, 2); ``sigma`` (n,); returns (b, n).
-    """
+    """Matrix (b, n) that averages points (n, 2) along an outline in bins, weighted by noise; few points are kept."""
     if len(points) <= _MOST_BINS:
         return np.eye(len(points))
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -173,10 +168,7 @@ def _length(points: Float) -> float:
 
 
 def _restricted_likelihoods(values: Float, kernels: Float) -> tuple[Float, Float]:
-    """Log likelihood and variance scale (g, r) of g kernels (g, n, n), each in r ratios.
-
-    ``values`` (n, 1 + k) are residuals and design over their sigmas.
-    """
+    """Log likelihood and variance scale (g, r) of g kernels (g, n, n) in r ratios, for ``values`` (n, 1 + k)."""
     power, vectors = np.linalg.eigh(kernels)
     turned = np.swapaxes(vectors, 1, 2) @ values
     total = 1.0 + _RATIOS[:, None] * np.maximum(power, 0.0)[:, None]  # (g, r, n)

@@ -299,11 +299,7 @@ def _statistics(heights: HeightMap) -> tuple[float, float, float, float]:
 
 
 def _lost(blocks: list[NDArray[np.float32]], every: int) -> float:
-    """Mean square of what linear interpolation between every so many-th rows of a map leaves, km^2.
-
-    Along columns alone, whose step is the same at all latitudes; a height between four samples lies between them both
-    ways, which doubles it.
-    """
+    """Mean square, km^2, that interpolation between every so many-th rows leaves, doubled for the columns."""
     squares = []
     for block in blocks:
         rows = (len(block) - 1) // every * every

@@ -169,10 +169,7 @@ def _digits(value: float, digits: int, sign: str = "") -> str:
 
 
 def _causes(parts: Mapping[Cause, Any], checks: Mapping[str, float]) -> Iterator[str]:
-    """Fractions of the causes in the variance of the position, or of the two axes across the boresight, largest first.
-
-    Includes the variance inflation for a mismatch of image and coarse render at the fix.
-    """
+    """Fractions of the causes in the variance, largest first, with the inflation for a mismatch of image and render."""
     sizes = {str(cause): float(np.trace(np.array(part)[:2, :2])) for cause, part in parts.items()}
     total = sum(sizes.values())
     if total > 0:

@@ -47,17 +47,7 @@ class MarkLayer(Value):
 
 
 def layers_of(seen: SeenImage, names: Sequence[str] | None = None) -> list[MarkLayer]:
-    """Layers of an image that have something to show.
-
-    Parameters
-    ----------
-    seen : SeenImage
-    names : sequence of str, optional; of ``LAYERS``; default: all
-
-    Returns
-    -------
-    list of MarkLayer
-    """
+    """Layers of an image, all or those named, that have something to show."""
     made = [layer for name in (LAYERS if names is None else names) for layer in _layers_named(seen, name)]
     return [each for each in made if len(each.layer.points)]
 

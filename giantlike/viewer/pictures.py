@@ -27,10 +27,7 @@ def picture_of(
     *,
     box: tuple[float, float, float, float] | None = None,
 ) -> Figure:
-    """Draw an image with layers, and names next to stars and landmarks.
-
-    ``box`` in px, left, top, right and bottom of the part to show (default: all).
-    """
+    """Draw an image, or its box (left, top, right, bottom), with layers and names next to stars and landmarks."""
     from matplotlib import patheffects
 
     pixels = session.pixels(file).pixels

@@ -28,8 +28,7 @@ def largest_residuals(session: Session) -> dict[str, Any]:
 def point_rows(seen: SeenImage) -> Iterator[dict[str, Any]]:
     """Yield the points of an image.
 
-    ``residual`` is the distance, px, from where the solution puts the point, of limb points from the outline;
-    ``sigma`` of stars and landmarks their own, of limb points the RMS of the residuals of their fix.
+    ``residual``: px from the solution, of limb points from the outline; ``sigma``: of limb points the RMS of their fix.
     """
     stars = seen.points.get(seen.record.subject, {}).get("stars")
     if stars is not None and seen.image_edit is None:

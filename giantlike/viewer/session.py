@@ -65,10 +65,9 @@ class SeenImage:
 
 
 def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]) -> str:
-    """Return the verdict on an image: the worst of its attitude and of the best fix of each target.
+    """Return the verdict on an image, the worst of its attitude and the best fix of each target.
 
-    ``observations``: of the image; returns ``ok``, ``accepted``, ``suspect``, ``failed`` or, of a rejected image,
-    ``rejected``. What was rejected, does not suit a body or is not in the field, does not count.
+    ``ok``, ``accepted``, ``suspect``, ``failed`` or ``rejected``; fixes rejected or of no suitable body do not count.
     """
     if record.outcome is Outcome.REJECTED:
         return str(Outcome.REJECTED)
@@ -83,8 +82,7 @@ def verdict_of(record: AttitudeRecord, observations: Iterable[ObservationRecord]
 def review_of(verdict: str, edits: Sequence[Edit]) -> str:
     """Return the state of review of an image: ``unseen``, ``accepted``, ``rejected`` or ``to discuss``.
 
-    ``verdict``: of :func:`verdict_of`; ``edits``: decisions in effect on the image. It is unseen while nobody accepted
-    or rejected it or one of its results, or something suspect is left.
+    It is unseen while nobody accepted or rejected it or one of its results, or something suspect is left.
     """
     if any(edit.action == "discuss" for edit in edits):
         return "to discuss"
@@ -154,10 +152,7 @@ class Session:
         return tuple(record.file for record in self.result.attitudes)
 
     def find(self, name: str) -> str:
-        """Name of an image in the tables, from that name, a path that ends in it, or its start.
-
-        Raises InputError where there is no such image, or several.
-        """
+        """Name of an image in the tables, by name, the end of its path or its start; InputError for none or several."""
         return find_image(name, self.files, self.folder)
 
     def seen(self, file: str) -> SeenImage:
@@ -190,10 +185,7 @@ class Session:
         return Image.open(self.folder / record.path, hdu=self.result.hdu, bottom_up=self.result.bottom_up)
 
     def image(self, file: str) -> Image:
-        """The image as estimators saw it: calibrated pixels, and the attitude that was used.
-
-        Raises InputError or DataError where the campaign or the image cannot be read.
-        """
+        """The image as estimators saw it, with the attitude used; InputError or DataError where it cannot be read."""
         bench = self.workbench
         entry = next((each for each in bench.campaign.images if each.key == file), None)
         if entry is None:
@@ -204,10 +196,7 @@ class Session:
         return with_attitude_used(image, record.attitude)
 
     def geometry(self, file: str, *, image: Image | None = None) -> dict[str, TargetGeometry]:
-        """Geometry of the targets of an image with the attitude that was used, by target.
-
-        ``image`` is as :meth:`image` returns it, and read where it is not given. Targets without geometry are left out.
-        """
+        """Geometry of the targets that have one, by target, with the attitude used; ``image`` as of :meth:`image`."""
         image = self.image(file) if image is None else image
         bench, known = self.workbench, {}
         wanted = {one.target for bodies in self.result.bodies if bodies.file == file for one in bodies.observations}
@@ -221,10 +210,7 @@ class Session:
         return known
 
     def position_camera_km(self, geometry: TargetGeometry, fix: ObservationRecord | None) -> Float:
-        """Position (3,), km, camera axes, of a body by a fix of it, with the predicted range where the fix has none.
-
-        The predicted position without a fix.
-        """
+        """Position (3,), km, camera axes, by a fix (predicted range where it has none), or predicted without."""
         if fix is None or fix.center_px is None:
             return geometry.position_camera_km
         if fix.position_camera_km is not None:

@@ -108,11 +108,7 @@ def _lobe(asymmetry: float, cos_phase: Float) -> Float:
 
 
 def _roughen(low: Float, high: Float, cos_phase: Float, slope: float) -> tuple[Float, Float, Float]:
-    """Effective cosines, and the unshadowed fraction, for Sun and camera sorted by height; slope is tan(theta_bar).
-
-    The law is symmetric in the two but for one mu0: brightness is ``mu0`` times the third value, times the product over
-    the sum of the effective cosines, times the scattering of a smooth surface.
-    """
+    """Effective cosines and the unshadowed fraction, Sun and camera sorted by height: symmetric but for mu0."""
     mean_cosine = 1.0 / math.sqrt(1.0 + math.pi * slope**2)
     low_sine, low_once, low_twice, low_alone = _tilt(low, slope)
     high_sine, high_once, high_twice, high_alone = _tilt(high, slope)

@@ -91,10 +91,7 @@ def _segments(spice: Any, handle: int, size: int) -> list[tuple[Float, Faces]]:
 
 
 def write_dsk(path: Path, mesh: TriangleMesh, identity: DskIdentity) -> None:
-    """Write one segment of type 2 over all longitudes and latitudes, with its spatial index.
-
-    The data class is 1 (single-valued) where every ray from the origin meets one plate, else 2.
-    """
+    """Write one segment of type 2, of class 1 if single-valued, over all directions, with its spatial index."""
     import spiceypy
     from spiceypy.utils.exceptions import SpiceyError
 
@@ -142,9 +139,8 @@ _WORDS_PER_RECORD = np.array([1024, 128, 256])  # characters, reals, integers
 def require_whole_das(path: Path) -> None:
     """Check identity, length and directories of a DAS file, the container of a DSK, before CSPICE opens it.
 
-    CSPICE trusts its pointers: a damaged one can end the whole process. The file is made of records of 1024 bytes: the
-    file record, reserved and comment records, then directories, each of which describes the clusters of records that
-    follow it and points to the next directory.
+    A damaged pointer can end the whole process. After file, reserved and comment records, of 1024 bytes, directories
+    describe the clusters of records that follow, and point to the next directory.
     """
     records = path.stat().st_size // _RECORD_BYTES
     with path.open("rb") as file:

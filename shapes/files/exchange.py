@@ -68,10 +68,7 @@ _WORDS = 4  # of a row: its letter and three numbers
 
 
 def read_plain_obj(content: bytes) -> Surface | None:
-    """Read an OBJ of comments, then rows ``v x y z``, then rows ``f i j k``.
-
-    Returns None for a file with anything else, which trimesh can read or refuse.
-    """
+    """Read an OBJ of comments, then rows ``v x y z``, then rows ``f i j k``; None of any other."""
     while content.startswith(b"#"):
         content = content[content.find(b"\n") + 1 :] if b"\n" in content else b""
     end = content.find(b"\nf") + 1

@@ -105,12 +105,7 @@ def calibration_figures(solution: CalibrationResult) -> list[PageFigure]:
 
 
 def distortion_of(model: CameraModel, columns: int, rows: int) -> tuple[Float, Float]:
-    """Distortion of a camera model: its difference from the ideal lens of the same affine parameters.
-
-    The ideal lens is the pinhole; of a fisheye, the equidistant or equisolid lens without its polynomial.
-
-    Returns ``points_px`` (n, 2) and ``shifts_px`` (n, 2).
-    """
+    """Shifts (n, 2) px, at points (n, 2) px, from the pinhole or plain fisheye of the same affine parameters."""
     values = dict(zip(model.parameter_names, model.parameters.tolist(), strict=True))
     affine = {name: values[name] for name in AFFINE_NAMES}
     base = model.base if isinstance(model, GridCorrectedModel) else model

@@ -209,10 +209,7 @@ class KeptCalibration:
 
 
 def kept_calibration(folder: Path, inputs: str) -> KeptCalibration | None:
-    """Read the calibration that a run folder holds.
-
-    Returns None if there is none, if it was made from something else, or if a file of it was changed since.
-    """
+    """Read the calibration of a run folder; None without one, of other inputs, or with a file changed since."""
     try:
         summary = json.loads((folder / CALIBRATION_FILE).read_text(encoding="utf-8"))
         if summary["made_from"] != {"inputs": inputs, "camera": _camera_hash(folder)}:

@@ -29,11 +29,10 @@ _OF_HEADER = (Cause.ABERRATION, Cause.EPOCH)
 
 
 def compare_runs(first: Path, second: Path) -> ResultComparison:
-    """Compare two runs, image by image.
+    """Compare fixes of two runs by image name, target and estimator.
 
-    Images are matched by name. A fix is compared with the fix of the same estimator on the same target. The covariance
-    of a difference is the sum of both, without the causes that both have in common according to their provenance: the
-    same image file, camera, shape, law.
+    The covariance of a difference is the sum of both, without causes in common by provenance (image, camera, shape,
+    law).
     """
     one, other = load_result(first), load_result(second)
     inputs = [RunFolder(path).provenance().get("inputs", {}) for path in (first, second)]

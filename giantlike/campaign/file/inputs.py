@@ -84,10 +84,7 @@ class SpiceSetup:
         return ObserverState(position_km=position, velocity_km_s=velocity)
 
     def sun_from(self, position_inertial_km: Float, et: float) -> Float:
-        """Vector (3,) to the Sun from a position given relative to the spacecraft, inertial axes, km.
-
-        The Sun's own light time and aberration (20 arcsec) do not matter for shading.
-        """
+        """Vector (3,), km, to the Sun from a position relative to the spacecraft, inertial axes, for shading."""
         return spk_state("SUN", et, observer=self.spacecraft)[0] - position_inertial_km
 
 

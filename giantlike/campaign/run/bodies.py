@@ -165,10 +165,7 @@ def _run_estimator(
 def move_target(
     scene: Scene, geometry: TargetGeometry, image: Image, camera: Camera, start: Start
 ) -> tuple[Scene, TargetGeometry]:
-    """Scene with a target at a start, at the predicted range, and its geometry.
-
-    Where errors of the prediction are declared, they are at least the sigma of the start.
-    """
+    """Scene with a target at a start, at the predicted range, whose sigma is not below a declared one; its geometry."""
     assert image.camera_from_inertial is not None
     inertial_from_camera, target = image.camera_from_inertial.inv(), geometry.target
     position_camera_km = geometry.range_km * unit(camera.model.unproject(np.array(start.center_px)))
@@ -205,10 +202,7 @@ def _out_of_field(
 
 
 def outside_px(camera: Camera, geometry: TargetGeometry, pixel_rad: float) -> float:
-    """Distance of the sphere around a body from the image, px; negative where it reaches into it.
-
-    Where the camera model images no center, an angle from the corner of the image that is farthest from its middle.
-    """
+    """Distance of the sphere around a body from the image, px (by its angle if not imaged); negative inside."""
     last_px = np.array([camera.columns - 1.0, camera.rows - 1.0])
     radius_km, center_px = (
         geometry.target.shape.circumscribing_radius_km,

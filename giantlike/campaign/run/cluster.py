@@ -37,9 +37,8 @@ _one_at_a_time = threading.Lock()
 class DaskPool:
     """Runs jobs on images on the workers of a cluster; use it in a ``with`` block.
 
-    Each worker loads catalog, shapes and kernels once. Files have the same paths on all of them (a shared file system),
-    and results go back to this process, which alone writes the run folder. The jobs of a worker that dies go to others;
-    a job that kills several in a row is given up.
+    Files have the same paths on all workers; this process alone writes the run folder. The jobs of a worker that dies
+    go to others; a job that kills several in a row is given up.
     """
 
     def __init__(self, bench: Workbench, address: str) -> None:
@@ -85,10 +84,7 @@ class DaskPool:
             client.close()
 
     def run(self, function: Callable[[Workbench, Job], Answer], jobs: Jobs[Job]) -> Iterator[tuple[int, Answer | None]]:
-        """Yield the position of each job and its answer, in the order in which they are done.
-
-        Yields ``position``; ``answer``: None if workers died of the job.
-        """
+        """Yield the position and answer of each job, None if workers died of it, in the order of completion."""
         from distributed import as_completed
         from distributed.scheduler import KilledWorker
 

@@ -130,10 +130,7 @@ def _is_usable(record: ObservationRecord) -> bool:
 def _fit_offset(
     camera: Camera, fixes: Sequence[ObservationRecord], et: Float, ephemeris_km: float
 ) -> tuple[float, float, float, float] | None:
-    """Time offset, s, its sigma, and the residual rms, px, without and with it.
-
-    The error of the ephemeris, a constant displacement with the declared sigma, is estimated with it.
-    """
+    """Time offset, s, its sigma, and the residual rms, px, without and with it; the ephemeris is estimated too."""
     predicted = np.array([one.predicted_px for one in fixes])
     turns = [one.attitude.rotation for one in fixes if one.attitude is not None]
     rays = camera.model.unproject(predicted)

@@ -165,9 +165,8 @@ class _SpiceGeometry:
     """A target, the Sun and the spacecraft, all from SPICE.
 
     Positions are relative to the barycenter of the Solar System or, if kernels do not link spacecraft and target to it,
-    to the target itself (``relative``). Light time and aberration then use the velocity of the spacecraft relative to
-    the target, which is correct to first order: the target's own motion shifts it by light time one way and by
-    aberration the other way. Neglected are its acceleration during the light time, and v^2/c^2.
+    to the target itself (``relative``). Light time and aberration by the relative velocity are then correct to first
+    order, but for the acceleration of the target and v^2/c^2.
     """
 
     spice: SpiceSetup
@@ -305,10 +304,7 @@ def _missing(
 
 
 def attitude_of_label(campaign: Campaign, image: Image) -> Rotation | None:
-    """Attitude from a label, given directly or by the orientation of its target.
-
-    Returns None where the label has none, and its target is not in the campaign or has no orientation by SPICE.
-    """
+    """Attitude from a label, direct or by the orientation of its target; None where that is not known."""
     label = geometry_of_label(image.metadata, campaign.camera.model)
     if label is None or label.camera_from_inertial is not None or label.camera_from_body is None:
         return None if label is None else label.camera_from_inertial
@@ -325,10 +321,7 @@ def attitude_of_label(campaign: Campaign, image: Image) -> Rotation | None:
 
 
 def stated_row(campaign: Campaign, image: Image, target: TargetSetup) -> GeometryRow | None:
-    """Position of a target, its orientation and its Sun from ``[geometry]`` or else from the label of an image.
-
-    Returns None where neither states the geometry of the target, or the attitude is unknown.
-    """
+    """Geometry of a target from ``[geometry]`` or the label of an image; None without it, or without attitude."""
     known, attitude = campaign.geometry.get(image.name), image.camera_from_inertial
     stated = None if known is None else known.seen.get(target.name)
     if stated is None and campaign.label_geometry:

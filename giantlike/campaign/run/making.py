@@ -291,10 +291,7 @@ class RunExecutor:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """Stored attitudes and bodies of a campaign, and which of them are still valid.
-
-    Attitudes are moved from ``stale`` to ``solved`` as they are made.
-    """
+    """Stored attitudes and bodies of a campaign: valid attitudes in ``solved``, those to be made in ``stale``."""
 
     steps: Steps
     keys: dict[tuple[str, str, str], str]

@@ -177,9 +177,8 @@ def with_prediction(record: ObservationRecord, camera: Camera, geometry: TargetG
 def with_fix(record: ObservationRecord, camera: Camera, geometry: TargetGeometry, fix: CenterFix) -> ObservationRecord:
     r"""Record with a fix and, if the record has an attitude, its partials and combined covariances.
 
-    With ``J`` the derivative of the projection at ``p`` and ``e`` the small rotation about the camera axes by which
-    the attitude is off, the center moves by ``J (e x p) = -J [p]x e``; the position in inertial axes
-    ``R^T p`` moves by ``R^T [p]x e``. Covariances with the attitude are sums of the parts of the fix.
+    With ``J`` the derivative of the projection at ``p`` and ``e`` the small rotation of the attitude about camera axes,
+    the center moves by ``J (e x p) = -J [p]x e``; the position in inertial axes ``R^T p`` moves by ``R^T [p]x e``.
     """
     record = record.replace(
         status=status_of(fix.flags),

@@ -54,22 +54,16 @@ class Pool(Protocol):
         ...
 
     def run(self, function: Callable[[Workbench, Job], Answer], jobs: Jobs[Job]) -> Iterator[tuple[int, Answer | None]]:
-        """Yield the position of each job and its answer, in the order in which they are done.
-
-        Yields ``position``; ``answer``: None if the process died of the job.
-        """
+        """Yield the position and answer of each job, None if the process died of it, in the order of completion."""
         ...
 
 
 class WorkerPool:
     """Runs jobs on images in this process (one worker) or in several; use it in a ``with`` block.
 
-    When a process dies, ``concurrent.futures`` breaks the whole pool and does not know which job was at fault. The jobs
-    in flight are then rerun one by one in a separate process; one that kills this as well is given up, and the rest
-    continue.
-
-    Arithmetic is done with one thread in each process, so that results do not depend on the number of processes, and
-    worker processes end when the process that started them is gone.
+    When a process dies, ``concurrent.futures`` breaks the whole pool. The jobs in flight are then rerun one by one in a
+    separate process; one that kills this as well is given up. Results do not depend on the number of processes, and
+    workers end when the process that started them is gone.
     """
 
     def __init__(self, bench: Workbench, workers: int, *, cores: int | None = None) -> None:
@@ -100,10 +94,7 @@ class WorkerPool:
         self._settings.close()
 
     def run(self, function: Callable[[Workbench, Job], Answer], jobs: Jobs[Job]) -> Iterator[tuple[int, Answer | None]]:
-        """Yield the position of each job and its answer; other processes begin at once.
-
-        Yields ``position``; ``answer``: None if the process died of the job.
-        """
+        """Yield the position and answer of each job, None if the process died of it; other processes begin at once."""
         each = self._cores // max(1, min(self._workers, len(jobs)))
         if self._workers == 1:
             return ((place, _in_threads(each, function, self._bench, jobs[place])) for place in range(len(jobs)))

@@ -19,10 +19,7 @@ from giantlike.core.version import VERSION
 
 
 def inputs_of(campaign: Campaign, bench: Workbench) -> dict[str, Any]:
-    """All inputs that determine the results of a run, except the images, as plain values.
-
-    Changes are announced before a run continues. The hashes of the images are added at the end of the run.
-    """
+    """All inputs that determine the results of a run, except the images, as plain values."""
     stars = campaign.stars
     kernels = {} if bench.kernels is None else bench.kernels.sha256()
     return {
@@ -109,10 +106,7 @@ class Identities:
         self._now: dict[str, str] = {}
 
     def find_hash(self, entry: ImageEntry) -> str:
-        """Hash of the content; empty if the file was never read.
-
-        A file that was written again, or copied, is hashed: it may have the content that it had.
-        """
+        """Hash of the content, also of files copied or written again; empty if the file was never read."""
         if entry.key not in self._now:
             known = self._known.get(entry.key, KnownImage("", ""))
             stamp = self._stamps[entry.key] = stamp_of(entry.path)

@@ -26,11 +26,7 @@ _DIGITS = 20  # hexadecimal digits of a hash, 80 bits: two of a million results 
 
 
 class Steps:
-    """Hashes of the steps of a campaign.
-
-    Inputs common to all images are hashed once; a change of the version of the program, of a kernel or of the way in
-    which image files are read reaches every step.
-    """
+    """Hashes of the steps; a change of the program's version, a kernel or the reading of image files reaches all."""
 
     def __init__(self, bench: Workbench) -> None:
         campaign, navigation = bench.campaign, bench.navigation

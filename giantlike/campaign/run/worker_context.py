@@ -25,11 +25,7 @@ NETWORK_SHAPE = "[network]"  # name of the shape of the landmarks of a network a
 
 
 class WithoutStars:
-    """A catalog of which some stars are left out of every field.
-
-    The whole sky, from which patterns for identification are made, keeps them: no attitude rests on it, and the
-    patterns of the catalog can be used.
-    """
+    """A catalog without some stars in any field; the whole sky, for the stored patterns, keeps them."""
 
     def __init__(self, catalog: StarCatalog, rejected: Iterable[int]) -> None:
         self._catalog = catalog
@@ -96,10 +92,7 @@ class Workbench(Value):
         return cls(campaign, navigation, shapes, kernels, frames)
 
     def with_camera(self, camera: Camera) -> Workbench:
-        """Return the workbench for a calibrated camera: only attitudes are left to find, anywhere on the sky.
-
-        They use the magnitude limit of the calibration, if it has one, so that the residuals are comparable.
-        """
+        """Return the workbench for a calibrated camera: attitudes anywhere, to the magnitude of the calibration."""
         stars, navigation, setup = self.campaign.stars, self.navigation, self.campaign.calibration
         if stars is not None and navigation is not None:
             least = max(stars.options.min_snr, 0.0 if setup is None else setup.min_snr)

@@ -304,9 +304,7 @@ class EditList:
 def new_edit(run: RunFolder, wanted: Mapping[str, Any]) -> Edit:
     """Return a new edit of something that the run holds; a star gets its place in the image.
 
-    ``wanted``: fields of :class:`Edit` but the time; an image may be named by the beginning of its name. Raises
-    InputError: it is incomplete, its words are not one short line, or it matches nothing; the nearest candidates are
-    named.
+    ``wanted``: fields of :class:`Edit` but the time. InputError where incomplete or of nothing, with the nearest names.
     """
     when = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     try:

@@ -51,15 +51,12 @@ class FixDifference(Value):
 
 
 def difference_of(one: ObservationRecord, other: ObservationRecord) -> FixDifference | None:
-    """Compare two fixes of one body in one image.
-
-    Returns None if one of the two has no fix.
+    """Compare two fixes of one body in one image; None if one of the two has no fix.
 
     Camera and attitude do not change a position in the image, and are left out; the camera's part of a range is
-    included. Errors of the scale, the pole and the spin of a body have one value for both fixes: they change the
-    difference by the difference of their partials, ``(P1 - P2) S (P1 - P2)^T``, where the records hold partials, else
-    they count as independent. Noise, law, albedo and relief count as independent, although both fixes use the same
-    pixels: the sigma is conservative, and a difference that exceeds it is significant.
+    included. Errors of scale, pole and spin have one value for both fixes, ``(P1 - P2) S (P1 - P2)^T`` where the
+    records hold partials. Noise, law, albedo and relief count as independent, although both use the same pixels:
+    conservative.
     """
     first, second = _place(one), _place(other)
     if first is None or second is None:

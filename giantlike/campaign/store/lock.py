@@ -21,9 +21,7 @@ _MIN_WAIT_S = 0.2  # wait for another process that looks whether the folder is i
 
 @contextlib.contextmanager
 def hold_lock(folder: Path) -> Iterator[str | None]:
-    """Hold the lock of a run folder inside a ``with`` block.
-
-    The lock is a transaction on a file, which the operating system ends with the process: one that died holds nothing.
+    """Hold the lock of a run folder inside a ``with`` block, by a transaction on a file that ends with the process.
 
     Yields None if the last one ended well.
     """

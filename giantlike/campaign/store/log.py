@@ -21,10 +21,7 @@ def log_event(folder: Path, event: str, *, level: int = logging.INFO, **values: 
 
 
 class RunLogHandler(logging.Handler):
-    """Writes the events of one run to its ``log.jsonl``; attached inside a ``with`` block.
-
-    Other handlers are not affected: events below the level that the program chose for the logger go to the file only.
-    """
+    """Writes the events of one run, of any level, to its ``log.jsonl`` in a ``with`` block."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__()

@@ -333,11 +333,10 @@ _SIGMAS = 3.0
 
 
 def camera_rates(et: Float, attitudes: Rotation, sigmas_rad: Float) -> Float:
-    """Rates of a camera that rotates steadily from the image before to the image after.
+    """Rates (n, 3), rad/s, camera axes, of a camera that rotates steadily from the image before to the image after.
 
-    ``et`` (n,), strictly increasing; ``attitudes`` n of ``camera_from_inertial``; ``sigmas_rad`` (n,), of their errors
-    about any axis, 0 where unknown. Returns (n, 3) rad/s, camera axes; NaN where a neighbor is missing or farther than
-    600 s, and where the rates before and after differ by more than 10 % and three sigmas, as by a slew.
+    ``et`` (n,), increasing; ``sigmas_rad`` (n,), 0 where unknown. NaN where a neighbor is missing or farther than 600
+    s, and where both rates differ by more than 10 % and three sigmas, as by a slew.
     """
     rates = np.full((et.size, 3), np.nan)
     if et.size < 3:

@@ -17,8 +17,6 @@ _LEAST_IMAGES = 3  # of two images none is known to be the odd one
 def odd_epochs(epochs_et: Mapping[str, float | None]) -> dict[str, float]:
     """Images whose epoch is far from those of the others, with its distance from the median in years.
 
-    ``epochs_et``: by image; None where it is not known.
-
     >>> odd_epochs({"a": 7.6e8, "b": 7.6e8 + 60.0, "c": 7.6e8 + 120.0, "d": -3.15e8})
     {'d': -34.1}
     """

@@ -137,11 +137,7 @@ class RunFolder:
             raise make_damage_error(self._results.path, error) from error
 
     def keys(self, kind: type[ImageRecord], *, step: str | None = None) -> dict[tuple[str, str, str], str]:
-        """Hashes of the records of a kind; empty for a record that is to be recomputed in any case.
-
-        These are records of an unreadable image or an internal error, which may have been fixed. Damaged records are
-        left out.
-        """
+        """Hashes of the records of a kind; empty where unreadable images or internal errors are to be tried again."""
         return self._results.keys(step or kind.part) if self._results.exists() else {}
 
     def load_all(self, kind: type[Record], *, step: str | None = None) -> Iterator[Record]:
@@ -253,10 +249,7 @@ _SHOWN = 4  # number of names in a message
 
 
 def find_image(name: str, files: Collection[str], run: Path) -> str:
-    """Return the name of an image in the tables, from that name, a path that ends in it, or its beginning.
-
-    Raises InputError: there is none, or there are several; the message names the nearest.
-    """
+    """Name of an image in the tables, by name, the end of its path or the beginning; InputError names the nearest."""
     if name in files:
         return name
     wanted = Path(name).name

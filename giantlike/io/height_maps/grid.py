@@ -107,11 +107,7 @@ def tiles_of(rows: slice, columns: slice, size: int) -> Iterator[tuple[int, int]
 
 
 def put(result: NDArray[Any], corner: tuple[int, int], tile: NDArray[Any], tile_corner: tuple[int, int]) -> None:
-    """Copy the overlap of a tile and a part of a grid.
-
-    ``result`` (r, c); ``corner``: row and column of its first sample in the grid; ``tile`` (h, w); ``tile_corner``: row
-    and column of its first sample in the grid.
-    """
+    """Copy the overlap of a tile (h, w) and a part (r, c) of a grid, given the row and column where each begins."""
     check(tile.ndim == 2, f"needed tiles of rows and columns, got one of shape {tile.shape}")
     first = [max(a, b) for a, b in zip(corner, tile_corner, strict=True)]
     last = [min(a + n, b + m) for a, n, b, m in zip(corner, result.shape, tile_corner, tile.shape, strict=True)]

@@ -103,10 +103,7 @@ def _above(filtered: FilteredImage, threshold_sigma: float) -> Mask:
 
 
 def _maxima(response: Image32, pixels_px: NDArray[np.int64]) -> tuple[Float, Float]:
-    """Place (n, 2) and height (n,) of the maxima of Gaussians through pixels (n, 2) and their neighbors on both axes.
-
-    The response to a Gaussian star is a Gaussian but for the box: its logarithm is a parabola.
-    """
+    """Place (n, 2) and height (n,) of the maxima of Gaussians through pixels (n, 2) and their four neighbors."""
     rows, columns = response.shape
     x, y = pixels_px.T
     middle = response[y, x].astype(np.float64)
@@ -155,10 +152,7 @@ def label_groups(lit: Indices, columns: int) -> tuple[Indices, int]:
 
 @compiled
 def peaks_among(response: NDArray[np.float32], lit: Indices) -> Indices:
-    """Find pixels above their eight neighbors; of equal ones only the first in reading order.
-
-    ``response`` (rows, columns); ``lit`` (n,); returns (p,).
-    """
+    """Find pixels (p,) of the lit ones (n,) above their eight neighbors; of equal ones only the first."""
     rows, columns = response.shape
     found, count = np.empty(len(lit), np.int64), 0
     for i in range(len(lit)):

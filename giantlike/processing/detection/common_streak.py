@@ -44,10 +44,7 @@ class CommonStreak:
 def find_common_streak(
     frame: Frame, peaks_px: NDArray[np.int64], noise_dn: Float, psf_sigma_px: float | None
 ) -> CommonStreak | None:
-    """Find the line that most of the brightest sources agree on.
-
-    ``peaks_px`` (n, 2); ``noise_dn`` (n,); returns None where the sources are points or do not agree.
-    """
+    """Find the line that most of the brightest sources (n, 2) agree on; None where they are points or do not agree."""
     peaks_px, noise_dn = peaks_px[:_BRIGHTEST], noise_dn[:_BRIGHTEST]
     if len(peaks_px) < _LEAST_AGREEING or not _mostly_long(frame, peaks_px):
         return None

@@ -19,9 +19,7 @@ _LEAST_LENGTH, _LEAST_SHARE = 8, 0.9
 def dead_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:
     """Find rows and columns without signal by their neighbors on both sides, in front of something bright.
 
-    Returns (rows, columns), True on whole lines, None where there are none.
-
-    Of each line the largest value is compared first. Two dead lines side by side are not found, nor are lines that
+    Returns a mask of whole lines (rows, columns), None without any. Two side by side are not found, nor are lines that
     no bright body crosses: these do no harm.
     """
     rows, columns = (_dead_rows(image.light_dn, image.largest_dn, noise_dn) for image in (frame, frame.transpose()))
@@ -29,11 +27,7 @@ def dead_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:
 
 
 def whole_lines(shape: tuple[int, ...], rows: np.ndarray, columns: np.ndarray) -> Mask | None:
-    """Mask of rows and columns.
-
-    ``shape``: rows and columns of the image; ``rows`` (k,), ``columns`` (m,); returns (rows, columns), True on whole
-    lines, None where there are none.
-    """
+    """Mask (rows, columns), True on the given rows (k,) and columns (m,); None where there are none."""
     if not rows.size and not columns.size:
         return None
     result = np.zeros(shape, dtype=bool)

@@ -41,8 +41,6 @@ class DetectionFlag(enum.IntFlag):
     def names(self) -> tuple[str, ...]:
         """Lower-case names of the flags that are set, in order of definition.
 
-        Examples
-        --------
         >>> (DetectionFlag.BLENDED | DetectionFlag.SATURATED).names()
         ('saturated', 'blended')
         """
@@ -125,10 +123,7 @@ class Detections(Value):
 
     @property
     def clean(self) -> Mask:
-        """True (n,) for detections that look like stars: none of the flags of ``NOT_A_STAR``.
-
-        Saturated, blended, masked and cut stars are included: their covariance is larger.
-        """
+        """True (n,) for detections that look like stars, maybe saturated, cut or blended: not ``NOT_A_STAR``."""
         result: Mask = (self.flags & np.uint16(NOT_A_STAR)) == 0
         return result
 

@@ -38,11 +38,10 @@ def fit_patches(
 ) -> tuple[Float, Float, Float, NDArray[np.int64], Mask]:
     """Fit every star from its start, by Gauss-Newton.
 
-    ``values_dn``, ``valid``, ``saturated`` (n, w, w); ``variance_dn2`` (n,); ``corner_px`` (n, 2); ``start`` (n, 7), x,
-    y, flux, background, ln sigma, slopes of the background along x and y; ``log_psf``, ``width_prior``: mean and
-    standard deviation of ln sigma a priori; returns ``parameters`` (n, 7); ``covariance`` (n, 7, 7), before the last
-    step, which is a third of a sigma at most; not finite where the matrix is singular; ``chi2`` (n,); ``count`` (n,);
-    ``settled`` (n,), False for stars that need more steps.
+    ``values_dn``, ``valid``, ``saturated`` (n, w, w); ``start`` (n, 7): x, y, flux, background, ln sigma, slopes of the
+    background along x and y; ``log_psf``, ``width_prior``: mean and standard deviation of ln sigma a priori; returns
+    ``parameters`` (n, 7), ``covariance`` (n, 7, 7), ``chi2``, ``count`` and ``settled`` (n,), False for stars that need
+    more steps. The covariance is from before the last step, of a third of a sigma at most; not finite where singular.
     """
     n, size = values_dn.shape[0], values_dn.shape[1]
     parameters, covariances = start.copy(), np.empty((n, 7, 7))
@@ -98,10 +97,7 @@ def fit_patches(
 
 @compiled
 def last_steps(steps: Float, parameters: Float, covariance: Float, reduced_chi2: Float) -> Mask:
-    """True (n,) for steps (n, 7) after which another would not matter.
-
-    ``steps``, ``parameters`` (n, 7); ``covariance`` (n, 7, 7); ``reduced_chi2`` (n,).
-    """
+    """True (n,) for steps (n, 7) after which another would not matter."""
     result = np.empty(len(steps), np.bool_)
     for star in range(len(steps)):
         result[star] = _is_last(steps[star], parameters[star], covariance[star], reduced_chi2[star])
@@ -110,10 +106,7 @@ def last_steps(steps: Float, parameters: Float, covariance: Float, reduced_chi2:
 
 @compiled
 def subtract(values_dn: Float, corner_px: NDArray[np.int64], stars: NDArray[np.int64], neighbors: Float) -> None:
-    """Subtract neighbors from the pixels of stars.
-
-    ``values_dn`` (n, w, w); ``corner_px`` (n, 2); ``stars`` (m,); ``neighbors`` (m, 7), parameters of the neighbors.
-    """
+    """Subtract neighbors, of parameters (m, 7), from the pixels (n, w, w) of stars (m,)."""
     size = values_dn.shape[1]
     columns, rows = np.empty((size, 3)), np.empty((size, 3))
     for pair in range(len(stars)):
@@ -141,9 +134,7 @@ def star_light(
 ) -> tuple[Float, Mask, Float]:
     """Light of the stars that fit best where only their fluxes are unknown, never negative.
 
-    ``values_dn``, ``valid``, ``saturated`` (n, w, w); ``variance_dn2`` (n,); ``corner_px`` (n, 2); ``points_px``
-    (n, 2), ``widths_px`` (n,), ``background_dn`` (n,); returns ``light_dn`` (n, w, w), ``used`` (n, w, w) and ``left``
-    (n,).
+    ``values_dn``, ``valid``, ``saturated`` (n, w, w); returns ``light_dn``, ``used`` (n, w, w) and ``left`` (n,).
     """
     n, size = values_dn.shape[0], values_dn.shape[1]
     light, used, left = np.empty(values_dn.shape), np.zeros(values_dn.shape, np.bool_), np.zeros(n)
@@ -184,11 +175,7 @@ def windowed_moments(
     window_px: float,
     width_px: float,
 ) -> Float:
-    """Second moments in Gaussian windows, see :func:`giantlike.processing.detection.centroid.windowed_shape`.
-
-    ``values_dn``, ``valid`` (n, w, w); ``corner_px`` (n, 2); ``points_px`` (n, 2), ``background_dn`` (n,); returns
-    (n, 2).
-    """
+    """Second moments (n, 2) in Gaussian windows, see :func:`.centroid.windowed_shape`."""
     n, size = values_dn.shape[0], values_dn.shape[1]
     result, of_light, of_star = np.empty((n, 2)), np.empty(4), np.empty(4)
     columns, rows = np.empty((size, 3)), np.empty((size, 3))
@@ -256,10 +243,7 @@ def _add_up(
     relative_noise: float,
     sums: Float,
 ) -> int:
-    """Weighted sums (8, 8) of products of the derivatives of pixels by the unknowns, and of the residual, last.
-
-    Above the diagonal: the others are the same.
-    """
+    """Upper triangle of sums (8, 8) of products of the derivatives of pixels by the unknowns, and of the residual."""
     size, half, flux, count = len(columns), len(columns) // 2, now[2], 0
     terms = np.empty(8)
     sums[:] = 0.0

@@ -27,10 +27,8 @@ _MOST = 0.1  # share of all lines beyond which they are a pattern of the image, 
 def hot_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:
     """Find rows and columns that are brighter than their neighbors over the first or the second half of the frame.
 
-    Returns (rows, columns), True on whole lines, None where there are none.
-
-    Lines whose mean brightness is an outlier are tested pixel by pixel. More than two adjacent hot lines are not found,
-    nor are lines that are hot over less than half of half a frame.
+    Returns a mask of whole lines (rows, columns), None without any. More than two adjacent hot lines are not found, nor
+    are lines that are hot over less than half of half a frame.
     """
     rows, columns = (_hot_rows(image, noise_dn) for image in (frame, frame.transpose()))
     return whole_lines(frame.light_dn.shape, rows, columns)

@@ -58,8 +58,7 @@ def matched_filter(
 ) -> FilteredImage:
     """Filter an image for stars, or for streaks of one direction and length, and measure the noise of the result.
 
-    ``image`` in DN; ``half_streak_px``: vector (x, y) from the middle of a streak to one end (stars by default);
-    ``stored`` (rows, columns) DN.
+    ``half_streak_px``: vector (x, y) from the middle of a streak to one end (stars by default).
     """
     width = recorded_width_px(psf_sigma_px)
     length = 0.0 if half_streak_px is None else math.hypot(*half_streak_px)
@@ -109,12 +108,9 @@ def _box_means(image: Image32, stored: NDArray[Any] | None, box: tuple[int, int]
 def noise_between(
     filtered: FilteredImage, bad: Mask | None, sources_px: NDArray[np.integer], noise_floor_dn: float
 ) -> tuple[float, Float]:
-    """Noise of a pixel measured without the pixels near sources.
+    """Noise of a pixel without the pixels near sources (n, 2): ``median`` and ``at_sources`` (n,), DN.
 
-    The first estimate includes stars, and the dip of the background box around them: suitable for a threshold, too
-    large for a covariance.
-
-    ``sources_px`` (n, 2), detected sources, (x, y); returns ``median`` in DN and ``at_sources`` (n,) DN.
+    The first estimate includes stars, and the dip of the background box around them: too large for a covariance.
     """
     grid = NoiseGrid.from_shape(filtered.response.shape, filtered.width_px)
     sigma = grid.robust_sigma(filtered.response, bad, sources_px, filtered.reach_px)
@@ -144,10 +140,7 @@ def _fill_bad_pixels(image: Image32, bad: Mask, box: tuple[int, int]) -> Image32
 
 @dataclass(frozen=True, slots=True)
 class NoiseGrid:
-    """Coarse grid of boxes, and the pixels sampled in each.
-
-    Only every ``step``-th pixel is sampled: neighbors in the filtered image are correlated and add no information.
-    """
+    """Coarse grid of boxes, and the pixels sampled in each: every ``step``-th, since neighbors are correlated."""
 
     shape: tuple[int, int]
     step: int
@@ -175,10 +168,7 @@ class NoiseGrid:
     def robust_sigma(
         self, response: Image32, bad: Mask | None, sources_px: NDArray[np.integer], reach_px: int
     ) -> Image32:
-        """Interquartile range of each box, normalized by that of a unit normal, smoothed by a 3 x 3 median.
-
-        Bad pixels and pixels within ``reach_px`` of a source are excluded, unless too few remain.
-        """
+        """Normalized interquartile range of each box, away from sources where possible, smoothed by a 3 x 3 median."""
         values = self.boxes(response[:: self.step, :: self.step])
         count = np.full(values.shape[:-1], values.shape[-1], dtype=np.int64)
         if bad is not None or len(sources_px):

@@ -39,10 +39,7 @@ class NoiseSource(StrEnum):
 def predicted_noise_dn(
     pixels: NDArray[Any], bad: Mask | None, *, source: NoiseSource, detector: Detector, covered: Region | None = None
 ) -> NDArray[np.float32]:
-    """Background noise of each pixel from a source other than the image around it.
-
-    ``pixels`` in DN; ``covered`` (x, y, columns, rows) px; returns (rows, columns).
-    """
+    """Background noise (rows, columns) from another source than the image around; ``covered``: x, y, columns, rows."""
     rows, columns = pixels.shape
     level = _level_dn(pixels, bad)
     if source is NoiseSource.IMAGE:

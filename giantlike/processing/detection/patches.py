@@ -93,10 +93,7 @@ class Patches(Value):
         return replace(self, values_dn=np.where(self.valid, values, 0.0))
 
     def residuals(self, light_dn: Float, planes: Float) -> tuple[Float, Float]:
-        """Residuals and inverse variances (n, w * w), DN and 1/DN^2, of a model; zero where a pixel does not count.
-
-        ``light_dn`` (n, w, w); ``planes`` (n, 3) DN, DN/px, DN/px; returns ``residual``, ``weight`` (n, w * w).
-        """
+        """Residuals and inverse variances (n, w * w) of a model; zero where a pixel does not count."""
         model = np.tensordot(planes, self.plane_terms(), axes=1) + light_dn
         used = self.valid & ~(self.saturated & (model >= self.values_dn))
         residual = np.where(used, self.values_dn - model, 0.0)
@@ -142,11 +139,7 @@ def cut_patches(
     detector: Detector,
     noise_dn: ArrayLike = 1.0,
 ) -> Patches:
-    """Cut squares of ``2 half_px + 1`` pixels out of an image.
-
-    ``pixels`` in DN; ``points_px`` (n, 2), central pixels (x, y) (a square may reach over the edge of the image);
-    ``noise_dn`` (n,).
-    """
+    """Cut squares of ``2 half_px + 1`` pixels about central pixels (n, 2), partly beyond the edge, out of an image."""
     corner = np.asarray(points_px - half_px, dtype=np.int64)
     values, valid = _squares(pixels, bad, corner, 2 * half_px + 1)
     return Patches(
@@ -185,11 +178,7 @@ def _squares(
 
 
 def pixel_shares(first: NDArray[np.integer], size: int, center: Float, width: Float) -> tuple[Float, Float, Float]:
-    """Fraction (n, size) of a unit Gaussian in each pixel along one axis, and its derivatives.
-
-    ``first`` (n,) px; ``size`` in px; ``center``, ``width`` (n,) px; returns ``share`` (n, size); ``by_center``
-    (n, size) 1/px; ``by_log_width`` (n, size), by the natural logarithm of the width.
-    """
+    """Fraction (n, size) of a unit Gaussian in each pixel along an axis, and its derivatives by center and ln width."""
     scale = 1.0 / (math.sqrt(2.0) * width)
     u = (first - center + np.arange(size + 1)[:, None] - 0.5) * scale  # one operation on all sources, pixel by pixel
     bell = np.exp(-u * u)
@@ -211,11 +200,7 @@ def draw_stars(shape: tuple[int, ...], points_px: Float, flux_dn: Float, width_p
 
 
 def normal_equations(jacobian: Float, residual: Float, weight: Float) -> tuple[Float, Float]:
-    """Form the normal equations of independent fits of p parameters.
-
-    ``jacobian`` (n, p, pixels); ``residual``, ``weight`` (n, pixels), as given by :meth:`Patches.residuals`; returns
-    ``normal`` (n, p, p) and ``right`` (n, p).
-    """
+    """Form the normal equations (n, p, p), (n, p) of n fits of p parameters to pixels: ``jacobian`` (n, p, pixels)."""
     weighted = jacobian * weight[:, None, :]
     return weighted @ jacobian.swapaxes(1, 2), (weighted @ residual[:, :, None])[:, :, 0]
 

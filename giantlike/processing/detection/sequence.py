@@ -63,11 +63,9 @@ class FixedPattern(Value):
 
 
 def fixed_pattern(images: Sequence[ArrayLike], *, detector: Detector | None = None) -> FixedPattern | Failure:
-    """Estimate the fixed pattern of a detector by the median of each pixel over a sequence.
+    """Estimate the fixed pattern of a detector by the median of each pixel over a sequence of images (rows, columns).
 
     Of an even number of images the lower of the two middle values is used, because stars only raise pixels.
-
-    ``images`` sequence of (rows, columns) DN.
 
     >>> random = np.random.default_rng(1)
     >>> pattern = random.normal(100.0, 20.0, (40, 40))

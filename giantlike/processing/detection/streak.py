@@ -95,11 +95,7 @@ def _gauss_legendre(count: int) -> tuple[Float, Float]:
 
 
 def line_shares(patches: Patches, centers_px: Float, halves_px: Float, sigma_px: float) -> tuple[Float, Float]:
-    """Fraction of a unit line in each pixel, and its derivatives.
-
-    ``centers_px``, ``halves_px`` (n, 2); returns ``shares`` (n, w, w); ``derivatives`` (n, 4, w, w) 1/px, by center x,
-    y and half x, y.
-    """
+    """Fraction (n, w, w) of a unit line in each pixel; derivatives (n, 4, w, w) by center x, y and half x, y."""
     size, n = patches.size_px, len(centers_px)
     longest = 2.0 * float(np.hypot(*halves_px.T).max(initial=0.0))
     nodes, weights = _gauss_legendre(math.ceil(longest / (_NODE_SPACING * sigma_px)) + _SPARE_NODES)

@@ -38,9 +38,7 @@ class ConicFit(Value):
 
 
 def fit_ellipse(points: ArrayLike, *, sigma: ArrayLike = 1.0) -> ConicFit | Failure:
-    r"""Fit an ellipse to points by hyperaccurate least squares, reweighted.
-
-    ``points`` (n, 2), any unit; ``sigma`` (n,).
+    r"""Fit an ellipse to points (n, 2) by hyperaccurate least squares, reweighted.
 
     With ``xi = (x^2, 2xy, y^2, 2x, 2y, 1)``, points on the conic have ``theta . xi = 0``. Plain least squares makes
     arcs too small, because noise enters the squares. Here ``M theta = lambda N theta`` is solved, with M the mean of
@@ -48,7 +46,7 @@ def fit_ellipse(points: ArrayLike, *, sigma: ArrayLike = 1.0) -> ConicFit | Fail
     s^2 (V + 2 S[xi e^T])`` minus ``1/n`` times the mean of ``w^2 s^2 ((xi . P xi) V + 2 S[V P xi xi^T])``, where V is
     the covariance of xi for unit noise, e its mean, S the symmetric part and P the pseudo-inverse of M of rank five.
     Unit weights w are K. Kanatani's HyperLS; weights ``1 / (s^2 theta . V theta)`` of the last solution reach the
-    Cramer-Rao bound. Derived here and checked by Monte Carlo in the tests.
+    Cramer-Rao bound.
 
     >>> turn = np.linspace(0.0, 4.0, 9)
     >>> fit = fit_ellipse(np.stack([3.0 + 2.0 * np.cos(turn), 1.0 + np.sin(turn)], axis=-1))

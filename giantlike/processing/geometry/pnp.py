@@ -80,17 +80,12 @@ def solve_pnp(
     *,
     options: PnpOptions = PnpOptions(),
 ) -> PnpFix | Failure:
-    r"""Estimate the pose of a body from its points, some of which may be misidentified.
-
-    ``points_body_km`` (n, 3); ``observed_px`` (n, 2); ``covariance_px2`` (n, 2, 2).
+    r"""Estimate the pose of a body from points (n, 3), seen at (n, 2) px, some of which may be misidentified.
 
     Samples hold three points, or two where the attitude is known, for which the position is the linear solution of ``u
     x (r + R x) = 0``, u the ray to a point x. The cost of a pose is the sum of squared distances, each truncated at the
-    outlier limit.
-
-    Errors beyond the covariances are estimated from the residuals: an isotropic variance, equal for all points, for
-    which the sum of squares equals its degrees of freedom. The covariance is multiplied by ``m / (m - 2)`` for m
-    degrees of freedom, because that variance is itself an estimate: it then equals the expectation of squared errors.
+    outlier limit. Errors beyond the covariances are an isotropic variance for which the sum of squares equals its
+    degrees of freedom m; the covariance is multiplied by ``m / (m - 2)``, because that variance is itself an estimate.
     """
     points = as_floats(points_body_km, (3,), "points_body_km")
     require(points.ndim == 2, f"points_body_km must have shape (n, 3), got {points.shape}")

@@ -75,11 +75,7 @@ def solve_wahba(
 
 
 def davenport_quaternions(vectors_inertial: Float, vectors_camera: Float, weights: ArrayLike = 1.0) -> Float:
-    """Solve independent Wahba problems of n directions each by the q-method.
-
-    ``vectors_inertial``, ``vectors_camera`` (..., n, 3); ``weights`` (..., n); returns (..., 4), quaternions
-    camera_from_inertial, scalar last.
-    """
+    """Quaternions (..., 4) camera_from_inertial, scalar last, of Wahba problems (..., n, 3) by the q-method."""
     weighted = np.asarray(weights)[..., None] * vectors_camera
     profile = np.swapaxes(weighted, -1, -2) @ vectors_inertial  # sum of w b a^T
     return np.linalg.eigh(_davenport(profile))[1][..., -1]
@@ -119,10 +115,7 @@ def _esoq2(profile: Float) -> Rotation:
 
 
 def _largest_eigenvalue(davenport: Float) -> float:
-    """Largest root of the characteristic polynomial of (4, 4) without trace, by Newton's method from above.
-
-    Of unit weight it is at most 1, and Newton's method falls to it from there without overshooting.
-    """
+    """Largest root, at most 1, of the characteristic polynomial of (4, 4) without trace, by Newton's method."""
     square = davenport @ davenport
     quadratic = -float(np.trace(square)) / 2.0
     linear = -float(np.trace(square @ davenport)) / 3.0

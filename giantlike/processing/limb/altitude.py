@@ -11,13 +11,11 @@ _FROM_SUN_TO_TERMINATOR = 2.0
 
 
 def lift_points(lift_px: Float, sights: Float, position_camera_km: Float, sun_direction_camera: Float) -> Float:
-    """Motions of the points of a limb with its altitude: uniform, and by the elevation of the Sun at each.
+    """Motions (n, 2) of the points of a limb with its altitude: uniform, and by the elevation of the Sun at each.
 
-    For an image, points are pixels, and motions are changes of the signal.
-
-    ``lift_px`` (n,) px or DN, outward motion with one standard deviation of the altitude, or with 1 km; ``sights``
-    (n, 3), camera axes, unit vectors toward the points; ``sun_direction_camera``: unit vector from body to Sun; returns
-    (n, 2) px or DN.
+    ``lift_px`` (n,), outward motion, px (of an image, change of the signal, DN) with one standard deviation of the
+    altitude, or with 1 km; ``sights`` (n, 3), unit vectors toward the points; ``sun_direction_camera``: from body to
+    Sun.
     """
     outward = np.linalg.norm(position_camera_km) * sights - position_camera_km
     height = outward @ sun_direction_camera / np.maximum(np.linalg.norm(outward, axis=1), 1e-300)

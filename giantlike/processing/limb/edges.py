@@ -45,13 +45,9 @@ class EdgePoints(Value):
 def scan_edges(
     pixels_dn: Float, usable: Mask, sunlight: ArrayLike, *, threshold_dn: float, blur_sigma_px: float = 0.0
 ) -> Pixels:
-    """Find the pixels in which sunlight first meets a body, by parallel scan lines from the illuminated side.
+    """Find the pixels (n, 2) in which sunlight, of direction (2,), first meets a body, by scan lines parallel to it.
 
-    ``pixels_dn`` (rows, columns); ``sunlight`` (2,), direction (x, y) in which sunlight travels in the image; returns
-    (n, 2) px, pixels (x, y), each once.
-
-    Source: Inman et al., Artemis I optical navigation system performance, section III.A (scan in the direction of the
-    incoming sunlight for pixel-level limb points).
+    Source: Inman et al., Artemis I optical navigation system performance, section III.A.
     """
     require(pixels_dn.shape == usable.shape, f"pixels {pixels_dn.shape} and usable {usable.shape} differ in shape")
     along = as_finite(sunlight, (2,), "sunlight")
@@ -121,10 +117,9 @@ class WindowEdges(Value):
 def measured_edges(
     pixels_dn: Float, usable: Mask, seeds_px: Pixels, *, half_px: int, measure: Callable[[Float], WindowEdges]
 ) -> EdgePoints:
-    """Measure edges in windows about pixels, moving each window to where its edge goes through the middle pixel.
+    """Measure edges in windows about pixels (n, 2), moved to where the edge goes through their middle pixel.
 
-    ``pixels_dn`` (rows, columns); ``seeds_px`` (n, 2), pixels (x, y) within two of an edge; ``half_px``: windows have
-    ``2 half_px + 1`` pixels a side (those that reach over the frame or bad pixels are left out).
+    Windows have ``2 half_px + 1`` pixels a side; those that reach over the frame or bad pixels are left out.
     """
     require(pixels_dn.shape == usable.shape, f"pixels {pixels_dn.shape} and usable {usable.shape} differ in shape")
     side = 2 * half_px + 1

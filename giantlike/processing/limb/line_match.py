@@ -35,10 +35,9 @@ def find_shifts(
 ) -> tuple[Indices, Float, Float, Float, Float, Mask, Mask]:
     """Find the shift of best correlation with the expected profile of each line, or start from a given one.
 
-    ``values`` (n, m) DN; ``usable``, ``expected`` (n, m); ``about_px`` (n,), NaN for the best correlation;
-    returns ``lag`` (n,), steps from the innermost position; ``shift_px`` (n,), from there to ``about_px``, or 0;
-    ``best``, ``rival`` (n,), correlation there and at the best other position, -1 where there is none; ``light_dn``
-    (n, w); ``used`` (n, w); ``complete`` (n,).
+    ``values``, ``expected`` (n, m); ``about_px`` (n,), NaN for the best correlation; returns ``lag`` (n,), steps from
+    the innermost position; ``shift_px`` (n,), from there to ``about_px``, or 0; ``best``, ``rival`` (n,), correlation
+    there and at the best other position, or -1; ``light_dn``, ``used`` (n, w); ``complete`` (n,).
     """
     n, middle, width, lags = len(values), values.shape[1] // 2, 2 * half + 1, 2 * most + 1
     lag, shift, best, rival = np.empty(n, np.int64), np.zeros(n), np.empty(n), np.full(n, -1.0)

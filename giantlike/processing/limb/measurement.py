@@ -27,10 +27,7 @@ SATURATED_SHARE = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SmoothError:
-    """An error of the limb that changes slowly along it and so leaves hardly any residuals.
-
-    Its covariance between two points is ``sigma_px^2 exp(-distance / length_px)``.
-    """
+    """An error that changes slowly along the limb, of covariance ``sigma_px^2 exp(-distance / length_px)``."""
 
     cause: Cause
     sigma_px: float  # standard deviation across the limb
@@ -145,10 +142,7 @@ class LimbMeasurement(Value):
         )
 
     def smooth_covariances(self, gain: Float) -> dict[Cause, Float]:
-        """Covariances of a solution from errors correlated between points: the common and the smooth errors.
-
-        ``gain`` (k, m); returns dict of Cause to (k, k).
-        """
+        """Covariances (k, k) by cause, of a solution of gain (k, m), from the common and the smooth errors."""
         parts: dict[Cause, Float] = {}
         for cause, common_px in self.common_px.items():
             moved = gain @ common_px[self.keep]
@@ -175,10 +169,7 @@ class LimbMeasurement(Value):
 
 
 def smooth_parts(errors: Iterable[SmoothError], points_px: Float, gain: Float) -> dict[Cause, Float]:
-    """Covariances of a solution by smooth errors of the points that it is made from.
-
-    ``points_px`` (n, 2); ``gain`` (k, n); returns dict of Cause to (k, k).
-    """
+    """Covariances (k, k) by cause, of a solution of gain (k, n), by smooth errors of its points (n, 2)."""
     parts: dict[Cause, Float] = {}
     for error in errors:
         part = gain @ error.covariance_px2(points_px) @ gain.T
@@ -195,11 +186,7 @@ def judge_points(
     even: bool = True,
     also: Mapping[str, Mask] | None = None,
 ) -> tuple[Mask, dict[str, int]]:
-    """Decide which points of a limb were measured well.
-
-    ``complete``, ``strong``, ``alike``, ``gain_dn`` (n,); ``also`` mapping of str to (n,); returns ``good`` (n,) and
-    ``rejected``, the number of the others by reason, the first that applies.
-    """
+    """Decide which points (n,) of a limb were measured well; count the others by the first reason that applies."""
     gain_ok = gain_dn > 0.0
     typical = complete & alike & gain_ok
     if even and typical.any():
@@ -221,10 +208,7 @@ def judge_points(
 
 
 def too_few(view: LimbView, area: Mask, good: Mask, rejected: Mapping[str, int], *, needed: int) -> Failure:
-    """Return the failure of a limb with too few good points.
-
-    ``area`` (rows, columns); ``good`` (n,); ``rejected`` as of :func:`judge_points`.
-    """
+    """Return the failure of a limb with too few good points (n,); ``rejected`` as of :func:`judge_points`."""
     saturated = float(view.saturated[area].mean()) if area.any() else 0.0
     reasons = ", ".join(f"{count} {name}" for name, count in rejected.items() if count)
     return Failure(
@@ -236,10 +220,7 @@ def too_few(view: LimbView, area: Mask, good: Mask, rejected: Mapping[str, int],
 
 
 def no_lit_limb(view: LimbView, outline_px: Float, inside: Mask, position_camera_km: Float) -> Failure:
-    """Return the failure of a predicted outline without an illuminated part in the frame.
-
-    ``outline_px`` (k, 2), all around (points that the camera does not image are NaN or left out); ``inside`` (k,).
-    """
+    """Return the failure of a predicted outline (k, 2), NaN where not imaged, without a lit part in the frame."""
     rows, columns = view.usable.shape
     if inside.any() and not inside.all():
         return Failure(
@@ -265,11 +246,7 @@ def no_lit_limb(view: LimbView, outline_px: Float, inside: Mask, position_camera
 
 
 def pixels_near(points_px: Float, normals_px: Float, offsets_px: Float, shape: tuple[int, ...]) -> Mask:
-    """Pixels on lines across a limb.
-
-    ``points_px``, ``normals_px`` (n, 2); ``offsets_px`` (m,); ``shape``: rows and columns of the image; returns
-    (rows, columns).
-    """
+    """Mask (rows, columns) of the pixels on lines, at offsets (m,), across a limb of points and normals (n, 2)."""
     area = np.zeros(shape, dtype=bool)
     columns, rows = (np.rint(points_px[:, axis, None] + offsets_px * normals_px[:, axis, None]) for axis in range(2))
     inside = (columns >= 0) & (columns < shape[1]) & (rows >= 0) & (rows < shape[0])  # False where not finite
@@ -278,12 +255,10 @@ def pixels_near(points_px: Float, normals_px: Float, offsets_px: Float, shape: t
 
 
 def limb_design(normals_px: Float, projection_jacobian: Float) -> Float:
-    """Outward motion of limb points in the image with the position of the body.
+    """Outward motion (n, 3), px/km, of limb points in the image with the position of the body.
 
-    ``normals_px`` (n, 2), outward normals of the limb; ``projection_jacobian`` (n, 2, 3) px/km; returns (n, 3) px/km.
-
-    A limb point that slides along the surface as the view changes slides along the limb too, so to first order only
-    its own motion counts across the limb.
+    A limb point that slides along the surface as the view changes slides along the limb too: to first order only its
+    own motion, by ``projection_jacobian`` (n, 2, 3), counts.
     """
     design: Float = np.einsum("ni,nij->nj", normals_px, projection_jacobian)
     return design

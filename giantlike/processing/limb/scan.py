@@ -86,12 +86,9 @@ class ProfileMatch(Value):
     rivalled: Mask  # (n,); another position on the line fits equally well
 
     def brightness_error_px(self, good: Mask) -> float:
-        """Shift of the whole limb by a wrong reflectance law, px.
+        """Shift of the whole limb, px, by a wrong reflectance law, from its good points (n,).
 
-        Freeing the slope of the brightness moves a limb of unexpected brightness by about as much. The part of this
-        motion (median over the lines) that noise explains is subtracted.
-
-        ``good`` (n,).
+        Freeing the slope of the brightness moves a limb of unexpected brightness by about as much (median, less noise).
         """
         typical, scatter = float(np.median(self.without_slope_px[good])), robust_sigma(self.without_slope_px[good])
         chance = _MEDIAN_SIGMA * scatter / math.sqrt(max(np.count_nonzero(good) / _LINES_ALIKE, 1.0))
@@ -99,9 +96,7 @@ class ProfileMatch(Value):
 
 
 def line_offsets(reach_px: float, step_px: float) -> Float:
-    """Equidistant positions along a line, symmetric about zero and including it.
-
-    Returns (m,) px.
+    """Equidistant positions (m,), px, along a line, symmetric about zero and including it.
 
     >>> line_offsets(1.0, 0.5).tolist()
     [-1.0, -0.5, 0.0, 0.5, 1.0]
@@ -111,10 +106,7 @@ def line_offsets(reach_px: float, step_px: float) -> Float:
 
 
 def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Float, offsets_px: Float) -> Scans:
-    """Sample an image along lines.
-
-    ``pixels_dn`` (rows, columns); ``points_px``, ``normals_px`` (n, 2); ``offsets_px`` (m,), as of
-    :func:`line_offsets`.
+    """Sample an image along n lines, at offsets (m,).
 
     Values are weighted means of 4 x 4 pixels with cubic B-spline weights: smooth in position, never beyond the pixels'
     range, and the same for an image and a template, so that the added blur cancels.
@@ -131,10 +123,7 @@ def scan_lines(pixels_dn: Float, usable: Mask, points_px: Float, normals_px: Flo
 
 
 def values_on_lines(images: Float, points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
-    """Values of images along lines, as :func:`scan_lines` samples them.
-
-    ``images`` (k, rows, columns); ``points_px``, ``normals_px`` (n, 2); ``offsets_px`` (m,); returns (k, n, m).
-    """
+    """Values (k, n, m) of images (k, rows, columns) at m offsets along n lines, as :func:`scan_lines` samples them."""
     return sample_lines(np.ascontiguousarray(images), points_px, normals_px, offsets_px)
 
 
@@ -228,10 +217,7 @@ def match_profiles(
 def edge_width_px(scans: Scans, *, variance_dn2: Callable[[Float], Float], window_px: float, search_px: float) -> float:
     """Standard deviation, px, of the Gaussian that blurs the edges on the lines, median over the lines.
 
-    It includes the point spread function, the pixel (:data:`PIXEL_VARIANCE_PX2`) and sampling
-    (:data:`SAMPLING_VARIANCE_PX2`).
-
-    ``window_px``, ``search_px`` as of :func:`match_profiles`.
+    It includes the point spread function, the pixel and sampling (:data:`SAMPLING_VARIANCE_PX2`).
     """
     misfit = []
     for width in _WIDTHS_PX:
@@ -260,11 +246,7 @@ def _noise_correlation(offsets_px: Float) -> Float:
 
 
 def _stiffness(free: Float, slope_variance: Float) -> Float:
-    """Prior information (n,) on the slopes, 1/DN^2, from all lines together: their typical size.
-
-    ``free`` (n, 4) are solutions with free slopes, of ``slope_variance`` (n,). Their scatter beyond noise gives the
-    size of slopes: where the expected brightness is correct it is small, and a free slope only adds noise to the shift.
-    """
+    """Prior information (n,) on slopes, 1/DN^2: the scatter of all free ones (n, 4) beyond their noise."""
     determined = (free[:, 0] > 0.0) & np.isfinite(slope_variance)
     if not determined.any():
         return np.full(len(free), _LEAST_SLOPE**-2)
@@ -283,10 +265,7 @@ def _quotient(shifted: Float, gain: Float) -> Float:
 
 @compiled
 def sample_lines(images: Float, points_px: Float, normals_px: Float, offsets_px: Float) -> Float:
-    """Weighted means of 4 x 4 pixels, the weights a cubic B-spline about each position.
-
-    ``images`` (k, rows, columns); ``points_px``, ``normals_px`` (n, 2); ``offsets_px`` (m,); returns (k, n, m).
-    """
+    """Weighted means (k, n, m) of 4 x 4 pixels, the weights a cubic B-spline about each position."""
     count, rows, columns = images.shape
     result = np.empty((count, len(points_px), len(offsets_px)))
     across, down = np.empty(4), np.empty(4)

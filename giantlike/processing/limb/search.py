@@ -46,10 +46,7 @@ class CoarseLimb(Value):
 def search_limb(
     view: LimbView, limb: PredictedLimb, center_px: Float, *, search_px: float, search_range: float
 ) -> CoarseLimb:
-    """Find shift and size of a whole outline by the contrast across it.
-
-    ``search_px``: largest shift in both coordinates; ``search_range``: largest relative change of size.
-    """
+    """Find the shift, at most ``search_px`` on an axis, and the size of an outline by the contrast across it."""
     points_px = limb.points_px
     radius_px = float(np.max(np.linalg.norm(points_px - center_px, axis=1)))
     step = float(np.clip(_COARSE_STEP * radius_px, _FINE_STEP_PX, _MAX_COARSE_STEP_PX))
@@ -191,11 +188,7 @@ def contrasts(
     floor_dn: float,
     steepest: bool,
 ) -> Float:
-    """Sum up the contrast across an outline by nearest pixels.
-
-    ``image`` in DN, NaN where a pixel counts nothing; ``arms_px``, ``offsets_px`` (n, 2); ``weights`` (n,);
-    ``shifts_px`` (k,); ``scales`` (m,); returns (m, k, k).
-    """
+    """Sum up the contrast (m, k, k) across an outline by nearest pixels, for m scales and k shifts on each axis."""
     rows, columns = image.shape
     n, k = len(arms_px), len(shifts_px)
     sums, counted = np.zeros((len(scales), k, k)), np.zeros((len(scales), k, k))

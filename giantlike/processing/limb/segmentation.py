@@ -70,16 +70,9 @@ class ExpectedBlob:
 
 
 def otsu_threshold(values: Float, *, bins: int = 1024) -> float:
-    """Threshold that parts values into two classes with the largest variance between them.
+    """Otsu's threshold, which parts values (n,) into two classes with the largest variance between them.
 
-    ``values`` (n,).
-
-    Otsu's method: the largest ``w0 w1 (m1 - m0)^2`` over all cuts between bins, w the fractions and m the means of the
-    two classes. Liounis et al. [1]_ use it to find the pixels of a target.
-
-    References
-    ----------
-    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, "Moment Algorithms".
+    Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, "Moment Algorithms".
     """
     require(bins >= 2, f"bins must be >= 2, got {bins}")
     require(values.size > 0 and bool(np.isfinite(values).all()), "values must be finite, and there must be some")
@@ -101,12 +94,7 @@ def otsu_threshold(values: Float, *, bins: int = 1024) -> float:
 
 
 def background_of(values: Float) -> Background:
-    """Level and noise of the sky background of pixels (n,) of which less than half are bright.
-
-    Median and median absolute deviation, bright pixels clipped away.
-
-    ``values`` (n,) DN.
-    """
+    """Median level and noise, by absolute deviation, of the sky of pixels (n,) of which less than half are bright."""
     require(values.size > 0, "no pixels to take a background from")
     kept = values
     for _ in range(_CLIP_ROUNDS):
@@ -150,9 +138,8 @@ def identify_blobs(
 ) -> NDArray[np.int64] | Failure:
     """Assign blobs to bodies by position, size and, where known, brightness.
 
-    Each pair costs the squares of its distance over ``search_px`` / 3, of the logarithm of its areas and, as Thrasher
-    et al. tell Moon from Earth, of its fluxes, over their standard deviations; the cheapest assignment of all bodies at
-    once wins. It is tried about the shift of every possible first pair, so that a common error of pointing costs once.
+    Each pair costs the squares of its distance over ``search_px`` / 3, of the logarithm of its areas and of its fluxes,
+    over their sigmas; the cheapest assignment about the shift of any first pair (an error of pointing costs once) wins.
 
     Source: Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation, "OpNav Target
     Identification".

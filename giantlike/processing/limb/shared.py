@@ -45,19 +45,13 @@ class SharedEstimate(Value):
 def estimate_shared(
     match: ProfileMatch, good: Mask, *, prior: Float, expected: Float, open_above: Mask
 ) -> SharedEstimate:
-    """Estimate the parameters common to all lines.
+    """Estimate the c parameters common to all lines.
 
-    ``good`` (n,); ``prior``, ``expected``, ``open_above`` (c,).
-
-    The effect of the shared parameters is multiplied by the gain of a line, which depends on them: a line that was
-    fitted with too low a gain overstates them as much. Both are iterated.
-
-    The covariance follows from the scatter of the lines' estimates (Newey and West, which allows for correlated
-    neighbors), not from the noise assumed in the weights. Where the scatter exceeds that noise (albedo, relief, a point
-    spread function of another form), the prior has more weight.
-
-    The prior of a parameter without an upper bound is down-weighted where the lines disagree with it: its information
-    decreases with the distance beyond 3 standard deviations, as for Huber's outliers.
+    Their effect is multiplied by the gain of a line, which depends on them; both are iterated. The covariance follows
+    from the scatter of the lines' estimates (Newey and West, which allows for correlated neighbors), and the prior has
+    more weight where that exceeds the noise assumed in the weights (albedo, relief, another form of the point spread
+    function). The prior of a parameter without an upper bound loses information beyond 3 standard deviations, as for
+    Huber's outliers.
     """
     information, pull, gain_change = match.information[good], match.pull[good], match.shared_gain[good]
     spread, believed = 1.0, np.ones(len(prior))
@@ -100,11 +94,7 @@ def _scatter(scores: Float) -> Float:
 
 
 def smooth_places(match: ProfileMatch, good: Mask) -> Float:
-    """Positions of lines predicted by their neighbors, about which the next match is made.
-
-    ``good`` (n,); returns (n,) px, NaN for lines that are not good, or farther from their neighbors than noise explains
-    (relief).
-    """
+    """Positions (n,) px of good lines as their neighbors predict them; NaN where they are too far off."""
     count = min(_SMOOTHED_LINES, int(good.sum()))
     shift, sigma = match.shift_px[good], match.sigma_px[good]
     level = convolve1d(shift / sigma**2, np.ones(count), mode="nearest") / convolve1d(

@@ -61,11 +61,7 @@ class LimbView(Value):
         return math.sqrt(float(self.detector.variance_dn2(np.zeros(1))[0]))
 
     def contains(self, points_px: Float, *, margin_px: float = 0.0) -> Mask:
-        """Find the points that lie on the detector.
-
-        ``points_px`` (..., 2); ``margin_px``: minimum distance from the edge (negative for points as far outside);
-        returns (...).
-        """
+        """Find the points (..., 2) on the detector, ``margin_px`` from its edge (negative for points outside)."""
         return in_frame(points_px, self.usable.shape, margin_px=margin_px)
 
 
@@ -80,11 +76,7 @@ class PredictedLimb(Value):
 
 
 def in_frame(points_px: Float, shape: tuple[int, ...], *, margin_px: float = 0.0) -> Mask:
-    """Find the points that lie on the pixels of an image; NaN does not.
-
-    ``points_px`` (..., 2); ``shape``: rows and columns; ``margin_px``: minimum distance from the edge of the image
-    (negative for points as far outside); returns (...).
-    """
+    """Find the points (..., 2) on the pixels of an image, ``margin_px`` from its edge; NaN is not."""
     low, high = margin_px - 0.5, np.array(shape[1::-1]) - 0.5 - margin_px
     result: Mask = np.all((points_px >= low) & (points_px <= high), axis=-1)
     return result

@@ -54,12 +54,9 @@ def zernike_edges(
 
 
 def zernike_kernels(size: int) -> tuple[NDArray[np.complex128], Float]:
-    """Kernels of the moments A11 and A20: ``x + iy`` and ``2 rho^2 - 1`` integrated over each pixel.
+    """Kernels (size, size) of the moments A11 and A20: ``x + iy`` and ``2 rho^2 - 1`` integrated over each pixel.
 
-    ``size`` in px; returns ``first`` (size, size) and ``second`` (size, size).
-
-    Unit of length is the radius of the circle, ``size / 2`` px. The first sums up to zero by symmetry, the second
-    as the polynomials are orthogonal on the circle.
+    Unit of length is the radius of the circle, ``size / 2`` px; both sum up to zero.
 
     >>> first, second = zernike_kernels(5)
     >>> bool(abs(first.sum()) < 1e-12), bool(abs(second.sum()) < 1e-3)

@@ -41,10 +41,7 @@ class EmpiricalPsf(Value):
         return (len(self.shares) - 1) / 2 * self.step_px
 
     def shares_at(self, offsets_px: ArrayLike) -> Float:
-        """Interpolate the flux fractions of pixels at offsets from a star (cubic splines).
-
-        ``offsets_px`` (..., 2); returns (...,), 0 beyond the grid.
-        """
+        """Interpolate the flux fractions of pixels at offsets (..., 2) from a star by splines; 0 beyond the grid."""
         offsets = np.asarray(offsets_px, dtype=np.float64)
         x, y = offsets.reshape(-1, 2).T / self.step_px + (len(self.shares) - 1) / 2
         found: Float = map_coordinates(self.shares, [y, x], order=3, mode="constant")

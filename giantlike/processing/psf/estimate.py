@@ -104,10 +104,7 @@ class PsfEstimate(Value):
 
 
 def field_terms(points_px: Float, columns: int, rows: int, degree: int) -> Float:
-    """Terms of a polynomial of the position in the image.
-
-    ``points_px`` (n, 2); returns (n, t), constant first (coordinates go from -1 to 1 over the image).
-    """
+    """Terms (n, t), constant first, of a polynomial of the position (n, 2), which is from -1 to 1 over the image."""
     half = np.array([columns - 1, rows - 1]) / 2.0
     x, y = ((points_px - half) / np.maximum(half, 1.0)).T
     return np.stack([x ** (total - k) * y**k for total in range(degree + 1) for k in range(total + 1)], axis=1)
@@ -157,11 +154,7 @@ def estimate_psf(
 def remeasure(
     pixels: ArrayLike, detections: Detections, psf: PsfEstimate, *, detector: Detector, mask: ArrayLike | None = None
 ) -> Detections:
-    """Fit centroids and fluxes again with an estimated point spread function.
-
-    Only isolated detections that may be stars: not those that are blended, cut, saturated or unlike stars. The others
-    are unchanged, as are those whose fit moves by more than a pixel.
-    """
+    """Fit isolated detections that may be stars again with an estimated PSF, unless they move by over 1 px."""
     chosen = np.flatnonzero((detections.flags & np.uint16(UNUSABLE)) == 0)
     if not chosen.size:
         return detections

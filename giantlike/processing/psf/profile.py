@@ -40,10 +40,9 @@ class PsfKind(StrEnum):
 
 
 def shape_shares(corner_px: NDArray[np.integer], size: int, points_px: Float, shapes: Float) -> Float:
-    """Share of a point source in each pixel of square patches, by quadrature with 5 x 5 nodes per pixel.
+    """Share (n, size, size) of a point source in each pixel of patches, by quadrature with 5 x 5 nodes per pixel.
 
-    ``corner_px`` (n, 2), first pixel (x, y) of each patch; ``size`` in px; ``points_px`` (n, 2); ``shapes`` (n, 4), ln
-    sigma (of px), e1, e2, 1/beta of each; returns (n, size, size).
+    ``corner_px`` (n, 2), first pixel (x, y) of each patch; ``shapes`` (n, 4): ln sigma (of px), e1, e2, 1/beta.
     """
     sigma, e1, e2, inverse_beta = np.exp(shapes[:, 0]), shapes[:, 1], shapes[:, 2], shapes[:, 3]
     steps = (np.arange(size)[:, None] + _OFFSETS).ravel()
