@@ -99,8 +99,7 @@ class Atmosphere:
     def brightness(self, altitude_km: ArrayLike, radius_km: float) -> Float:
         """Brightness (...) of the limb relative to infinitely deep haze, by single scattering.
 
-        It is ``1 - exp(-slant optical depth)`` at altitudes (...), km, of the lowest points of rays; 1 below the base,
-        where the ground is.
+        It is ``1 - exp(-slant optical depth)`` at altitudes (...), km, of the lowest points of rays; 1 below the base.
         """
         above = as_floats(altitude_km, (), "altitude_km") - self.base_km
         if self.scale_height_km == 0.0:

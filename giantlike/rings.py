@@ -58,8 +58,7 @@ class Rings:
     ) -> Mask:
         """Find the points (n, 3) of a body, km, camera axes, that lie behind the rings or in their shadow.
 
-        ``center_km`` (3,), km, of the body, and ``sun_direction_camera`` (3,), unit vector from body to Sun, camera
-        axes; ``camera_from_axes`` rotates from the principal axes; returns (n,).
+        ``center_km`` (3,) of the body; ``camera_from_axes`` rotates from its principal axes.
         """
         to_axes = camera_from_axes.inv()
         points = rotate(to_axes, points_km - center_km)
@@ -70,10 +69,9 @@ class Rings:
         )
 
     def cover(self, plane: FocalPlane, center_km: Float, camera_from_axes: Rotation, *, widened_px: float) -> Mask:
-        """Find the pixels (rows, columns) on which the rings lie, before or behind the body.
+        """Find the pixels (rows, columns) on which the rings, ``widened_px``, lie, before or behind the body.
 
-        ``center_km`` (3,), km, camera axes, of the body; ``camera_from_axes`` rotates from the principal axes;
-        ``widened_px``, px: margin around the rings.
+        ``center_km`` (3,) of the body, camera axes; ``camera_from_axes`` rotates from its principal axes.
         """
         turns = np.arange(_TURNS) * (2.0 * np.pi / _TURNS)
         circle = np.stack([np.cos(turns), np.sin(turns), np.zeros(_TURNS)], axis=-1)
@@ -97,11 +95,10 @@ class Rings:
         *,
         sun_direction_camera: Float,
     ) -> Mask:
-        """Find the lines of sight (..., 3) that meet the rings, or an ellipsoid in their shadow.
+        """Find the lines of sight (..., 3), or NaN, that meet the rings, or an ellipsoid in their shadow.
 
-        ``radii_km`` (3,), km, of the ellipsoid along its principal axes; ``center_km`` (3,), km, its position, and
-        ``sun_direction_camera`` (3,), unit vector from body to Sun, camera axes; ``camera_from_axes`` rotates from the
-        principal axes. Lines of sight may be NaN; rings behind the body are not seen; returns (...).
+        ``radii_km`` (3,), ``center_km`` (3,) of the ellipsoid, camera axes; ``camera_from_axes`` rotates from its
+        principal axes. Rings behind the body are not seen.
         """
         rays = rays_camera.reshape(-1, 3)
         to_axes = camera_from_axes.inv()

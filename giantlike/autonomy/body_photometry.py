@@ -56,12 +56,10 @@ def expected_dn(
 
 
 def chandrasekhar_sphere(single_scattering_albedo: float, phase_rad: ArrayLike) -> Float:
-    """Brightness of a sphere that scatters isotropically, relative to a white Lambert disk of its size facing the Sun.
+    """Brightness (...) of a sphere that scatters isotropically, relative to a white Lambert disk facing the Sun.
 
-    ``phase_rad`` (...); returns (...).
-
-    A deep medium of isotropic scatterers reflects ``w / 4 mu0 / (mu + mu0) H(mu) H(mu0)`` after Chandrasekhar; with
-    Hapke's closed form of H, good to 4 %, that is his law without lobe and opposition surge.
+    After Chandrasekhar, ``w / 4 mu0 / (mu + mu0) H(mu) H(mu0)`` with Hapke's H, good to 4 %: his law without lobe and
+    surge.
     """
     w = single_scattering_albedo
     require(0.0 < w < 1.0, f"single_scattering_albedo must be in (0, 1), got {w}")

@@ -143,10 +143,7 @@ def _patch(light: Float, window: tuple[slice, slice], core: Mask, camera: Camera
 
 
 def pointing_slew(direction_instrument: Float, boresight_instrument: Float) -> Rotation:
-    """Smallest rotation of an instrument that puts a direction onto a boresight.
-
-    ``direction_instrument``, ``boresight_instrument`` in instrument axes.
-    """
+    """Smallest rotation of an instrument that puts a direction onto a boresight, both in its axes."""
     start, goal = unit(np.asarray(direction_instrument)), unit(np.asarray(boresight_instrument))
     axis = np.cross(start, goal)
     sine, cosine = float(np.linalg.norm(axis)), float(start @ goal)

@@ -44,9 +44,7 @@ class SiteAtmosphere:
 
 
 def apply_refraction(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
-    """Raise directions toward the zenith as the atmosphere does.
-
-    ``directions`` (..., 3), any axes; ``zenith`` (3,), the same axes; returns (..., 3).
+    """Raise directions (..., 3) toward the zenith (3,) as the atmosphere does.
 
     Source: ERFA (liberfa) refco.c: constants of the refraction, and their limits.
     """
@@ -60,10 +58,7 @@ def apply_refraction(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteA
 
 
 def remove_refraction(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
-    """Take refraction out of directions measured on the ground.
-
-    ``directions`` (..., 3), any axes; ``zenith`` (3,), the same axes; returns (..., 3).
-    """
+    """Take refraction out of directions (..., 3) measured on the ground, under a zenith (3,)."""
     vectors, up, length, seen = _zenith_distances(directions, zenith)
     a, b = atmosphere.constants_rad()
     tangent = np.tan(seen)

@@ -57,10 +57,7 @@ def align(
     temperatures_c: ArrayLike | None = None,
     outlier_sigma: float = 5.0,
 ) -> AlignmentResult | Failure:
-    """Weighted mean of n measured alignments, with a drift linear in temperature where temperatures are given.
-
-    ``covariances_rad2`` (n, 3, 3); ``temperatures_c`` (n,).
-    """
+    """Weighted mean of n measured alignments, with a drift linear in temperature where temperatures are given."""
     count = len(rotations)
     covariances = as_finite(covariances_rad2, (count, 3, 3), "covariances_rad2")
     temperatures = np.zeros(count) if temperatures_c is None else as_finite(temperatures_c, (count,), "temperatures_c")
@@ -101,8 +98,6 @@ def interlock(
     temperatures_c: ArrayLike | None = None,
 ) -> AlignmentResult | Failure:
     """Alignment ``second_from_first`` from n attitudes of two sensors at the same times.
-
-    ``first_covariance_rad2``, ``second_covariance_rad2`` (n, 3, 3); ``temperatures_c`` (n,).
 
     Source: Inman and Holt, Artemis I Optical Navigation System Performance, IV.A (interlock of camera and trackers).
     """

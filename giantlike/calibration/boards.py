@@ -26,10 +26,7 @@ _STEPS, _LAST_STEP_PX = 60, 1e-3  # of the refinement: a fiftieth of the scatter
 
 
 def board_corners(*, across: int, down: int, square: float = 1.0) -> Float:
-    """Inner corners of a checkerboard in its own axes.
-
-    ``square``: side of a square, in any unit of length; returns (n, 3), row by row, z = 0, in the unit of the side.
-    """
+    """Inner corners (n, 3) of a checkerboard in its own axes, row by row, z = 0, in the unit of ``square``."""
     require(min(across, down) >= 3, f"a board needs at least 3 by 3 inner corners, got {across} by {down}")
     require(square > 0, f"square must be > 0, got {square}")
     x, y = np.meshgrid(np.arange(across), np.arange(down))
@@ -37,13 +34,10 @@ def board_corners(*, across: int, down: int, square: float = 1.0) -> Float:
 
 
 def find_board(pixels: NDArray[np.float64], *, across: int, down: int) -> Float | Failure:
-    """Find the inner corners of a checkerboard: OpenCV's detector by saddle points, then its refinement by gradients.
+    """Find the inner corners (n, 2), px, of a checkerboard by OpenCV, in the order of :func:`board_corners`.
 
-    Returns (n, 2) px, in the order of :func:`board_corners`, up to a rotation or reflection under which the board looks
-    the same.
-
-    Pixel coordinates in OpenCV are integer at the centers of pixels, as here. With a fisheye the detector alone has an
-    error of about 0.1 px, the refinement of 0.05 px.
+    They may be rotated or reflected if the board looks the same. With a fisheye the detector alone has an error of
+    about 0.1 px, with the refinement 0.05 px.
     """
     import cv2
 
@@ -63,13 +57,10 @@ def find_board(pixels: NDArray[np.float64], *, across: int, down: int) -> Float 
 
 
 def board_pose(corners: Float, points_px: Float, model: CameraModel) -> tuple[Rotation, Float] | Failure:
-    """First pose of a board from its corners in one image.
+    """Pose of a board from its corners (n, 3) in one image, at (n, 2): ``camera_from_board`` and the origin (3,).
 
     The homography from the board to the unit rays of the camera (linear least squares of ``ray x H corner = 0``),
     orthonormalized to a rotation; rays at any angle from the axis are used, also beyond 90 degrees.
-
-    ``corners`` (n, 3); ``points_px`` (n, 2); returns (Rotation, (3,)), ``camera_from_board`` and the origin of the
-    board, camera axes, unit of the corners.
     """
     points_px = as_finite(points_px, (len(corners), 2), "points_px")
     rays = model.unproject(points_px)
@@ -103,9 +94,6 @@ def board_observations(
     sigma_px: float = CORNER_SIGMA_PX,
 ) -> tuple[list[ImageObservations], list[tuple[str, Failure]]]:
     """Observations of a checkerboard for :func:`~giantlike.calibration.calibrate`, with a first pose in every image.
-
-    ``square``: side of a square in any unit of length, the same as for the poses
-    (the camera model does not depend on it).
 
     Source: Thrasher et al., Development of the Optical Deep-Space Instrument for Navigation, Table 2 and Fig. 12.
     """

@@ -131,11 +131,7 @@ def predict(state: State, data: Data) -> Float:
 
 
 def linearize(state: State, data: Data) -> tuple[Float, Float, Float]:
-    """Pixels (n, 2) and their derivatives by the k estimated parameters and by the pose of the image.
-
-    Returns ``pixels`` (n, 2), ``by_camera`` (n, 2, k), ``by_pose`` (n, 2, pose), in px, px per unit of the parameter,
-    and px/rad (px per unit of length for positions).
-    """
+    """Pixels (n, 2), and derivatives by the k estimated parameters (n, 2, k) and by the pose of the image (n, 2, p)."""
     vectors = state.vectors(data)
     pixels = np.empty((len(vectors), 2))
     camera = np.empty((len(vectors), 2, len(data.estimated)))
@@ -279,10 +275,7 @@ def minimize(
 
 
 def covariance_of(normal: NormalEquations, names: tuple[str, ...]) -> tuple[Float, float] | Failure:
-    """Covariance of the camera parameters and condition number of their scaled information.
-
-    Returns ``covariance`` (k, k) and ``condition_number``.
-    """
+    """Covariance (k, k) of the camera parameters and condition number of their scaled information."""
     if not names:
         return np.zeros((0, 0)), 1.0
     if not np.isfinite(np.linalg.cond(normal.poses)).all() or np.linalg.cond(normal.poses).max() > MAX_CONDITION:

@@ -139,9 +139,8 @@ class _Fit(Value):
 def _fit_without_outliers(state: State, data: Data, options: CalibrationOptions) -> _Fit | Failure:
     """Robust fits and rejection until the selection no longer changes, then the fit with the chosen loss.
 
-    Residuals are compared with their robust spread (median of the squares) by a chi-square test that is expected to
-    reject ``options.false_rejections`` good observations in all. An image of which less than half agrees is rejected
-    as a whole.
+    Residuals are compared with their median spread by a chi-square test that is expected to reject
+    ``options.false_rejections`` good ones in all. An image of which less than half agrees is rejected as a whole.
     """
     used = np.asarray(np.isfinite(predict(state, data)).all(axis=1))
     guard = Loss.HUBER if options.loss is Loss.LINEAR else options.loss

@@ -71,8 +71,7 @@ def support_of(
 ) -> tuple[ParameterSupport, ...]:
     """Judge the first k of n parameters, which may be entangled with the others.
 
-    ``values``, ``start``, ``prior_sigma``, ``reach`` (k,): the latter the largest derivative of a pixel; ``covariance``
-    (n, n); ``scales``: names for which zero is no meaningful value.
+    ``reach`` (k,): largest derivative of a pixel; ``scales``: names for which zero is no meaningful value.
     """
     sigma = np.sqrt(np.diag(covariance))
     units = np.where(sigma > 0.0, sigma, 1.0)

@@ -91,17 +91,13 @@ class ImageObservations(Value):
 
 
 def collimator_directions(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Float:
-    """Directions of a fixed collimator in the axes of the gimbal stage that carries the camera.
+    """Directions (n, 3) of a fixed collimator in the axes of the gimbal stage that carries the camera.
 
-    The stage rotates about its vertical axis (azimuth, toward +x) and then about its horizontal axis (elevation,
-    toward -y, up in an image); at zero the collimator is on its +z axis. Seen from the stage the collimator moves
-    the other way. All images of a grid form one composite: one :class:`ImageObservations` whose
-    ``camera_from_reference`` is the orientation of the camera on the stage.
+    The stage rotates about its vertical axis (azimuth, toward +x) and then about its horizontal axis (elevation, toward
+    -y, up in an image); at zero the collimator is on its +z axis. Seen from the stage it moves the other way. All
+    images of a grid form one composite: one :class:`ImageObservations`.
 
-    ``azimuth_rad``, ``elevation_rad`` (n,); returns (n, 3), unit vectors in the axes of the stage.
-
-    Source: Holt, D'Souza and Saley, Orion Optical Navigation Progress Toward Exploration Mission 1, III.A: 99 images in
-    steps of 2 degrees, made one composite.
+    Source: Holt, D'Souza and Saley, Orion Optical Navigation Progress Toward Exploration Mission 1, III.A (99 images).
 
     >>> collimator_directions([0.1], [0.0]).round(3).tolist()
     [[-0.1, 0.0, 0.995]]

@@ -18,10 +18,7 @@ from giantlike.core.values import Value
 
 
 def tangent_angles(position_camera_km: ArrayLike) -> Float:
-    """Tangents of the horizontal and vertical angle to a body (eqs. 1, 2).
-
-    ``position_camera_km`` (..., 3); returns (..., 2), ``x / z`` and ``y / z``.
-    """
+    """Tangents (..., 2), ``x / z`` and ``y / z``, of the angles to a body (eqs. 1, 2)."""
     position = as_floats(position_camera_km, (3,), "position_camera_km")
     require(bool((position[..., 2] > 0.0).all()), "position_camera_km needs z > 0: turn the camera to the body")
     return position[..., :2] / position[..., 2:]
@@ -33,11 +30,7 @@ def angular_diameter(range_km: ArrayLike, radius_km: float) -> Float:
 
 
 def disk_diameter(range_km: ArrayLike, radius_km: float) -> Float:
-    """Diameter of the disk of a sphere at unit distance: number of pixels across over the focal length in pixels.
-
-    ``range_km`` (...); returns (...), ``2 R / sqrt(range^2 - R^2)``.
-
-    Source: eqs. 5-10.
+    """Diameter of the disk of a sphere at unit distance, ``2 R / sqrt(range^2 - R^2)`` (eqs. 5-10).
 
     >>> float(disk_diameter(np.sqrt(2.0), 1.0).round(12))
     2.0
@@ -47,32 +40,21 @@ def disk_diameter(range_km: ArrayLike, radius_km: float) -> Float:
 
 
 def range_from_disk_diameter(diameter: ArrayLike, radius_km: float) -> Float:
-    """Range of a sphere from the diameter of its disk at unit distance, the inverse of :func:`disk_diameter`.
-
-    ``diameter`` (...), positive (with bias and noise where it was measured); returns (...) km.
-
-    Source: eqs. 11, 12.
-    """
+    """Range (...), km, of a sphere from the positive diameter (...) of :func:`disk_diameter` (eqs. 11, 12)."""
     across = as_floats(diameter, (), "diameter")
     require(bool((across > 0.0).all()), "diameter must be positive")
     return np.asarray(radius_km * np.sqrt(1.0 + (2.0 / across) ** 2))
 
 
 def measure_body(position_camera_km: ArrayLike, radius_km: float) -> Float:
-    """Tangents of the two angles to a body, and its range (eqs. 1-3).
-
-    ``position_camera_km`` (..., 3); returns (..., 3), ``x / z``, ``y / z`` and the range in km.
-    """
+    """Measurement (..., 3) of a body: the tangents ``x / z`` and ``y / z``, and the range in km (eqs. 1-3)."""
     position = as_floats(position_camera_km, (3,), "position_camera_km")
     distance = _outside(np.linalg.norm(position, axis=-1), radius_km)
     return np.concatenate([tangent_angles(position), distance[..., None]], axis=-1)
 
 
 def position_from_measurement(measurement: ArrayLike) -> Float:
-    """Position of a body from two tangents and the range, the inverse of :func:`measure_body`.
-
-    ``measurement`` (..., 3), ``x / z``, ``y / z`` and the range in km; returns (..., 3) km, camera axes.
-    """
+    """Position (..., 3), km, camera axes, from two tangents and the range, the inverse of :func:`measure_body`."""
     values = as_floats(measurement, (3,), "measurement")
     ray = np.concatenate([values[..., :2], np.ones_like(values[..., :1])], axis=-1)
     position: Float = ray * (values[..., 2:] / np.linalg.norm(ray, axis=-1, keepdims=True))
@@ -92,20 +74,13 @@ def measurement_partials(position_camera_km: ArrayLike) -> Float:
 
 
 def range_per_diameter(range_km: ArrayLike, radius_km: float) -> Float:
-    """Derivative of the range by the disk diameter of :func:`disk_diameter` (eq. 24).
-
-    ``range_km`` (...); returns (...) km, negative: a body that looks larger is nearer.
-    """
+    """Derivative (...), km, negative, of the range by the disk diameter of :func:`disk_diameter` (eq. 24)."""
     distance = _outside(range_km, radius_km)
     return -(distance**2 - radius_km**2) / (distance * disk_diameter(distance, radius_km))
 
 
 def range_sigma(range_km: ArrayLike, radius_km: float, diameter_px: ArrayLike, diameter_sigma_px: ArrayLike) -> Float:
-    """Standard deviation of a range, from the standard deviation of the disk diameter in pixels (eqs. 25, 26).
-
-    ``range_km`` (...); ``radius_km``: zero for a body that is far away: ``range / n`` times the sigma; ``diameter_px``,
-    ``diameter_sigma_px`` (...); returns (...) km.
-    """
+    """Sigma (...), km, of a range from that of the diameter in pixels (eqs. 25, 26); radius 0: of a body far away."""
     distance = _outside(range_km, radius_km)
     relative = np.asarray(diameter_sigma_px, dtype=np.float64) / np.asarray(diameter_px, dtype=np.float64)
     return np.asarray((distance**2 - radius_km**2) / distance * relative)

@@ -44,10 +44,7 @@ class Dispersed(NamedTuple):
 
 
 def reference_steps(model: FilterModel, et: float, mean: Float, until: float) -> list[Transition]:
-    """Steps of free flight along a reference, which several analyses may share.
-
-    ``et``, ``until`` in TDB seconds past J2000; ``mean`` (21,), at the start.
-    """
+    """Steps of free flight along a reference from a mean (21,), which several analyses may share."""
     steps = []
     for end in step_ends(et, until, model.longest_step_s):
         steps.append(coast(model, et, mean, end))
@@ -101,8 +98,7 @@ def after_correction(
 ) -> Dispersed:
     """Dispersions after a small burn towards the reference, which itself has none.
 
-    ``guidance`` (3, 6), change of the velocity by the estimated deviation of position and velocity from the reference;
-    ``inertial_from_body`` (3, 3).
+    ``guidance`` (3, 6): change of the velocity by the estimated deviation of position and velocity from the reference.
     """
     joint, state = at
     step = maneuver(

@@ -188,11 +188,9 @@ def maneuver(
     duration_s: float = 0.0,
     sigma_km_s: float = 0.0,
 ) -> Transition:
-    """A short burn as accelerometers sensed it.
+    """A short burn as accelerometers sensed it, (..., 3), body axes, from a mean (..., 21).
 
     Sensed is ``(1 + scale) * change + bias * duration`` along the axes of the body, and noise.
-
-    ``mean`` (..., 21), before it; ``sensed_km_s`` (..., 3), body axes; ``inertial_from_body`` (..., 3, 3).
     """
     change = sensed_km_s - mean[..., ACCELEROMETER_BIAS] * duration_s - mean[..., ACCELEROMETER_SCALE] * sensed_km_s
     inertial = inertial_from_body @ _turns(-mean[..., ATTITUDE])
@@ -250,10 +248,7 @@ class BodyObservation(Value):
 
 
 def predict_measurement(observation: BodyObservation, mean: Float) -> tuple[Float, Float]:
-    """Measurement that an estimate predicts, and its derivative by the states (eqs. 1-12).
-
-    ``mean`` (..., 21); returns ``measurement`` (..., 3) and ``partials`` (..., 3, 21).
-    """
+    """Measurement (..., 3) that an estimate (..., 21) predicts, and its derivative by the states (eqs. 1-12)."""
     camera_from_inertial = _turns(mean[..., ATTITUDE]) @ observation.camera_from_inertial
     to_body = observation.body_position_km - mean[..., POSITION]
     place = (camera_from_inertial @ to_body[..., None])[..., 0]

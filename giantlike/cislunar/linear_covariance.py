@@ -65,10 +65,7 @@ def dispersed_measurement(
 def dispersed_correction(
     joint: JointDispersion, commanded: Float, by_parameters: Float, execution: Float, sensing: Float
 ) -> JointDispersion:
-    """Dispersion after a correction that the estimate commands and an accelerometer senses.
-
-    ``commanded``, ``by_parameters``, ``execution``, ``sensing`` (n, n).
-    """
+    """Dispersion after a correction that the estimate commands and an accelerometer senses; all matrices (n, n)."""
     n = len(commanded)
     matrix = np.eye(2 * n)
     matrix[:n, n:] = commanded

@@ -68,12 +68,7 @@ def udu_factors(covariance: ArrayLike) -> UduFactors:
 
 
 def gram_schmidt(rows: Float, weights: Float) -> UduFactors:
-    """Factors of ``W diag(w) W^T`` by modified weighted Gram-Schmidt, without forming the product.
-
-    ``rows`` (..., n, m); ``weights`` (..., m), not negative: D next to the variances of the noise.
-
-    Source: I.B, for position and velocity.
-    """
+    """Factors of ``W diag(w) W^T``, W (..., n, m), by modified weighted Gram-Schmidt without the product (I.B)."""
     left = np.array(rows, dtype=np.float64)
     shape = np.broadcast_shapes(left.shape[:-2], weights.shape[:-1])
     left = np.broadcast_to(left, (*shape, *left.shape[-2:])).copy()
@@ -90,12 +85,7 @@ def gram_schmidt(rows: Float, weights: Float) -> UduFactors:
 
 
 def plus_dyad(factors: UduFactors, weight: ArrayLike, vector: ArrayLike) -> UduFactors:
-    """Factors of ``U D U^T + weight * vector vector^T`` by the rank-one update of Agee and Turner.
-
-    ``weight`` (...), not negative; ``vector`` (..., n).
-
-    Source: I.B, after Agee and Turner (1972).
-    """
+    """Factors of ``U D U^T + weight * vector vector^T``, weight not negative, by Agee and Turner's update (I.B)."""
     share = np.asarray(weight, dtype=np.float64)
     require(bool((share >= 0.0).all()), "weight must be >= 0")
     upper, diagonal = np.array(factors.upper), np.array(factors.diagonal)
@@ -104,9 +94,7 @@ def plus_dyad(factors: UduFactors, weight: ArrayLike, vector: ArrayLike) -> UduF
 
 
 def gauss_markov_step(factors: UduFactors, index: int, decay: ArrayLike, variance: ArrayLike) -> UduFactors:
-    """Factors after one state was multiplied by a decay and got independent noise.
-
-    ``decay`` (...); ``variance`` (...), of the noise, not negative.
+    """Factors after one state was multiplied by a decay and got independent noise of a variance.
 
     Source: I.B, for parameters: the state's column loses a dyad of the states before it.
     """
@@ -134,12 +122,7 @@ class ScalarUpdate(Value):
 
 
 def scalar_update(factors: UduFactors, partials: ArrayLike, noise_variance: ArrayLike) -> ScalarUpdate:
-    """Update by one measurement with independent noise, Carlson's rank-one update of U and D.
-
-    ``partials`` (..., n); ``noise_variance`` (...), positive.
-
-    Source: I.B, after Carlson (1973), without square roots.
-    """
+    """Update by one measurement, partials (..., n), with independent noise: Carlson's (1973), without roots (I.B)."""
     upper, diagonal = factors.upper, factors.diagonal
     noise = np.asarray(noise_variance, dtype=np.float64)
     require(bool((noise > 0.0).all()), "noise_variance must be positive")
@@ -156,12 +139,9 @@ def scalar_update(factors: UduFactors, partials: ArrayLike, noise_variance: Arra
 
 
 def considered_update(update: ScalarUpdate, considered: ArrayLike) -> ScalarUpdate:
-    """Undo an update of considered states: their errors count, they are not estimated.
+    """Undo an update of considered states (n,): their errors count, they are not estimated.
 
-    The gain of considered states becomes zero. The covariance loses by that one dyad, the gain of those states
-    times the variance of the innovation.
-
-    ``considered`` (n,).
+    Their gain becomes zero. The covariance loses by that one dyad, that gain times the variance of the innovation.
     """
     kept = np.asarray(considered, dtype=bool)
     if not kept.any():

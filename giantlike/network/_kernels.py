@@ -23,11 +23,10 @@ def accumulate(
     coupling: Float,
     shared_coupling: Float,
 ) -> None:
-    """Sum up normal equations.
+    """Add products of weighted derivatives, and residuals in the last columns, to normal equations.
 
-    ``rows`` (n, 2, 6 + k + 1): weighted derivatives by pose and shared parameters, and residuals; ``by_point``
-    (n, 2, 3), weighted. Products are added to ``poses`` (m, 6, 6 + k + 1), ``points`` (p, 3, 4), the last columns of
-    both for the residuals, ``shared`` (k, k + 1), ``coupling`` (n, 6, 3) and ``shared_coupling`` (p, k, 3).
+    ``rows`` (n, 2, 6 + k + 1), by pose and shared parameters; ``by_point`` (n, 2, 3); ``poses`` (m, 6, 6 + k + 1),
+    ``points`` (p, 3, 4), ``shared`` (k, k + 1), ``coupling`` (n, 6, 3) and ``shared_coupling`` (p, k, 3).
     """
     width = rows.shape[2]
     for n in range(len(photo)):

@@ -167,10 +167,7 @@ def _free_unknowns(problem: Problem, used: Mask) -> int:
 def _reduced_covariances(
     problem: Problem, normal: NormalEquations
 ) -> tuple[Float, dict[Cause, Float], Float] | Failure:
-    """Covariance (r, r) of the reduced unknowns, and its parts by cause but the noise.
-
-    The last of what is returned are the covariances (p, 3, 3) of the points with all else known.
-    """
+    """Covariance (r, r) of the reduced unknowns, its parts but the noise, and (p, 3, 3) of points, these known."""
     try:
         upper, _, inverse = normal.without_points()
         matrix = mirror(upper)

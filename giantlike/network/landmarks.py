@@ -276,10 +276,9 @@ def adjust_tracks(
 ) -> tuple[FoundTracks, NetworkFix] | Failure:
     """Join measures to tracks, with the errors of templates and shape that their residuals show, and adjust them.
 
-    The error of templates makes the noise of the adjustment one, both of most measures and of all in use.
-    That of the shape is the most likely spread of the points about it: expectation and maximization, from a wide start.
-    Ground that the shape lacks moves a template in all images alike: the same spread is an error of each point that no
-    residual shows.
+    The error of templates makes the noise of the adjustment one, that of the shape is the most likely spread of the
+    points about it (expectation and maximization). Ground that the shape lacks moves a template in all images alike:
+    the same spread is an error of each point that no residual shows.
     """
     radius_km = float(np.mean([np.linalg.norm(landmark.point_body_km) for landmark in catalog.landmarks]))
     floor_px, sigma_km = _FLOOR_PX[0], options.sigma_points_km or _FIRST_SIGMA * radius_km

@@ -34,10 +34,7 @@ def find_agreeing(problem: Problem, state: State, used: Mask) -> NDArray[np.bool
 
 
 def find_alternatives(problem: Problem, state: State, used: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp], Float]:
-    """Pairs of a rejected and a used measure of a point, and how much worse it fits with their roles exchanged.
-
-    Poses stay as they are. Returns indices of measures (q,) and (q,), and differences of chi-square (q,).
-    """
+    """Rejected and used measures (q,) of one point, and how much chi-square (q,) grows with their roles exchanged."""
     tracks = problem.tracks
     found = problem.linearize(state)
     left = (tracks.points_px - found.pixels) / tracks.sigma_px[:, None]

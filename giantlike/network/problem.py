@@ -197,10 +197,7 @@ class Problem(Value):
         return state.points * (1.0 + self.value(state, "size"))
 
     def look(self, state: State) -> tuple[Float, Float, Float, Float]:
-        """Points of all measures (n, 3) in camera axes and in inertial ones, and the matrices (n, 3, 3) into these.
-
-        Returns ``look``, ``inertial``, ``camera_from_inertial``, ``inertial_from_body``.
-        """
+        """Points of all measures (n, 3) in camera and in inertial axes, and the matrices (n, 3, 3) into these."""
         bodies = self.inertial_from_body(state)[self.tracks.photo]
         cameras = state.rotation.as_matrix()[self.tracks.photo]
         inertial = np.einsum("nij,nj->ni", bodies, self.points_km(state)[self.tracks.point])
@@ -405,10 +402,7 @@ class NormalEquations(Value):
 
     @property
     def blocks(self) -> tuple[Index, Index, Float]:
-        """First row of each block that couples with a point, first block of each point, and the blocks (b, 6, 3).
-
-        Shared parameters are further blocks of each point, six to a block, filled up with zeros.
-        """
+        """First row of each block coupled with a point, first block of each point, and the blocks (b, 6, 3)."""
         tracks, m = self.problem.tracks, len(self.problem.photos)
         k = self.shared_coupling.shape[1]
         more = -(-k // POSE)

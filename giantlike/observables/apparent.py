@@ -26,12 +26,9 @@ class Removed(Value):
 
 
 def removed(apparent_km: Float, circumstances: Circumstances) -> Removed:
-    """Take stellar aberration and light time out of an apparent vector.
+    """Take stellar aberration and light time out of an apparent vector, ICRF axes.
 
-    ``apparent_km`` in ICRF axes.
-
-    The boost to the frame of the spacecraft is undone by that of the opposite velocity. Where the light time is not the
-    predicted one, the motion of the target meanwhile is that of its velocity.
+    Where the light time is not the predicted one, the target has moved meanwhile by its velocity.
     """
     astrometric_km = boosted(apparent_km, -circumstances.observer_velocity_km_s)
     light_time_s = float(np.linalg.norm(astrometric_km)) / SPEED_OF_LIGHT_KM_S
@@ -43,14 +40,11 @@ def removed(apparent_km: Float, circumstances: Circumstances) -> Removed:
 
 
 def apparent_by_position(astrometric_km: Float, circumstances: Circumstances) -> Float:
-    r"""Derivative of the apparent vector by the position of the target; by that of the spacecraft it is the negative.
+    r"""Derivative (3, 3) of the apparent vector by the position of the target, ICRF; by the spacecraft's its negative.
 
-    ``astrometric_km`` in ICRF axes; returns (3, 3).
-
-    The vector ``v = t(et - |v|/c) - s`` from the spacecraft ``s`` to the target ``t`` changes by
-    ``(I + w n^T / c)^-1 (dt - ds)`` with the velocity ``w`` of the target and the unit direction ``n``, and the boost
-    by its own derivative. Where the velocity of the target is not known, ``w`` is that of the spacecraft, which is off
-    by the relative velocity over that of light, 1e-4 at most.
+    The vector ``v = t(et - |v|/c) - s`` from the spacecraft ``s`` to the target ``t`` changes by ``(I + w n^T / c)^-1
+    (dt - ds)`` with the velocity ``w`` of the target (if unknown, of the spacecraft: 1e-4 off) and the unit direction
+    ``n``, and the boost by its own derivative.
     """
     velocity = circumstances.target_velocity_km_s
     if velocity is None:

@@ -50,10 +50,9 @@ def pointing_from_bodies(camera: Camera, rows: Sequence[ObservableRow]) -> Point
     """Attitude of an image from the bodies and landmarks in it.
 
     With ``C`` the covariance of all measured places, in which errors of ephemeris, size, pole, spin and camera are
-    common to the rows of a body, and ``e`` the small rotation about the camera axes that is looked for, the weighted
-    squares of ``o - project(Exp(e) A d)`` and of ``e`` over its a priori covariance are least; ``d`` are the apparent
-    directions by the ephemeris. A turn, and the place found with it, follow ``e`` by their derivatives by a rotation of
-    the body about the camera axes too, which is what an error of the attitude looks like.
+    common to the rows of a body, and ``e`` the small rotation about the camera axes, the weighted squares of ``o -
+    project(Exp(e) A d)``, ``d`` the apparent directions by the ephemeris, and of ``e`` over its a priori covariance are
+    least. A turn, and the place found with it, follow ``e`` by their derivatives by a rotation of the body.
     """
     choices = [_select_used(rows, turned=turned) for turned in (False, True)]
     found = [_pointing(camera, used) for used in choices if used]
@@ -107,11 +106,7 @@ def _pointing(camera: Camera, used: Sequence[_Measured]) -> Pointing | Failure:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Measured(Value):
-    """Pixel and line of a row, and the turn of a body that has one: k numbers.
-
-    Their own covariance is (k, k); ``by_rotation`` (k, 3) are their derivatives by a small rotation of the body about
-    the camera axes, which only turned places are known to follow.
-    """
+    """Pixel and line, and turn if any, of a row, k numbers; ``by_rotation`` (k, 3) by the rotation of a turned body."""
 
     row: ObservableRow
     measured: Float

@@ -26,10 +26,8 @@ class Preference:
 def preferred(fixes: Sequence[CenterFix], *, accepted: Collection[int] = ()) -> Preference:
     """Choose the fix that a filter should take.
 
-    Suspect fixes are chosen only where a user accepted them. ``auto``, which checks its choice by an independent
-    estimator and fuses the two, is taken where it was run. Else each fix is compared with the others by what they do
-    not share, and of those that agree with the most others the one with the smallest error ellipse in the image is
-    taken.
+    Suspect fixes are chosen only where a user accepted them. ``auto`` is taken where it was run. Else, of the fixes
+    that agree with the most others by what they do not share, the one with the smallest error ellipse in the image.
 
     >>> preferred([])
     Preference(index=None, reason='no fix')

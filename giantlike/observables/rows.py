@@ -351,10 +351,7 @@ class _Point(Value):
         } | {names[cause]: _flat(partial) for cause, partial in by_cause.items() if cause in names}
 
     def by_time_tag(self, by_target: Float, by_attitude: Float | None) -> Float | None:
-        """Derivative (3,) by the lateness of the exposure; None where the velocities or the rate are not known.
-
-        ``by_target`` (3, 3), by the position of the target; ``by_attitude`` (3, 3).
-        """
+        """Derivative (3,) by the lateness of the exposure; None where the velocities or the rate are not known."""
         states, rate = self.circumstances, self.context.camera_rate_rad_s
         if states is None or states.target_velocity_km_s is None:
             return None

@@ -184,10 +184,7 @@ class MeasuredPosition(Value):
         return self.shared_km
 
     def effects(self, position_camera_km: Float, altitude_km: float, errors: Float) -> tuple[Float, Float]:
-        """Residuals and their derivatives by the errors of the image, as :meth:`LimbPoints.effects`.
-
-        ``errors`` (8 + c,), rotation (rad), displacement (km), altitude (km), outward shift (px), shared errors
-        (sigmas); returns ``residuals`` (3,), sigmas and ``design`` (3, 8 + c), sigmas per unit of each error.
+        """Residuals (3,) and their derivatives (3, 8 + c), in sigmas, by the errors as in :meth:`LimbPoints.effects`.
 
         The size in the image goes by the radius with the altitude of the limb over the range. A limb that is higher
         than assumed makes the body come out nearer, by the ratio of the radii, and so does one found farther outside.
@@ -346,11 +343,7 @@ _GRID = 720
 
 
 def limb_waves(angles_rad: ArrayLike, amplitudes: ArrayLike) -> Float:
-    """Waves around a limb, each by one standard deviation.
-
-    ``angles_rad`` (n,); ``amplitudes`` (w + 1,); returns (n, 2 w + 1), in the unit of the amplitudes: 1, cos, sin, cos
-    2, sin 2, .
-    """
+    """Waves (n, 2 w + 1) around a limb, 1, cos, sin, cos 2, sin 2, ..., each by one standard deviation (w + 1,)."""
     angles = as_floats(angles_rad, (), "angles_rad")
     sigmas = as_floats(amplitudes, (), "amplitudes")
     columns = [np.full(angles.shape, sigmas[0])]
@@ -360,10 +353,7 @@ def limb_waves(angles_rad: ArrayLike, amplitudes: ArrayLike) -> Float:
 
 
 def wave_amplitudes(sigma: float, length_rad: float, waves: int) -> Float:
-    r"""Amplitudes of the waves of an error that is correlated along the limb by ``exp(-chord / length)``.
-
-    ``length_rad``: correlation length over the radius of the limb; returns (waves + 1,), for :func:`limb_waves`, in the
-    unit of ``sigma``.
+    r"""Amplitudes (waves + 1,) of an error correlated along the limb by ``exp(-chord / length)``, length in radii.
 
     >>> amplitudes = wave_amplitudes(1.0, 0.3, 200)
     >>> bool(abs(amplitudes[0] ** 2 + (amplitudes[1:] ** 2).sum() - 1.0) < 0.01)

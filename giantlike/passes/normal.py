@@ -35,11 +35,7 @@ class ImageSums(Value):
         return np.asarray(np.linalg.solve(self.inner, self.random.T @ self.pull), dtype=np.float64)
 
     def without_new(self) -> tuple[Float, Float, float, float]:
-        """Sums with the new errors integrated out.
-
-        Returns ``information`` (8 + c, 8 + c); ``pull`` (8 + c,); ``squares``; ``log_determinant``: of the covariance
-        of the residuals, relative to the covariance of their noise.
-        """
+        """Information, pull, squares, relative log determinant of the covariance; the new errors integrated out."""
         seen = self.information @ self.random
         gain = np.linalg.solve(self.inner, np.column_stack([seen.T, self.random.T @ self.pull]))
         information: Float = self.information - seen @ gain[:, :-1]

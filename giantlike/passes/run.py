@@ -98,14 +98,12 @@ def pass_from_run(folder: Path, choice: RunPass) -> NavigationPass:
 
 
 def pass_from_rows(rows: Sequence[ObservableRow], camera: Camera, choice: RunPass) -> NavigationPass | None:
-    """Make a pass of rows of observables.
-
-    Returns None where no row is of use.
+    """Make a pass of rows of observables; None where no row is of use.
 
     A trajectory error moves all images along a straight line: valid for passes of hours. A late exposure moves the body
     by its motion relative to the spacecraft and, where the attitude is not from its own stars, by the rotation of the
-    camera, as far as its rate is known. Of rows with one attitude, errors are shared as far as the smallest covariance
-    goes; what the others have beyond it, the drift since the image of stars, is new in each.
+    camera if known. Of rows with one attitude, errors are shared as far as the smallest covariance goes; the drift
+    beyond it is new in each.
     """
     chosen = sorted(
         (row for row in rows if _usable(row) and row.target == choice.target and _during(row, choice)), key=_epoch
@@ -221,11 +219,7 @@ def _light_axes(row: ObservableRow, turn: Rotation, measured: Float) -> Float:
 def _signed_shifts(
     row: ObservableRow, cause: str, camera: Camera, attitude_rad2: Sequence[float] | None
 ) -> Float | None:
-    """Shifts (3, k), px, px and km, by one standard deviation of each parameter of a cause, from the partials of a row.
-
-    ``attitude_rad2``: covariance of the attitude.
-    Returns None for a cause without partials: its shifts are known apart from their signs.
-    """
+    """Shifts (3, k), px, px and km, by one sigma of each parameter of a cause; None without partials, hence signs."""
     pole, spin, sun, known = row.sigma_pole_rad, row.sigma_spin_rad, row.sigma_sun_rad, camera.uncertainty
     covariances: dict[str, tuple[Sequence[float] | None, object]] = {
         "attitude": (row.partial_attitude, attitude_rad2),

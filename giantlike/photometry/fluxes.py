@@ -287,10 +287,7 @@ class _Work:
         return np.flatnonzero((self.away >= inner_px) & (self.away < outer_px))
 
     def clip_ring(self, ring: NDArray[np.int64], noise: Float | None = None) -> tuple[Mask, Float, Float]:
-        """Pixels (n, m) of a ring without those of other sources, their mean and their variance (n,).
-
-        ``noise`` (n,): of a pixel, which sets the limit where the source itself does not add far more.
-        """
+        """Pixels (n, m) of a ring without other sources, by their noise (n,), and their mean and variance (n,)."""
         values, valid = (each.reshape(len(each), -1)[:, ring] for each in (self.patches.values_dn, self.patches.valid))
         if not valid.all():
             values = np.where(valid, values, np.nan)

@@ -128,10 +128,7 @@ class Drawn(Value):
 
 
 def draw_law(law: Reflectance, sigma: float, random: np.random.Generator) -> Reflectance:
-    """Law that a surface may follow where another is declared.
-
-    It differs by a share of Lambert's law in place of Lommel and Seeliger's, and by a slope over the phase angle.
-    """
+    """Law that a surface may follow where another is declared: a share of Lambert's, and a slope over the phase."""
     share, slope = sigma * random.standard_normal(2)
     return UserReflectance(function=partial(_mixed_law, law, float(share), float(slope)), name="drawn")
 

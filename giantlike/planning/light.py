@@ -128,8 +128,7 @@ def choose_exposure(
 ) -> int:
     """Index of the shortest exposure that fills the well to its lower limit with the signal to noise ratio needed.
 
-    Where none does, of the longest whose 95 % quantile is within the upper limit and which motion allows; else of the
-    shortest.
+    Else of the longest whose 95 % quantile is within the upper limit and which motion allows; else of the shortest.
     """
     good = [
         number

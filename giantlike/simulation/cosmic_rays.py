@@ -17,10 +17,7 @@ _FLATTEST_COSINE = 0.02  # cosine of incidence at which flatter tracks, one in 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CosmicRays:
-    """Rate of the particles that hit a detector and the charge that they leave.
-
-    The flux is isotropic, so that the squared sine of the angle of incidence is uniform.
-    """
+    """Rate of the particles that hit a detector, isotropically, and the charge that they leave."""
 
     rate_s_cm2: float = 0.0  # in 1/s/cm^2; rate through the area of the detector
     hits_per_image: float = 0.0  # mean number of hits in an image of any exposure, added to the rate

@@ -27,10 +27,7 @@ Seed = int | tuple[int, ...]  # one or several whole numbers >= 0: equal seeds g
 
 
 class Stream(IntEnum):
-    """Streams of random numbers, one for each effect, independent of one another.
-
-    Shot noise is drawn about the mean charge, so an effect that changes the mean changes the shot noise too.
-    """
+    """Streams of random numbers, one for each effect (shot noise also follows the mean charge that others change)."""
 
     RAYS = 0
     SHOT_NOISE = 1
@@ -64,10 +61,7 @@ class HotPixels(Value):
 
     @classmethod
     def draw(cls, count: int, columns: int, rows: int, rng: np.random.Generator, *, median_e_s: float) -> HotPixels:
-        """Draw hot pixels uniformly over a detector, with log-uniform rates over a factor of ten about their median.
-
-        ``median_e_s`` in electron/s.
-        """
+        """Draw hot pixels uniformly over a detector, with log-uniform rates over a factor of ten about their median."""
         points = scattered_pixels(count, columns, rows, rng)
         return cls(points_px=points, rate_e_s=median_e_s * 10.0 ** rng.uniform(-_DECADES / 2, _DECADES / 2, count))
 
@@ -86,10 +80,7 @@ def scattered_pixels(count: int, columns: int, rows: int, rng: np.random.Generat
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DetectorModel(Value):
-    """Detector effects beyond the gain, bias, read noise and saturation of a camera file.
-
-    By default only shot noise is on.
-    """
+    """Detector effects beyond those of a camera file; by default only shot noise is on."""
 
     stray: StrayLight = field(default_factory=StrayLight)  # stray light
     flat: FlatField = field(default_factory=FlatField)  # response of the pixels

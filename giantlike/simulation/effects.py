@@ -105,11 +105,7 @@ class FrameTransfer:
         require_number(self.row_time_s, "frame transfer row_time_s", least=0.0)
 
     def smear_e(self, light_e: Float, exposure_s: float) -> Float:
-        """Charge that the moving rows collect.
-
-        ``light_e`` (rows, columns); ``exposure_s``: exposure time (the rate of light, ``light_e / exposure_s``, is
-        constant); returns (rows, columns).
-        """
+        """Charge (rows, columns) that the moving rows collect, at the rate of light ``light_e / exposure_s``."""
         if self.row_time_s == 0.0 or exposure_s <= 0.0:
             return np.zeros_like(light_e)
         share = self.row_time_s / exposure_s

@@ -118,8 +118,7 @@ def incident_light(
 ) -> IncidentLight:
     """Gather the light of bodies and stars on the pixels of a camera.
 
-    Where the image moves, bodies and stars are drawn together at several moments of the exposure, so that a star that
-    a body hides for half of the exposure gives half of its light.
+    Where the image moves, all are drawn at several moments: a body may hide a star for a part of the exposure.
     """
     if camera.psf is None:
         raise InputError(f"camera {camera.name!r} has no psf; simulated images need one: add [psf] to its file")

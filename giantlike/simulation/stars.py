@@ -69,10 +69,7 @@ def star_field(
 
 
 def point_sources(points_px: ArrayLike, flux: ArrayLike, *, sigma_px: float, columns: int, rows: int) -> Float:
-    """Draw point sources with a round Gaussian PSF, integrated exactly over each pixel.
-
-    ``points_px`` (n, 2); ``flux`` (n,); returns (rows, columns), sum in each pixel, in the unit of ``flux``.
-    """
+    """Draw point sources (n, 2) of flux (n,) with a round Gaussian PSF, integrated exactly over each pixel."""
     points, light = as_floats(points_px, (2,), "points_px"), as_floats(flux, (), "flux")
     require(
         points.ndim == 2 and light.shape == points.shape[:1],

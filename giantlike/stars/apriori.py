@@ -56,19 +56,15 @@ def identify_apriori(
 ) -> Identification | Failure:
     """Identify stars near where an a priori attitude predicts them.
 
-    Steps 1-10 of the matching in [1]_: predict, pair nearest neighbors, drop distant and ambiguous pairs, solve
-    for the attitude of random samples of four and keep the one with most inliers (on a tie: the smaller sum of
-    squares). If that fails, the shift shared by most star-detection pairs within ``max_pixel_distance`` is subtracted
-    and the steps are repeated, so that the attitude may be wrong by more than the distance between stars. Shifts are
-    compared first to ``inlier_px`` (for crowded fields), then to the spread that an error of roll gives them.
+    Predict, pair nearest neighbors, drop distant and ambiguous pairs, solve for the attitude of random samples of four
+    and keep the one with most inliers (on a tie: the smaller sum of squares). If that fails, the shift shared by most
+    star-detection pairs within ``max_pixel_distance`` is subtracted and the steps are repeated. Shifts are compared
+    first to ``inlier_px`` (for crowded fields), then to the spread that an error of roll gives them.
 
-    ``directions_inertial`` (n, 3), apparent unit vectors of catalog stars in and around the field of view, brightest
-    first; ``points_px`` (m, 2), detections, brightest first.
+    ``directions_inertial`` (n, 3), apparent, and ``points_px`` (m, 2): brightest first.
 
-    References
-    ----------
-    .. [1] Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Matching Potential
-       Stars with Known Stars From a Star Catalog, steps 1-10.
+    Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Matching Potential
+    Stars with Known Stars From a Star Catalog, steps 1-10.
     """
     predicted = predicted_in_frame(
         directions_inertial, camera, camera_from_inertial, margin_px=options.max_pixel_distance
@@ -121,11 +117,7 @@ def _identify_shifted(
 
 
 def common_shift_px(predicted_px: Float, points_px: Float, max_distance_px: float, spread_px: float) -> Float:
-    """Displacement shared by most pairs of a predicted star and a detection.
-
-    ``predicted_px`` (n, 2), ``points_px`` (m, 2); returns (2,), detection minus prediction, zero if no pair is close
-    enough.
-    """
+    """Shift (2,) shared by most pairs of a predicted star (n, 2) and a detection (m, 2); zero if no pair is close."""
     tree, other = cKDTree(points_px), cKDTree(predicted_px)
     pairs = tree.sparse_distance_matrix(other, max_distance_px, output_type="ndarray")
     if pairs.size == 0:
@@ -142,10 +134,7 @@ def common_shift_px(predicted_px: Float, points_px: Float, max_distance_px: floa
 def ransac_attitude(
     directions_inertial: Float, points_px: Float, camera: Camera, options: StarOptions
 ) -> tuple[Rotation, int]:
-    """Attitude of the random sample of four pairs that agrees with most pairs (RANSAC).
-
-    ``directions_inertial`` (k, 3), ``points_px`` (k, 2); returns ``camera_from_inertial`` and ``n_inliers``.
-    """
+    """Attitude of the random sample of four of k pairs that agrees with most pairs (RANSAC), and their number."""
     vectors_camera = camera.model.unproject(points_px)
     seen = np.isfinite(vectors_camera).all(axis=1)
     directions, vectors, points = directions_inertial[seen], vectors_camera[seen], points_px[seen]

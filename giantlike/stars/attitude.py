@@ -93,15 +93,11 @@ def fit_attitude(
 ) -> AttitudeSolution | Failure:
     """Fit an attitude to identified stars by weighted least squares.
 
-    Every star is weighted with its full 2x2 covariance or, by the methods that solve Wahba's problem, with the mean of
-    its variances along both axes. Stars with residuals beyond ``outlier_sigma`` are rejected in rounds, with the
-    scatter estimated by its median. If the remaining residuals exceed their covariances, these are scaled by a factor
-    and an error floor common to all stars is added in quadrature, so that chi-square equals its degrees of freedom
-    (:func:`~giantlike.core.statistics.error_terms`): the covariance of the attitude then includes the unmodeled error.
-    No star weighs more than half of all others together, whose residuals could not show its unmodeled error.
-
-    ``directions_inertial`` (n, 3), apparent unit vectors of the stars; ``points_px`` (n, 2); ``covariance_px2``
-    (n, 2, 2), of centroid and catalog together, positive definite.
+    Every star is weighted with its full covariance (n, 2, 2) of centroid and catalog or, by the methods that solve
+    Wahba's problem, with the mean of its variances along both axes. Stars with residuals beyond ``outlier_sigma`` are
+    rejected in rounds, with the scatter estimated by its median. If the remaining residuals exceed their covariances,
+    these are scaled by a factor and a common error floor is added (:func:`~giantlike.core.statistics.error_terms`). No
+    star weighs more than half of all others together, whose residuals could not show its unmodeled error.
 
     Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Attitude Estimation.
     """
@@ -170,10 +166,7 @@ class _AttitudeState:
         return self.model.project(rotate(self.rotation, directions_inertial))
 
     def jacobian(self, directions_inertial: Float, scale: Scale, uncertain: Sequence[str] = ()) -> Float:
-        """Derivatives (n, 2, 3 + scale + m) of the pixels.
-
-        They are by the small rotation, the log of the focal length, k1, and the m uncertain parameters of the model.
-        """
+        """Derivatives (n, 2, 3 + scale + m) of pixels by rotation, log focal length, k1, uncertain parameters."""
         vectors = rotate(self.rotation, directions_inertial)
         columns = [turned_about(vectors, self.model.project_jacobian(vectors))]
         if scale:

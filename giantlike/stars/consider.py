@@ -24,11 +24,7 @@ from giantlike.stars.options import StarOptions
 
 
 def response_to_camera(solution: AttitudeSolution, field: StarField) -> Float:
-    """Derivative of an attitude by the parameters of its camera model.
-
-    Returns (3, m) rad per unit of each parameter, of the small rotation that takes the attitude to the true one, in the
-    order of the names of the parameters.
-    """
+    """Derivative (3, m) of the small rotation to the true attitude by the parameters of its camera model, in order."""
     vectors = rotate(solution.camera_from_inertial, field.directions_inertial)
     return -np.tensordot(solution.by_pixels, solution.model.parameter_jacobian(vectors), axes=2)
 
@@ -36,11 +32,7 @@ def response_to_camera(solution: AttitudeSolution, field: StarField) -> Float:
 def attitude_parts(
     solution: AttitudeSolution, field: StarField, by_camera: Float, camera: Camera, image: Image, options: StarOptions
 ) -> Mapping[Cause, Float]:
-    """Covariance of an attitude by cause.
-
-    ``by_camera`` (3, m) rad per unit of each parameter, as :func:`response_to_camera` returns it; returns dict of Cause
-    to (3, 3) rad^2.
-    """
+    """Covariance of an attitude by cause; ``by_camera`` (3, m) as of :func:`response_to_camera`."""
     parts = {Cause.NOISE: solution.covariance_rad2}
     known = camera.uncertainty
     if known is not None:

@@ -69,12 +69,9 @@ def identify_lost_in_space(
     options: StarOptions,
     until_s: float | None = None,
 ) -> RefinedAttitude | Failure:
-    """Find the attitude of an image anywhere on the sky.
+    """Find the attitude of an image anywhere on the sky, from detections (m, 2), brightest first.
 
-    ``points_px`` (m, 2), detections, brightest first; ``covariance_px2`` (m, 2, 2).
-    ``until_s`` is the time of :func:`time.thread_time` at which the search ends.
-
-    Source: The ODIN paper (004 of the specification), Star Identification.
+    ``until_s``: :func:`time.thread_time` at which the search ends. Source: the ODIN paper (004), Star Identification.
     """
     until_s = time.thread_time() + options.time_limit_s if until_s is None else until_s
     return _solved_or_explained(_IdentificationProblem(points_px, covariance_px2, camera, sky, options, until_s))
@@ -90,11 +87,9 @@ def identify_in_cone(
     options: StarOptions,
     until_s: float | None = None,
 ) -> RefinedAttitude | Failure:
-    """Find the attitude of an image within ``options.attitude_error_deg`` of an a priori one, about any axis.
+    """Find the attitude within ``options.attitude_error_deg`` of an a priori one, about any axis.
 
     The same search as on the whole sky, in an index of the stars that such an image can show.
-
-    ``points_px`` (m, 2), detections, brightest first; ``covariance_px2`` (m, 2, 2); ``until_s`` as there.
     """
     until_s = time.thread_time() + options.time_limit_s if until_s is None else until_s
     problem = _IdentificationProblem(points_px, covariance_px2, camera, sky, options, until_s, camera_from_inertial)
@@ -349,9 +344,8 @@ def find_other_scale(
     *,
     options: StarOptions,
 ) -> Failure | None:
-    """Failure that names the focal length, 0.4 to 2.4 times that of the camera, that the stars of an image fit.
-
-    Around the a priori attitude; ``points_px`` (m, 2), detections, brightest first; ``covariance_px2`` (m, 2, 2).
+    """Failure that names the focal length, 0.4 to 2.4 of the camera's, that the stars fit near the a priori
+    attitude.
     """
     until_s = time.thread_time() + options.time_limit_s
     problem = _IdentificationProblem(points_px, covariance_px2, camera, sky, options, until_s, camera_from_inertial)

@@ -40,20 +40,14 @@ class Matches(Value):
 def predicted_in_frame(
     directions_inertial: Float, camera: Camera, camera_from_inertial: Rotation, *, margin_px: float
 ) -> Float:
-    """Pixels (n, 2) of stars, NaN for those that fall further than ``margin_px`` outside the image.
-
-    ``directions_inertial`` (n, 3), apparent unit vectors.
-    """
+    """Pixels (n, 2) of stars (n, 3), NaN for those that fall further than ``margin_px`` outside the image."""
     predicted = camera.model.project(rotate(camera_from_inertial, directions_inertial))
     predicted[~camera.contains(predicted, margin_px=-margin_px)] = np.nan
     return predicted
 
 
 def match_nearest(predicted_px: Float, points_px: Float, radius_px: float, *, ambiguous_px: float = 0.0) -> Matches:
-    """Pair stars and detections that are each other's nearest neighbor.
-
-    ``predicted_px`` (n, 2), NaN for those that the camera model cannot image; ``points_px`` (m, 2).
-    """
+    """Pair stars (n, 2), NaN if not imaged, and detections (m, 2) that are each other's nearest neighbor."""
     visible = np.flatnonzero(np.isfinite(predicted_px).all(axis=1))
     none = np.zeros(0, dtype=np.intp)
     if visible.size == 0 or len(points_px) == 0:
@@ -74,9 +68,8 @@ def match_nearest(predicted_px: Float, points_px: Float, radius_px: float, *, am
 def chance_of_match(predicted_px: Float, points_px: Float, radius_px: float, area_px2: float) -> float:
     """Probability that a detection has a random star within ``radius_px``.
 
-    The larger of two estimates: from the mean density of stars, and from the matches counted after shifting all
-    detections by 24 displacements, which includes the clustering of stars and detections; of many detections a part
-    is shifted by each.
+    The larger of two estimates: by the mean density of stars, and by the matches after shifting all detections (of
+    many, parts) by 24 displacements, which includes the clustering of stars and detections.
     """
     stars = predicted_px[np.isfinite(predicted_px).all(axis=1)]
     if len(stars) == 0 or len(points_px) == 0:
@@ -97,10 +90,7 @@ def false_match_probability(n_matched: int, n_detected: int, chance: float, tria
 
 
 def log_chance(n_matched: NDArray[np.intp], n_detected: int, chance: Float) -> Float:
-    """Chernoff bound of the logarithm of the binomial tail: finite where the tail itself underflows.
-
-    ``n_matched``, ``chance`` (k,); returns (k,), at most 0.
-    """
+    """Chernoff bound (k,), at most 0, of the logarithm of the binomial tail: finite where the tail underflows."""
     share = n_matched / n_detected
     exponent: Float = -n_detected * (rel_entr(share, chance) + rel_entr(1.0 - share, 1.0 - chance))
     return np.where(share > chance, exponent, 0.0)
@@ -133,11 +123,9 @@ def attitudes_within(radius_px: float, max_pixel_distance: float) -> float:
 
 
 def confusion_px(predicted_px: Float, magnitudes: Float) -> Float:
-    """Largest shift of the centroids of stars by neighbors within ``BLEND_PX``.
+    """Largest shift (n,) of the centroids of stars (n, 2) by neighbors within ``BLEND_PX``.
 
     A neighbor of flux ratio q at distance d shifts a blended centroid by d q / (1 + q).
-
-    ``predicted_px`` (n, 2); ``magnitudes`` (n,); returns (n,).
     """
     shift = np.zeros(len(predicted_px))
     visible = np.flatnonzero(np.isfinite(predicted_px).all(axis=1))
@@ -152,11 +140,7 @@ def confusion_px(predicted_px: Float, magnitudes: Float) -> Float:
 
 @compiled
 def nearest(among_px: Float, of_px: Float, count: int, reach_px: float) -> tuple[Float, NDArray[np.intp]]:
-    """Find the nearest of some points for each of others.
-
-    ``among_px`` (n, 2); ``of_px`` (m, 2); returns ``distance`` (m, count) px, nearest first, infinite where there is
-    none within reach; ``index`` (m, count).
-    """
+    """Distances, infinite beyond reach, and indices (m, count) of the nearest of points (n, 2) for others (m, 2)."""
     n = len(among_px)
     (low_x, low_y), (high_x, high_y) = among_px[0], among_px[0]
     for x, y in among_px:

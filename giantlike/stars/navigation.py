@@ -356,10 +356,7 @@ class StarNavigation:
         return Quality.DEFOCUSED if shortest > _ROUND * longest else Quality.BLURRED
 
     def _other_sky(self, detections: Detections, usable: NDArray[np.intp], outcome: RefinedAttitude) -> Quality:
-        """Flag of an image that shows two skies: bright sources without a star, and bright stars without a source.
-
-        One of them alone also occurs with a correct attitude: gaps of the catalog and ghosts, or missing lines.
-        """
+        """Flag of an image that shows two skies: bright sources without a star, and bright stars without a source."""
         solution, matches = outcome.solution, outcome.matches
         stars, found = matches.star_indices[solution.used], usable[matches.detection_indices[solution.used]]
         camera, magnitude = replace(self.camera, model=solution.model), outcome.field.stars.magnitude
@@ -424,9 +421,8 @@ def _is_final(outcome: _SolvedAttitude | Failure) -> bool:
 def _enough(detections: Detections, solved: _SolvedAttitude, left: UnmeasuredSources) -> bool:
     """True if the sources left out would shrink the covariance of an attitude by less than 5 %.
 
-    The same fraction of them as of the measured ones is assumed to be catalog stars, with the errors beyond the
-    noise (floor, catalog, neighbors) that the stars used have in the median. Where unmodeled errors are likely, all
-    sources are measured: few stars estimate such errors badly.
+    As many of them as of the measured ones are assumed to be stars, with median errors. Where unmodeled errors are
+    likely, all sources are measured: few stars estimate such errors badly.
     """
     fix, solution = solved
     if solution.unmodeled_likely:

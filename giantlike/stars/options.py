@@ -133,10 +133,7 @@ class StarOptions:
 
 
 def bright_enough(snr: Float, min_snr: float) -> Mask:
-    """Select detections by signal to noise ratio.
-
-    ``snr`` (k,); returns (k,), True for detections of at least ``min_snr``, and for the 20 brightest at any ratio.
-    """
+    """Select detections (k,) by signal to noise ratio; the 20 brightest at any ratio."""
     bright: Mask = snr >= min_snr
     bright[np.argsort(-snr, kind="stable")[:_ALWAYS_KEPT]] = True
     return bright

@@ -62,10 +62,7 @@ def _pixel_readings(apriori: Rotation) -> Iterator[_Reading]:
 
 
 def find_reading(points_px: Float, camera: Camera, sky: Sky, apriori: Rotation, options: StarOptions) -> Failure | None:
-    """Failure that names the reading with which the stars match; None if they match with none.
-
-    ``points_px`` (m, 2), detections, brightest first.
-    """
+    """Failure that names the reading with which the detections (m, 2) match stars; None if they match with none."""
     points = points_px[:_BRIGHTEST]
     for reading in (*attitude_readings(apriori), *_pixel_readings(apriori)):
         around = sky.field(
@@ -113,8 +110,7 @@ def is_interlaced(
 ) -> bool:
     """Return True where odd and even rows disagree on the positions of stars by more than the sigma of an attitude.
 
-    ``pixels``, ``bad`` (rows, columns); ``points_px`` (n, 2), ``background_dn`` (n,); ``sigma_px`` is the standard
-    deviation along rows of the attitude, which half of the shift displaces.
+    ``sigma_px``: of the attitude along rows, which half of the shift displaces.
     """
     shifts = _row_shifts(pixels, bad, points_px, background_dn, math.ceil(_REACH_SIGMAS * psf_sigma_px) + _ROOM_PX)
     if len(shifts) < _LEAST_STARS:

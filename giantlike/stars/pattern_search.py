@@ -54,10 +54,7 @@ class Hypothesis(Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PatternCandidates(Value):
-    """Patterns of the image and patterns of the index that match, and the attitude of each match.
-
-    ``detections`` and ``stars`` are (k, size); ``matrices`` (k, 3, 3) camera_from_inertial; ``scales`` (k,).
-    """
+    """Patterns (k, size) of detections and of stars of the index that match, attitude (k, 3, 3) and scale of each."""
 
     detections: NDArray[np.intp]
     stars: NDArray[np.intp]
@@ -201,14 +198,11 @@ class Search(Value):
 
 
 def searches(vectors: Float, half_fov_rad: float, pattern: Pattern) -> Iterator[Search]:
-    """Searches for patterns, the most likely to succeed first.
+    """Searches for patterns of detections (m, 3), camera axes or NaN, the most likely to succeed first.
 
     In a narrow image the brightest detections form patterns; then more of them; detections of each half (trees, a
     planet or a limb may fill the other); and patterns of other sizes. In a wide image, and for patterns much smaller
     than it, the brightest detections of each part of the image form patterns, from the center outwards.
-
-    ``vectors`` (m, 3), camera axes, lines of sight of the detections, brightest first, NaN where the camera sees
-    nothing.
     """
     seen = np.flatnonzero(np.isfinite(vectors).all(axis=1))
     at_first, later = _LEAST[pattern]

@@ -64,8 +64,6 @@ def refine_attitude(
     """Refine an attitude by alternately matching stars with detections and fitting the matches.
 
     The number of brightest stars used is the one that makes the matches least likely to be random.
-
-    ``points_px`` (m, 2); ``covariance_px2`` (m, 2, 2).
     """
     refinement = _Refinement(field, points_px, covariance_px2, trials, options)
     rotation, radius = camera_from_inertial, radius_px
@@ -96,10 +94,7 @@ def refine_attitude(
 
 
 def significant_matches(predicted_px: Float, points_px: Float, radius_px: float, area_px2: float) -> Matches:
-    """Nearest-neighbor pairs with the number of brightest stars that makes them least likely to be random.
-
-    ``predicted_px`` (n, 2), stars, brightest first, NaN for those outside the image; ``points_px`` (m, 2).
-    """
+    """Nearest-neighbor pairs with the number of brightest stars that makes them least likely to be random."""
     matches = match_nearest(predicted_px, points_px, radius_px)
     if len(matches) == 0:
         return matches

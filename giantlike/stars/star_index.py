@@ -98,10 +98,7 @@ class StarIndex(Value):
         return float(2.0 * np.sin(min(self.radius_rad, np.pi / 2.0)))
 
     def find(self, codes: Float, tolerance: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Look up patterns in all cells that contain codes within a tolerance along every axis.
-
-        ``codes`` (q, d); returns ``asked``, ``found`` (k,).
-        """
+        """Look up patterns, ``asked`` and ``found`` (k,), within a tolerance of codes (q, d) along every axis."""
         d = codes.shape[1]
         n = _CELLS[d]
         low = np.clip(np.floor((codes - tolerance) * n).astype(np.int64), 0, n - 1)
@@ -132,10 +129,7 @@ def build_index(
     axis: ArrayLike = (0.0, 0.0, 1.0),
     reach_rad: float = np.pi,
 ) -> StarIndex:
-    """Build the index of the patterns of the brightest stars of every cap.
-
-    ``ids`` (n,); ``directions`` (n, 3), inertial axes, of the stars, brightest first; ``axis`` in inertial axes.
-    """
+    """Build the index of the patterns of the brightest of stars (n, 3), brightest first, of every cap."""
     size, density = pattern.stars, density_for(radius_rad)
     centers = caps(density.spacing * radius_rad, axis, reach_rad)
     members = _brightest_in_caps(directions, radius_rad, centers, density.per_cap)
@@ -172,10 +166,7 @@ def hash_rows(rows: NDArray[np.intp]) -> NDArray[np.uint64]:
 
 
 def caps(spacing_rad: float, axis: ArrayLike = (0.0, 0.0, 1.0), reach_rad: float = np.pi) -> Float:
-    """Evenly spread directions within an angle of an axis (a Fibonacci lattice).
-
-    ``axis``: a unit vector; returns (n, 3), unit vectors in the frame of the axis, the closest to it first.
-    """
+    """Evenly spread unit vectors (n, 3) within an angle of an axis, the closest to it first (a Fibonacci lattice)."""
     n = max(int(np.ceil(4.0 * np.pi / spacing_rad**2)), 12)
     count = min(n, int(np.ceil(n * (1.0 - np.cos(min(reach_rad, np.pi))) / 2.0)) + 1)
     number = np.arange(count)
@@ -233,9 +224,8 @@ def sky_index(
 ) -> StarIndex:
     """Index of the whole sky of a catalog, from memory, from the cache folder, or made now.
 
-    Making one takes well below a second for fields from 10 degrees up, and about 10 s at 1 degree, where it holds
-    half a million stars. The names of cached files contain a hash of the stars, so that the patterns of a changed
-    catalog are rebuilt.
+    Making one takes well below a second for fields from 10 degrees up, and about 10 s at 1 degree. The names of cached
+    files contain a hash of the stars.
     """
     key = (id(catalog), pattern, _step(radius_rad), max_magnitude)
     held = _memory.get(key)
@@ -324,17 +314,12 @@ _REST = _PAIRS[::-1]
 
 
 def describe_triads(vectors: Float, triads: NDArray[np.intp]) -> tuple[Float, NDArray[np.intp], Mask]:
-    """Sides of triads of unit vectors, with the stars ordered by them.
+    """Sides (m, 3) of triads of unit vectors (n, 3), longest first, with the stars ordered by them, and their sense.
 
-    The three interstar angles are the invariants of three directions under rotation [1]_; here as chords,
-    ``2 sin(angle / 2)``, which need no arc cosine. A mirror image has the same chords and the opposite sense.
+    The three interstar angles are the invariants of three directions under rotation; here as chords, ``2 sin(angle /
+    2)``, which need no arc cosine. A mirror image has the same chords and the opposite sense.
 
-    ``vectors`` (n, 3), unit vectors, in any frame; ``triads`` (m, 3); returns ``sides`` (m, 3), chords, longest first;
-    ``ordered`` (m, 3); ``right_handed`` (m,), True if the ordered stars have a positive triple product.
-
-    References
-    ----------
-    .. [1] The ODIN paper (004 of the specification), Star Identification: eq. 7, and triads for calibrated cameras.
+    Source: The ODIN paper (004 of the specification), Star Identification: eq. 7, and triads for calibrated cameras.
     """
     corners = vectors[triads]
     across = corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]]
@@ -350,16 +335,11 @@ def describe_quads(vectors: Float, quads: NDArray[np.intp]) -> tuple[Float, NDAr
     """Codes of quads of unit vectors: the positions of two stars in the frame of the two most distant ones.
 
     A similarity of the plane tangent to the sphere at the center of the quad takes the most distant stars, A and B, to
-    (0, 0) and (1, 1); the positions of the other two, C and D, are the code [1]_. Only quads whose C and D lie in the
-    circle over AB are kept. A is the end to which C and D are closer, C the star of smaller first coordinate.
+    (0, 0) and (1, 1); the positions of the other two, C and D, are the code (k, 4), scaled from the extent of the
+    circle over AB, in which they must be, to [0, 1]. A is the end to which C and D are closer, C the star of smaller
+    first coordinate. Returned, too: indices (k, 4) of A to D, and of the quads kept (k,).
 
-    ``vectors`` (n, 3), unit vectors, in any right-handed frame; ``quads`` (m, 4), indices into ``vectors``; returns
-    ``codes`` (k, 4), C and D, scaled from the extent of the circle to [0, 1]; ``ordered`` (k, 4), indices of A, B, C
-    and D of the quads kept; ``which`` (k,).
-
-    References
-    ----------
-    .. [1] The ODIN paper (004 of the specification), Star Identification: quads for uncalibrated cameras.
+    Source: The ODIN paper (004 of the specification), Star Identification: quads for uncalibrated cameras.
     """
     corners = vectors[quads]
     apart = np.einsum("mij,mkj->mik", corners, corners)[:, _PAIRS[:, 0], _PAIRS[:, 1]]

@@ -36,14 +36,12 @@ _MARGIN = 1.3  # half size of the region used / half size of the pinhole image: 
 
 
 def tetra_hypotheses(points_px: Float, camera: Camera, sky: Sky, *, options: StarOptions) -> Iterator[Hypothesis]:
-    """Attitudes found by tetra3rs from the brightest detections, in several attempts, lazily.
+    """Attitudes found by tetra3rs from the brightest detections (m, 2), in several attempts, lazily.
 
     The attempts use all detections with tight and with loose tolerance of the shape of patterns (an unknown lens
     distorts them), detections of each half of the image (trees, a planet or a limb may fill the other), the brightest
-    alone (a few stars among hundreds of hot pixels), and patterns of more detections.
-
-    ``points_px`` (m, 2), detections, brightest first; yields None for fields below ``MIN_FOV_DEG`` and for mirrored
-    images.
+    alone (a few stars among hundreds of hot pixels), and patterns of more detections. None for too small fields and
+    mirrored images.
     """
     fov_deg = _pattern_fov_deg(camera)
     if fov_deg < MIN_FOV_DEG:
@@ -111,10 +109,7 @@ def _pattern_fov_deg(camera: Camera) -> float:
 
 
 def _undistorted_px(points_px: Float, camera: Camera, fov_deg: float) -> Float:
-    """Pixels (m, 2) of the detections in a pinhole camera of the same focal length, from its principal point.
-
-    NaN well outside the field of view, and behind the camera.
-    """
+    """Pixels (m, 2) from the principal point of a pinhole camera of the same focal length; NaN far outside."""
     vectors = camera.model.unproject(points_px)
     depth = np.where(vectors[:, 2] > 0, vectors[:, 2], np.nan)[:, None]
     plane = vectors[:, :2] / depth
@@ -130,10 +125,7 @@ fewer patterns of each."""
 
 
 def pattern_database(fov_deg: float) -> tetra3rs.SolverDatabase:
-    """Pattern database of tetra3rs for a field of view, from memory, from the cache folder, or made now.
-
-    Making one takes 0.1 s (30 degrees) to 2.5 s (3 degrees) and 6 s (1 degree), 2 to 130 MB on disk.
-    """
+    """Pattern database of tetra3rs for a field of view, from memory, the cache folder, or made in 0.1 to 6 s."""
     return _database(round(math.log(fov_deg) / math.log(_STEP)))
 
 

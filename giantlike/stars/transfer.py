@@ -105,15 +105,11 @@ def transfer_attitude(
 ) -> TransferredAttitude | Failure:
     """Attitude at a time from star solutions at other times.
 
-    ``replace`` and ``propagate`` use the solution nearest in time (the earlier one of two equally near). With
-    ``D`` the relative rotation that the method assumes, ``C = D C_s`` and ``P = D P_s D^T``.
-
-    ``interpolate`` turns at a constant rate: ``C = Exp(w phi) C_1`` with ``phi = Log(C_2 C_1^-1)``. To first
-    order the errors ``e_1, e_2`` of the two solutions give
-    ``e = (Exp(w phi) - w J(w phi) J(-phi)^-1) e_1 + w J(w phi) J(phi)^-1 e_2``, J the left Jacobian of
-    SO(3); for small rotations this is ``(1 - w) e_1 + w e_2``.
-
-    The random walk of the options adds ``q gap``, between two solutions ``q gap_1 gap_2 / (gap_1 + gap_2)``.
+    ``replace`` and ``propagate`` use the solution nearest in time: with the assumed rotation ``D``, ``C = D C_s`` and
+    ``P = D P_s D^T``. ``interpolate`` turns at a constant rate: ``C = Exp(w phi) C_1`` with ``phi = Log(C_2 C_1^-1)``.
+    To first order the errors ``e_1, e_2`` of the two solutions give ``e = (Exp(w phi) - w J(w phi) J(-phi)^-1) e_1 + w
+    J(w phi) J(phi)^-1 e_2``, J the left Jacobian of SO(3). The random walk of the options adds ``q gap``, between two
+    solutions ``q gap_1 gap_2 / (gap_1 + gap_2)``.
     """
     propagate = options.method is TransferMethod.PROPAGATE and rates is None
     if propagate and apriori is None:
@@ -247,8 +243,7 @@ def _between(
 def _propagate(stars: Sequence[StarAttitude], by_stars: Sequence[Float], drift: Float) -> tuple[Float, AttitudeErrors]:
     """Covariance (3, 3) and errors of ``sum(B e) + drift`` of star solutions with errors ``e``.
 
-    Noise is new in each solution. Other causes (the camera, the velocity of the observer) are common to all of them:
-    with ``S`` the symmetric root of such a part, they add up to ``sum(B S)``, which is exact where the parts are equal.
+    Noise is new in each solution; other causes, of root ``S``, are common to all and add up to ``sum(B S)``.
     """
     parts = [star.errors.parts or {Cause.NOISE: star.covariance_rad2} for star in stars]
     total = {Cause.NOISE: drift}

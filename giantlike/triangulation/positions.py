@@ -98,8 +98,7 @@ class TriangulatedPosition(Value):
 class _SightlineArrays:
     """Lines as arrays: positions and directions (n, 3), axes across (n, 3, 2), and the causes of their errors.
 
-    ``by_range`` holds covariances (2n, 2n), rad^2, of errors that grow with range (noise, attitude); ``by_place``,
-    km^2, of errors that do not (ephemerides).
+    Covariances (2n, 2n): ``by_range``, rad^2, of errors that grow with range; ``by_place``, km^2, of those that do not.
     """
 
     positions_km: Float
