@@ -1,13 +1,10 @@
 """Photometric bands: magnitudes in one from those in another and a color.
 
-A band is a polynomial in one color, added to the magnitude in the band that it rests on. Where that color is
-unknown, the other one stands in for it through a relation between the two; where none is known, a typical one.
+A band is a polynomial in one color, added to the magnitude in the band that it rests on. Where that color is unknown,
+the other one stands in for it through a relation between the two; where none is known, a typical one.
 
-References
-----------
-.. [1] Gaia DR3 documentation, 5.5.1, "Relationships with other photometric systems", table 5.9: G - V as a cubic in
-   BP-RP, scatter 0.03 mag, for -0.5 < BP-RP < 5. The coefficients were opened as quoted in the source of a public
-   astronomy library, which checked their sign and size on 4,000 stars with Tycho-2 photometry.
+Source: Gaia DR3 documentation, table 5.9: G - V as a cubic in BP-RP, scatter 0.03 mag, for -0.5 < BP-RP < 5, opened as
+quoted in a public astronomy library, which checked it on 4,000 stars with Tycho-2 photometry.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Order of the stars in a catalog, in which a cone is a few runs of neighbors.
 
-The sky is cut into ``ZONES`` zones of declination and each zone into cells of right ascension about as wide as it
-is high. Stars stand zone after zone, cell after cell, the brightest first in each. A cone touches one or two runs of
-cells in each zone. Stars that may be seen far from their catalog position, because they are fast or near, stand at
-the end, in no cell, and every cone looks at each of them; so they do not widen it.
+The sky is cut into ``ZONES`` zones of declination and each zone into cells of right ascension about as wide as it is
+high. Stars stand zone after zone, cell after cell, the brightest first in each. Stars that may be seen far from their
+catalog position, because they are fast or near, stand at the end, in no cell, and every cone looks at each of them.
 """
 
 from __future__ import annotations

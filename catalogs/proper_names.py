@@ -1,13 +1,8 @@
 """Proper names of bright stars, by position and magnitude, in any catalog.
 
-``iau_star_names.csv`` has the names that the IAU Working Group on Star Names approved for single stars of Hipparcos
-brighter than V = 6.5 [1]_, with the position at J2000.0 and Hp of the Hipparcos entry that the group names [2]_. Alula
-Australis is left out: the new reduction of Hipparcos does not have it.
-
-References
-----------
-.. [1] IAU Catalog of Star Names, edition of 2022-04-04, IAU Division C Working Group on Star Names (CC BY).
-.. [2] van Leeuwen (2007), Hipparcos, the New Reduction, catalog I/311.
+``iau_star_names.csv`` has the names (edition of 2022-04-04, CC BY) that the IAU Working Group on Star Names approved
+for single stars of Hipparcos brighter than V = 6.5, with the position at J2000.0 and Hp in the new reduction of
+Hipparcos (van Leeuwen 2007, I/311), which lacks Alula Australis.
 """
 
 from __future__ import annotations

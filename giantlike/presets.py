@@ -1,8 +1,7 @@
-"""Real cameras as data that ships with the package: model, size, order of rows, and where the numbers come from.
+"""Real cameras as data that ships with the package, one TOML file each in ``giantlike/camera_models/presets``.
 
-Each is a TOML file in ``giantlike/camera_models/presets``. A preset holds only values that its sources state: a
-camera without a ``psf`` or a detector noise has none in them, and estimators take both from the image. A calibration
-from stars of one's own images is better than any preset.
+A preset holds only values that its sources state: a camera without a ``psf`` or a detector noise has none in them, and
+estimators take both from the image. A calibration from stars of one's own images is better.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Silhouette of a body: points of its outline in the image, their normals and light, without a ray for the outline.
 
-The outline comes from silhouette edges and limb ellipses, intersected by lines in float64. Every ray that grazes a mesh
-meets a silhouette edge, and beyond the outermost one along a line there is only sky; the limb of an ellipsoid is an
-ellipse. Both are exact at any range. Where the camera model images only part of the outline, part of the body may still
-lie beyond.
+The outline comes from silhouette edges, which every ray that grazes a mesh meets, and limb ellipses, intersected by
+lines in float64: exact at any range. Where the camera images only part of it, part of the body may lie beyond.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Calls of C libraries that a damaged file can crash, in a separate process with limits on time and memory.
 
-CSPICE trusts the pointers and texts of its kernels. A function is named by its module; it takes a path and returns
-arrays by name, which come back as an ``.npz`` archive. Where the system can fork, a template process that has imported
-the libraries is started once; each call forks it, which costs milliseconds instead of the half second that Python and
-its libraries need to start. Nothing that a file does to its process outlives the call.
+A function is named by its module; it takes a path and returns arrays by name, which come back as an ``.npz`` archive.
+Where the system can fork, a template process that has imported the libraries is forked for each call, in milliseconds.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Exception boundary of all file readers: exceptions of a parser on a damaged file become a DataError with the path.
 
 A reader raises ``ValueError`` with a full sentence for unexpected content (:func:`check`), and passes on exceptions of
-the libraries it uses; the decorator :func:`reads` adds the path, and for libraries the remedy. Errors in the code of
-this package are not converted: a ``TypeError``, ``AttributeError``, ``NameError`` or ``AssertionError`` raised in
-giantlike itself is not caught; inside a parser library it is.
+libraries; the decorator :func:`reads` adds the path, and for libraries the remedy. Mistakes in giantlike itself
+(``TypeError``, ``AttributeError``, ``NameError``, ``AssertionError``) are not caught.
 """
 
 from __future__ import annotations

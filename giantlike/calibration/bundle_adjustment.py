@@ -1,8 +1,6 @@
 """Bundle adjustment: Levenberg-Marquardt fit of one camera model and the poses of all images.
 
-Each image adds the same few camera parameters and its own pose, so the matrix is an arrow: camera block, pose
-blocks on the diagonal, zero between images. Poses are eliminated block by block (Schur complement), so that the cost
-grows with the number of images and not with its cube.
+Poses are eliminated image by image (Schur complement), so that the cost grows with their number and not its cube.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Maps over the field of a camera: differences of models and their uncertainty in pixels, modulo a rotation.
 
-A calibration with free attitudes does not determine a rotation of the whole camera, and attitudes solved with it absorb
-it: two models that differ by a rotation are equivalent.
+Attitudes absorb a rotation of the whole camera: two models that differ by one are equivalent.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Campaigns: one TOML file in, a run folder with tables and a report out.
-
-``giantlike run`` calls ``run_campaign(Campaign.load("campaign.toml"))``. The names are imported when first used, since
-a report or an export does not need the modules that compute results.
-"""
+"""Campaigns: one TOML file in, a run folder with tables and a report out; names are imported when first used."""
 
 from __future__ import annotations
 

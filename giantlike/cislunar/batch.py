@@ -1,8 +1,7 @@
 """The problem of the filter solved at once: all images of an arc, noise of the parameters as part of the data.
 
-The unknowns are the 21 states at the start. Process noise correlates the measurements, so
-that their covariance is dense. Gauss-Newton iterations linearize about the estimate, where a filter does so as it
-goes; for a linear problem both agree.
+The unknowns are the 21 states at the start; process noise makes the covariance of the measurements dense. Gauss-Newton
+iterations linearize about the estimate; for a linear problem filter and batch agree.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Measurements of a round body in an image: tangents of two angles and the diameter of its disk, or its range.
 
-:func:`measure_body` predicts the measurement from a position; :func:`position_from_measurement` is the inverse. All
-take arrays with any leading axes. The disk diameter ``delta`` is the diameter of the cone tangent to the sphere, cut at
-unit distance from a pinhole: twice the tangent of half the angular diameter. Equations are of Holt, D'Souza and Saley
-(2018), Orion Optical Navigation Progress Toward Exploration Mission 1.
+The disk diameter is that of the cone tangent to the sphere, cut at unit distance from a pinhole. All take any leading
+axes. Equations are of Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1.
 """
 
 from __future__ import annotations

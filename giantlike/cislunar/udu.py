@@ -1,9 +1,7 @@
 """Covariances as U D U^T: unit upper triangular times diagonal, which stay positive where a covariance would not.
 
-Four operations make a filter: a time update by weighted Gram-Schmidt (:func:`gram_schmidt`), the sum with a dyad
-(:func:`plus_dyad`), a Gauss-Markov step of one parameter (:func:`gauss_markov_step`) and the update by one scalar
-measurement (:func:`scalar_update`). All take any leading axes, so that a thousand filters run as one. Sections
-are of Holt, D'Souza and Saley (2018), Orion Optical Navigation Progress Toward Exploration Mission 1.
+Everything takes leading axes: a thousand filters run as one. Sections are of Holt, D'Souza and Saley (2018), Orion
+Optical Navigation Progress Toward Exploration Mission 1.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Causes of the errors of a fix, and covariances split by cause: the error budget.
+"""Causes of the errors of a fix, independent of each other, and covariances split by cause: the error budget.
 
-An error budget maps each :class:`Cause` to a covariance matrix; the matrices have one size and sum to the total. Causes
-are independent of each other. They correlate differently between images (noise is new in each image, errors of the
-camera and of the scale of a shape are common to all), so a filter needs them separately.
+They correlate differently between images (noise is new in each, errors of the camera and of the scale of a shape are
+common to all), so a filter needs them separately.
 """
 
 from __future__ import annotations

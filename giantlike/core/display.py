@@ -1,8 +1,4 @@
-"""Pictures of values: ``value.plot()`` and the display in notebooks, drawn by registered painters.
-
-Modules of values do not import modules that draw. A drawing module registers a painter for a class; :func:`provide`
-names such a module, which is imported for the first picture.
-"""
+"""Pictures of values: ``value.plot()`` and the display in notebooks, by painters that modules that draw register."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Directions, attitudes and small rotations: exact geometry without physics.
 
-Rotations are scipy :class:`~scipy.spatial.transform.Rotation` named ``target_from_source``
-(``camera_from_inertial``), so that neighbors cancel in products. Where the names of the frames are known only at run
-time (SPICE frames, mission frames, two cameras), a :class:`FrameRotation` holds them and checks every product.
+Rotations are scipy's, named ``target_from_source``, so that neighbors cancel in products; a :class:`FrameRotation`
+holds names that are known only at run time and checks every product.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The base of every value that holds arrays: the arrays are read-only, and invariants are checked when it is made.
+"""The base of values that hold arrays: read-only, and with the invariants that names of fields carry checked.
 
-Names carry the invariants as they carry units and frames: a field named ``covariance...`` is a covariance matrix (or
-many), a field named ``direction_FRAME``, ``directions_FRAME`` or ``..._direction_FRAME`` is a unit vector (or many).
+A field named ``covariance...`` is a covariance matrix (or many), a field named ``direction_FRAME``,
+``directions_FRAME`` or ``..._direction_FRAME`` is a unit vector (or many).
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Kinds of images: the disturbance of each, drawn from random numbers, and whether an answer is still required.
 
-A kind takes an undisturbed plan and returns a disturbed one. It sets ``hard`` where the drawn disturbance, before any
-estimator has seen the image, justifies a refusal. Limits of size, phase, signal and visible limb are in
-:mod:`giantlike.gauntlet.rule`, the same for all kinds.
+A kind turns an undisturbed plan into a disturbed one, and sets ``hard`` where the drawn disturbance justifies a
+refusal. Limits common to all kinds are in :mod:`giantlike.gauntlet.rule`.
 """
 
 from __future__ import annotations

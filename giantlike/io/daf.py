@@ -1,8 +1,7 @@
 """Check of a DAF file, the container of SPK, CK and binary PCK kernels, before CSPICE opens it.
 
-CSPICE trusts the sizes and pointers of a DAF file: a damaged one can end the process. The file is made of records of
-1024 bytes, or 128 double precision words: the file record, comment records, and a list of summary records, each of
-which has the number of its successor and up to 25 summaries: descriptors of arrays, with the addresses of their words.
+A damaged pointer can end the process. Records have 1024 bytes, 128 words: the file record, comments, and a list of
+summary records, each with the number of its successor and up to 25 descriptors of arrays, with addresses of words.
 """
 
 from __future__ import annotations

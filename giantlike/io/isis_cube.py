@@ -1,9 +1,6 @@
 """ISIS cubes of one band: pixels by GDAL (rasterio, an optional extra), times by the label.
 
-References
-----------
-.. [1] USGS Astrogeology, ISIS "SpecialPixel.h": values that mean null, and low and high saturation of instrument and
-   representation.
+Source: ISIS "SpecialPixel.h": values that mean null, and low and high saturation of instrument and representation.
 """
 
 from __future__ import annotations

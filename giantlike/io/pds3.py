@@ -1,10 +1,6 @@
-"""PDS3 labels, attached to an image or in a separate file, and the raw images they describe.
+"""PDS3 labels, attached to an image or in a separate file (or of ISIS cubes), and the raw images they describe.
 
-ISIS cubes have labels in the same language.
-
-References
-----------
-.. [1] Planetary Data System Standards Reference, version 3.8, JPL D-7669 (label syntax, pointers, IMAGE objects).
+Source: Planetary Data System Standards Reference, version 3.8, JPL D-7669 (label syntax, pointers, IMAGE objects).
 """
 
 from __future__ import annotations

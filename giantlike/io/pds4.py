@@ -1,9 +1,7 @@
 """PDS4 products: an XML label and the image that it describes, by pds4_tools (an optional extra).
 
-References
-----------
-.. [1] PDS4 Information Model 1.21: ``Array_2D_Image``, ``Special_Constants``, ``Element_Array``, ``Time_Coordinates``;
-   discipline dictionary "Imaging": ``Exposure.exposure_duration``.
+Source: PDS4 Information Model 1.21: ``Array_2D_Image``, ``Special_Constants``, ``Element_Array``, ``Time_Coordinates``;
+discipline dictionary "Imaging": ``Exposure.exposure_duration``.
 """
 
 from __future__ import annotations

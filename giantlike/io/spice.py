@@ -1,9 +1,6 @@
-"""SPICE: loading of kernels, look-up of states and orientations.
+"""SPICE: loading of kernels, look-up of states and orientations, all geometric, in km, ``et`` and J2000 axes.
 
-SPICE keeps one pool of kernels per process. The functions here read that pool: they are not thread-safe, and a
-worker process loads its kernels again (:func:`load_kernels` with the same arguments). Distances are km, velocities
-km/s, epochs ``et`` (TDB seconds past J2000), inertial axes J2000; everything is geometric, light time and
-aberration are the caller's.
+SPICE keeps one pool of kernels per process, which is not thread-safe; a worker process loads its kernels again.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """VICAR images: the label, its binary prefixes and headers, and the pixels.
 
-References
-----------
-.. [1] The VICAR file format, JPL Multimission Image Processing Laboratory (file layout, label grammar).
+Source: The VICAR file format, JPL Multimission Image Processing Laboratory (file layout, label grammar).
 """
 
 from __future__ import annotations

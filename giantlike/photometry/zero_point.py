@@ -1,9 +1,7 @@
 """The zero point of a camera from fluxes of catalog stars: least squares of fluxes, not of magnitudes.
 
-The expected flux of a star follows from its magnitude, color and place
-(:class:`~giantlike.core.photometry.Photometry`); fluxes are fitted at the places of catalog stars, detected or not,
-with weights by the expected flux. So no star enters, or counts more, by its noise. A scatter of the stars about the
-relation (variable stars, bands, response of the pixels) is estimated with it.
+Fluxes are fitted at the places of catalog stars, detected or not, with weights by the expected flux: no star enters, or
+counts more, by its noise. A scatter of the stars about the relation is estimated with it.
 """
 
 from __future__ import annotations

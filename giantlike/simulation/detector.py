@@ -1,8 +1,7 @@
 """Conversion of light to digital numbers: a chain of detector effects, each of which can be left out.
 
-Light on the pixels, stray light, flat field, smear of the frame transfer, dark current, shot noise, cosmic rays,
-full well, read noise, gain and rounding, in this order: light goes through the flat field, charge does not. Every
-random effect draws from a separate stream, so that switching another effect on does not change its numbers.
+In this order: stray light, flat field, smear of the frame transfer, dark current, shot noise, cosmic rays, full well,
+read noise, gain and rounding. Every random effect draws from a separate stream.
 """
 
 from __future__ import annotations

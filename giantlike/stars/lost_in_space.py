@@ -1,8 +1,7 @@
 """Star identification from the shapes of patterns: anywhere on the sky, or within the error of an a priori attitude.
 
-Triads of detections and the angles between them where the camera is calibrated, quads and their shape where its
-focal length is not known, are looked up in an index of the catalog; attitudes shared by many of them are verified
-by matching and fitting all stars of the image. If quads find nothing, tetra3rs is tried.
+Triads of detections, or quads where the focal length is not known, are looked up in an index of the catalog; attitudes
+shared by many are verified by matching and fitting all stars. If quads find nothing, tetra3rs is tried.
 """
 
 from __future__ import annotations
@@ -344,9 +343,7 @@ def find_other_scale(
     *,
     options: StarOptions,
 ) -> Failure | None:
-    """Failure that names the focal length, 0.4 to 2.4 of the camera's, that the stars fit near the a priori
-    attitude.
-    """
+    """Failure that names the focal length, 0.4 to 2.4 of the camera's, that fits near the a priori attitude."""
     until_s = time.thread_time() + options.time_limit_s
     problem = _IdentificationProblem(points_px, covariance_px2, camera, sky, options, until_s, camera_from_inertial)
     return next((found for scale in _SCALES if (found := _other_camera(problem, scale)) is not None), None)

@@ -1,14 +1,11 @@
 r"""SPC text models: the implicitly connected quadrilateral (ICQ) form.
 
-The first row holds Q, then follow the vertices of the six faces of a cube, (Q + 1)^2 of each, I running fastest,
-then J, then the face; the quadrilateral (I, J) has the corners (I, J), (I, J+1), (I+1, J+1), (I+1, J). Vertices on
-an edge of the cube are written with each of its faces. The rules by which edges are shared put vertex (I, J) of a
-face at a point of the surface of a lattice of (Q + 1)^3 points, which is how it is named here.
+The first row holds Q, then follow the vertices of the six faces of a cube, (Q + 1)^2 of each, I running fastest, then
+J, then the face; the quadrilateral (I, J) has the corners (I, J), (I, J+1), (I+1, J+1), (I+1, J). Vertices on an edge
+of the cube are written with each of its faces: vertex (I, J) of a face is named by its point on the surface of a
+lattice of (Q + 1)^3 points.
 
-References
-----------
-.. [1] Stereophotoclinometry wiki, "SHAPE.TXT", ICQ Format Description, Planetary Science Institute,
-   https://web.psi.edu/spc_wiki/SHAPE.TXT: numbering, facets, the twelve common edges.
+Source: Stereophotoclinometry wiki, "SHAPE.TXT", https://web.psi.edu/spc_wiki/SHAPE.TXT: numbering, facets, edges.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """The results of a run in one SQLite file: a row for each image, and for each image, step, target and estimator.
 
-While a run writes, the file is in WAL mode: every record is a separate transaction, a kill loses only the records in
-flight, and any number of readers see the state of the last transaction. At the end of a run the log is written back,
-which leaves a plain file that can be copied and read from read-only media.
+While a run writes, the file is in WAL mode: every record is a separate transaction, and any number of readers see the
+last. At the end the log is written back, which leaves a plain file that can be copied and read from read-only media.
 """
 
 from __future__ import annotations

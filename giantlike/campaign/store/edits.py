@@ -1,11 +1,9 @@
 """The edit list of a run: stars, images and fixes that a user rejected, accepted or restored, with who, when and why.
 
 ``edits.jsonl`` in the run folder has a line per edit and only grows; the last edit of an item counts. Rejected images
-and fixes keep their results in the store, so that they can be restored, and have no result, with the reason
-``rejected``, wherever a run is read: tables, report, exports. An image with a rejected star is solved again. A suspect
-result that was accepted keeps its numbers, flags and status; the acceptance is beside them, and lapses when the result
-moves or another check objects. Numbers of stars are strings in the file, because they exceed the integers that JSON
-readers with double precision keep exactly.
+and fixes keep their results in the store, and have none wherever a run is read. An image with a rejected star is solved
+again. The acceptance of a suspect result stands beside it, and lapses when the result moves or another check objects.
+Numbers of stars are strings in the file, since they exceed what JSON readers with double precision keep.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Results of each image as plain values that survive JSON exactly.
-
-A record is written the moment its image is done and everything else, tables and report, is made from
-records. Results therefore never depend on whether a run was interrupted.
-"""
+"""Results of each image as plain values that survive JSON exactly, written the moment the image is done."""
 
 from __future__ import annotations
 

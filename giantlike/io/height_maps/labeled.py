@@ -1,8 +1,6 @@
 """Height maps in PDS3 images with a label, attached or in a separate file.
 
-References
-----------
-.. [1] Planetary Data System Standards Reference, version 3.8, JPL D-7669 (label syntax, pointers, IMAGE objects).
+Source: Planetary Data System Standards Reference, version 3.8, JPL D-7669 (label syntax, pointers, IMAGE objects).
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Sources of the noise of a pixel other than the image around it.
 
 Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, section "Identifying Potential
-Stars in an Optical Image", name three ways: statistics of (A) a sample of all pixels, (B) a region of the detector that
-light does not reach, (C) a local region. :mod:`giantlike.processing.detection.matched_filter` measures C; this module
-has A, B, and the noise predicted by the model of the detector.
+Stars in an Optical Image", name three: (A) a sample of all pixels, (B) a region that light does not reach, (C) a local
+region (:mod:`giantlike.processing.detection.matched_filter`). Here are A, B, and the prediction by the detector.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Limb scanning: position of the edge in the image along lines across a predicted outline.
 
-Lines run along outward normals. The shift between image and prediction is found in two steps: a search for the
-whole outline at once (:mod:`giantlike.processing.limb.search`), then for each line a least-squares match of its
-profile with the profile expected there.
+After a search for the whole outline at once (:mod:`giantlike.processing.limb.search`), the profile of each line along
+the outward normal is matched with the one expected there by least squares.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Parameters common to all lines across a limb: deviations of the reflectance law and the blur from the assumed ones.
 
-A wrong law or blur moves the whole limb in or out and leaves no residuals between lines, but it shows in the profile of
-every line. The information of all lines is summed, with every shift left free, and the estimate is subtracted from the
-shifts.
+They move the whole limb in or out and leave no residuals between lines, but show in the profile of every line, whose
+information is summed, with every shift left free.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Empirical point spread function: the mean of the stars of an image on a grid finer than the pixels.
 
-Each pixel near a star samples the function (already integrated over the pixel) at the pixel's distance from the star.
-The analytic shape is subtracted and the rest averaged on the grid with the weights of the noise, so that the grid
-represents small differences only.
+The analytic shape is subtracted from the pixels near stars and the rest averaged with the weights of the noise.
 """
 
 from __future__ import annotations
