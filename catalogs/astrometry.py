@@ -46,10 +46,8 @@ def apparent_directions(
     ----------
     stars : StarTable
     et : float, s; TDB seconds past J2000
-    observer_position_km : (3,) float64, km, inertial, optional
-        With respect to the solar system barycenter; without it no parallax.
-    observer_velocity_km_s : (3,) float64, km/s, inertial, optional
-        With respect to the solar system barycenter; without it no aberration.
+    observer_position_km : (3,) float64, km, inertial, optional; barycentric; without it no parallax
+    observer_velocity_km_s : (3,) float64, km/s, inertial, optional; barycentric; without it no aberration
     light_deflection : bool; bend light in the field of the Sun
 
     Returns

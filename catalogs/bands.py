@@ -37,12 +37,10 @@ class Band:
     ----------
     name : str
     base : str; the band that it rests on: ``"Gaia G"``, ``"V"`` or the band of the catalog
-    coefficients : tuple of float
-        Polynomial coefficients, ascending powers of the color: magnitude in this band minus magnitude in ``base``.
+    coefficients : tuple of float; of ascending powers of the color: this band minus ``base``
     color : str; ``"color_bp_rp"`` (Gaia BP-RP) or ``"color_bv"`` (Johnson B-V)
     color_range : (float, float); bluer and redder stars are treated as having the bluest and the reddest color here
-    typical_color : float, optional
-        Color of stars whose colors are all unknown; default the median of the default catalog.
+    typical_color : float, optional; of stars without colors; default the median of the default catalog
 
     Raises
     ------

@@ -29,8 +29,7 @@ class Atmosphere:
     ----------
     scale_height_km : float, km; 0 for a limb that is sharp at ``base_km``
     optical_depth : float; vertical, above ``base_km``, at ``reference_nm``
-    sigma_km : float, km
-        Standard deviation of the altitude of the limb: multiple scattering, clouds, seasons, phase angle.
+    sigma_km : float, km; standard deviation of the altitude of the limb: multiple scattering, clouds, phase angle
     base_km : float, km; altitude above the shape of the body
     reference_nm : float, nm
     exponent : float; the optical depth goes as the wavelength to the power of minus this: 4 for air, about 0 for dust

@@ -156,13 +156,10 @@ class Camera(Pictured):
     name : str; name in tables and messages; also stands for the camera axes where frames are checked
     columns, rows : int; size of the stored images
     model : CameraModel; projection from camera axes to pixels
-    psf : GaussianPsf, optional
-        None when unknown; algorithms that need it estimate it from the image or return a failure.
+    psf : GaussianPsf, optional; None when unknown: algorithms estimate it from the image or return a failure
     detector : Detector; gain, read noise, saturation and bias
-    uncertainty : ModelUncertainty, optional
-        Of the model, where it was calibrated: the ``[calibration]`` table of its file.
-    mission_frame : MissionFrame, optional
-        Axes of the mission's own kernels, where they differ from the camera axes of this package.
+    uncertainty : ModelUncertainty, optional; of a calibrated model, the ``[calibration]`` table of its file
+    mission_frame : MissionFrame, optional; axes of the mission's kernels, where they differ from camera axes
     photometry : Photometry, optional; zero point; None where it is unknown
 
     Raises
@@ -352,9 +349,7 @@ class Camera(Pictured):
         factor : float
             Positive: pixels along one side of a block; columns and rows that fill no block are left out. Not a whole
             number for resampled images, and below 1 for enlarged ones.
-        detector : Detector
-            Detector of the binned images: the effect of binning on read noise and saturation depends on the
-            electronics.
+        detector : Detector; of the binned images: read noise and saturation depend on the electronics
         """
         psf = None if self.psf is None else GaussianPsf(sigma_px=self.psf.sigma_px / factor)
         return replace(

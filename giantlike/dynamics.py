@@ -36,8 +36,7 @@ class ThirdBody:
     Parameters
     ----------
     gm_km3_s2 : float, km^3/s^2
-    position_km : callable
-        Position (3,), km, of the body from the central body, inertial axes, at a time in TDB seconds past J2000.
+    position_km : callable; position (3,), km, from the central body, inertial axes, at TDB s past J2000
     """
 
     gm_km3_s2: float
@@ -160,8 +159,7 @@ def fly(
     ----------
     dynamics : PointMasses
     et, until : float, TDB seconds past J2000; start and end; the end may be earlier
-    state : (..., 6) array_like, km and km/s
-        Position and velocity relative to the central body. Many states fly with common steps.
+    state : (..., 6) array_like, km and km/s; relative to the central body; many fly with common steps
     acceleration_km_s2 : (..., 3) array_like, km/s^2; further acceleration at the start
     time_constant_s : float, s; it decays with this; infinite for a constant one
 

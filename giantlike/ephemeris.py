@@ -63,8 +63,7 @@ class SpiceEphemeris:
     Parameters
     ----------
     body : str; NAIF name or number as text
-    frame : str, optional
-        Body-fixed frame; default: the frame of the body. Used for the orientation only.
+    frame : str, optional; body-fixed, for the orientation only; default: the frame of the body
     origin : str; NAIF name of the origin of positions
     """
 
@@ -171,8 +170,7 @@ class ApparentGeometry(Value):
     ----------
     position_inertial_km : (3,), km, ICRF; position of the body center from the camera
     inertial_from_body : Rotation; orientation at the time the light left the body
-    sun_direction_inertial : (3,), unitless, ICRF, optional
-        Unit vector from body to Sun (other lengths are normalized); without it the light of the scene gives it.
+    sun_direction_inertial : (3,), unitless, ICRF, optional; from body to Sun; default: the light of the scene
     velocity_inertial_km_s : (3,), km/s, ICRF, optional
         Velocity of the body with respect to the solar system barycenter when the light left it. Images do not depend
         on it; the geometric position at the time of the image does.

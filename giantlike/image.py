@@ -49,29 +49,22 @@ class Image(Pictured, Value):
 
     Parameters
     ----------
-    pixels : (rows, columns) real numbers, DN
-        As stored: rows are never reordered. Made read-only.
-    mask : (rows, columns) bool, optional
-        True where a pixel is bad. Default: nowhere.
+    pixels : (rows, columns) real numbers, DN; as stored, rows never reordered; made read-only
+    mask : (rows, columns) bool, optional; True where a pixel is bad; default: nowhere
     epoch : astropy Time, optional; mid-exposure
     exposure_s : float, s, optional; exposure time
     camera_from_inertial : scipy Rotation, optional; attitude, a priori or improved
     attitude_source : AttitudeSource, optional; default: ``a_priori`` when there is an attitude, else ``none``
-    attitude_covariance_rad2 : (3, 3) float64, rad^2, camera axes, optional
-        Covariance of the small rotation about the camera axes; see
-        :class:`~giantlike.core.outcomes.AttitudeFix`.
-    attitude_errors : AttitudeErrors
-        Its covariance by cause, its share in the errors of the camera, and flags that fixes made with it get too.
+    attitude_covariance_rad2 : (3, 3) float64, rad^2, camera axes, optional; as in ``AttitudeFix``
+    attitude_errors : AttitudeErrors; covariance by cause, share in errors of the camera, inherited flags
     observer : ObserverState, optional; spacecraft state, for parallax and aberration
     metadata : mapping; header values as read
     name : str; name in tables and messages
     path : Path, optional; the file
     sha256 : str; SHA-256 of the file, for provenance
     camera_name : str; name of the camera that took the image and whose axes the attitude refers to; empty when unknown
-    detector : Detector, optional
-        Noise and limits of these pixels where they differ from the camera's, as after :meth:`calibrated`.
-    eight_bit : EightBitValues, optional
-        Of the values of an 8-bit JPEG or PNG file as stored, which may be coded for display.
+    detector : Detector, optional; where it differs from the camera's, as after :meth:`calibrated`
+    eight_bit : EightBitValues, optional; of an 8-bit JPEG or PNG file, which may be coded for display
 
     Raises
     ------
@@ -224,8 +217,7 @@ class Image(Pictured, Value):
 
         Parameters
         ----------
-        position_km : (3,) array_like, km
-            Of the camera relative to the solar system barycenter at mid-exposure, ICRF axes.
+        position_km : (3,) array_like, km; of the camera from the solar system barycenter at mid-exposure, ICRF axes
         velocity_km_s : (3,) array_like, km/s
         """
         vectors = [as_finite(position_km, (3,), "position_km"), as_finite(velocity_km_s, (3,), "velocity_km_s")]
@@ -247,8 +239,7 @@ class Image(Pictured, Value):
             A star solution, whose covariance is used too, or ``camera_from_inertial``. The first two name the camera
             whose axes they refer to, which must be the camera of this image where both are known.
         source : AttitudeSource, optional; default: ``stars`` for a fix, ``a_priori`` for a rotation
-        covariance_rad2 : (3, 3) array_like, rad^2, camera axes, optional
-            Covariance of a rotation; a fix brings its own.
+        covariance_rad2 : (3, 3) array_like, rad^2, camera axes, optional; of a rotation; a fix brings its own
         errors : AttitudeErrors, optional; of a rotation; a fix brings its own
 
         Raises

@@ -128,22 +128,16 @@ class Target(Value):
     shape : Shape; shape in body axes; its origin is the center that estimators report
     ephemeris : Ephemeris or ApparentGeometry; position and orientation, geometric or already apparent
     reflectance : Reflectance; reflectance law of the surface; McEwen by default
-    uncertainty : TargetUncertainty
-        Of shape, orientation and ephemeris, for the covariances of fixes; by default all are exact.
-    terrain : HeightMap, optional
-        Relief of an ellipsoid, with which estimators on limbs predict the outline; other estimators see the ellipsoid.
-    atmosphere : Atmosphere, optional
-        Haze by which the limb of an ellipsoid is seen above its surface, for estimators on limbs.
+    uncertainty : TargetUncertainty; of shape, orientation and ephemeris; by default all are exact
+    terrain : HeightMap, optional; relief of an ellipsoid, for outlines of estimators on limbs alone
+    atmosphere : Atmosphere, optional; haze over an ellipsoid, for estimators on limbs
     air : bool, optional
         True for a body with air or haze: an ellipsoid without an ``atmosphere`` or ``terrain`` gets the one that
         :data:`~giantlike.atmosphere.ATMOSPHERES` has by its name. False for an airless one: no estimator looks for
         haze on it, and albedo variations are not mistaken for it. None where it is not known, and haze is looked for;
         bodies of :data:`~giantlike.atmosphere.AIRLESS` are airless without being declared so.
-    rings : Rings, optional
-        Rings in the equator of an ellipsoid. Limbs that they hide or shade are left out of limbs in cells and of the
-        checks that are made of every fix.
-    normal_albedo : float, optional
-        Radiance factor (I/F) of the surface lit and seen along its normal, for the light that is expected.
+    rings : Rings, optional; in the equator of an ellipsoid; limbs behind or in shadow of them are left out
+    normal_albedo : float, optional; radiance factor (I/F) along the normal, for the light that is expected
 
     Raises
     ------
@@ -207,8 +201,7 @@ class TargetGeometry(Value):
         the image goes, see :func:`~giantlike.core.light.boosted`.
     camera_from_body : Rotation; orientation at the time the light left the body
     sun_direction_camera : (3,), unitless, camera axes; unit vector from body to Sun
-    covariance_position_km2 : (3, 3), km^2, camera axes, optional
-        Of the position, by the ephemeris; by default that of ``ephemeris_km`` of the target.
+    covariance_position_km2 : (3, 3), km^2, camera axes, optional; default by ``ephemeris_km`` of the target
     """
 
     target: Target
@@ -276,11 +269,9 @@ class Circumstances(Value):
     Parameters
     ----------
     origin : str; NAIF name of the origin of states
-    observer_position_km, observer_velocity_km_s : (3,) float64, km and km/s, ICRF axes
-        Of the spacecraft at the epoch of the image.
+    observer_position_km, observer_velocity_km_s : (3,) float64, km and km/s, ICRF axes; at the epoch
     target_velocity_km_s : (3,) float64, km/s, ICRF axes, optional; of the target when the light left it
-    target_motion_km : (3,) float64, km, ICRF axes, optional
-        From where the target was when the light left it to where it is at the epoch of the image.
+    target_motion_km : (3,) float64, km, ICRF axes, optional; from emission of the light to the epoch
     light_time_s : float, s; predicted
     """
 
@@ -300,8 +291,7 @@ class Scene(Pictured, Value):
     ----------
     targets : sequence of Target; bodies that may be in the image
     observer : Ephemeris, optional; the spacecraft; without it the observer of the image is used
-    light : Ephemeris or DistantLight, optional
-        The Sun; not needed where the geometry of every target has a Sun direction.
+    light : Ephemeris or DistantLight, optional; the Sun, unless every target has a Sun direction
     light_time : bool; True to take geometric targets at the time the light left them
     stellar_aberration : bool
         True to see geometric targets as an observer does who moves with respect to the common origin: shifted, and at
@@ -479,8 +469,7 @@ def body_mask(scene: Scene, image: Image, camera: Camera, *, margin_px: float = 
     scene : Scene
     image : Image; with the attributes that :meth:`Scene.geometry` needs
     camera : Camera
-    margin_px : float, px
-        Margin around the outlines, for the error of the attitude and for light scattered near a bright limb.
+    margin_px : float, px; around the outlines, for errors of the attitude and light near a bright limb
 
     Returns
     -------

@@ -33,16 +33,12 @@ class Backplanes(Value):
     facet : (rows, columns) int32; facet of its mesh; 0 on an ellipsoid
     range_km : (rows, columns) float64, km; from the camera, along the line of sight
     depth_km : (rows, columns) float64, km; the part of it along the boresight: camera z
-    incidence_rad, emission_rad, phase_rad : (rows, columns) float64, rad
-        Angles at the surface: from the normal of the facet to the Sun and to the camera, and from Sun to camera.
-    longitude_rad, latitude_rad : (rows, columns) float64, rad
-        Planetocentric, in the axes of the body: longitude positive to the east in [0, 2 pi), latitude from the equator.
+    incidence_rad, emission_rad, phase_rad : (rows, columns) float64, rad; from the normal to Sun and camera
+    longitude_rad, latitude_rad : (rows, columns) float64, rad; planetocentric, east in [0, 2 pi)
     point_body_km : (rows, columns, 3) float64, km, body axes; the point of the surface
-    shadowed : (rows, columns) bool
-        No direct light of the center of the Sun: below the horizon, or something in the way.
+    shadowed : (rows, columns) bool; no direct light of the center of the Sun
     normal_body : (rows, columns, 3) float64, body axes; outward unit normal of the facet or ellipsoid
-    resolution_km : (rows, columns) float64, km/px
-        Side of a square across the line of sight that has the area of a pixel there.
+    resolution_km : (rows, columns) float64, km/px; side of a pixel across the line of sight
     """
 
     body: NDArray[np.int32]

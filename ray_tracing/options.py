@@ -15,14 +15,10 @@ class RenderOptions:
     Parameters
     ----------
     rays_per_pixel_side : int; rays along each side of a pixel: 2 means 4 rays a pixel
-    min_rays_across : int
-        Rays across the narrow side of the body's outline, at least: a body smaller than a few pixels is
-        sampled more finely than ``rays_per_pixel_side``.
+    min_rays_across : int; least number across the narrow side of the outline: small bodies need more
     shadows : bool; True if bodies cast shadows, on themselves and on each other
     margin_px : int, px; margin around the detector that is rendered too: the search range of a correlation
-    jitter_seed : int, optional
-        Send each ray through a random position in its cell instead of the center, so that a simulated truth and a
-        template do not share their sampling.
+    jitter_seed : int, optional; of random positions of rays in cells: truth and template differ in sampling
     sun_radius_rad : float, rad
         Angular radius of the Sun at the body; 0 is a point. An extended Sun gives penumbrae and a soft terminator. Its
         disk is evenly bright: solar limb darkening is left out.

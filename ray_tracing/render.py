@@ -33,16 +33,13 @@ class Template(Value):
 
     Parameters
     ----------
-    brightness : (h, w) float64
-        Mean over the pixel, relative: 1 is a surface seen and lit along its normal. The PSF is in it.
+    brightness : (h, w) float64; mean over the pixel, with the PSF; 1 is seen and lit along the normal
     coverage : (h, w) float64; fraction of each pixel that the body covers, lit or not, before the PSF
     corner_px : (2,) int64, px; image pixel (x, y) of element [0, 0]; negative when the template reaches over the frame
     center_px : (2,) float64, px; projection of the origin of the shape, in the distorted image
-    photocenter_px : (2,) float64, px
-        Centroid of the light before PSF and pixels, so that it holds for a body inside one pixel too.
+    photocenter_px : (2,) float64, px; before PSF and pixels: holds for a body inside one pixel too
     lit_fraction : float; part of the rays on the body that end on lit surface
-    rendered_from_camera : Rotation
-        Takes camera axes to the axes that the body was rendered in: identity, unless it was recentered.
+    rendered_from_camera : Rotation; from camera axes to the rendered ones; identity, unless recentered
     """
 
     brightness: Float

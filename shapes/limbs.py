@@ -33,8 +33,7 @@ class Limb(Value):
     normals : (k, 3) float64, unitless, body
         Outward, and perpendicular to the ray from the camera: of the surface on an ellipsoid; on a mesh, whose facets
         meet in an edge there, of the plane through the edge and the camera.
-    points_by_camera : (k, 3, 3) float64
-        Derivative of the points with respect to the position of the camera in body axes.
+    points_by_camera : (k, 3, 3) float64; derivative by the position of the camera, body axes
     normals_by_camera : (k, 3, 3) float64, 1/km; derivative of the normals
     """
 
@@ -52,9 +51,7 @@ def limb(shape: Shape, camera_body_km: ArrayLike, directions_body: ArrayLike) ->
     ----------
     shape : Shape; an ``Ellipsoid`` or a ``TriangleMesh``
     camera_body_km : (3,), km, body; position of the camera, outside the shape
-    directions_body : (k, 3), any length, body
-        Each picks the half-plane that starts at the line from the camera through the origin of the body and
-        contains the direction.
+    directions_body : (k, 3), any length, body; each picks a half-plane from the line to the origin
 
     Returns
     -------

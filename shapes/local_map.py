@@ -26,10 +26,8 @@ class LocalMap(Value):
     Parameters
     ----------
     center_body_km : (3,) float64, km, body; middle of the grid at height zero
-    body_from_map : Rotation
-        Takes vectors along the axes of the map to body axes: x along increasing columns, y along increasing rows, z up.
-    heights_km : (rows, columns) float64, km
-        Along z; NaN where the map has none. At least 2 by 2.
+    body_from_map : Rotation; from map axes: x along columns, y along rows, z up
+    heights_km : (rows, columns) float64, km; along z; NaN where the map has none; at least 2 by 2
     spacing_km : float, km; distance of neighboring heights: the ground sample distance
     albedo : (rows, columns) float64, optional; relative albedo at the same positions
     name : str

@@ -39,8 +39,7 @@ class TriangleMesh(Value):
     vertices_km : (n, 3) float64, km, body
     faces : (m, 3) int64; indices of the corners of each facet, from 0, counter-clockwise seen from outside
     name : str
-    sha256 : str
-        Hash of the file the mesh came from; empty means: hash the arrays. The hash of the albedo is mixed in.
+    sha256 : str; hash of the file, by default of the arrays; that of the albedo is mixed in
     albedo : Albedo, optional; relative albedo, by facet or vertex in the order given here
 
     Attributes

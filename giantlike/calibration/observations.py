@@ -24,16 +24,12 @@ class ImageObservations(Value):
         board's own axes where ``finite``, in any unit of length.
     points_px : (n, 2) float64, px; measured pixels of the targets
     sigma_px : (n,) float64, px; standard deviation per axis; a scalar applies to all
-    camera_from_reference : Rotation, optional
-        A priori orientation; by default estimated from the targets and the starting model (directions only).
-    attitude_sigma_rad : float, rad, optional
-        Standard deviation per axis of the a priori orientation; by default it is only a start and has no weight.
-    position_reference : (3,) float64, optional
-        For ``finite`` targets: start of the vector from the camera to the origin of the board, camera axes.
+    camera_from_reference : Rotation, optional; a priori; else from targets (directions) and starting model
+    attitude_sigma_rad : float, rad, optional; a priori, per axis; by default the orientation is only a start
+    position_reference : (3,) float64, optional; start, camera to origin of the board, for ``finite`` targets
     finite : bool; True if the targets are points at a finite distance, False if they are directions
     temperature_c : float, Celsius; of the camera
-    labels : (n,) int64
-        Labels of the targets: catalog identifiers, corner numbers. Default: 0, 1, 2, ...
+    labels : (n,) int64; catalog identifiers or numbers of corners of the targets, by default 0, 1, 2, ...
     magnitudes : (n,) float64; default NaN
 
     Raises

@@ -62,14 +62,9 @@ class CalibrationOptions:
     loss : Loss
         Loss of the last fit; the fits before, which search for outliers, use at least Huber's. Default: least
         squares, whose covariance is exact once outliers are rejected.
-    false_rejections : float
-        Expected number of good observations that a whole calibration rejects as outliers. Default 0.01: one
-        calibration in a hundred loses one.
-    max_rounds : int
-        Rounds of fit and rejection. Default 10, a bound.
-    max_steps : int
-        Levenberg-Marquardt steps per round. Default 200, a bound for fits that do not
-        converge.
+    false_rejections : float; expected number of good observations rejected by a calibration; default 0.01
+    max_rounds : int; rounds of fit and rejection; default 10, a bound
+    max_steps : int; Levenberg-Marquardt steps per round; default 200, a bound
 
     Raises
     ------

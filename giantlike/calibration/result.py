@@ -63,14 +63,11 @@ class CalibrationResult(Pictured, Estimate):
     start : CameraModel; model from which the fit started
     columns, rows : int
     estimated : tuple of str; names of the k parameters estimated; the others have the values of ``start``
-    covariance : (k, k) float64
-        Of those parameters, in their units. Includes ``covariance_scale``.
-    covariance_scale : float
-        Factor on the covariance for residuals larger than the given sigmas explain; 1 if these explain them.
+    covariance : (k, k) float64; of those parameters, in their units, ``covariance_scale`` included
+    covariance_scale : float; factor on the covariance for residuals that the given sigmas do not explain, else 1
     images : tuple of ImageCalibration
     image_index : (n,) int; image of each observation; the arrays below contain all observations, used or not
-    observed_px, predicted_px : (n, 2) float64, px
-        The prediction is by the calibrated model, NaN for targets that it cannot project.
+    observed_px, predicted_px : (n, 2) float64, px; predicted by the calibrated model, NaN where it cannot
     sigma_px, magnitudes : (n,) float64
     labels : (n,) int64
     used : (n,) bool
@@ -79,8 +76,7 @@ class CalibrationResult(Pictured, Estimate):
     reduced_chi2 : float
     condition_number : float; of the scaled information of the parameters
     support : tuple of ParameterSupport; verdict on each parameter
-    map_points_px, map_sigma_px : (g, 2), (g,) float64, px
-        Uncertainty of the camera map over the field, radial, modulo a rotation.
+    map_points_px, map_sigma_px : (g, 2), (g,) float64, px; radial uncertainty of the map, modulo a rotation
     problems : tuple of str; criteria that were missed, each with the limit and the value; empty if accepted
     steps, rounds : int; Levenberg-Marquardt steps in all, and rounds of rejection
     provenance : mapping of str to str

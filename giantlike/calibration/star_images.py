@@ -181,9 +181,7 @@ def calibrate_stars(
     camera : Camera; a rough camera
     estimate : sequence of str; parameters to estimate, as in :func:`~giantlike.calibration.calibrate`
     model_type : str, optional; type of the model to estimate, see :func:`start_model`
-    min_snr : float
-        Lowest signal to noise ratio of the stars used (the 20 brightest of each image are always used). Default: all,
-        each with its weight.
+    min_snr : float; of the stars used, but for the 20 brightest of each image; by default none is left out
     stars : StarOptions, optional
     options : CalibrationOptions, optional
     criteria : CalibrationCriteria, optional

@@ -22,8 +22,7 @@ class FisheyeModel(AxialModel):
 
     Parameters
     ----------
-    fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float
-        See :class:`~giantlike.camera_models.affine.AffineModel`.
+    fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float; see ``AffineModel``
     k1, k2, k3, k4 : float; coefficients of the powers 2, 4, 6, 8 of the ideal radius
     """
 
@@ -87,8 +86,7 @@ class EquidistantModel(FisheyeModel):
 
     Parameters
     ----------
-    fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float
-        See :class:`~giantlike.camera_models.affine.AffineModel`.
+    fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float; see ``AffineModel``
     k1, k2, k3, k4 : float; coefficients of the angle's powers 2, 4, 6, 8, relative to the angle
 
     References
@@ -115,8 +113,7 @@ class EquisolidModel(FisheyeModel):
 
     Parameters
     ----------
-    fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float
-        See :class:`~giantlike.camera_models.affine.AffineModel`.
+    fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float; see ``AffineModel``
     k1, k2, k3, k4 : float; coefficients of the ideal radius's powers 2, 4, 6, 8, relative to it
     """
 

@@ -22,11 +22,8 @@ class OwenModel(PlaneModel):
 
     Parameters
     ----------
-    fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float
-        See :class:`~giantlike.camera_models.affine.AffineModel`.
-    e1, e3 : float
-        Pinwheel coefficients of r and r^3, for an image plane at unit distance (files in millimeters are converted
-        by powers of the focal length on import).
+    fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float; see ``AffineModel``
+    e1, e3 : float; pinwheel coefficients of r and r^3, for an image plane at unit distance
     e2, e4 : float; radial coefficients of r^2 and r^4
     e5, e6 : float; tip/tilt of the detector, along y and along x
 

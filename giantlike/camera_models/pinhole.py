@@ -18,8 +18,7 @@ class PinholeModel(PlaneModel):
 
     Parameters
     ----------
-    fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float
-        See :class:`~giantlike.camera_models.affine.AffineModel`.
+    fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float; see ``AffineModel``
 
     Raises
     ------

@@ -21,8 +21,7 @@ class SweepXModel(AffineModel):
     Parameters
     ----------
     fx_px, fy_px : float, px; pixels per radian of the scan angles
-    cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float
-        See :class:`~giantlike.camera_models.affine.AffineModel`.
+    cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float; see ``AffineModel``
 
     References
     ----------
@@ -62,8 +61,7 @@ class SweepYModel(SweepXModel):
     Parameters
     ----------
     fx_px, fy_px : float, px; pixels per radian of the scan angles
-    cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float
-        See :class:`~giantlike.camera_models.affine.AffineModel`.
+    cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float; see ``AffineModel``
 
     References
     ----------

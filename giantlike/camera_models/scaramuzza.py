@@ -26,8 +26,7 @@ class ScaramuzzaModel(AxialModel):
 
     Parameters
     ----------
-    fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float
-        See :class:`~giantlike.camera_models.affine.AffineModel`.
+    fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float; see ``AffineModel``
     b2, b3, b4 : float; ``a2 a0``, ``a3 a0^2``, ``a4 a0^3`` in terms of the published polynomial
 
     References

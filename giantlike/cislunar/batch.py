@@ -53,9 +53,7 @@ def estimate_batch(
 
     Parameters
     ----------
-    start : FilterState
-        A priori estimate of one spacecraft, not later than the first image. All states are estimated, and nothing is
-        edited.
+    start : FilterState; of one spacecraft, not later than the first image, all of whose states are estimated
     observations : sequence of BodyObservation; in order of time, at least one
     model : FilterModel
     most_iterations : int

@@ -36,9 +36,7 @@ class GaussianPsf:
 
     Parameters
     ----------
-    sigma_px : float, px
-        Standard deviation, in [0, 20]; 0 means no blur beyond the pixel itself. The default, 0.8, is the width of
-        the demonstration's camera.
+    sigma_px : float, px; in [0, 20]; 0 means no blur; the default, 0.8, is that of the demonstration's camera
     """
 
     sigma_px: float = 0.8
@@ -54,8 +52,7 @@ class Detector:
     Parameters
     ----------
     gain_e_per_dn : float, electron/DN; electrons per number; 1 by default, so that numbers count electrons
-    read_noise_e : float, electron
-        Standard deviation of the read noise. The default, 5, is used until the camera file gives the measured value.
+    read_noise_e : float, electron; standard deviation; the default, 5, until the camera file has a measured one
     saturation_dn : float, DN; pixels at or above this value are saturated; infinite when unknown
     bias_dn : float, DN; value of a pixel without light
     step_dn : float, DN, optional
@@ -65,17 +62,13 @@ class Detector:
         True where gain and read noise are not declared and follow from each image (:meth:`of_image`); the values of
         the two fields then serve simulations only. The detector of a camera file that declares neither of the two;
         where one of them is declared, the other is the default.
-    frame_noise_dn : float, DN
-        Standard deviation that calibration frames (bias, dark) and the shot noise of the dark current leave in
-        calibrated pixels.
+    frame_noise_dn : float, DN; sigma that calibration frames and the dark current leave in calibrated pixels
     relative_noise : float; standard deviation of the response of a pixel that a flat leaves, relative to the signal
     gamma : float or 'srgb', optional
         Coding of the values: the exponent of the value that gives the signal, such as 2.2, or ``"srgb"``. Values are
         then linearized before they are used (:meth:`giantlike.image.Image.linearized`); gain, read noise and limits
         refer to the values as stored. None for values that are linear in the signal, or whose coding is unknown.
-    noise_of_image : EstimatedNoise, optional
-        Noise that :meth:`of_image` took from an image, as none was declared; None where gain and read noise are
-        declared.
+    noise_of_image : EstimatedNoise, optional; by :meth:`of_image`, where gain and read noise are not declared
 
     Raises
     ------

@@ -52,8 +52,7 @@ class AttitudeErrors(Value):
 
     Parameters
     ----------
-    parts : mapping of Cause to (3, 3) float64, rad^2
-        Covariance of the small rotation ``e`` about the camera axes by cause; empty when all is noise.
+    parts : mapping of Cause to (3, 3) float64, rad^2; covariance of ``e`` by cause; empty when all is noise
     by_camera : (3, m) float64, rad per unit of each parameter, optional
         Derivative of ``e`` by the parameters of the camera model, in the order of their names: an attitude from stars
         depends on errors of the camera. None where it does not, or where this is unknown.
@@ -90,26 +89,21 @@ class AttitudeFix(Pictured, Estimate):
         ``camera_from_inertial_true = Rotation.from_rotvec(e) * camera_from_inertial``.
     star_ids : (n,) int64; catalog identifiers of the stars used
     detection_indices : (n,) int64; indices of the matched detections
-    observed_px, predicted_px : (n, 2) float64, px
-        Measured centroids; catalog stars projected with the fixed attitude and the camera model.
+    observed_px, predicted_px : (n, 2) float64, px; centroids, and catalog stars with the fixed attitude
     sigma_px : (n,) float64, px; standard deviation per axis used to weight each star
     magnitudes : (n,) float64; catalog magnitudes
     n_detected, n_rejected : int; detections offered to identification; tentative matches thrown out as outliers
     false_match_probability : float; bound on the probability that the whole identification is a chance match
-    focal_length_px : float, px
-        Focal length along x of the camera model used (the refined one, where the scale was estimated too).
+    focal_length_px : float, px; along x, of the camera model used (refined if the scale was estimated)
     fov_deg : float, deg; field of view along x of the camera model used: ``2 atan(columns / (2 fx))``
     rejected_px : (n_rejected, 2) float64, px; measured centroids of the matches thrown out
     camera_name : str; name of the camera whose axes the attitude refers to; empty when unknown
     flags : Quality
     provenance : mapping of str to str; versions and hashes of the inputs of the fix
-    parts : mapping of Cause to (3, 3) float64, rad^2
-        Terms of ``covariance_rad2`` by cause (noise, camera, aberration, epoch); empty when all is noise.
-    by_camera : (3, m) float64, rad per unit of each parameter, optional
-        Derivative of ``e`` by the parameters of the camera model, in the order of their names.
+    parts : mapping of Cause to (3, 3) float64, rad^2; of ``covariance_rad2``; empty when all is noise
+    by_camera : (3, m) float64, rad per unit of each parameter, optional; as in :class:`AttitudeErrors`
     star_names : tuple of n str; proper names of the stars used, empty for those that have none
-    notes : tuple of str
-        Sentences on errors of the inputs that the solution shows: of the a priori attitude, or of the distortion.
+    notes : tuple of str; errors of inputs that the solution shows: a priori attitude, distortion
     """
 
     camera_from_inertial: Rotation
@@ -181,13 +175,11 @@ class CenterFix(Pictured, Estimate):
         :data:`~giantlike.core.causes.IN_IMAGE`. Errors of the camera model, the attitude and the ephemeris of the
         target do not move it and are not included.
     predicted_px : (2,) float64, px; center predicted from the a priori geometry
-    residuals : (n,) float64
-        Post-fit residuals in the estimator's own unit (px for limbs, relative brightness for templates).
+    residuals : (n,) float64; post-fit, in the estimator's own unit (px of limbs, brightness of templates)
     n_used, n_rejected : int; observations (pixels, limb points, detections) kept and thrown out
     score : float; goodness of fit, as defined by the estimator
     flags : Quality; quality flags
-    provenance : mapping of str to str
-        Versions and hashes of all inputs of the fix, and the texts of ``corrections`` and ``findings``.
+    provenance : mapping of str to str; versions and hashes of inputs; texts of ``corrections``, ``findings``
     parts : mapping of Cause to (k, k) float64
         The covariance by cause, of x and y in px (k = 2) and, in a :class:`PositionFix`, of the natural logarithm of
         the range (k = 3). Causes ``IN_IMAGE`` sum to ``covariance_px2``; the camera, the attitude, the ephemeris and
@@ -198,8 +190,7 @@ class CenterFix(Pictured, Estimate):
         where known: the attitude (a small rotation about the camera axes, rad), the scale of the shape (relative), the
         pole (two small rotations of the body about its x and y axes, rad), the spin (one about its z axis, rad), and
         the uncertain parameters of the camera, stars that follow them included.
-    residuals_at_px : (n, 2) float64, px
-        Position in the image of each of the ``residuals``; empty where the estimator gives none.
+    residuals_at_px : (n, 2) float64, px; position of each of the ``residuals``; empty where there is none
     corrections : Corrections; other effects in the image that the fix corrects for
     findings : Findings; outcomes of its checks
 
@@ -276,14 +267,12 @@ class BodyTurn(Value):
 
     Parameters
     ----------
-    turn_rad : float, rad
-        Rotation of the observed body from its a priori orientation, about the direction from the camera to it.
+    turn_rad : float, rad; rotation from the a priori orientation, about the direction from the camera
     center_px : (2,) float64, px; position of its center with this rotation
     covariance : (3, 3) float64
         Of x and y in px and of the rotation in rad, by noise and the errors of the shape. The a priori orientation does
         not enter; the errors of the camera model are in the variance of the rotation alone.
-    by_rotation : (3, 3) float64, px/rad and rad/rad
-        Derivative of x, y and the rotation by a small rotation of the body about the camera axes, its position fixed.
+    by_rotation : (3, 3) float64, px/rad and rad/rad; derivative by a small rotation about the camera axes
     """
 
     turn_rad: float
@@ -305,10 +294,8 @@ class PositionFix(CenterFix):
     covariance_camera_km2 : (3, 3) float64, km^2, camera axes
         Covariance of the position in camera axes: the causes of ``covariance_px2``, and the camera model alone, which
         converts pixels to directions. The attitude and the ephemeris of the target are not in it.
-    limb_px : (n, 2) float64, px
-        Points in the image, for overlays: the limb points used, landmarks used, or the outline of a template.
-    limb_rejected_px : (k, 2) float64, px
-        Points of the illuminated limb that were not used, as measured or, failing that, as predicted.
+    limb_px : (n, 2) float64, px; for overlays: limb points, landmarks used, or the outline of a template
+    limb_rejected_px : (k, 2) float64, px; of the lit limb, not used; as measured or else predicted
     turn : BodyTurn or None; rotation of the body about the line of sight, of estimators that measure it
     """
 

@@ -44,8 +44,7 @@ class Photometry(Value):
         magnitude 8.5 gives 400 electrons in 5 s.
     band : str; band of the magnitudes
     color_term : float, mag/mag; change with BP-RP
-    field_term_mag : float, mag
-        Change from the axis to ``field_angle_deg``, with the square of the angle; negative where the field darkens.
+    field_term_mag : float, mag; change at ``field_angle_deg``, quadratic; negative where the field darkens
     field_angle_deg : float, degrees; angle from the axis at which ``field_term_mag`` is stated
     covariance_mag2 : (3, 3), mag^2; covariance of zero point, color term and field term; zeros where they are exact
     scatter_mag : float, mag; standard deviation of single stars about the relation, beyond their noise
@@ -95,8 +94,7 @@ class Photometry(Value):
         aperture_m2 : float, m^2
         shortest_um, longest_um : float, um; pass band
         quantum_efficiency : float; mean over the pass band, with the transmission of the optics
-        **others
-            Other fields.
+        **others; other fields
 
         Raises
         ------

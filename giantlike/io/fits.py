@@ -90,8 +90,7 @@ def navigation_header(
     epoch : Time, optional; mid-exposure: ``DATE-AVG``, to the microsecond, with ``TIMESYS = 'UTC'``
     exposure_s : float, s, optional; ``EXPTIME``
     camera_from_inertial : Rotation, optional; a priori attitude: ``GL_QX, GL_QY, GL_QZ, GL_QW``, scalar last
-    observer_position_km, observer_velocity_km_s : (3,), km and km/s, ICRF, optional
-        Spacecraft with respect to the solar system barycenter: ``GL_OBSX ... GL_OBSVZ``; both or none.
+    observer_position_km, observer_velocity_km_s : (3,), km, km/s, ICRF, optional; barycentric, both or none
 
     Returns
     -------

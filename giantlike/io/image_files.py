@@ -50,16 +50,13 @@ class ImageFile(Value):
 
     Parameters
     ----------
-    pixels : (rows, columns) float32 or integer, DN
-        As stored, native byte order, read-only. Floating pixels are float32 and finite: bad ones are 0.
-    mask : (rows, columns) bool
-        True where a pixel is bad: NaN, infinite or blank in the file, or in a line that was never received.
+    pixels : (rows, columns) float32 or integer, DN; as stored, native byte order, read-only; bad floats are 0
+    mask : (rows, columns) bool; True where a pixel is bad: not finite, blank, or in a line not received
     epoch : Time or None; mid-exposure, where the file determines it
     exposure_s : float or None, s
     camera_from_inertial : Rotation or None; a priori attitude, only from headers that this package wrote
     observer : ObserverState or None; spacecraft state with respect to the solar system barycenter
-    header : dict of str to str, int, float or bool
-        Header or label items. Empty for PNG, TIFF and JPEG.
+    header : dict of str to str, int, float or bool; header or label items; empty for PNG, TIFF and JPEG
     format : {'fits', 'png', 'tiff', 'jpeg', 'vicar', 'pds3', 'pds4', 'isis'}
     sha256 : str; of the file that holds the pixels
     path : Path; as it was given

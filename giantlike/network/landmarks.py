@@ -49,9 +49,7 @@ class TrackOptions:
     search_px : int, px; largest error of the predicted center, along each axis
     min_score : float; minimum correlation of a landmark that counts as found
     min_landmarks : int; minimum number of landmarks of an image
-    sigma_points_km : float, km, optional
-        A priori standard deviation of landmarks along each axis, by errors of the shape; by default their spread about
-        it, as found from the images.
+    sigma_points_km : float, km, optional; of landmarks per axis, by the shape; by default as found
     visibility : VisibilityOptions
 
     Raises

@@ -25,8 +25,7 @@ class NetworkOptions:
     sigma_w_deg : float, deg; of the angle about the pole
     sigma_rate : float; of the rate, relative to it
     sigma_size : float; of the size, relative
-    sigma_camera : mapping of str to float
-        Parameters of the camera model that are not fixed, and their standard deviations in their units.
+    sigma_camera : mapping of str to float; sigmas, in their units, of camera parameters that are not fixed
     loss : Loss; loss function of the fit that finds outliers; a fit by least squares to the other measures follows
     outlier_sigmas : float
         Measures with residuals beyond this many standard deviations (of the stated noise, or of the noise found where

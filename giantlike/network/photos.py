@@ -75,12 +75,9 @@ class Tracks(Value):
     point, photo : (n,) int; indices of the point and the image of each measure
     points_px : (n, 2) float64, px
     sigma_px : (n,) float64, px; standard deviation per axis; a scalar applies to all
-    points_km : (p, 3) float64, km, body axes, optional
-        A priori positions; NaN, or nothing, where they are to be intersected from the images.
-    covariance_points_km2 : (p, 3, 3) float64, km^2, optional
-        Of these; infinite variances for points that are only a start, zeros for points that are held.
-    common_sigma_km : float, km
-        Error of a point along each axis that all of its measures have alike, so that no residual shows it.
+    points_km : (p, 3) float64, km, body axes, optional; a priori; NaN, or none: intersected from the images
+    covariance_points_km2 : (p, 3, 3) float64, km^2, optional; infinite for a start only, 0 for held points
+    common_sigma_km : float, km; per axis, of an error that all measures of a point have and no residual shows
 
     Raises
     ------

@@ -21,12 +21,9 @@ class Rotating(Value):
 
     Parameters
     ----------
-    pole_ra_deg, pole_dec_deg : (3,) float64, deg, deg/century, deg/century^2
-        Coefficients of ``BODY..._POLE_RA`` and ``BODY..._POLE_DEC``; missing ones are zero.
-    pm_deg : (3,) float64, deg, deg/day, deg/day^2
-        Coefficients of ``BODY..._PM`` from J2000: angle W of the prime meridian, and rate.
-    covariance_j2000 : (4, 4) float64, deg^2 and deg^2/day, optional
-        Of right ascension and declination of the pole, W at J2000 and rate.
+    pole_ra_deg, pole_dec_deg : (3,) float64, deg, deg/century, deg/century^2; ``BODY..._POLE_RA``, ``_DEC``
+    pm_deg : (3,) float64, deg, deg/day, deg/day^2; ``BODY..._PM``: angle W of the prime meridian, and rate
+    covariance_j2000 : (4, 4) float64, deg^2 and deg^2/day, optional; of RA, Dec of the pole, W and rate
 
     Raises
     ------

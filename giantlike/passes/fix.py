@@ -54,18 +54,14 @@ class PassFix(Value):
     names, units, terms : tuple of str; of the k parameters that were estimated
     values : (k,) float64
     covariance : (k, k) float64
-    parts : mapping of str to (k, k) float64
-        Covariance by cause: ``noise`` (scaled by the residuals where they are larger), ``a priori``, and
-        ``considered TERM``.
+    parts : mapping of str to (k, k) float64; ``noise`` (scaled by residuals), ``a priori``, ``considered TERM``
     apriori, apriori_sigmas : (k,) float64; values and standard deviations before; infinite where nothing was known
     learned : (k,) float64; fraction of the a priori variance that the pass removed; 1 where nothing was known
     tests : tuple of TermTest
     weak : tuple of WeakCombination
     jitter : TimetagJitter or None
-    positions_camera_km : (n, 3) float64, km, camera axes
-        Position of the body in every image with all terms applied but the altitude and offsets of the limb.
-    residuals : tuple of (m,) float64, sigmas
-        Of every image: measured minus predicted, the jitter left in; NaN for excluded points.
+    positions_camera_km : (n, 3) float64, km, camera axes; in each image, but for altitude and offsets of limbs
+    residuals : tuple of (m,) float64, sigmas; measured minus predicted, jitter left in; NaN where excluded
     chi2 : float; squared residuals in units of their covariance
     freedom : int
     noise_scale : float; factor on the standard deviations of the noise, at least 1

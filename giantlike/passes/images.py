@@ -218,15 +218,12 @@ class PassImage(Value):
     ----------
     name : str
     time_s : float, s; its timetag, from any origin that the pass shares
-    position_camera_km : (3,) float64, km, camera axes
-        Apparent position of the body, by the trajectory and the attitude as given.
-    rate_camera_km_s : (3,) float64, km/s, camera axes
-        Rate of that position, rotation of the camera included: its change by a late exposure.
+    position_camera_km : (3,) float64, km, camera axes; apparent, by trajectory and attitude as given
+    rate_camera_km_s : (3,) float64, km/s, camera axes; of that position: its change by a late exposure
     observed : LimbPoints or MeasuredPosition
     exposure_s : float, s; needed by the terms of the exposure alone
     sensor : str; sensor that the attitude comes from
-    by_trajectory : (3, m) float64, km per unit of each, camera axes
-        Derivative of the position by the parameters of the trajectory that the pass has a covariance of.
+    by_trajectory : (3, m) float64, km per unit of each, camera axes; by parameters of the trajectory
     """
 
     name: str
@@ -257,10 +254,8 @@ class NavigationPass(Value):
     Parameters
     ----------
     images : tuple of PassImage
-    limb_altitude_km : float, km
-        A priori altitude of the limb; where positions were measured, the altitude assumed in them.
-    covariance_trajectory : (m, m) float64
-        Of the parameters of the trajectory, in the squares of their units; empty where it is taken as exact.
+    limb_altitude_km : float, km; a priori altitude of the limb, or that assumed in measured positions
+    covariance_trajectory : (m, m) float64; of its parameters, in their units squared; empty where exact
     trajectory_names : tuple of str; their names; by default numbers
     """
 

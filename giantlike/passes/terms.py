@@ -43,20 +43,15 @@ class PassOptions:
 
     Parameters
     ----------
-    estimate : mapping of PassTerm to float
-        Terms to solve for, with the standard deviation of each of their parameters before, in its unit; infinite where
-        nothing is known.
-    consider : mapping of PassTerm to float
-        Terms that stay as they are while their standard deviation enters the covariance.
+    estimate : mapping of PassTerm to float; terms and a priori sigmas of their parameters, maybe infinite
+    consider : mapping of PassTerm to float; terms kept, whose sigmas enter the covariance
     trajectory : Treatment; of the trajectory, where the pass has its covariance
     limb_errors : Treatment
         Of the errors that limbs share (blur, law, relief): estimated with their a priori covariance, which weights
         the points as their full covariance would, or considered.
-    timetag_jitter_s : float, s
-        Standard deviation of the error of each tag in addition to the bias; the first guess where it is estimated.
+    timetag_jitter_s : float, s; sigma of each tag in addition to the bias; first guess where estimated
     estimate_jitter : bool; find that standard deviation, by the restricted likelihood
-    pointing_jitter_rad : float, rad
-        Standard deviation, about each axis, of an error of the attitude that is new in every image.
+    pointing_jitter_rad : float, rad; sigma about each axis of an attitude error new in every image
     scale_noise : bool; enlarge the part of the noise where residuals are larger than it explains
     outlier_sigmas : float; points, or positions, with larger residuals are left out
     max_iterations : int

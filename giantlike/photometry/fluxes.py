@@ -63,10 +63,8 @@ class FluxOptions:
 
     Parameters
     ----------
-    aperture_px : float, px
-        Radius of the circle; its pixels also tell whether a source is saturated, masked, cut or blended.
-    annulus_px : (float, float), px
-        Radii of the ring of the level. Fluxes refer to all light within the inner one.
+    aperture_px : float, px; radius of the circle, which also tells saturated, masked, cut, blended sources
+    annulus_px : (float, float), px; radii of the ring; fluxes refer to all light within the inner one
     method : {"psf", "aperture"}
         Least squares with the point spread function, or the sum of the circle. Where pixels are large (a sigma below
         0.5 px) or the point spread function varies over the field, the circle is the safer one.
@@ -104,12 +102,10 @@ class Fluxes(Estimate):
     noise_covariance_dn2 : (n, n) float64, DN^2; of the noise of the pixels, those in common included
     shot_dn : (n,) float64, DN; variance by the shot noise of the source itself, over its flux
     level_dn : (n,) float64, DN; level of the ring
-    flags : (n,) uint16
-        Combinations of :class:`~giantlike.processing.detection.DetectionFlag`: saturated, masked, cut, blended.
+    flags : (n,) uint16; combinations of ``DetectionFlag``: saturated, masked, cut, blended
     angle_rad : (n,) float64, rad; from the optical axis
     width_px : float, px; standard deviation of the point spread function
-    growth, growth_sigma : float
-        Factor of the growth curve that ``flux_dn`` contains, and its relative error, common to all.
+    growth, growth_sigma : float; factor of the growth curve in ``flux_dn``, and its common relative error
     exposure_s : float, s
     gain_e_per_dn : float, electron/DN; of the camera file
     half_diagonal_deg : float, degrees; angle from the axis to the corner of the frame
@@ -162,8 +158,7 @@ def measure_fluxes(
     ----------
     image : Image; with its exposure time
     camera : Camera; its ``psf`` is the first guess of the width, 1 px without one
-    points_px : (n, 2) array_like, px
-        Places, in the frame. Neighbors are told apart only where both are given.
+    points_px : (n, 2) array_like, px; in the frame; neighbors are told apart only where both are given
     options : FluxOptions
 
     Returns

@@ -70,13 +70,11 @@ class ZeroPoint(Estimate):
 
     Parameters
     ----------
-    photometry : Photometry
-        The value for camera files. Of several images: their mean, with their scatter in its covariance.
+    photometry : Photometry; for camera files; of several images the mean, their scatter in its covariance
     supported : mapping of str to ParameterVerdict; what the stars say of each term of :data:`TERMS`
     images_mag : (k,) float64, mag; zero point of each image, with the color and field term of all
     covariance_images_mag2 : (k + 2, k + 2) float64, mag^2; of ``images_mag``, color term and field term
-    residuals : tuple of k (n,) float64
-        Flux minus expected flux over the standard deviation of both, scatter included; NaN where a star was not used.
+    residuals : tuple of k (n,) float64; flux minus expected over both sigmas and scatter; NaN if not used
     used : tuple of k (n,) bool; stars used
     n_used, n_rejected : int; stars used, and those left out as outliers
     notes : tuple of str; what is missing from the fit, and why
@@ -126,8 +124,7 @@ def fit_zero_point(
 
     Parameters
     ----------
-    fluxes : sequence of k Fluxes
-        Of one camera. Give all catalog stars of each field down to the faintest, not those that were detected.
+    fluxes : sequence of k Fluxes; of one camera: of all catalog stars of each field, detected or not
     stars : StarTable or sequence of k StarTable; the star of each row of each of the fluxes
     options : ZeroPointOptions
 

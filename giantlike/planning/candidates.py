@@ -175,8 +175,7 @@ def candidates_in_window(
     scene : Scene; with an observer and geometric ephemerides, such as :class:`~giantlike.ephemeris.SpiceEphemeris`
     target : str, optional; body that the camera points at; may be left out when there is only one
     at_px : (float, float), px, optional; pixel of its center; by default that of the image
-    roll_deg : float, deg
-        Position angle of the upward direction of the image, before the body is moved from the boresight.
+    roll_deg : float, deg; position angle of up in the image, before the body leaves the boresight
     exposure_s : float, s, optional; exposure time
     prefix : str; beginning of the names
 

@@ -58,9 +58,7 @@ class TruthOptions:
     Parameters
     ----------
     relief : float; of the surface about the declared shape, over its radius
-    albedo : float, optional
-        Of albedo variations relative to the light; by default drawn from the prior of
-        :mod:`giantlike.image_model.field`.
+    albedo : float, optional; relative albedo variations; by default from :mod:`giantlike.image_model.field`
     brightness : float; relative, of the normal albedo
     law : float; of the share of Lambert's law less that of Lommel and Seeliger's, and of the phase slope, 1/rad
     psf : float; relative, of the width of the point spread function
@@ -93,15 +91,12 @@ class FixForecast(Value):
     ----------
     estimator : str
     draws : int; number of drawn images of about this size, phase and brightness
-    failures : mapping of str to int
-        Number of them by the reason of their failure; those with a suspect fix have ``suspect``.
+    failures : mapping of str to int; number of draws by reason; of suspect fixes as ``suspect``
     covariance : (k, k) float64, optional
         Expected covariance of x and y, px, and, where the fix has a range (k = 3), of its natural logarithm. None where
         no draw gave a fix.
     parts : mapping of Cause to (k, k) float64; that covariance by cause
-    nees : float
-        Mean of the normalized squared errors of the fixes by their own covariances, over their dimension; NaN without
-        fixes. Near 1 where the stated covariances hold.
+    nees : float; mean squared error by own covariance and dimension: 1 is right; NaN without fixes
     """
 
     estimator: str

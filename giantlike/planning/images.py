@@ -58,9 +58,7 @@ class PlanOptions:
         the second, and it is no longer than the first needs.
     min_snr : float; smallest signal to noise ratio of the whole signal of the body
     max_blur_px : float, px; largest motion of the body during an exposure that is chosen
-    estimators : tuple of str
-        Estimators whose fixes are predicted by drawn images, the one to choose images by first; none: no images are
-        drawn.
+    estimators : tuple of str; for drawn images, the one to choose images by first; none: nothing is drawn
     draws : int; drawn images of each size, phase and brightness; the candidates of one share them
     truth : TruthOptions; what they are drawn from, beside the uncertainties of the target
     albedo : float; normal albedo of a target without one
@@ -166,8 +164,7 @@ class Plan(Value):
     scene : Scene
     target : str
     options : PlanOptions
-    orbit_covariance : (6, 6) float64, km and km/s, ICRF axes, optional
-        Of the state of the orbit with the images that were chosen.
+    orbit_covariance : (6, 6) float64, km and km/s, ICRF axes, optional; of the state, with the chosen images
     """
 
     images: tuple[PlannedImage, ...]

@@ -60,8 +60,7 @@ class SelectOptions:
     Parameters
     ----------
     min_gap_s : float, s; smallest time between two images
-    orbit : OrbitPrior, optional
-        By default the geometry of the first image, uncertain by a tenth of the range, and a straight line.
+    orbit : OrbitPrior, optional; by default as in the first image, +- a tenth of the range, and straight
     estimator : str, optional; whose fixes count; by default the first of the plan
 
     Raises
@@ -85,8 +84,7 @@ class Measurement(Value):
     Parameters
     ----------
     et : float
-    partials : (k, 7) float64
-        Of x, y, px, and, where it is measured, of the logarithm of the range, by the state and the size of the target.
+    partials : (k, 7) float64; of x, y, px, and of ln range if measured, by the state and the target's size
     covariance : (k, k) float64; without the error of the size, which all images share
     weight : float; probability of a usable fix
     """

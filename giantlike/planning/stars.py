@@ -48,8 +48,7 @@ class StarForecast(Value):
     in_field : int; stars of the catalog in the field of view, down to its limit
     expected : float; expected number of detections; equal to ``in_field`` where no zero point is known
     low, high : float; interval of 95 % of that number: chance, and the error of the zero point
-    covariance_rad2 : (3, 3) float64, rad^2, camera axes, optional
-        Covariance of the attitude from them, as in :class:`~giantlike.core.outcomes.AttitudeFix`.
+    covariance_rad2 : (3, 3) float64, rad^2, camera axes, optional; of the attitude, as ``AttitudeFix``
     parts : mapping of Cause to (3, 3) float64, rad^2; that covariance by cause
     failure : Failure, optional; reason for which there is no attitude
     """

@@ -82,9 +82,7 @@ class ApproachOptions:
     Parameters
     ----------
     seed : int; seed of everything random: equal options give equal images
-    approach, moon : tuple of Visit
-        Visits of the irregular body ``ROCK`` and of the ellipsoid ``MOON``; at least two of the first, and none or at
-        least two of the second.
+    approach, moon : tuple of Visit; of ``ROCK`` (two or more) and of the ellipsoid ``MOON`` (none, two or more)
     facets : int; facets of the irregular body
     long_exposure_s : float, s; exposure time of the star images
     longest_short_s : float, s; longest exposure of the images of the body

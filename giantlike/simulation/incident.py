@@ -34,12 +34,10 @@ class Sources:
 
     Parameters
     ----------
-    scene : Scene, optional
-        True geometry: light time and stellar aberration are applied as the scene says. None: no bodies.
+    scene : Scene, optional; true geometry, with light time and aberration as it says; None: no bodies
     catalog : StarCatalog, optional; None: no stars
     photometry : Photometry; zero point of the camera
-    albedo : float
-        Radiance factor along the normal of targets without one of their own; a dark asteroid such as Bennu by default.
+    albedo : float; radiance factor along the normal of targets without one; as dark as Bennu by default
     sun_distance_au : float, au; distance of the bodies from the Sun
 
     Raises

@@ -35,10 +35,8 @@ class Shot(Value):
     epoch : astropy Time; mid-exposure
     exposure_s : float, s; exposure time
     camera_from_inertial : Rotation; True attitude at mid-exposure
-    observer : ObserverState, optional
-        True state of the spacecraft; without one stars have neither parallax nor aberration.
-    angular_rate_camera_rad_s : (3,) float64, rad/s, camera axes
-        Angular velocity of the camera, constant during the exposure: stars move the other way.
+    observer : ObserverState, optional; True state; without it stars have no parallax or aberration
+    angular_rate_camera_rad_s : (3,) float64, rad/s, camera axes; constant; stars move the other way
 
     Raises
     ------

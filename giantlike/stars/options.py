@@ -18,8 +18,7 @@ class StarOptions:
 
     Parameters
     ----------
-    max_magnitude : float, optional
-        Faintest catalog star, in the band of the catalog. Default: by the number of detections.
+    max_magnitude : float, optional; in the band of the catalog; default: by the number of detections
     lost_in_space : bool; search the whole sky if there is no a priori attitude or no stars are found with it
     estimate_scale : bool
         Estimate focal length and radial distortion k1 together with the attitude, for cameras of which only
@@ -41,24 +40,19 @@ class StarOptions:
     ransac_iterations : int
         Number of random samples of four stars. Default 300: with half of the pairs wrong, all samples contain a wrong
         one with probability 4e-9.
-    seed : int
-        Seed of the samples: equal input gives equal output. The default is arbitrary.
+    seed : int; of the samples: equal input gives equal output; the default is arbitrary
     min_snr : float
         Detections of a lower signal to noise ratio are left out, but never the brightest 20. Default 0 uses all: each
         is weighted with its covariance.
-    all_stars : bool
-        Measure all stars. Default False: the brightest, until the rest would shrink the covariance by less than 5 %.
-    min_matches : int
-        Fewest stars of a solution, at least 3. Default 4: one more than an unambiguous attitude needs.
+    all_stars : bool; measure all; default False: until the rest would shrink the covariance by under 5 %
+    min_matches : int; fewest stars of a solution, 3 or more; default 4: one more than unambiguous
     outlier_sigma : float
         A star further from its position than this many standard deviations is rejected. Default 4: of 100 good stars, a
         two-dimensional normal error exceeds it once in 30 images.
     max_false_match_probability : float
         An identification that is random with a higher probability is refused. Default 1e-6: one wrong attitude
         in a million images at most.
-    attitude_method : AttitudeMethod
-        Solver of the attitude; all but ``weighted`` need a known scale. Default: the only one that uses the full
-        covariance of every star.
+    attitude_method : AttitudeMethod; default ``weighted``: full covariances; the others need a known scale
     light_deflection : bool
         Apply the deflection of light by the Sun, where the position of the spacecraft is known. Default off: it
         exceeds 0.01 arcsec only within 44 degrees of the Sun (4.07 mas / tan(angle / 2) at 1 au).

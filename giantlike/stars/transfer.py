@@ -43,8 +43,7 @@ class TransferOptions:
     Parameters
     ----------
     method : TransferMethod; default ``interpolate``: it needs neither rates nor a priori attitudes
-    max_gap_s : float, s
-        Star images further away in time are not used. Default: no limit; the drift widens the covariance instead.
+    max_gap_s : float, s; largest distance in time of star images used; default: none, as drift grows
     drift_arcsec_per_sqrt_s : float, arcsec/s^0.5
         Random walk per axis of the rotation that the method does not model. It is zero at every star solution used,
         so between two of them it grows and shrinks again. Default 0.1: a quiet platform, 1 arcsec in 100 s; set it to
@@ -148,11 +147,9 @@ def carry_attitude(
     Parameters
     ----------
     image : Image; the exposure without stars; an attitude that it has is replaced
-    solved : sequence of Image
-        Exposures of the same camera with the attitudes of their stars (``long.with_attitude(fix)``), in any order.
+    solved : sequence of Image; of the same camera, with star attitudes (``long.with_attitude(fix)``)
     rates : AngularRates, optional; used by ``propagate``
-    options : TransferOptions
-        Default: a constant rate of rotation between the images before and after, and the drift of a quiet platform.
+    options : TransferOptions; default: constant rate between images, and the drift of a quiet platform
 
     Returns
     -------

@@ -48,19 +48,13 @@ class LimbProfile(Value):
         In even steps from 0, about the direction from the camera to the center of the body: from ``first_body``
         towards ``second_body``.
     altitude_km : (k,) float64, km; across the outline; what the map does not resolve is in it as expected
-    unresolved_km : (k,) float64, km
-        The part of that which stands for relief that the map does not resolve; never negative.
-    known : (k,) bool
-        Where the map holds the ground that may be the limb; elsewhere the altitude is the mean of the others.
-    points_body_km, normals_body : (k, 3) float64, km and unitless, body axes
-        Limb of the smooth body, and its unit normals there.
+    unresolved_km : (k,) float64, km; the part for relief that the map does not resolve; never negative
+    known : (k,) bool; where the map holds the ground of the limb; elsewhere the altitude is a mean
+    points_body_km, normals_body : (k, 3) float64, km and unitless, body axes; of the smooth body's limb
     first_body, second_body : (3,) float64, unitless, body axes; unit vectors across the line of sight
-    sigma_km : float, km
-        Standard deviation of the altitude by the heights of the map and where it holds none, shared by wide parts.
-    common_sigma_km : float, km
-        Standard deviation of the altitude that the whole limb has in common: of what the map does not resolve.
-    scatter_km : float, km
-        Root mean square of the relief that the map does not resolve, new in each of its steps along the limb.
+    sigma_km : float, km; of the altitude, by heights of the map and gaps in it, shared by wide parts
+    common_sigma_km : float, km; of what the map does not resolve, common to the whole limb
+    scatter_km : float, km; RMS of relief that the map does not resolve, new in each step along the limb
     """
 
     angles_rad: Float

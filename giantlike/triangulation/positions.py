@@ -66,11 +66,9 @@ class TriangulatedPosition(Value):
 
     Parameters
     ----------
-    position_km : (3,) float64, km, ICRF axes
-        Of the spacecraft, with respect to the origin of the positions of the targets.
+    position_km : (3,) float64, km, ICRF axes; of the spacecraft, from the origin of the targets
     covariance_km2 : (3, 3) float64, km^2
-    parts : mapping of Cause to (3, 3) float64, km^2
-        The covariance by cause: noise of the lines, attitude, ephemeris. They sum to it.
+    parts : mapping of Cause to (3, 3) float64, km^2; noise of the lines, attitude, ephemeris; sum to it
     residuals_rad : (n, 2) float64, rad; observed minus computed across each line, along two perpendicular axes
     chi_square : float; of the residuals by their full covariance
     degrees_of_freedom : int; 2 n - 3
@@ -124,8 +122,7 @@ def triangulate(
 
     Parameters
     ----------
-    sightlines : sequence of Sightline
-        At least two, aberration removed (:func:`~giantlike.triangulation.sightlines.without_aberration`).
+    sightlines : sequence of Sightline; at least two, without aberration (``without_aberration``)
     positions_km : (n, 3), km, ICRF axes; where the target of each line was when the light left it
     ephemeris_covariances_km2 : mapping of str to (3, 3), km^2, ICRF axes, optional
         By target; none by default. It is one error for all lines to that target.

@@ -74,9 +74,7 @@ def sightline_of_fix(fix: CenterFix, image: Image, camera: Camera) -> Sightline 
 
     Parameters
     ----------
-    fix : CenterFix
-        Of an unresolved body or of one with a disk; a :class:`~giantlike.core.outcomes.PositionFix` is used for its
-        direction alone.
+    fix : CenterFix; of an unresolved body or a disk; of a ``PositionFix`` the direction alone
     image : Image; with an attitude and an epoch; the covariance of its attitude goes into the line
     camera : Camera
 

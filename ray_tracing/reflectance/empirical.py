@@ -88,8 +88,7 @@ class LunarLambert(SurfaceLaw):
 
     Parameters
     ----------
-    weight : tuple of float
-        ``w0, w1, w2, ...`` per power of a degree. The default is McEwen's for the Moon; ``(0.5,)`` is a constant.
+    weight : tuple of float; ``w0, w1, ...`` per power of a degree; by default McEwen's for the Moon
 
     Notes
     -----

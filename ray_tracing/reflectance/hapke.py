@@ -36,8 +36,7 @@ class Hapke(SurfaceLaw):
     h : float; angular half width of the surge, as the tangent of half the phase angle; > 0 where b0 is
     theta_bar_deg : float, deg; mean slope of the relief below the resolution of the shape, in [0, 60]
     hg1 : float; asymmetry of the first lobe, in (-1, 1); negative scatters back to the Sun
-    hg2 : float
-        Fraction of the second lobe, in [0, 1]. Hapke's later (b, c) are ``hg1 = -b, hg2 = (1 - c) / 2``.
+    hg2 : float; fraction of the second lobe, in [0, 1]; by Hapke's later b, c ``hg1 = -b, hg2 = (1 - c) / 2``
 
     Notes
     -----

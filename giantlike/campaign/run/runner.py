@@ -66,12 +66,9 @@ def run_campaign(
     resume : bool; accepted and without effect: a run always continues from its folder
     bodies : bool; run the estimators of bodies too; without them the run ends with the attitudes (and can be continued)
     progress : callable, optional; called with the name of the step, the number of images done, and their total
-    announce : callable, optional
-        Called with lines on the changes, the pending work and the kept results, before the work starts.
-    pool : callable, optional
-        Makes the executor of the work, from the workbench and the number of images; default: processes on this machine.
-    check : callable, optional
-        Called with the workbench before the first image; returns warnings for the report, or raises.
+    announce : callable, optional; called with lines on changes and pending work before the work starts
+    pool : callable, optional; makes the executor from workbench and number of images; default: processes
+    check : callable, optional; called with the workbench before the first image; warns or raises
 
     Raises
     ------

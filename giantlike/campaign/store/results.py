@@ -83,8 +83,7 @@ class RunResult(Pictured, Value):
     folder : Path; the run folder
     name : str; of the campaign
     attitudes : tuple of AttitudeRecord; one per image, in input order; lists of stars stay in the run folder
-    bodies : tuple of ObservationsRecord
-        One per image that shows a body; limb points and outlines stay in the run folder.
+    bodies : tuple of ObservationsRecord; one per image of a body; limb points and outlines stay in the folder
     hdu : int or str or None; FITS extension that was read
     bottom_up : bool; True if the rows were reversed on reading
     max_overlays : int; number of images shown in the report
@@ -93,8 +92,7 @@ class RunResult(Pictured, Value):
     calibration : dict, optional; content of ``calibration.json``, if the campaign calibrates
     empty_images : frozenset of str; images that are expected to hold nothing
     network : dict, optional; content of ``network/result.json``, if the campaign adjusts a network
-    steps : mapping of str to StepCount
-        Results computed and kept by this run, by step; empty for a run that was read back.
+    steps : mapping of str to StepCount; results computed and kept by this run, by step; empty if read back
     """
 
     folder: Path

@@ -95,8 +95,7 @@ def detect_sources(
 
     Parameters
     ----------
-    pixels : (rows, columns) real, DN
-        Any integer or floating dtype. Values that are not finite are treated as masked.
+    pixels : (rows, columns) real, DN; of any dtype; values that are not finite are masked
     detector : Detector
         Gain (for the shot noise of stars) and saturation; integer images also saturate at the end of their dtype. The
         background noise is that of ``options.noise``, by default measured on the image.

@@ -80,8 +80,7 @@ class Detections(Value):
     peak_dn : (n,) float64, DN; brightest pixel of the core above background
     area_px : (n,) int64, px; connected pixels of the source above the detection threshold
     background_dn : (n,) float64, DN; level under the source, from the fit
-    width_px : (n,) float64, px
-        Fitted standard deviation of the source before the pixels integrate it; ``psf_sigma_px`` for a star.
+    width_px : (n,) float64, px; fitted sigma before the pixels integrate it; ``psf_sigma_px`` for a star
     flags : (n,) uint16; combinations of :class:`DetectionFlag`
     psf_sigma_px : float, px; point spread function used, given or estimated from the image
     noise_dn : float, DN; background noise of a pixel, median over the image
@@ -92,8 +91,7 @@ class Detections(Value):
     moments : (n, 2) float64, optional
         Second moments along the longest and the shortest axis in a Gaussian window as wide as a star, in units of the
         window's; 0.5 for a star; None where streaks were fitted.
-    left_out : UnmeasuredSources, optional
-        Sources found that ``DetectionOptions.information`` left unmeasured; None where all were measured.
+    left_out : UnmeasuredSources, optional; left unmeasured by ``DetectionOptions.information``; None: none
     """
 
     points_px: Float

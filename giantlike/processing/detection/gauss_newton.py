@@ -175,7 +175,7 @@ def windowed_moments(
     window_px: float,
     width_px: float,
 ) -> Float:
-    """Second moments (n, 2) in Gaussian windows, see :func:`.centroid.windowed_shape`."""
+    """Second moments (n, 2) in Gaussian windows, see ``centroid.windowed_shape``."""
     n, size = values_dn.shape[0], values_dn.shape[1]
     result, of_light, of_star = np.empty((n, 2)), np.empty(4), np.empty(4)
     columns, rows = np.empty((size, 3)), np.empty((size, 3))

@@ -24,13 +24,11 @@ class DetectionOptions:
         Fraction of the information on position (the sum of 1 / sigma^2 per axis) that the measured sources must have,
         in (0, 1]: the most significant are measured until the rest, as predicted from noise before a fit, has no more
         than the remainder. Sources flagged as not stars do not count. Default 1 measures all.
-    min_area_px : int, px
-        Fewer connected pixels above the limit are not a source. Default 1 keeps all: undersampled stars have one.
+    min_area_px : int, px; of a source above the limit; default 1: undersampled stars have one pixel
     max_saturated_fraction : float
         An image with a larger fraction of saturated pixels is refused. Default one half: the median of such an image is
         not the background.
-    noise : NoiseSource
-        Source of the noise of a pixel. Default: the image around the pixel, which needs no calibrated detector.
+    noise : NoiseSource; by default the image around a pixel, which needs no calibrated detector
     covered : (x, y, columns, rows), px, optional; pixels shielded from light, for ``NoiseSource.COVERED``
     streak : bool, optional
         True if the stars are trails of one direction and length, False if they are points; found from the image by
