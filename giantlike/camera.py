@@ -16,12 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike._system.atomic import write_text_atomic
 from giantlike._system.reading import toml_table
-from giantlike.camera_models import (
-    CameraModel,
-    ifov_rad,
-    model_from_mapping,
-    model_to_mapping,
-)
+from giantlike.camera_models import CameraModel, ifov_rad, model_from_mapping, model_to_mapping
 from giantlike.camera_models.convert import WIDE_START, frame_grid
 from giantlike.camera_models.part import divisible
 from giantlike.camera_models.plane import PlaneModel

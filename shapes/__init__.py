@@ -36,9 +36,6 @@ __all__ = [
 
 __getattr__ = forward_names(
     __name__,
-    {
-        "giantlike.shapes.detail": "LevelsOfDetail levels_of_detail",
-        "giantlike.shapes.generate": "geodesic_directions",
-    },
+    {"giantlike.shapes.detail": "LevelsOfDetail levels_of_detail", "giantlike.shapes.generate": "geodesic_directions"},
     until="0.4",
 )

@@ -58,11 +58,6 @@ class SweepYModel(SweepXModel):
 
     The normalized geostationary projection, PROJ's ``+sweep=y``: Himawari AHI, MTSAT, Meteosat.
 
-    Parameters
-    ----------
-    fx_px, fy_px : float, px; pixels per radian of the scan angles
-    cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float; see ``AffineModel``
-
     References
     ----------
     .. [1] JMA, Himawari-8/9 Himawari Standard Data User's Guide, section 3.

@@ -102,12 +102,7 @@ def after_correction(
     """
     joint, state = at
     step = maneuver(
-        state.et,
-        state.mean,
-        np.zeros(3),
-        inertial_from_body,
-        duration_s=duration_s,
-        sigma_km_s=sensing_km_s,
+        state.et, state.mean, np.zeros(3), inertial_from_body, duration_s=duration_s, sigma_km_s=sensing_km_s
     )
     commanded = np.zeros((STATES, STATES))
     commanded[VELOCITY, :6] = guidance

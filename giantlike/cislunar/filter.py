@@ -24,13 +24,7 @@ from giantlike.cislunar.body_measurements import (
     range_per_diameter,
     tangent_angles,
 )
-from giantlike.cislunar.udu import (
-    UduFactors,
-    considered_update,
-    gauss_markov_step,
-    gram_schmidt,
-    scalar_update,
-)
+from giantlike.cislunar.udu import UduFactors, considered_update, gauss_markov_step, gram_schmidt, scalar_update
 from giantlike.core.arrays import Float, Mask, as_finite, as_floats, require
 from giantlike.core.deprecation import forward_names
 from giantlike.core.frames import skew

@@ -53,8 +53,7 @@ def export(
     inertial: Annotated[InertialFrame, typer.Option(help="aem, tdm: name of the inertial axes.")] = InertialFrame.ICRF,
     sip_order: Annotated[int, typer.Option(help="wcs: order of the polynomials.", min=2, max=9)] = 5,
     ades: Annotated[
-        Path | None,
-        typer.Option(help="ades: file with a table [ades]: the campaign file, say.", metavar="FILE.toml"),
+        Path | None, typer.Option(help="ades: file with a table [ades]: the campaign file, say.", metavar="FILE.toml")
     ] = None,
     spacecraft: Annotated[int | None, typer.Option(help="spk: NAIF code of the spacecraft.", metavar="ID")] = None,
     body: Annotated[int | None, typer.Option(help="spk: NAIF code of the target.", metavar="ID")] = None,

@@ -20,16 +20,7 @@ from giantlike.cli.progress import progress_bar
 from giantlike.core.arrays import require
 from giantlike.core.errors import InputError
 from giantlike.io.isis_network import read_control_network
-from giantlike.network import (
-    NetworkFix,
-    NetworkOptions,
-    Photo,
-    Tracks,
-    adjust,
-    read_isis,
-    read_spc,
-    write_network,
-)
+from giantlike.network import NetworkFix, NetworkOptions, Photo, Tracks, adjust, read_isis, read_spc, write_network
 
 Network = Annotated[Path, typer.Argument(metavar="NET.pvl", help="ISIS control network in PVL.")]
 

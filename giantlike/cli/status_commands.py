@@ -55,8 +55,7 @@ def edit(
     folder: Run,
     action: Annotated[Action, typer.Argument(help="list, reject, accept, discuss, start, mask or restore.")],
     file: Annotated[
-        str | None,
-        typer.Argument(metavar="IMAGE", help="Name of the image, or its beginning; all but list need it."),
+        str | None, typer.Argument(metavar="IMAGE", help="Name of the image, or its beginning; all but list need it.")
     ] = None,
     star: Annotated[int | None, typer.Option(help="Number of a star of it, in the catalog.", metavar="ID")] = None,
     target: Annotated[str | None, typer.Option(help="Target of a fix of it, or of a start.")] = None,

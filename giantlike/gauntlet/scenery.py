@@ -19,7 +19,7 @@ _CRESCENT = Sampling(cells=6, edge_rays=10)  # rays for thin crescents: 3,600 a 
 _DUST_CORE = 0.5  # distance, in radii of the nucleus, within which a coma does not rise any more
 
 
-def _moved_target(plan: Plan, place_px: Float, *, sun: Float | None = None, predicted: bool = True) -> Plan:
+def _move_target(plan: Plan, place_px: Float, *, sun: Float | None = None, predicted: bool = True) -> Plan:
     """The plan with the target, and its prediction, at another position in the image."""
     world, told = plan.world, plan.told
     sight = world.view.directions(place_px)
@@ -59,18 +59,18 @@ def filling(plan: Plan, rng: np.random.Generator) -> Plan:
     side = np.array([-outward[0], -outward[1], 0.0])
     side -= (side @ sight) * sight
     sun = sun + math.sin(world.phase_rad) * side / np.linalg.norm(side)
-    return _moved_target(plan, middle + away * outward, sun=sun)
+    return _move_target(plan, middle + away * outward, sun=sun)
 
 
 def partly_outside(plan: Plan, rng: np.random.Generator) -> Plan:
     """Move the body over the edge of the frame."""
-    return _moved_target(plan, _place_at_edge(plan.world, rng, (-0.4, 0.4)))
+    return _move_target(plan, _place_at_edge(plan.world, rng, (-0.4, 0.4)))
 
 
 def outside(plan: Plan, rng: np.random.Generator) -> Plan:
     """Move the body out of the frame; half of them are still predicted inside."""
     place = _place_at_edge(plan.world, rng, (0.55, 1.55), more_px=8.0)
-    return _moved_target(plan, place, predicted=rng.uniform() < 0.5).but(hard=True)
+    return _move_target(plan, place, predicted=rng.uniform() < 0.5).but(hard=True)
 
 
 def _place_at_edge(

@@ -30,11 +30,7 @@ _MAX_LIGHT_TIME = 0.1  # sigmas of a measure that light time across the body may
 
 @one_thread()
 def adjust(
-    photos: Sequence[Photo],
-    tracks: Tracks,
-    *,
-    body: Rotating | None = None,
-    options: NetworkOptions | None = None,
+    photos: Sequence[Photo], tracks: Tracks, *, body: Rotating | None = None, options: NetworkOptions | None = None
 ) -> NetworkFix | Failure:
     """Adjust points, poses, and the rotation, size and camera that all images share, to measures of points in images.
 

@@ -281,9 +281,7 @@ class NavigationPass(Value):
                 f"{image.by_trajectory.shape[1]}",
             )
         self._keep(
-            images=tuple(self.images),
-            covariance_trajectory=covariance,
-            trajectory_names=tuple(self.trajectory_names),
+            images=tuple(self.images), covariance_trajectory=covariance, trajectory_names=tuple(self.trajectory_names)
         )
 
     @property

@@ -116,9 +116,7 @@ class ZeroPoint(Estimate):
 
 
 def fit_zero_point(
-    fluxes: Sequence[Fluxes],
-    stars: StarTable | Sequence[StarTable],
-    options: ZeroPointOptions = ZeroPointOptions(),
+    fluxes: Sequence[Fluxes], stars: StarTable | Sequence[StarTable], options: ZeroPointOptions = ZeroPointOptions()
 ) -> ZeroPoint | Failure:
     r"""Fit the zero point of a camera to fluxes of catalog stars.
 

@@ -130,10 +130,7 @@ def measurement_of(
         turn = turned_about(position_camera_km[None], by_position[None])[0][:size]
         covariance = covariance + turn @ attitude_covariance_rad2 @ turn.T
     return Measurement(
-        et=et,
-        partials=partials,
-        covariance=0.5 * (covariance + covariance.T),
-        weight=1.0 - fix.failure_probability,
+        et=et, partials=partials, covariance=0.5 * (covariance + covariance.T), weight=1.0 - fix.failure_probability
     )
 
 

@@ -167,10 +167,7 @@ class Approach(Value):
             frame.shot,
             self.camera,
             Sources(
-                scene=frame.scene,
-                catalog=catalog,
-                photometry=self.photometry,
-                sun_distance_au=self.sun_distance_au,
+                scene=frame.scene, catalog=catalog, photometry=self.photometry, sun_distance_au=self.sun_distance_au
             ),
             seed=frame.seed,
             detector=self.detector,

@@ -5,12 +5,7 @@ from giantlike.stars.navigation import StarNavigation
 from giantlike.stars.options import StarOptions
 from giantlike.stars.transfer import TransferOptions, carry_attitude
 
-__all__ = [
-    "StarNavigation",
-    "StarOptions",
-    "TransferOptions",
-    "carry_attitude",
-]
+__all__ = ["StarNavigation", "StarOptions", "TransferOptions", "carry_attitude"]
 
 __getattr__ = forward_names(
     __name__,

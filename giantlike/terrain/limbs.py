@@ -161,11 +161,7 @@ def limb_profile(
 
 @lru_cache(maxsize=8)
 def _profile(
-    heights: HeightMap,
-    radii: tuple[float, ...],
-    camera: tuple[float, ...],
-    count: int,
-    up: tuple[float, ...] | None,
+    heights: HeightMap, radii: tuple[float, ...], camera: tuple[float, ...], count: int, up: tuple[float, ...] | None
 ) -> LimbProfile:
     """The same with arguments by which it is kept: estimators of one image ask for one profile."""
     distance = float(np.linalg.norm(camera))

@@ -5,9 +5,4 @@ from giantlike.viewer.layers import layers_of
 from giantlike.viewer.planes import backplanes_of
 from giantlike.viewer.session import Session
 
-__all__ = [
-    "Session",
-    "backplanes_of",
-    "explain",
-    "layers_of",
-]
+__all__ = ["Session", "backplanes_of", "explain", "layers_of"]

@@ -38,11 +38,7 @@ from giantlike.viewer.session import Session
 DOSSIER_FILE, DOSSIER_PAGE = "dossier.json", "dossier.html"
 _NOT_COPIED = frozenset({RESULTS_FILE, ".lock"})
 """Files of a run folder that a dossier goes without: points for pictures, which it has."""
-_EXPORTS = {
-    ExportFormat.CSV: "attitudes.csv",
-    ExportFormat.AEM: "attitudes.aem",
-    ExportFormat.TDM: "observables.tdm",
-}
+_EXPORTS = {ExportFormat.CSV: "attitudes.csv", ExportFormat.AEM: "attitudes.aem", ExportFormat.TDM: "observables.tdm"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

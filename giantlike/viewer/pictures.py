@@ -21,11 +21,7 @@ _LONGEST_PX = 2048  # longer sides of images are reduced to this; a page is not 
 
 
 def picture_of(
-    session: Session,
-    file: str,
-    layers: Sequence[MarkLayer],
-    *,
-    box: tuple[float, float, float, float] | None = None,
+    session: Session, file: str, layers: Sequence[MarkLayer], *, box: tuple[float, float, float, float] | None = None
 ) -> Figure:
     """Draw an image, or its box (left, top, right, bottom), with layers and names next to stars and landmarks."""
     from matplotlib import patheffects

@@ -99,9 +99,7 @@ def application(session: Session, token: str, other: Session | None = None) -> S
         return PlainTextResponse(text, status_code=400)
 
     return Starlette(
-        routes=routes,
-        middleware=[Middleware(_Gate, token=token)],
-        exception_handlers={OpNavError: refuse},
+        routes=routes, middleware=[Middleware(_Gate, token=token)], exception_handlers={OpNavError: refuse}
     )
 
 

@@ -132,12 +132,7 @@ def _add_outline(record: TargetRecord, campaign: Campaign, geometry: TargetGeome
 
 
 def _run_estimator(
-    record: ObservationRecord,
-    estimator: Estimator,
-    image: Image,
-    camera: Camera,
-    scene: Scene,
-    measuring: Measuring,
+    record: ObservationRecord, estimator: Estimator, image: Image, camera: Camera, scene: Scene, measuring: Measuring
 ) -> ObservationRecord:
     """Record, which has the prediction, with the result of one estimator."""
     began, of = time.perf_counter(), record.subject

@@ -210,12 +210,7 @@ class Measuring:
         """Return what a fix depends on; empty where nobody decided."""
         start, of = self.starts.get(target), (target, estimator)
         started = [] if start is None else [start.center_px, start.sigma_px]
-        return [
-            *started,
-            *self.areas.get(("", ""), ()),
-            *self.areas.get(of, ()),
-            *sorted(self.landmarks.get(of, ())),
-        ]
+        return [*started, *self.areas.get(("", ""), ()), *self.areas.get(of, ()), *sorted(self.landmarks.get(of, ()))]
 
     def provenance(self, target: str, estimator: str) -> dict[str, str]:
         """Return what users decided on a fix, in words, for its provenance."""
