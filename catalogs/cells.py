@@ -35,8 +35,7 @@ class SkyIndex(Value):
     """Directions and cells of the stars of a catalog in this order."""
 
     directions: NDArray[np.float32]  # (3, n), inertial axes; unit vectors to the catalog positions
-    # (n,); position of each star when all are sorted by magnitude, so that stars of equal magnitude have an order too
-    rank: NDArray[np.int32]
+    rank: NDArray[np.int32]  # (n,); position of each star by magnitude, so that equal ones have an order too
     starts: NDArray[np.int64]  # (cells + 1,); first star of each cell; the last entry is where the fast stars begin
     slow_margin_rad: float  # largest angle of the stars in cells from their catalog positions
     fast_margin_rad: Float  # (n_fast,); largest angle of each fast star

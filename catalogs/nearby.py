@@ -38,8 +38,7 @@ class NearbyStar:
     name: str
     star_id: int  # identifier in the default catalog: Gaia DR3, or minus the Hipparcos number
     radial_velocity_km_s: float
-    # mas/yr; proper motion in right ascension (with cos(dec)) and declination
-    motion_mas_yr: tuple[float, float] | None
+    motion_mas_yr: tuple[float, float] | None  # mas/yr; in right ascension (with cos(dec)) and declination
     parallax_mas: float | None  # mas
     source: str  # letters of the list above
 

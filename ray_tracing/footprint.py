@@ -77,9 +77,7 @@ class VisibleBox(Value):
     low_px: Float  # low_px, high_px: (2,); corners, cut at the edges of the detector and the margin that is sampled
     high_px: Float
     extent_px: float  # narrow side of the whole body
-    # (k, 2); points whose hull, widened by ``pad_px``, contains the body; None where the camera model images only part
-    # of it
-    outline_px: Float | None
+    outline_px: Float | None  # (k, 2); their hull, widened by ``pad_px``, holds the body; None if partly imaged
     pad_px: float
 
     def cells(self, per_px: int) -> tuple[AxisCells, AxisCells]:

@@ -22,8 +22,7 @@ _CHECK = np.array([-0.93, -0.41, 0.17, 0.66, 0.98])  # positions between the nod
 class AxisCells:
     """A row of equal cells along one axis of the image, ``per_px`` to a pixel and aligned with the pixels."""
 
-    # first, count: number of the first cell, and number of cells; cell 0 starts at the left edge of pixel 0, x = -0.5
-    first: int
+    first: int  # first, count: numbers of the first cell and of cells; cell 0 starts at x = -0.5, left of pixel 0
     count: int
     per_px: int
 

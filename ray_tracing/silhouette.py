@@ -216,9 +216,7 @@ class Crossings(Value):
 
     radii_px: Float  # (k,); from the start of each line; NaN where it meets no edge, as all that follows
     points_camera_km: Float  # (k, 3); on the shape
-    # (k, 3); outward and perpendicular to the ray: of an ellipsoid, or of the plane through the camera and the edge of
-    # a mesh
-    normals_camera: Float
+    normals_camera: Float  # (k, 3); outward, across the ray: of the ellipsoid, or of camera and edge
     facets: Indices  # (k,); facet at the edge that faces the camera, 0 on an ellipsoid; -1 for none
 
 

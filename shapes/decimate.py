@@ -24,9 +24,7 @@ _HASTES = (7, 6, 5, 8)
 class Deviation:
     """Distances between two surfaces of one body."""
 
-    # rms_km, max_km: distances of the vertices of each surface from the other one; the maximum over both is the
-    # Hausdorff distance of the vertices
-    rms_km: float
+    rms_km: float  # rms_km, max_km: of the vertices of each surface from the other; the larger one is Hausdorff's
     max_km: float
     volume_change: float  # volume of the second / volume of the first, minus 1
 

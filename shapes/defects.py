@@ -50,8 +50,7 @@ class Edges(Value):
     """The edges of a surface, each once."""
 
     ends: Faces  # (e, 2); vertices, the smaller number first
-    # (3 m,); the edge of each side of a facet; side k of facet i, from corner k to the next, is number 3 i + k
-    of_side: NDArray[np.int64]
+    of_side: NDArray[np.int64]  # (3 m,); edge of each side; side k of facet i, from corner k on, is number 3 i + k
     forward: Mask  # (3 m,); True if a side runs from the smaller vertex number to the larger
     facets: NDArray[np.int64]  # (e,); number of facets at an edge
 

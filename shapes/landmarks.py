@@ -33,9 +33,7 @@ class Landmark(Value):
     """A landmark: a local map around a point on a body."""
 
     map: LocalMap  # heights, and albedo if it is known; its z axis is the normal of the point
-    # contrast to match with: rms tilt of the surface, rad, about a uniform curvature, and rms relative albedo, added in
-    # quadrature
-    texture: float
+    texture: float  # contrast: rms tilt, rad, about a uniform curvature, and rms relative albedo, in quadrature
 
     def __post_init__(self) -> None:
         require(0.0 <= self.texture < math.inf, f"texture must be >= 0 and finite, got {self.texture}")

@@ -22,16 +22,10 @@ class Measures(Value):
     volume_km3: float
     area_km2: float
     center_of_figure_km: Float  # in body axes
-    # (3, 3), body axes; one unit vector per row, right-handed, smallest moment (longest axis) first
-    principal_axes: Float
-    # (3,) km^5; moments of inertia about those axes through the center of figure for a density of 1: over the volume
-    # they are moments per mass, km^2
-    principal_moments: Float
-    # of the ellipsoid with the same moments and volume-weighted center, longest first, along the principal axes
-    best_fit_radii_km: Float
-    # circumscribing_radius_km, mean_radius_km: largest distance from the origin; radius of the sphere of the same
-    # volume
-    circumscribing_radius_km: float
+    principal_axes: Float  # (3, 3), body axes; unit vectors as rows, right-handed, smallest moment first
+    principal_moments: Float  # (3,) km^5; about the center of figure for a density of 1
+    best_fit_radii_km: Float  # of the ellipsoid of the same moments and center, longest first
+    circumscribing_radius_km: float  # circumscribing_..., mean_radius_km: from the origin; by volume
     mean_radius_km: float
     euler_number: int  # vertices minus edges plus facets: 2 for one closed surface without handles
 

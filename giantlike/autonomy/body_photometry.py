@@ -73,9 +73,7 @@ class BodyLight:
     """A body that may be a patch of light."""
 
     name: str
-    # phase angle (rad) to the brightness relative to a white Lambert disk facing the Sun, such as
-    # ``chandrasekhar_sphere``
-    brightness: Callable[[Float], Float]
+    brightness: Callable[[Float], Float]  # phase angle, rad, to brightness over a white Lambert disk facing the Sun
     relative_sigma: float  # relative error of that brightness: albedo variations, clouds, the law
 
 

@@ -47,8 +47,7 @@ class SeenPatch(Value):
     dn: float  # sum minus background
     sigma_dn: float  # its noise
     saturated: bool
-    # (2, 2); of the light around its center, along ``axes_camera``, pixel and optics taken out
-    second_moment_rad2: Float
+    second_moment_rad2: Float  # (2, 2); of its light, along ``axes_camera``, pixel and optics taken out
     axes_camera: Float  # (2, 3); two axes across the direction
     on_edge: bool = False  # it touches the edge of the frame: part of the body may lie outside
 

@@ -108,8 +108,7 @@ class TriggerPlan:
     """Order of two cameras, and how much later the second one starts."""
 
     primary: int  # 0 or 1: the camera with the longer exposure, which triggers the other
-    # from the start of the primary to the start of the secondary: the middles of both exposures then coincide
-    delay_s: float
+    delay_s: float  # from the start of the primary to that of the secondary, for the same middles
 
 
 def trigger_plan(exposures_s: tuple[float, float]) -> TriggerPlan:

@@ -20,9 +20,7 @@ class Interlock(Value):
     """Fixed rotation between two cameras."""
 
     second_from_first: Rotation
-    # of the small rotation about its axes, in one pair of images: the calibration error and the bending of the
-    # structure
-    covariance_rad2: Float
+    covariance_rad2: Float  # of the small rotation in one pair of images: calibration and bending
 
     def reversed(self) -> Interlock:
         """Return the rotation from the second camera to the first."""
@@ -42,8 +40,7 @@ class PairPose(Value):
     covariance_camera_km2: Float  # without the attitude
     position_inertial_km: Float  # in ICRF axes; the same vector
     covariance_inertial_km2: Float  # in ICRF axes; with the attitude
-    # mapping of Cause to (3, 3) km^2, ICRF axes; ``noise`` (limb, models and camera) and ``attitude``, which sum to it
-    parts: Mapping[Cause, Float]
+    parts: Mapping[Cause, Float]  # Cause to (3, 3) km^2, ICRF axes; ``noise`` and ``attitude``, which sum to it
 
 
 def carried_attitude(stars: AttitudeFix, interlock: Interlock) -> tuple[Rotation, Float]:

@@ -29,13 +29,11 @@ class AlignmentResult(Estimate):
     rotation: Rotation  # ``second_from_first`` at the reference temperature
     rate_rad_per_c: Float  # (3,), rad/Celsius; about the axes of the second sensor; zero for a static alignment
     reference_c: float  # Celsius; mean temperature of the observations
-    # (3, 3), rad^2; of the small rotation, axes of the second sensor, at the reference temperature
-    covariance_rad2: Float
+    covariance_rad2: Float  # (3, 3), rad^2; of the small rotation, second sensor, reference temperature
     rate_covariance: Float  # (3, 3), (rad/Celsius)^2; zero for a static alignment
     residuals_rad: Float  # (n, 3), rad; observed minus fitted, axes of the second sensor
     used: Mask  # (n,); False for outliers
-    # of the measurements used. If it is more than noise explains, the covariances are scaled with it
-    reduced_chi2: float
+    reduced_chi2: float  # of the measurements used; covariances are scaled with an excess
     first: str = ""  # first, second: names of the two frames; empty when unknown
     second: str = ""
 

@@ -40,9 +40,7 @@ class Data(Value):
     temperatures_c: Float  # (m,)
     pose: int  # unknowns of an image: 3 (orientation) or 6 (orientation and position)
     estimated: NDArray[np.intp]  # (k,); indices of the estimated parameters of the model
-    # prior, prior_sigma: (k,); a priori values and standard deviations, infinite for none, in the units of the
-    # parameters
-    prior: Float
+    prior: Float  # prior, prior_sigma: (k,); a priori, in units of the parameters; sigmas infinite for none
     prior_sigma: Float
     start: Rotation  # a priori orientations of the m images
     attitude_weight: Float  # (m,) 1/rad^2; inverse variance per axis of the a priori orientations, 0 for none

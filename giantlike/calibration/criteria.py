@@ -21,12 +21,9 @@ class CalibrationCriteria:
     max_residual_px: float = 0.5
     max_image_residual_px: float = 1.0  # largest residual rms of a single image. Default 1: twice the limit for all.
     max_rejected: float = 0.25  # largest fraction of observations rejected. Default a quarter; no study yet.
-    # largest uncertainty of the camera map over the field (radial, modulo a rotation). Default 0.5, as the residuals
-    max_map_sigma_px: float = 0.5
-    # smallest number of observations kept per parameter of the camera. Default 3, six equations
-    min_observations_per_parameter: float = 3.0
-    # smallest fraction of nine equal parts of the field with observations. Default 0.6: six of nine
-    min_covered: float = 0.6
+    max_map_sigma_px: float = 0.5  # largest uncertainty over the field, modulo a rotation. Default as residuals
+    min_observations_per_parameter: float = 3.0  # of the camera, kept. Default 3, six equations
+    min_covered: float = 0.6  # smallest fraction of nine parts of the field. Default 0.6: six of nine
 
     def __post_init__(self) -> None:
         for name in self.__slots__:

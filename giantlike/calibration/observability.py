@@ -41,11 +41,8 @@ class ParameterSupport:
     value: float  # value, start, sigma: in the unit of the parameter
     start: float
     sigma: float
-    # largest effect of the value over the field (for focal length and principal point: of its change from the start)
-    effect_px: float
-    # largest effect of one sigma of this parameter alone. Far above the uncertainty of the map if other parameters
-    # compensate it
-    sigma_effect_px: float
+    effect_px: float  # largest effect of the value over the field (focal length, principal point: of its change)
+    sigma_effect_px: float  # largest effect of its sigma alone, far above the map's if others compensate
     partner: str  # parameter with the highest correlation; empty for a single parameter
     correlation: float  # correlation with the partner
     verdict: ParameterVerdict

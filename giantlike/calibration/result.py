@@ -33,9 +33,7 @@ class ImageCalibration(Value):
     # shift of the camera map (rms over the field, modulo a rotation) when this image is left out; infinite if the other
     # images do not determine a parameter
     influence_px: float
-    # squared shift of the parameters in units of their covariance, over their number (Cook's distance). Above 1, one
-    # image dominates the result
-    influence: float
+    influence: float  # Cook's distance: squared shift over covariance and number. Above 1, one image dominates
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,9 +46,7 @@ class RejectedObservation:
     predicted_px: tuple[float, float]
     distance_px: float  # NaN if the model cannot project the target
     sigmas: float  # distance over the sigma of the observation
-    # ``outlier``, ``not_imaged`` (the model cannot project the target) or ``image`` (the whole image was rejected,
-    # because too few of its observations agree)
-    cause: str
+    cause: str  # ``outlier``, ``not_imaged`` by the model, or ``image``: too few of the whole image agree
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -42,14 +42,12 @@ class StarImage(Estimate):
 
     name: str
     sky: Sky
-    # points_px, covariance_px2, snr: (m, 2), (m, 2, 2), (m,); sources without flags of ``NOT_A_STAR``, brightest first
-    points_px: Float
+    points_px: Float  # points_px, covariance_px2, snr: of m sources without flags of ``NOT_A_STAR``, brightest first
     covariance_px2: Float
     snr: Float
     camera_from_inertial: Rotation  # first solution
     focal_length_px: float  # focal length that the first solution found
-    # star_ids, source_indices: (k,); stars of the first solution, and the indices of their sources
-    star_ids: NDArray[np.int64]
+    star_ids: NDArray[np.int64]  # star_ids, source_indices: (k,); of the first solution, and of its sources
     source_indices: NDArray[np.int64]
     sigma_px: Float  # (k,); standard deviation of these stars per axis
     temperature_c: float = 0.0
@@ -72,8 +70,7 @@ class StarCalibration(Estimate):
     result: CalibrationResult
     rounds: int  # of identification and calibration
     settled: bool  # True if the matches stopped changing
-    # images whose stars could not be identified with the calibrated camera, and why
-    failed: tuple[tuple[str, Failure], ...]
+    failed: tuple[tuple[str, Failure], ...]  # images not identified with the calibrated camera, and why
     all_stars: AllStars | None = None  # residuals of stars of all brightnesses; None for other targets than stars
 
     @property

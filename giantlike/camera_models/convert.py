@@ -31,9 +31,7 @@ class Conversion(Value):
 
     model: AffineModel  # the fitted model; temperature terms as in the original
     points_px: Float  # (rows, columns, 2); grid of pixels at which the two are compared
-    # (rows, columns, 2); pixel of the fitted model minus pixel of the original, for the same direction; NaN where one
-    # of them has none
-    residuals_px: Float
+    residuals_px: Float  # (rows, columns, 2); fitted minus original pixel of a direction; NaN without one
 
     @property
     def max_px(self) -> float:

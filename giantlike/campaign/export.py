@@ -115,8 +115,7 @@ class ExportOptions:
     stars_only: bool = False  # leave out attitudes that were transferred from other images
     max_gap_s: float = 600.0  # CK, AEM and SPK: longest gap to interpolate over. The default is not from a study.
     instrument_id: int | None = None  # CK: NAIF code of the camera frame
-    # CK and AEM: name of the camera frame; default: the mission's frame, or the name of the camera
-    frame_name: str | None = None
+    frame_name: str | None = None  # CK and AEM: of the camera frame; default: the mission's, or the camera's name
     sclk: Path | None = None  # CK: clock kernel of the spacecraft; without it, one is made
     ck_type: int = 3  # CK: 3, continuous, or 1, discrete
     # object_name, object_id, originator: AEM: see ``giantlike.io.ccsds_aem.write_aem``. TDM, PSF: the spacecraft, and
@@ -128,11 +127,9 @@ class ExportOptions:
     inertial: InertialFrame = InertialFrame.ICRF  # AEM, TDM: name of the inertial axes
     sip_order: int = 5  # WCS: order of the polynomials, 2 to 9
     ades: Path | None = None  # ADES: TOML file with a table ``[ades]``, such as the campaign file
-    # spacecraft_id, target_id: SPK: NAIF codes; that of the target for a run with one, by default by its name
-    spacecraft_id: int | None = None
+    spacecraft_id: int | None = None  # spacecraft_id, target_id: SPK: NAIF codes; default: by the name of one target
     target_id: int | None = None
-    # SUMFILE: catalog of landmarks or folder of their maps, of which LMK files are written
-    landmarks: Path | None = None
+    landmarks: Path | None = None  # SUMFILE: catalog of landmarks or folder of maps, for LMK files
 
     def __post_init__(self) -> None:
         require(self.ck_type in (1, 3), f"C-kernels are written of type 1 or 3, got {self.ck_type}")

@@ -35,8 +35,7 @@ class BatchSolution(Value):
     covariance_first: Float  # covariance_first, covariance_last: (21, 21); of their errors
     covariance_last: Float
     residuals: Float  # (m, 3); measured minus predicted
-    # normalized by the covariance of all data and of the a priori state: its mean is the number of measurements
-    squared_residual: float
+    squared_residual: float  # by the covariance of all data and of the a priori state: on average their number
     iterations: int
 
 

@@ -88,8 +88,7 @@ def range_sigma(range_km: ArrayLike, radius_km: float, diameter_px: ArrayLike, d
 class TangentCamera(Value):
     """Pixels of an ideal camera and the tangents of angles."""
 
-    # (2,); focal length over pixel pitch along x and y; negative where a coordinate grows against its tangent
-    focal_px: Float
+    focal_px: Float  # (2,); over pixel pitch along x and y; negative where a coordinate grows against its tangent
     principal_px: Float  # (2,); pixel of the boresight
 
     def __post_init__(self) -> None:

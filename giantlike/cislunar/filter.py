@@ -268,9 +268,7 @@ def predict_measurement(observation: BodyObservation, mean: Float) -> tuple[Floa
 class Innovations(Value):
     """Measured minus predicted values, one after the other."""
 
-    # values, variances: (..., 3); each given those before it, with its variance: independent where the filter is
-    # consistent
-    values: Float
+    values: Float  # values, variances: (..., 3); of each given those before it: independent if consistent
     variances: Float
     used: Mask  # (..., 3); False where the measurement was left out
 

@@ -18,8 +18,7 @@ class Entry:
     """A command: the function with its arguments, or a group of commands."""
 
     summary: str  # line in the list of commands
-    # module, function: module in ``giantlike.cli``, and the function in it that returns an exit code; empty for a group
-    module: str = ""
+    module: str = ""  # module, function: in ``giantlike.cli``, and its function that returns an exit code; or empty
     function: str = ""
     commands: Mapping[str, Entry] = field(default_factory=dict)  # those of a group
 

@@ -48,8 +48,7 @@ class DetectRequest:
     hdu: int | str | None = None  # of FITS files
     reader: ImageReader  # opens the images
     sequence: bool = False  # the images are of one camera: a fixed pattern is removed, and detections are compared
-    # estimate a point spread function of this kind from each image, and the positions of stars with it
-    psf: PsfKind | None = None
+    psf: PsfKind | None = None  # kind of the PSF estimated from each image, for the positions of stars
     psf_degree: int = 0  # of the polynomials with which it varies over the field
     options: DetectionOptions = field(default_factory=DetectionOptions)
 

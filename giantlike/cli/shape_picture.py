@@ -35,8 +35,7 @@ class PictureView:
     """Viewing and illumination geometry of a picture of a shape."""
 
     phase_deg: float  # angle at the body between Sun and camera; the Sun is to the right
-    # longitude_deg, latitude_deg: east longitude and latitude of the point that faces the camera; body north is up
-    longitude_deg: float
+    longitude_deg: float  # longitude_deg, latitude_deg: east, of the point that faces the camera; north is up
     latitude_deg: float
     size_px: int
     law: str  # name of the reflectance law

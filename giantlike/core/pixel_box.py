@@ -64,11 +64,9 @@ class BoxPixels(Value):
 
     values_dn: Float  # (h, w); bias subtracted
     usable: Mask  # (h, w); neither bad nor saturated
-    # (h, w); saturated and not bad: the pixel is at least as bright as its value. None without such pixels
-    censored: Mask | None = None
+    censored: Mask | None = None  # (h, w); saturated and not bad: at least as bright as the value. None without any
     corner_px: tuple[int, int] = (0, 0)  # column and row of the first element in the image
-    # variance, DN^2, of the noise of pixels for a given signal of the body
-    noise_variance_dn2: Callable[[Float], Float]
+    noise_variance_dn2: Callable[[Float], Float]  # DN^2, by the signal of the body, DN
 
     def cut(self, box: PixelBox) -> BoxPixels:
         """Return the pixels in a box; those outside are not usable."""

@@ -83,8 +83,7 @@ def _common_step(differences: Float) -> float:
 class EightBitValues:
     """Values of an 8-bit JPEG or PNG file, gray or the luminance of its colors; they may be coded for display."""
 
-    # step of quantization, of variance ``step_dn**2 / 12``: 1, or smaller for the weighted mean of three channels
-    step_dn: float = 1.0
+    step_dn: float = 1.0  # of quantization, variance ``step_dn**2 / 12``: 1, less for a mean of channels
 
     @property
     def full_scale_dn(self) -> float:

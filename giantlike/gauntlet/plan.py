@@ -103,8 +103,7 @@ class Told(Value):
     focal_sigma: float = FOCAL_SIGMA  # declared, relative
     saturation_dn: float = FULL_DN  # declared
     dn_scale: float = 1.0  # DN of the image for each DN of the detector: below 1 after requantization
-    # bad pixels that are declared: from the pixels that were read (rows, columns) to (rows, columns) bool
-    mask: Callable[[Float], Any] | None = None
+    mask: Callable[[Float], Any] | None = None  # pixels as read (rows, columns) to declared bad ones
     observer_known: bool = True  # False where the velocity of the observer is not declared
     observer_factor: float = 1.0  # ratio of the assumed to the true velocity
     catalog: StarField | None = None  # assumed stars
@@ -131,8 +130,7 @@ class Plan(Value):
 class Base:
     """Limits from which the undisturbed image is drawn."""
 
-    # minimum and maximum, drawn uniformly in the logarithm; rocks only up to ``LARGEST_ROCK_PX``
-    diameter_px: tuple[float, float] = (20.0, 250.0)
+    diameter_px: tuple[float, float] = (20.0, 250.0)  # smallest and largest, log-uniform; rocks to ``LARGEST_ROCK_PX``
     phase_deg: tuple[float, float] = (5.0, 125.0)  # smallest and largest
     rocks: float = 0.3  # fraction of bodies of irregular shape
     points: float = 0.0  # fraction of bodies of 1 to 3 px

@@ -66,9 +66,7 @@ class Answer:
     detail: str = ""
     error_px: float = math.nan  # error_px, sigma_px: of the center: length of the error, and sigma by axis
     sigma_px: float = math.nan
-    # range_error, range_sigma: relative; NaN where the range is not estimated. Of stars, of the roll in px at the edge
-    # of the frame
-    range_error: float = math.nan
+    range_error: float = math.nan  # range_error, range_sigma: relative, or NaN; of stars, roll in px at the edge
     range_sigma: float = math.nan
     center_sigmas: float = math.nan  # center_sigmas, range_sigmas: errors / sigmas
     range_sigmas: float = math.nan

@@ -74,8 +74,7 @@ class AdesObservation(Value):
     sigma_ra_arcsec: float  # of right ascension times the cosine of the declination
     sigma_dec_arcsec: float  # sigma_dec_arcsec, correlation: of the declination, and of both
     correlation: float
-    # position_km, velocity_km_s: (3,); of the spacecraft from the geocenter, ICRF, geometric, at the epoch
-    position_km: Float
+    position_km: Float  # position_km, velocity_km_s: (3,); spacecraft from geocenter, ICRF, geometric, at epoch
     velocity_km_s: Float
     position_covariance_km2: Float | None = None  # (3, 3), positive definite
     sigma_time_s: float | None = None  # of the epoch

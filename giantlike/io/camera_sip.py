@@ -33,8 +33,7 @@ _ORDERS = range(2, 10)  # the keywords have one digit for each power: Shupe et a
 class SipCamera(Value):
     """Camera and attitude of a TAN-SIP header."""
 
-    # ``rows_reversed`` where the header describes a mirrored array, as sky images stored from the bottom are
-    camera: ImportedCamera
+    camera: ImportedCamera  # ``rows_reversed`` for a mirrored array, as sky images stored from the bottom
     camera_from_inertial: Rotation  # attitude, boresight at CRVAL, x along increasing columns
     conversion: Conversion  # differences of the fitted lens from the polynomials, over the frame
 

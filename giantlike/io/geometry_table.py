@@ -76,8 +76,7 @@ class GeometryRow(Value):
     body_from_inertial: Rotation | None = None  # orientation of the target when the light left it
     sun_direction_inertial: Float | None = None  # unit vector from target to Sun
     observer: ObserverState | None = None  # state of the spacecraft with respect to the solar system barycenter
-    # velocity of the target with respect to the barycenter when the light left it
-    target_velocity_inertial_km_s: Float | None = None
+    target_velocity_inertial_km_s: Float | None = None  # from the barycenter, when the light left the target
     line: int = 0  # line in the file, 0 for a row that was not read from one
 
 
@@ -93,8 +92,7 @@ class ImageGeometry(Value):
     # geometry in camera axes of targets without a row, by name
     seen: Mapping[str, StatedGeometry] = field(default_factory=dict)
     covariance_attitude_rad2: Float | None = None  # of the attitude that follows from them, about the camera axes
-    # all that is known is in axes of the body: SPICE gives the attitude, or these axes are inertial
-    in_body_axes: bool = False
+    in_body_axes: bool = False  # SPICE gives the attitude, or axes of the body are inertial
 
 
 @dataclass(frozen=True, slots=True, eq=False)

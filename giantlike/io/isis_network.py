@@ -68,8 +68,7 @@ class ImageSupport(Value):
     lines: int
     et: float
     focal_length_mm: float
-    # (2,); sample and line of the optical axis of the whole detector, from 1; NaN where the file has none
-    center: Float
+    center: Float  # (2,); sample and line, from 1, of the optical axis on the whole detector; NaN if not in the file
     pixels_per_mm: Float  # (2, 2); sample and line by x and y of the focal plane
     first: tuple[float, float]
     summing: tuple[float, float]

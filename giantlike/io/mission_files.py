@@ -26,8 +26,7 @@ class Mission:
     about: str  # images that it describes, and values that it does not give
     sources: tuple[str, ...]  # where the numbers come from
     kernels: tuple[str, ...]  # patterns of the names of SPICE kernels, in loading order
-    # keys of the tables ``camera``, ``images`` and ``spice`` of a campaign file that holds none
-    defaults: Mapping[str, Mapping[str, Any]]
+    defaults: Mapping[str, Mapping[str, Any]]  # of tables ``camera``, ``images``, ``spice`` of a campaign file
 
 
 def mission_names() -> tuple[str, ...]:

@@ -28,11 +28,8 @@ class ImportedCamera:
     model: CameraModel
     columns: int | None = None  # columns, rows: size of the detector, where the file states it
     rows: int | None = None
-    # takes vectors in the mission's camera frame (the one of its pointing kernels) to ours
-    camera_from_mission: Rotation
-    # the model counts rows from the last stored one: read ``image[::-1]``. Such a file describes a mirrored image,
-    # which no rotation explains
-    rows_reversed: bool = False
+    camera_from_mission: Rotation  # from the mission's camera frame (of its pointing kernels) to ours
+    rows_reversed: bool = False  # the model counts rows from the last one, mirrored: read ``image[::-1]``
     ignored: tuple[str, ...] = ()  # names of the parameters in the file that the model does not have
 
 

@@ -22,9 +22,7 @@ class RawLayout:
     columns: int
     prefix_bytes: int = 0  # prefix_bytes, suffix_bytes: bytes before and after the pixels of each row
     suffix_bytes: int = 0
-    # ``u``, ``i`` or ``f`` with byte order and size as numpy writes them (``>i2``), or ``vax4``, ``vax8`` for the F and
-    # D floating formats of the VAX
-    sample: str = "u1"
+    sample: str = "u1"  # ``u``, ``i`` or ``f`` as numpy writes it (``>i2``), or VAX's ``vax4``, ``vax8``
 
     @property
     def sample_bytes(self) -> int:

@@ -40,8 +40,7 @@ class Lmk(Value):
     horizon: tuple[int, int, int, int] = (-1, -1, -1, -1)  # no longer used
     # pictures_px, limbs_px: mapping of str to (2,); places in images by their names; 0 is the center of the first pixel
     pictures_px: Mapping[str, Float] = field(default_factory=dict)
-    # mapping of str to (3,); offsets to other landmarks by name
-    overlaps: Mapping[str, Float] = field(default_factory=dict)
+    overlaps: Mapping[str, Float] = field(default_factory=dict)  # (3,); offsets to other landmarks by name
     limbs_px: Mapping[str, Float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

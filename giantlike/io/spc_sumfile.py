@@ -42,15 +42,13 @@ class Sumfile(Value):
     thresholds_dn: tuple[int, int]  # least and largest valid pixel value
     focal_length_mm: float  # mm
     center_px: Float  # optical axis in the image; 0 is the center of the first pixel
-    # (2, 3); ``K``: the image of a point at (x, y) mm of the focal plane is at ``center + K (x, y, x y)``
-    pixels_per_mm: Float
+    pixels_per_mm: Float  # (2, 3); ``K``: (x, y) mm of the focal plane is at ``center + K (x, y, x y)``
     target_km: Float  # in body axes; from the spacecraft to the center of the body, as it is seen
     camera_from_body: Rotation
     sun_direction_body: Float  # from the body to the Sun
     sigma_target_km: Float  # in body axes
     sigma_pointing_rad: Float  # (3,), camera axes
-    # mapping of str to (2,); places of landmarks in the image by name; 0 is the center of the first pixel
-    landmarks_px: Mapping[str, Float] = field(default_factory=dict)
+    landmarks_px: Mapping[str, Float] = field(default_factory=dict)  # (2,); by name; 0 is the center of the first one
 
     def __post_init__(self) -> None:
         for name in ("center_px", "pixels_per_mm", "target_km", "sun_direction_body", "sigma_target_km",

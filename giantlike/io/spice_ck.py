@@ -42,8 +42,7 @@ _COMMENT = 1000  # characters of a line that dafac takes
 class CkTarget:
     """The instrument whose attitudes a C-kernel holds."""
 
-    # NAIF code of the camera frame, such as -64361; its thousands are the spacecraft and its clock, such as -64
-    instrument_id: int
+    instrument_id: int  # NAIF code of the camera frame, as -64361: thousands, -64, are the spacecraft's clock
     frame_name: str  # name for the frame kernel: capitals, digits, underscores; at most 26
 
     def __post_init__(self) -> None:

@@ -28,8 +28,7 @@ class LabelClock:
     item: str  # item of the label
     pattern: str  # regular expression that is searched for in the value of the item
     count: str | None  # clock count as SPICE reads it, with the groups of the expression as ``{0}``, ``{1}``,
-    # in place of ``count``, for a clock of seconds that needs no kernel: the UTC at which it read 0
-    zero_utc: str | None
+    zero_utc: str | None  # instead of ``count``: UTC at 0 of a clock of seconds without kernel
     after_exposure_s: float  # time from the closing of the shutter to that count
 
     def __post_init__(self) -> None:

@@ -39,9 +39,7 @@ class ViewingGeometry(Value):
     target: str  # name
     center_px: Float  # pixel of the center of the body
     range_km: float  # distance from the camera to that center
-    # direction in which the body-fixed +z axis is projected, from the +x (columns) axis of the image to its +y (rows)
-    # axis: clockwise where the first row is on top
-    north_azimuth_rad: float | None = None
+    north_azimuth_rad: float | None = None  # of the projected +z axis of the body, from +x to +y of the image
     observer_direction_body: Float | None = None  # to the camera, body-fixed axes: the sub-observer point
     sun_direction_body: Float | None = None  # to the Sun, body-fixed axes: the sub-solar point
     sun_azimuth_rad: float | None = None  # direction in which the Sun is, counted as for the pole

@@ -49,8 +49,7 @@ class PassLayout(Value):
     covariance_apriori: Float  # (k, k); of these; zero in rows of parameters of which nothing is known (``free``)
     free: Mask  # (k,)
     estimated: Mask  # (k,); the others are considered
-    # tuple of (8 + c, k), one for each image; errors of the image by the departure of the parameters from ``apriori``
-    maps: tuple[Float, ...]
+    maps: tuple[Float, ...]  # for each image (8 + c, k); its errors by parameters less ``apriori``
 
     @classmethod
     def from_pass(cls, given: NavigationPass, options: PassOptions) -> PassLayout:

@@ -49,8 +49,7 @@ _MARKERS = {
 class Layer(Value):
     """Points of one meaning over an image or in a chart."""
 
-    # (n, 2); over an image px, in a chart in the units of its axes; of ``BARS`` and ``ARROWS`` two for each
-    points: Float
+    points: Float  # (n, 2); px, or in units of the axes of a chart; of ``BARS`` and ``ARROWS`` two for each
     shape: MarkShape
     color: str
     size: float = 0.0  # points; diameter of a marker; of lines unused

@@ -55,8 +55,7 @@ class StarMarks(Value):
     """Stars of an image, px."""
 
     detected_px: Float  # (n, 2); all detections
-    # matched_px, predicted_px: (m, 2); identified stars as measured, and as the solution predicts them
-    matched_px: Float
+    matched_px: Float  # matched_px, predicted_px: (m, 2); identified stars as measured, and as predicted
     predicted_px: Float
     rejected_px: Float = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2); matches rejected as outliers
 
@@ -73,11 +72,9 @@ class CenterMark(Value):
     color: str
     center_px: Float
     covariance_px2: Float
-    # limb_px, limb_rejected_px: (n, 2); limb points used, and points of the illuminated limb not used
-    limb_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    limb_px: Float = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2); limb_rejected_px: lit limb not used
     limb_rejected_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
-    # (n, 2); outline of the body at the result, where it is known
-    outline_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
+    outline_px: Float = field(default_factory=lambda: np.zeros((0, 2)))  # (n, 2); at the result, where it is known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

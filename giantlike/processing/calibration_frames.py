@@ -117,9 +117,7 @@ class CalibratedPixels(Value):
 
     pixels: NDArray[np.float32]  # in DN; 0 where the mask is True
     mask: Mask  # True where a pixel is bad
-    # noise and limits of these pixels: with the noise of the frames, without the bias that was subtracted. Saturation
-    # is as in the raw image
-    detector: Detector
+    detector: Detector  # with the noise of the frames, without the subtracted bias; saturation as raw
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -129,13 +127,9 @@ class CalibrationFrames(Value):
     bias: CombinedFrame | None = None  # exposures of zero length
     dark: CombinedFrame | None = None  # exposures without light
     dark_exposure_s: float | None = None  # exposure of the dark; needed with a dark
-    # True if the dark was not corrected for the bias, as raw exposures. Without a bias frame such a dark only applies
-    # to images of the same exposure
-    dark_has_bias: bool = True
-    # response of the pixels to uniform light, without bias and dark; scaled to a median of 1
-    flat: CombinedFrame | None = None
-    # True where a pixel is bad. Hot pixels of the dark and dead ones of the flat are added to it
-    bad: Mask = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))
+    dark_has_bias: bool = True  # as of raw exposures: without a bias frame, for images of one exposure
+    flat: CombinedFrame | None = None  # response to uniform light, without bias and dark, median 1
+    bad: Mask = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))  # True if bad, hot in dark, dead in flat
 
     def __post_init__(self) -> None:
         named = {"bias": self.bias, "dark": self.dark, "flat": self.flat}

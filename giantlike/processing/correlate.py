@@ -37,8 +37,7 @@ class CorrelationOptions:
 
     search_px: int = 40  # largest distance from the predicted position, along each axis
     min_score: float = 0.5  # minimum correlation of a detection
-    # minimum number of common pixels of image and template, relative to the largest such number in the search region
-    min_overlap: float = 0.3
+    min_overlap: float = 0.3  # of common pixels of image and template, relative to the most in the search region
 
     def __post_init__(self) -> None:
         whole = isinstance(self.search_px, int | np.integer) and 1 <= self.search_px <= 4096
@@ -54,9 +53,7 @@ class CorrelationPeak(Value):
     offset_px: Float  # column and row of the peak in the surface, to a fraction of a pixel
     score: float  # correlation at the pixel of the peak, -1 to 1
     at_edge: bool  # True if the peak lies on the border of the surface or of the part of it that is defined
-    # of ``offset_px``, from the noise of the image as the peak itself shows it: see ``find_peak``. Infinite where the
-    # surface has no rounded peak
-    covariance_px2: Float
+    covariance_px2: Float  # of ``offset_px``, by noise as in the peak (``find_peak``); infinite without round peak
 
 
 def normalized_correlation(

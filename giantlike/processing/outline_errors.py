@@ -39,9 +39,7 @@ _LEAST_NOISE2 = 0.5
 class OutlineErrors(Value):
     """Errors of points along an outline, averaged over spectra by their likelihoods."""
 
-    # (g,); variance of the independent part / given variances, with each of g correlated errors: several kinds, each
-    # with several variances
-    noise_scale2: Float
+    noise_scale2: Float  # (g,); independent variance / given, with each of g correlated errors: kinds, variances
     shared_variance: Float  # (g,); variance of the part correlated between neighbors, unit of the residuals squared
     log_likelihood: Float  # (g,)
     lengths: Float  # (s,); correlation lengths of the first s kinds, unit of the points; the others are kinds of relief

@@ -145,8 +145,7 @@ class ApproachFrame(Value):
     seed: tuple[int, int]  # (int, int); seed of the noise of this image
     apriori_camera_from_inertial: Rotation | None  # attitude with its error; None where the attitude is lost
     apriori_observer: ObserverState  # observer with its error
-    # geometry of the target with the error of the predicted position; orientation and Sun are exact
-    apriori_geometry: ApparentGeometry
+    apriori_geometry: ApparentGeometry  # with the error of the position; orientation and Sun are exact
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -32,10 +32,8 @@ class AttitudeError(Value):
     source: str  # as in ``attitudes.csv``
     status: str  # as in ``attitudes.csv``
     reason: str  # as in ``attitudes.csv``
-    # (2,); root mean square shift of the image by the error, over the frame, per axis. None without an attitude
-    error_px: Float | None = None
-    # (2,); as above, for the reported covariance (the three sigmas about the camera axes)
-    sigma_px: Float | None = None
+    error_px: Float | None = None  # (2,); rms shift of the image by the error, over the frame, per axis
+    sigma_px: Float | None = None  # (2,); as above, by the three reported sigmas about the camera axes
     normalized: Float | None = None  # (3,); errors about the camera axes over their reported sigmas
 
 
@@ -50,13 +48,10 @@ class ObservationError(Value):
     reason: str  # as in ``observations.csv``
     diameter_px: float  # diameter_px, phase_deg: True apparent diameter and phase angle
     phase_deg: float
-    # error_px, sigma_px: (2,); measured minus true center; reported sigmas. None without a fix
-    error_px: Float | None = None
+    error_px: Float | None = None  # error_px, sigma_px: (2,); measured minus true center; reported sigmas
     sigma_px: Float | None = None
-    # squared error normalized by the reported covariance (2 x 2): 2 on average where the covariance is correct
-    nees: float | None = None
-    # range_error, range_sigma: measured minus true range, and its reported sigma, both divided by the true range
-    range_error: float | None = None
+    nees: float | None = None  # squared error by the reported covariance (2 x 2): 2 on average where correct
+    range_error: float | None = None  # range_error, range_sigma: relative: measured minus true, and reported
     range_sigma: float | None = None
 
 
@@ -77,14 +72,11 @@ class ErrorSummary(Value):
     n_fixes: int  # number of fixes with status ``ok``; only these count below
     n_suspect: int  # number of fixes with status ``suspect``
     failures: Mapping[str, int]  # number of failed rows by reason
-    # rms_px, sigma_px: (2,); root mean square of errors and of reported sigmas, per axis; NaN without fixes
-    rms_px: Float
+    rms_px: Float  # rms_px, sigma_px: (2,); rms of errors and of reported sigmas, per axis; NaN without fixes
     sigma_px: Float
     chi2: float  # chi2, dof: sum of squared normalized errors and number of them, without the range
     dof: int
-    # range_rms, range_sigma, range_chi2: relative errors of the range, relative reported sigmas, sum of squared
-    # normalized errors; NaN without ranges
-    range_rms: float
+    range_rms: float  # range_rms, range_sigma, range_chi2: relative errors, relative sigmas, sum of squares; or NaN
     range_sigma: float
     range_chi2: float
     n_ranges: int  # number of ranges

@@ -23,9 +23,7 @@ class CosmicRays:
     hits_per_image: float = 0.0  # mean number of hits in an image of any exposure, added to the rate
     pixel_um: float = 10.0  # pixel pitch
     thickness_um: float = 15.0  # depth in which charge is collected: with the incidence it gives the length of a track
-    # in electron/um; median charge per path length. The default, 80, is about the value of a minimum ionizing particle
-    # in silicon
-    charge_e_um: float = 80.0
+    charge_e_um: float = 80.0  # median per path length; 80 is about a minimum ionizing particle in silicon
     charge_spread: float = 0.4  # standard deviation of the natural logarithm of that charge, from particle to particle
 
     def __post_init__(self) -> None:

@@ -48,11 +48,8 @@ class StrayLight:
 class FlatField(Value):
     """Relative response of the pixels: pixel-to-pixel differences and vignetting."""
 
-    # (rows, columns); relative response of single pixels, 1 on average; ``pixel_response`` draws one
-    response: Float | None = None
-    # fraction of the light lost in the corners of the image; the loss grows with the square of the distance from the
-    # center
-    vignetting: float = 0.0
+    response: Float | None = None  # (rows, columns); of single pixels, 1 on average, as of ``pixel_response``
+    vignetting: float = 0.0  # fraction lost in the corners, growing with the square from the center
 
     def __post_init__(self) -> None:
         require_number(self.vignetting, "vignetting", least=0.0, most=1.0)
@@ -94,8 +91,7 @@ class StorageSide(StrEnum):
 class FrameTransfer:
     """Smear of a frame-transfer detector without shutter, whose rows move under the light."""
 
-    # time that a row spends under the light of each other row that it passes; 0 switches the smear off
-    row_time_s: float = 0.0
+    row_time_s: float = 0.0  # under the light of each other row that it passes; 0: no smear
     storage: StorageSide = StorageSide.FIRST_ROW  # edge towards which the rows move after the exposure
     # True if the rows move in the same way right before the exposure, to clear the detector: then every row has passed
     # all others, and the smear of a column is nearly constant. Else a row passes only those on its way out
@@ -125,8 +121,7 @@ class DarkCurrent:
     rate_e_s: float = 0.0  # in electron/s; rate per pixel at the reference temperature
     temperature_k: float | None = None  # K; temperature of the detector; without one the rate is not scaled
     reference_temperature_k: float = 293.15  # K; temperature of the rate; 20 degrees Celsius by default
-    # K; rise of temperature that doubles the rate. The default, 6.5, stands in until the value of the detector is known
-    doubling_k: float = 6.5
+    doubling_k: float = 6.5  # K; rise of temperature that doubles the rate; 6.5 until it is measured
 
     def __post_init__(self) -> None:
         require_number(self.rate_e_s, "dark rate_e_s", least=0.0)

@@ -24,11 +24,9 @@ class SimulatedImage(Value):
 
     image: Image  # pixels uint16, with the true attitude and observer
     shot: Shot  # the exposure
-    # true apparent geometry at mid-exposure of every target that is seen in the frame, by name
-    bodies: Mapping[str, TargetGeometry]
+    bodies: Mapping[str, TargetGeometry]  # true, apparent, at mid-exposure, of targets in the frame, by name
     templates: Mapping[str, Template]  # those bodies as rendered at mid-exposure, noise-free, PSF in
-    # stars whose light falls on the frame and that no body hides, with true positions at mid-exposure
-    stars: DetectorStars = field(repr=False)
+    stars: DetectorStars = field(repr=False)  # whose light falls on the frame, not hidden by bodies; true positions
     star_electrons: Float = field(repr=False)  # (n,), electron; light of each star
     readout: Readout = field(repr=False)  # mean charge without noise and charge of cosmic rays, pixel by pixel
     seed: Seed  # seed of everything random

@@ -67,9 +67,7 @@ class Sources:
 class SimulationOptions:
     """Sampling of simulated images."""
 
-    # rays along each side of a pixel. Each goes through a random position in its cell, so that no estimator's template
-    # shares the sampling
-    rays_per_pixel_side: int = 5
+    rays_per_pixel_side: int = 5  # each through a random position in its cell, unlike those of templates
     max_magnitude: float | None = None  # faintest star; by default all stars of the catalog
     sun_radius_rad: float = 0.0  # rad; angular radius of the Sun at the bodies, for penumbrae; 0 is a point
     min_rays_across: int = 256  # least number of rays across the narrow side of a body
@@ -89,8 +87,7 @@ class IncidentLight(Value):
     """Light on the pixels and its sources."""
 
     electrons: Float  # (rows, columns); mean number of photoelectrons of the exposure
-    # true apparent geometry at mid-exposure of every target seen in the frame, by name
-    bodies: Mapping[str, TargetGeometry]
+    bodies: Mapping[str, TargetGeometry]  # true, apparent, at mid-exposure, of targets in the frame, by name
     templates: Mapping[str, Template]  # those bodies as rendered at mid-exposure
     stars: DetectorStars  # stars whose light falls on the frame, with true positions at mid-exposure
     star_electrons: Float  # (n,); light of each star, without the part that bodies hide

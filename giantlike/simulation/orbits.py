@@ -25,14 +25,11 @@ class CircularOrbit:
 
     radius_au: float = 1.1  # au; radius of the orbit
     longitude_rad: float = 0.0  # angle along the orbit at ``et = epoch_et``, from the node on the equator of the ICRF
-    # inclination of the orbit to that equator; the default, 0.41 rad, puts it near the ecliptic
-    inclination_rad: float = 0.41
-    # pole_ra_deg, pole_dec_deg: spin axis; the defaults, with 1.1 au and the period, are close to Bennu's
-    pole_ra_deg: float = 86.0
+    inclination_rad: float = 0.41  # of the orbit to that equator; 0.41 rad puts it near the ecliptic
+    pole_ra_deg: float = 86.0  # pole_ra_deg, pole_dec_deg: with 1.1 au and the period, close to Bennu's
     pole_dec_deg: float = -65.0
     spin_period_s: float = 15466.0  # sidereal rotation period
-    # in s; TDB seconds past J2000 at which the prime meridian is at the node of the body's equator
-    epoch_et: float = 0.0
+    epoch_et: float = 0.0  # TDB s past J2000 at which the prime meridian is at the node of the body's equator
     origin: str = field(default=BARYCENTER, init=False)
 
     def __post_init__(self) -> None:

@@ -39,15 +39,12 @@ class AttitudeSolution(Value):
     """Weighted attitude of one image."""
 
     camera_from_inertial: Rotation
-    # (3, 3), rad^2; of the small rotation about the camera axes, as in ``giantlike.core.outcomes.AttitudeFix``; an
-    # estimated scale is marginalized
-    covariance_rad2: Float
+    covariance_rad2: Float  # (3, 3), rad^2; small rotation about camera axes, an estimated scale marginalized
     model: CameraModel  # camera model, with the estimated scale if there is one
     used: Mask  # (n,); False for outliers
     predicted_px: Float  # (n, 2), px; stars projected by the solution
     sigma_px: Float  # (n,), px; standard deviation per axis by which each star was weighted
-    # px; standard deviation per axis, added in quadrature for every star to explain the residuals; 0 if they need none
-    error_floor_px: float
+    error_floor_px: float  # per axis, added in quadrature to explain the residuals; else 0
     error_factor: float  # factor on the standard deviations of the stars themselves, at least 1
     reduced_chi2: float  # chi-square over degrees of freedom without the floor
     # px; the floor that is likely where the noise explains the residuals: in the covariance, not in the weights. It

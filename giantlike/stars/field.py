@@ -42,8 +42,7 @@ class Sky(Value):
 
     catalog: StarCatalog
     et: float | None = None  # s; TDB seconds past J2000; default: stars at ``EPOCH_WHEN_UNKNOWN``
-    # (3,), km, inertial; from the solar system barycenter; without it parallax is not applied
-    observer_position_km: Float | None = None
+    observer_position_km: Float | None = None  # (3,), km, barycentric, inertial; without it no parallax
     # (3,), km/s, inertial; relative to the solar system barycenter; without it aberration is not applied and becomes
     # part of the attitude
     observer_velocity_km_s: Float | None = None

@@ -45,8 +45,7 @@ class Scope(Value):
 class Hypothesis(Value):
     """An attitude shared by several patterns of detections."""
 
-    # for the directions of the index, which has neither aberration nor the epoch of the image
-    camera_from_inertial: Rotation
+    camera_from_inertial: Rotation  # in directions of the index, without aberration and epoch
     scale: float  # focal length relative to the camera's
     star_ids: NDArray[np.int64]  # (k,); catalog identifiers
     detection_indices: NDArray[np.intp]  # (k,); detections of these stars

@@ -73,8 +73,7 @@ class StarAttitude(Value):
     camera_from_inertial: Rotation
     covariance_rad2: Float  # of the small rotation about the camera axes, as in ``giantlike.core.outcomes.AttitudeFix``
     apriori: Rotation | None = None  # a priori ``camera_from_inertial``
-    # by cause, and those shared with the camera, of which every solution of one camera has the same
-    errors: AttitudeErrors = field(default_factory=AttitudeErrors)
+    errors: AttitudeErrors = field(default_factory=AttitudeErrors)  # by cause, and those shared by one camera
 
     def __post_init__(self) -> None:
         require(math.isfinite(self.et), f"et must be finite, got {self.et}")
@@ -86,8 +85,7 @@ class TransferredAttitude(Value):
     """An attitude transferred from star images."""
 
     camera_from_inertial: Rotation
-    # of the small rotation about the camera axes: the propagated errors of the star solutions, and the drift
-    covariance_rad2: Float
+    covariance_rad2: Float  # of the small rotation: errors of the star solutions, and the drift
     used: tuple[int, ...]  # indices of the star solutions used, one or two
     weights: tuple[float, ...]  # fraction of each of them in the attitude; they sum to 1
     gap_s: float  # time to the nearest of them

@@ -37,13 +37,11 @@ class MarkLayer(Value):
     title: str  # content, with target and estimator
     layer: Layer  # points, shape and color
     labels: Sequence[str] = ()  # description of each point; empty where there is none
-    # short text next to each point; empty where there is none. The most important points come first
-    names: Sequence[str] = ()
+    names: Sequence[str] = ()  # next to each point, or empty. The most important points come first
     star_ids: Sequence[int] = field(default=())  # number of each point in the catalog; empty where points are not stars
     rejected: bool = False  # True for what a user rejected
     subject: tuple[str, str] = ("", "")  # target and estimator of limb points
-    # residual of each point in its sigma, of limb points in the RMS of all; empty where there is none
-    sigmas: Sequence[float] = ()
+    sigmas: Sequence[float] = ()  # of each residual, of limb points in the RMS of all; empty without
 
 
 def layers_of(seen: SeenImage, names: Sequence[str] | None = None) -> list[MarkLayer]:

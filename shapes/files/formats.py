@@ -34,8 +34,7 @@ class ShapeFormat:
 
     name: str  # with its article, for messages
     read: Callable[[Path], Surface]  # takes a path and returns a :class:`~giantlike.shapes.surface.Surface`
-    # takes a path and a mesh; None for a DSK, which needs its identity as well
-    write: Callable[[Path, TriangleMesh], None] | None
+    write: Callable[[Path, TriangleMesh], None] | None  # None for a DSK, which needs its identity too
     albedo: tuple[type[Albedo], ...] = ()  # kinds of albedo that files can hold
 
 

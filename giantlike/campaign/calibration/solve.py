@@ -55,8 +55,7 @@ class CampaignCalibration(Value):
 
     outcome: StarCalibration | Failure
     camera: Camera | None  # the calibrated camera; None if calibration failed or was not accepted
-    # alignment of the camera with respect to the a priori attitudes, if images have them
-    alignment: AlignmentResult | None
+    alignment: AlignmentResult | None  # of the camera with respect to a priori attitudes, if any
     lost: tuple[tuple[str, str], ...]  # images that did not take part, and the reasons
     targets: str = "stars"  # word for the observed points: stars, or corners of a board
 

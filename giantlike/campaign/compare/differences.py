@@ -26,8 +26,7 @@ class Difference:
     what: str  # ``attitude``, or target and estimator
     axis: str
     value: float
-    # sigma of the difference: from both results, without their common errors; None where one of the two is unknown
-    sigma: float | None
+    sigma: float | None  # of both results without common errors; None where one is unknown
     unit: str
 
     @property

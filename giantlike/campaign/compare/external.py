@@ -48,12 +48,10 @@ _FULL_TURN_DEG = 360.0
 class ExternalOptions:
     """Options that SPICE files do not contain."""
 
-    # paths or patterns of the kernels that are needed in addition to the file: leap seconds, clock, frames, planets
-    kernels: tuple[str, ...] = ()
+    kernels: tuple[str, ...] = ()  # paths or patterns, beside the file: leap seconds, clock, frames, planets
     frame: str | None = None  # C-kernel: frame of the camera in them
     camera_from_frame_xyzw: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)  # from that frame to the camera axes, scalar last
-    # spacecraft, body: trajectory: NAIF names or codes; the body only where it is not the name of the target
-    spacecraft: str | None = None
+    spacecraft: str | None = None  # spacecraft, body: trajectory: NAIF names or codes; body if not the target
     body: str | None = None
 
 

@@ -52,8 +52,7 @@ class SpiceSetup:
 
     kernels: tuple[Path, ...]  # in loading order
     spacecraft: str  # NAIF name or code
-    # from the camera frame of the kernels to camera axes; None: no attitude from SPICE
-    camera_from_frame: FrameRotation | None
+    camera_from_frame: FrameRotation | None  # from the frame of the kernels to camera axes; None: no attitude
     ck_tolerance_s: float = 0.0  # largest distance in time to a single attitude of a CK
     clock: LabelClock | None = None  # clock count in labels that have no epoch
 

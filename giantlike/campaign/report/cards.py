@@ -37,8 +37,7 @@ class FixLine:
     record: ObservationRecord
     center: tuple[str, ...]  # x and y with their sigma, px; empty without a fix
     offset: tuple[str, ...]  # observed minus computed x and y, px
-    # range_km, range_offset: range with its sigma, km; observed minus computed, percent; empty where there is none
-    range_km: str
+    range_km: str  # range_km, range_offset: range with its sigma, km; observed minus computed, percent; or empty
     range_offset: str
     words: list[tuple[str, str]]  # status and sentence, for each reason, flag and remark
 

@@ -37,8 +37,7 @@ class ImageJob:
     camera: Camera | None = None  # the calibrated camera; None: the camera of the campaign
     measuring: Measuring = field(default_factory=Measuring)  # decisions of users
     solve: bool = True  # the attitude is to be estimated; otherwise it is given
-    # for the estimators: the one to use or, where it is to be estimated, the one that the kept results used
-    attitude: Attitude | None = None
+    attitude: Attitude | None = None  # for estimators: the one to use, or used by kept results
     bodies: tuple[Work, ...] = ()  # targets and estimators to run
     bodies_if_turned: tuple[Work, ...] = ()  # those to run only if the estimated attitude differs from ``attitude``
 

@@ -61,8 +61,7 @@ class StarMatches(PlainRecord):
     sigma_px: Vector  # sigma_px, magnitudes: (n,) px and magnitudes
     magnitudes: Vector
     rejected_px: list[Pair] = Field(default_factory=list)  # (m, 2); matches rejected as outliers
-    # (n,) list of str; proper names, empty for stars without one; no list in runs made before there were names
-    star_names: list[str] = Field(default_factory=list)
+    star_names: list[str] = Field(default_factory=list)  # (n,); proper names or empty; no list in older runs
 
 
 class Landmarks(PlainRecord):
@@ -71,8 +70,7 @@ class Landmarks(PlainRecord):
     names: list[str]  # (n,) list of str
     observed_px: list[Pair]  # observed_px, predicted_px: (n, 2); measured, and projected by the pose that they give
     predicted_px: list[Pair]
-    # list of n (2, 2) lists; covariance of each alone: noise and the excess of the residuals
-    covariance_px2: list[TwoByTwo]
+    covariance_px2: list[TwoByTwo]  # n (2, 2) lists; of each alone: noise and the excess of the residuals
     body_km: list[Triple]  # (n, 3), body-fixed axes
     rejected_names: list[str] = Field(default_factory=list)  # (k,) list of str; of those looked for and not used
     rejected_px: list[Pair] = Field(default_factory=list)  # (k, 2); projected by the pose
@@ -93,8 +91,7 @@ class Residuals(PlainRecord):
 
     at_px: list[Pair]  # (n, 2)
     values: Vector  # (n,); as in :class:`~giantlike.core.outcomes.CenterFix`
-    # 0: all residuals one by one. Else each value is the mean over a square of this side around its position
-    cell_px: float
+    cell_px: float  # 0: all residuals one by one; else the side of the square that each value is the mean of
 
 
 class SightingRecord(PlainRecord):

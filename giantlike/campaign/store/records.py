@@ -87,11 +87,8 @@ class Attitude(PlainRecord):
     source: str  # a value of :class:`~giantlike.image.AttitudeSource`
     quaternion_xyzw: UnitQuaternion  # (4,); ``camera_from_inertial``, scalar last
     covariance_rad2: Covariance | None = None  # of the small rotation about the camera axes; None where unknown
-    # mapping of Cause to (3, 3) rad^2; the covariance by cause; empty where all is noise
-    parts: dict[Cause, Covariance] = Field(default_factory=dict)
-    # (3, m) rad per unit of each parameter of the camera model; derivative of the small rotation, as in
-    # ``giantlike.core.outcomes.AttitudeErrors``
-    by_camera: Rows | None = None
+    parts: dict[Cause, Covariance] = Field(default_factory=dict)  # Cause to (3, 3) rad^2; empty where all is noise
+    by_camera: Rows | None = None  # (3, m) rad per unit; derivative of the small rotation, as in ``AttitudeErrors``
     flags: list[FlagName] = Field(default_factory=list)  # names of the flags that fixes made with this attitude inherit
 
     @property
@@ -191,32 +188,24 @@ class AttitudeRecord(_StatusRecord):
     sha256: str = ""  # sha256, columns, rows: empty and 0 where the image could not be read
     columns: int = 0
     rows: int = 0
-    # epoch_utc, et, exposure_s: mid-exposure (UTC; TDB seconds past J2000) and exposure, s
-    epoch_utc: str | None = None
+    epoch_utc: str | None = None  # epoch_utc, et, exposure_s: mid-exposure (UTC; TDB seconds past J2000), s
     et: float | None = None
     exposure_s: float | None = None
-    # observer_position_km, observer_velocity_km_s: of the spacecraft with respect to the solar system barycenter, km
-    # and km/s, ICRF axes
-    observer_position_km: Triple | None = None
+    observer_position_km: Triple | None = None  # observer_...: of the spacecraft, barycentric, ICRF axes
     observer_velocity_km_s: Triple | None = None
-    # star_image, body_image: True if its own stars were to be solved; True if estimators run on it
-    star_image: bool = False
+    star_image: bool = False  # star_image, body_image: its own stars were to be solved; estimators run on it
     body_image: bool = True
     transferred: bool = False  # True if the attitude was sought from its neighbors in time
     rate_rad_s: Triple | None = None  # of the rotation of the camera about its axes, by SPICE
     apriori_xyzw: UnitQuaternion | None = None  # (4,); a priori ``camera_from_inertial``, scalar last
     attitude: Attitude | None = None  # the result; None when failed
-    # of a transferred attitude, its star images and the weight of each
-    attitude_shares: dict[str, float] = Field(default_factory=dict)
-    # n_detected, n_matched, n_rejected, rms_px, false_match_probability: of the star solution, as in
-    # ``giantlike.core.outcomes.AttitudeFix``
-    n_detected: int | None = None
+    attitude_shares: dict[str, float] = Field(default_factory=dict)  # star images it was transferred from, and weights
+    n_detected: int | None = None  # n_detected to false_match_probability: of the star solution, as in ``AttitudeFix``
     n_matched: int | None = None
     n_rejected: int | None = None
     rms_px: float | None = None
     false_match_probability: float | None = None
-    # electron/s; median signal of the matched stars for the exposure, at magnitude 0
-    star_zero_point_e_s: float | None = None
+    star_zero_point_e_s: float | None = None  # electron/s; median by matched stars, at magnitude 0
     ra_deg: float | None = None  # as in :class:`~giantlike.io.run_tables.AttitudeRow`
     dec_deg: float | None = None  # as in :class:`~giantlike.io.run_tables.AttitudeRow`
     roll_deg: float | None = None  # as in :class:`~giantlike.io.run_tables.AttitudeRow`
@@ -287,11 +276,9 @@ class NetworkRecord(_TriedRecord):
     pose: Vector = Field(default_factory=list)
     rendered: Vector = Field(default_factory=list)
     camera: Vector = Field(default_factory=list)  # parameters of the camera model
-    # covariance_attitude_rad2, covariance_position_km2: of the a priori pose; None where nothing is declared
-    covariance_attitude_rad2: Covariance | None = None
+    covariance_attitude_rad2: Covariance | None = None  # covariance_...: a priori pose; None: nothing declared
     covariance_position_km2: Covariance | None = None
-    # numbers, points_px, covariance_px2, scores: of the k landmarks; covariances as rows of four
-    numbers: list[int] = Field(default_factory=list)
+    numbers: list[int] = Field(default_factory=list)  # numbers to scores: of k landmarks; covariances as rows of 4
     points_px: list[Pair] = Field(default_factory=list)
     covariance_px2: list[Vector] = Field(default_factory=list)
     scores: Vector = Field(default_factory=list)
@@ -360,8 +347,7 @@ class TargetView(PlainRecord):
     target: str
     predicted_px: Pair  # center
     radius_px: float  # of the sphere around it
-    # of the sphere of its volume, which the limits of estimators on limbs go by; None in older runs
-    diameter_px: float | None = None
+    diameter_px: float | None = None  # of the sphere of its volume, for limits of estimators; None in older runs
     outline_px: list[Pair]  # (n, 2)
     outline_lit: list[bool]  # True for points in sunlight
 
@@ -374,8 +360,7 @@ class TargetRecord(ImageRecord):
 
     target: str
     sighting: SightingRecord | None = None  # None if the geometry is unknown
-    # None if no picture is wanted, if the target cannot be imaged, or for the reason in ``note``
-    view: TargetView | None = None
+    view: TargetView | None = None  # None if no picture is wanted, if it cannot be imaged, or as in ``note``
     note: str | None = None
 
     @property

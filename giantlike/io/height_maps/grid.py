@@ -33,11 +33,9 @@ class HeightGrid(Value):
 
     rows: int
     columns: int
-    # first_latitude_rad, first_longitude_rad: of the center of the first sample; planetocentric, longitudes to the east
-    first_latitude_rad: float
+    first_latitude_rad: float  # first_latitude_rad, first_longitude_rad: center of the first sample
     first_longitude_rad: float
-    # latitude_step_rad, longitude_step_rad: from one row or column to the next; negative towards south and west
-    latitude_step_rad: float
+    latitude_step_rad: float  # latitude_step_rad, longitude_step_rad: negative towards south and west
     longitude_step_rad: float
     reference_radii_km: Float  # semi-axes of the ellipsoid above which the heights are
     read: Read  # stored values (r, c) of a slice of rows and one of columns, both with start and stop

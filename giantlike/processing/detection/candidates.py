@@ -26,9 +26,7 @@ class Candidates(Value):
     """Peaks of the filtered image, most significant first."""
 
     peaks_px: NDArray[np.int64]  # (n, 2); brightest pixel (x, y) of each
-    # (n, 2); maximum of the Gaussian through that pixel and its neighbors: the position of a star to about 0.03 px and
-    # noise
-    points_px: Float
+    points_px: Float  # (n, 2); maximum of the Gaussian through it and its neighbors: to about 0.03 px and noise
     flux_dn: Float  # (n,); flux of a star with that maximum
     noise_dn: Float  # (n,)
     significance: Float  # (n,); peak / noise

@@ -47,16 +47,12 @@ class StarFits(Value):
 
     points_px: Float  # (n, 2)
     covariance_px2: Float  # (n, 2, 2)
-    # flux_dn, background_dn, width_px: (n,); integral, DN; level underneath, DN; standard deviation before pixel
-    # integration, px
-    flux_dn: Float
+    flux_dn: Float  # flux_dn, background_dn, width_px: (n,); width before pixel integration, px
     background_dn: Float
     width_px: Float
-    # (n, 3) DN, DN/px, DN/px; background of each patch: level of its central pixel, and slopes along x and y
-    planes: Float
+    planes: Float  # (n, 3) DN, DN/px, DN/px; background: level of the central pixel, and slopes along x and y
     reduced_chi2: Float  # (n,); weighted square residual per degree of freedom
-    # (n,); True if the fit converged less than ``1 + psf / 2`` px from the central pixel, on more pixels than unknowns
-    converged: Mask
+    converged: Mask  # (n,); within ``1 + psf / 2`` px of the central pixel, on more pixels than unknowns
 
 
 def fit_stars(

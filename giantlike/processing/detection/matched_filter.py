@@ -33,8 +33,7 @@ Image32 = NDArray[np.float32]
 class FilteredImage(Value):
     """Image after a zero-sum matched filter."""
 
-    # (rows, columns); filtered image; times ``flux_per_response`` it is the flux of a star at that pixel
-    response: Image32
+    response: Image32  # (rows, columns); times ``flux_per_response`` the flux of a star at that pixel
     noise_dn: Image32  # (rows, columns); local noise of a pixel: white noise of the same effect on the filtered image
     response_noise: float  # standard deviation of the response to white noise of 1 DN per pixel
     flux_per_response: float  # in DN

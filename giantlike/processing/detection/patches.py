@@ -34,8 +34,7 @@ class Patches(Value):
     corner_px: NDArray[np.int64]  # (n, 2); (x, y) of the first pixel of each
     noise_dn: Float  # (n,); standard deviation of the background of a pixel
     gain_e_per_dn: float  # for the shot noise of the source
-    # error of the response of a pixel, relative to the light on it (``giantlike.core.detector.Detector``)
-    relative_noise: float = 0.0
+    relative_noise: float = 0.0  # of the response of a pixel, times the light on it
 
     @property
     def size_px(self) -> int:

@@ -63,8 +63,7 @@ class LineFits(Value):
     covariance_px2: Float  # (n, 4, 4); of center x, y and half x, y
     flux_dn: Float  # flux_dn, background_dn: (n,); light, and level of the background in the middle
     background_dn: Float
-    # (n, 3) DN, DN/px, DN/px; background of each patch: level of its central pixel, and slopes along x and y
-    planes: Float
+    planes: Float  # (n, 3) DN, DN/px, DN/px; background: level of the central pixel, and slopes along x and y
     chi2: Float  # (n,); weighted square residual
     n_pixels: NDArray[np.int64]  # (n,); pixels used
     converged: Mask  # (n,)

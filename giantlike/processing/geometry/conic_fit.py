@@ -23,8 +23,7 @@ class ConicFit(Value):
 
     coefficients: Float  # (6,); a to F, of norm one and positive inside
     covariance: Float  # of the coefficients, across their own direction
-    # (n,); distances of the points from the ellipse to first order, positive outside; unit of the points
-    residuals: Float
+    residuals: Float  # (n,); distances of the points from the ellipse to first order, positive outside
 
     @property
     def matrix(self) -> Float:

@@ -31,14 +31,9 @@ _OUTLIER_SIGMAS = 5.0  # of the scatter of the other points; a good point exceed
 class PnpOptions:
     """Options of the pose estimation."""
 
-    # largest distance of a point from its projection to agree with a pose; in the end also five standard deviations of
-    # the scatter of the other points. Default 2
-    inlier_px: float = 2.0
-    # standard deviation of the a priori attitude about each axis: 0 fixes it, infinity leaves it free (default)
-    attitude_sigma_rad: float = math.inf
-    # number of random samples. Default 200: with half of the points wrong, all samples of three contain a wrong one
-    # with probability 3e-12
-    max_samples: int = 200
+    inlier_px: float = 2.0  # largest residual that agrees; at least five sigmas of the others. Default 2
+    attitude_sigma_rad: float = math.inf  # per axis, a priori: 0 fixes the attitude, infinity frees it
+    max_samples: int = 200  # of random samples. Default 200: with half outliers, all fail in 3e-12 of cases
     min_inliers: int = 5  # fewest points that must agree. Default 5: two more than fix a pose.
     max_iterations: int = 30  # largest number of Gauss-Newton steps, default 30
     seed: int = 0  # seed of the samples: equal input gives equal output
@@ -62,13 +57,10 @@ class PnpFix(Value):
 
     position_camera_km: Float  # from the camera to the origin of the body axes
     camera_from_body: Rotation
-    # in km and rad; of the position and of the small rotation ``e`` about the camera axes with ``camera_from_body_true
-    # = Rotation.from_rotvec(e) * camera_from_body``; zero for a fixed attitude
-    covariance: Float
+    covariance: Float  # km, rad; position and rotation ``e``, true ``from_rotvec(e) * camera_from_body``
     inliers: Mask  # (n,); True for points that agree
     residuals_px: Float  # (n, 2); measured minus projected, of all points
-    # standard deviation per axis of the errors beyond the given covariances; included in ``covariance``
-    floor_px: float
+    floor_px: float  # standard deviation per axis of errors beyond the covariances, included in ``covariance``
 
 
 def solve_pnp(

@@ -66,9 +66,7 @@ class LimbMeasurement(Value):
     shift_px: Float  # (n,); distance from the predicted limb outward to the one in the image
     sigma_px: Float  # (n,); standard deviation of ``shift_px`` from pixel noise
     keep: Mask  # (n,); points consistent with one position
-    # mapping of Cause to (n, c); shift of the points by one standard deviation of each of c independent errors common
-    # to all: blur, law
-    common_px: Mapping[Cause, Float]
+    common_px: Mapping[Cause, Float]  # Cause to (n, c); shift by one sigma of c errors common to all: blur, law
     smooth_errors: tuple[SmoothError, ...]  # errors in neither of these
     position_camera_km: Float  # position of the body for the prediction
     spacing_px: float  # spacing_px, perimeter_px: length of limb for each point; length of the whole outline
@@ -77,18 +75,11 @@ class LimbMeasurement(Value):
     rejected: Mapping[str, int]  # points of the illuminated limb that are not among the n, by reason
     area: Mask  # (rows, columns); pixels within reach of the limb
     relief: SmoothError | None = None  # deviation of the outline from the outline of the assumed body
-    # measured edges that are not points of the limb, and points of it without usable pixels, such as bad columns, which
-    # are not outliers
-    n_elsewhere: int = 0
+    n_elsewhere: int = 0  # edges that are no points of the limb, and points without usable pixels
     terrain: TerrainShift | None = None  # relief by a height map; ``shift_px`` is without it
-    # (k, 2); predicted positions of the points that ``rejected`` counts
-    unmeasured_px: Float = field(default_factory=lambda: np.zeros((0, 2)))
-    # (n, 3) px/rad; outward motion of the points with a small rotation of the body about the camera axes; None where
-    # not known
-    rotation_design: Float | None = None
-    # variance of the blur of the limb in excess of the camera's; None where it was not measured or the camera's blur is
-    # unknown
-    wider_px2: float | None = None
+    unmeasured_px: Float = field(default_factory=lambda: np.zeros((0, 2)))  # (k, 2); predicted, of ``rejected``
+    rotation_design: Float | None = None  # (n, 3) px/rad; outward motion by a small rotation of the body, if known
+    wider_px2: float | None = None  # excess variance of the blur of the limb over the camera's, if measured
 
     @property
     def observed_px(self) -> Float:

@@ -67,13 +67,10 @@ class Scans(Value):
 class ProfileMatch(Value):
     """Shift of the profile of each line from the expected one."""
 
-    # (n,); values about the limb and at least half of the others are usable, and the match is of these; the other
-    # arrays are undefined elsewhere
-    complete: Mask
+    complete: Mask  # (n,); enough values about the limb are usable: other arrays are undefined elsewhere
     shift_px: Float  # (n,); positive outward
     sigma_px: Float  # (n,); standard deviation of the shift from pixel noise
-    # (n,); outward change of the limb with the slope fixed: small where the expected brightness is correct
-    without_slope_px: Float
+    without_slope_px: Float  # (n,); outward change with fixed slope: small if the brightness is right
     gain_dn: Float  # (n,); brightness of the image / that of the expected profile
     correlation: Float  # (n,); normalized correlation at the best shift
     unexplained: Float  # (n,); RMS of the residuals of the match / height of the profile in the image

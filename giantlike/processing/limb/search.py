@@ -39,8 +39,7 @@ class CoarseLimb(Value):
 
     shift_px: Float  # from prediction to image
     scale: float  # size in the image / predicted size
-    # mean of (inside - outside) / (inside + outside) across the outline: 1 for a bright body before a black sky
-    contrast: float
+    contrast: float  # mean (inside - outside) / (inside + outside): 1 for a bright body before black sky
 
 
 def search_limb(

@@ -57,14 +57,12 @@ class PsfEstimate(Value):
     # (k, t); coefficients of each free parameter of the shape (ln sigma, e1, e2, 1/beta) in the terms 1, x, y, x^2, x
     # y, y^2, ... of ``degree``, where x and y go from -1 to 1 over the image
     coefficients: Float
-    # (k t, k t); of the coefficients, parameter by parameter; times the reduced chi-square if that is above 1
-    covariance: Float
+    covariance: Float  # (k t, k t); of these, parameter by parameter; times a reduced chi-square above 1
     degree: int  # degree of the polynomials
     columns: int  # columns, rows: size of the image
     rows: int
     reduced_chi2: float
-    # squared residuals / squared signal, median of the stars, noise subtracted: 0 for a perfect shape
-    residual_power: float
+    residual_power: float  # squared residuals / squared signal, median, without noise: 0 if perfect
     n_used: int  # n_used, n_rejected: numbers of stars
     n_rejected: int
 
