@@ -20,7 +20,7 @@ TEXT_COLUMNS = ("name", "source", "comment")  # columns for users, which are not
 
 @reads("a star catalog in CSV")
 def read_csv_catalog(path: Path) -> MemoryCatalog:
-    """Read a star catalog, band ``user``, with columns of :class:`~giantlike.catalogs.StarTable`, three required."""
+    """Read a star catalog, band ``user``: ``ra_deg``, ``dec_deg``, ``magnitude``, other columns of ``StarTable``."""
     content = path.read_bytes()
     table = text_table(content)
     _check_names(table)

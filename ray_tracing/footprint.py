@@ -146,7 +146,7 @@ def _tiles(x: AxisCells, y: AxisCells, box: VisibleBox) -> tuple[Tile, ...]:
 
 
 def _extent(outline_px: Float, pad_px: float, low_px: Float, high_px: Float) -> tuple[Float, Float]:
-    """Smallest and largest x (n,) of a hull, by tangents ``pad_px`` outside, between two heights (n,)."""
+    """Smallest and largest x (n,) of a hull between two heights (n,), by tangents ``pad_px`` outside it."""
     toward = np.stack([np.cos(_TANGENTS_RAD), np.sin(_TANGENTS_RAD)], axis=-1)
     support = (outline_px @ toward.T).max(axis=0) + pad_px
     room = support - np.minimum(low_px[:, None] * toward[:, 1], high_px[:, None] * toward[:, 1])

@@ -49,7 +49,7 @@ class AxisCells:
         return number, (self.first + number) // self.per_px
 
     def spread(self, first_px: int, count_px: int, sigma_px: float) -> Spread:
-        """Fraction of the light of each cell that falls on each pixel: even, blurred by a Gaussian, summed; exactly."""
+        """Fraction of the light of each cell that falls on each pixel: even in the cell, Gaussian blur, exact."""
         half = 0.5 / self.per_px
         reach = PSF_REACH_SIGMA * sigma_px
         width = int(np.ceil(2 * reach + 2 * half)) + 1

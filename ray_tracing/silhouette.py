@@ -195,7 +195,7 @@ def _by_position(model: CameraModel, points_camera_km: Float, normals_px: Float,
 
 
 def _chord_normals(outline: EdgeOutline, center_px: Float, angles_rad: Float, edge_px: Float) -> Float:
-    """Outward normals (k, 2) of the chords from half a pixel before to half a pixel after; NaN where it breaks off."""
+    """Outward normals (k, 2) of chords over a pixel of the outline; NaN where the outline breaks off there."""
     normals = np.full((edge_px.size, 2), np.nan)
     known = np.flatnonzero(edge_px > 0.0)
     radius = np.tile(edge_px[known], 2)

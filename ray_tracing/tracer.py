@@ -166,7 +166,7 @@ class MeshTracer:
         return Sight(rays, facets, points, normals, -dot(normals, directions))
 
     def dark(self, points_km: Float32, normals: Float32, to_sun: Float) -> Mask:
-        """Return True for points (k, 4) of the mesh, that face the Sun, in the shadow of the mesh."""
+        """Return True for points (k, 4) of the mesh that face the Sun but lie in the shadow of the mesh."""
         starts = points_km + np.float32(self._shadow_offset_km) * normals
         directions = np.broadcast_to(to_sun.astype(np.float32), starts.shape)  # one in memory, where there is one
         return self._surface.is_occluded(starts[:, :3], directions[:, :3])

@@ -74,7 +74,7 @@ def start_server(*modules: str) -> None:
 
 
 def worker_context(*modules: str) -> BaseContext:
-    """Context in which workers start: on Linux forked from a server with the modules imported, elsewhere anew."""
+    """Context in which workers start: forked from a server with the modules imported (on Linux), or anew."""
     if sys.platform != "linux":
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")

@@ -53,7 +53,7 @@ def threads(count: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def at_once(jobs: Mapping[str, Callable[[], Result]]) -> Iterator[Callable[[str], Result]]:
-    """Context manager of independent jobs: all start at once, or with one thread each when requested (once)."""
+    """Context manager of independent jobs: started at once where there are several threads, else when requested."""
     count = min(ALLOWED.get(), len(jobs))
     if count < 2:
         yield lambda name: jobs[name]()

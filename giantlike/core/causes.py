@@ -118,7 +118,7 @@ def checked_parts(parts: Mapping[Cause, Float], size: int) -> dict[Cause, Float]
 
 
 def checked_partials(partials: Mapping[Cause, Float], size: int) -> dict[Cause, Float]:
-    """Check derivatives (size, m) of a position by error sources, by Cause or its value, and make them read-only."""
+    """Check derivatives (size, m) of a position, keyed by Cause or its value, and make them read-only."""
     checked = {}
     for key, partial in partials.items():
         matrix = as_floats(partial, (), f"partials: {key}")

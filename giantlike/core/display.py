@@ -1,4 +1,4 @@
-"""Pictures of values: ``value.plot()`` and the display in notebooks, by painters that modules that draw register."""
+"""Pictures of values, ``value.plot()`` and the display in notebooks, by painters that other modules register."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ def coverage(world: World, body: Body, position_camera_km: Float) -> Float:
 
 
 def rings(*, inner: float, outer: float, brightness: float, opacity: float) -> Light:
-    """Rings in the plane of the equator, sizes in radii and brightness by the brightest pixel of the body."""
+    """Rings in the plane of the equator: radii in those of the body, brightness in that of its brightest pixel."""
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
         assert world.body is not None

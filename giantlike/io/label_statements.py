@@ -23,7 +23,7 @@ _CLOSING = frozenset({"END_OBJECT", "END_GROUP", "End_Object", "End_Group"})
 
 
 def statements(text: str) -> Iterator[tuple[str, str, str | None]]:
-    """Yield key, value as written (empty of END_OBJECT, END_GROUP), and unit or None of the statements of a label."""
+    """Yield key, value as written (empty for END_OBJECT) and unit, or None, of the statements of a label."""
     position, previous = 0, 0  # of the text to look at, and the end of what was there before
     units_end = comments_end = len(text)  # from here on there is no mark that ends one
     while position < len(text):

@@ -336,7 +336,7 @@ _GRID = 720
 
 
 def limb_waves(angles_rad: ArrayLike, amplitudes: ArrayLike) -> Float:
-    """Waves (n, 2 w + 1) around a limb, 1, cos, sin, cos 2, sin 2, ..., each by one standard deviation (w + 1,)."""
+    """Waves (n, 2 w + 1) around a limb, 1, cos, sin, cos 2, sin 2, ..., times their amplitudes (w + 1,)."""
     angles = as_floats(angles_rad, (), "angles_rad")
     sigmas = as_floats(amplitudes, (), "amplitudes")
     columns = [np.full(angles.shape, sigmas[0])]

@@ -219,7 +219,7 @@ def _light_axes(row: ObservableRow, turn: Rotation, measured: Float) -> Float:
 def _signed_shifts(
     row: ObservableRow, cause: str, camera: Camera, attitude_rad2: Sequence[float] | None
 ) -> Float | None:
-    """Shifts (3, k), px, px and km, by one sigma of each parameter of a cause; None without partials, hence signs."""
+    """Shifts (3, k), px, px and km, by one sigma of each parameter of a cause; None where it has no partials."""
     pole, spin, sun, known = row.sigma_pole_rad, row.sigma_spin_rad, row.sigma_sun_rad, camera.uncertainty
     covariances: dict[str, tuple[Sequence[float] | None, object]] = {
         "attitude": (row.partial_attitude, attitude_rad2),

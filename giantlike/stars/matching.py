@@ -140,7 +140,7 @@ def confusion_px(predicted_px: Float, magnitudes: Float) -> Float:
 
 @compiled
 def nearest(among_px: Float, of_px: Float, count: int, reach_px: float) -> tuple[Float, NDArray[np.intp]]:
-    """Distances, infinite beyond reach, and indices (m, count) of the nearest of points (n, 2) for others (m, 2)."""
+    """Distances (m, count), infinite beyond reach, and indices of the points (n, 2) nearest to others (m, 2)."""
     n = len(among_px)
     (low_x, low_y), (high_x, high_y) = among_px[0], among_px[0]
     for x, y in among_px:

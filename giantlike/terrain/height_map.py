@@ -298,7 +298,7 @@ def _statistics(heights: HeightMap) -> tuple[float, float, float, float]:
 
 
 def _lost(blocks: list[NDArray[np.float32]], every: int) -> float:
-    """Mean square, km^2, that interpolation between every so many-th rows leaves, doubled for the columns."""
+    """Mean square, km^2, of what interpolation between every so-many-th row leaves, doubled for the columns."""
     squares = []
     for block in blocks:
         rows = (len(block) - 1) // every * every

@@ -210,7 +210,7 @@ class Session:
         return known
 
     def position_camera_km(self, geometry: TargetGeometry, fix: ObservationRecord | None) -> Float:
-        """Position (3,), km, camera axes, by a fix (predicted range where it has none), or predicted without."""
+        """Position (3,), km, camera axes, by a fix (its range as predicted where it has none), else as predicted."""
         if fix is None or fix.center_px is None:
             return geometry.position_camera_km
         if fix.position_camera_km is not None:

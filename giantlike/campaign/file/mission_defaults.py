@@ -13,7 +13,7 @@ from giantlike.io.mission_files import mission, mission_names
 
 
 def with_mission(path: Path, table: Mapping[str, Any]) -> dict[str, Any]:
-    """Complete the table of a campaign file by the defaults of its mission (``[spice]`` if there or with kernels)."""
+    """Complete a campaign by the defaults of its mission (``[spice]`` where that or ``mission.kernels`` is given)."""
     completed = dict(table)
     section = table.get("mission")
     if not isinstance(section, Mapping) or not isinstance(section.get("name"), str):

@@ -160,7 +160,7 @@ def _run_estimator(
 def move_target(
     scene: Scene, geometry: TargetGeometry, image: Image, camera: Camera, start: Start
 ) -> tuple[Scene, TargetGeometry]:
-    """Scene with a target at a start, at the predicted range, whose sigma is not below a declared one; its geometry."""
+    """Scene with a target at a start, at the predicted range, and its geometry; sigma at least as declared."""
     assert image.camera_from_inertial is not None
     inertial_from_camera, target = image.camera_from_inertial.inv(), geometry.target
     position_camera_km = geometry.range_km * unit(camera.model.unproject(np.array(start.center_px)))

@@ -121,7 +121,7 @@ class Detections(Value):
 
     @property
     def clean(self) -> Mask:
-        """True (n,) for detections that look like stars, maybe saturated, cut or blended: not ``NOT_A_STAR``."""
+        """True (n,) for detections that look like stars, blended ones included: no flag of ``NOT_A_STAR``."""
         result: Mask = (self.flags & np.uint16(NOT_A_STAR)) == 0
         return result
 

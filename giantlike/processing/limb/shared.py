@@ -93,7 +93,7 @@ def _scatter(scores: Float) -> Float:
 
 
 def smooth_places(match: ProfileMatch, good: Mask) -> Float:
-    """Positions (n,) px of good lines as their neighbors predict them; NaN where they are too far off."""
+    """Positions (n,) px of lines as their neighbors predict them; NaN of lines that are not good, or far from that."""
     count = min(_SMOOTHED_LINES, int(good.sum()))
     shift, sigma = match.shift_px[good], match.sigma_px[good]
     level = convolve1d(shift / sigma**2, np.ones(count), mode="nearest") / convolve1d(
