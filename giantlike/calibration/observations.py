@@ -29,7 +29,7 @@ class ImageObservations(Value):
     position_reference : (3,) float64, optional; start, camera to origin of the board, for ``finite`` targets
     finite : bool; True if the targets are points at a finite distance, False if they are directions
     temperature_c : float, Celsius; of the camera
-    labels : (n,) int64; catalog identifiers or numbers of corners of the targets, by default 0, 1, 2, ...
+    labels : (n,) int64; catalog identifiers or numbers of corners of the targets, by default numbers from 0
     magnitudes : (n,) float64; default NaN
 
     Raises

@@ -94,7 +94,7 @@ class Photometry(Value):
         aperture_m2 : float, m^2
         shortest_um, longest_um : float, um; pass band
         quantum_efficiency : float; mean over the pass band, with the transmission of the optics
-        **others; other fields
+        **others : other fields
 
         Raises
         ------
