@@ -34,10 +34,8 @@ _MASK_DIRECTIONS = 720  # points of an outline, every half degree: 3 px apart on
 _SUBPIXEL_BITS = 4  # fractional bits of the corners that OpenCV fills between: 1/16 px
 _SUBPIXELS = 1 << _SUBPIXEL_BITS  # to a pixel
 _FAR_SUBPIXELS = 1 << 24  # limit of the corners, a million pixels: OpenCV's int32 arithmetic overflows beyond
-_NEARLY_ROUND = 0.12
-"""Largest relative difference of the radii of a body of unknown pole; Saturn has 0.098, Haumea 0.56."""
-_ONE_AT_A_TIME = threading.RLock()
-"""Lock of the ephemerides: CSPICE is not thread safe, and estimators may run in several threads."""
+_NEARLY_ROUND = 0.12  # largest relative difference of radii with unknown pole; Saturn 0.098, Haumea 0.56
+_ONE_AT_A_TIME = threading.RLock()  # CSPICE is not thread safe, and estimators may run in threads
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

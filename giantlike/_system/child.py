@@ -29,10 +29,8 @@ from giantlike._system.reading import is_of_content, library_message
 from giantlike.core.errors import OpNavError
 
 Arrays = Mapping[str, NDArray[Any]]
-_BASE_CPU_S, _CPU_S_PER_MB = 5, 1
-"""Limit of CPU time: s, and s more for each MB of the files; Python and CSPICE start in 1 s."""
-_BASE_BYTES, _BYTES_PER_BYTE = 500_000_000, 20
-"""Limit of memory: bytes, and additional bytes for each byte of the files; a DSK takes 6 bytes per byte of the file."""
+_BASE_CPU_S, _CPU_S_PER_MB = 5, 1  # of CPU time: s, and s more for each MB of the files; a start takes 1 s
+_BASE_BYTES, _BYTES_PER_BYTE = 500_000_000, 20  # of memory, and for each byte of the files (a DSK takes 6)
 _REFUSED, _MISTAKE = "refused", "mistake"  # names of the arrays that hold the text of an error, a traceback
 _FORKS = all(hasattr(os, name) for name in ("fork", "register_at_fork")) and hasattr(socket, "send_fds")
 _LONGEST_REQUEST = 10_000_000  # bytes: the paths of a campaign's kernels, at 4096 each at most on Linux, are fewer

@@ -14,11 +14,8 @@ from multiprocessing.context import BaseContext
 from threadpoolctl import ThreadpoolController
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_OWN_PAGES_BYTES = 32 * 2**20
-"""Size from which an array gets separate pages, returned when it is freed: the largest that glibc allows, four
-frames of 1,024 x 1,024 float64."""
-_KEPT_BYTES = 64 * 2**20
-"""Freed memory, bytes, that a process keeps; the default of glibc is twice its largest array. 256 MB are no faster."""
+_OWN_PAGES_BYTES = 32 * 2**20  # size of arrays with pages of their own, the largest that glibc allows
+_KEPT_BYTES = 64 * 2**20  # freed memory, bytes, that a process keeps; 256 MB are no faster
 _COLLECTED_AFTER = 10_000
 """Threshold of the garbage collector, in objects allocated and not freed: 80 collections in a campaign of 255 images.
 Python's default of 700 gives 2,000, which take 1 to 2 % of the CPU. Images leave few objects in cycles."""

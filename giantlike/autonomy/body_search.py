@@ -15,11 +15,7 @@ from giantlike.core.statistics import MAD_TO_SIGMA
 from giantlike.core.values import Value
 from giantlike.image import Image
 
-_AREA_OF_SECOND_MOMENT = 4.5
-"""Squared radius over the second moment of light along the cusps of a sphere, at any phase.
-
-4 for a disk after Lommel and Seeliger, 5 for Lambert: along the photometric latitude b brightness goes as cos^2 and
-cos^3 b, at any phase angle."""
+_AREA_OF_SECOND_MOMENT = 4.5  # squared radius over second moment along the cusps: disk 4 to 5 by law, at any phase
 SIZE_SIGMA = 0.06  # relative error of a radius from that: half the difference of the two laws, one sigma
 _PIXEL_MOMENT = 1.0 / 12.0  # px^2: second moment of a pixel
 

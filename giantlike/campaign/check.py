@@ -71,17 +71,11 @@ _ALONE: dict[str, Any] = {
     "rings": None,
 }
 """Placeholder keys of a target while one of them is checked."""
-_OTHER_BODY = 1.1
-"""Ratio of two radii beyond which they are not of one body: a mesh and the ellipsoid of an irregular one agree to a few
-percent."""
-_NARROW_DEG, _MANY_COLUMNS = 0.1, 256
-"""Field of view below which, with so many columns, a pixel is finer than 1.4 arcsec: no navigation camera has that."""
-_FASTEST_KM_S = 1000.0
-"""Speed relative to the Solar System barycenter, five times that of the fastest spacecraft at its perihelion."""
+_OTHER_BODY = 1.1  # ratio of radii beyond which bodies differ: mesh and ellipsoid of one agree to a few percent
+_NARROW_DEG, _MANY_COLUMNS = 0.1, 256  # below, with so many columns, a pixel is finer than any navigation camera's
+_FASTEST_KM_S = 1000.0  # in the Solar System, five times the fastest spacecraft at its perihelion
 _BEST_ARCSEC = 2.0  # smallest sigma of attitudes in headers: star trackers on board reach a few arcsec
-_OTHER_UNIT = 100.0
-"""Ratio of two radii between a wrong unit, a factor of 1000, and different shapes of a body, logarithmically nearer to
-these."""
+_OTHER_UNIT = 100.0  # ratio of two radii: above, a wrong unit (factor 1000); below, different shapes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -39,13 +39,10 @@ from giantlike.simulation.write import BODY_IMAGE, CAMPAIGN_FILE, ESTIMATORS, TR
 _MARKER = ".giantlike-demo"  # file that marks a folder as made by a demonstration
 _MARKER_TEXT = "giantlike demo made this folder, and clears what it wrote here when it is run again.\n"
 _WRITTEN = ("images", "shapes", "run", "camera.toml", "geometry.csv", CAMPAIGN_FILE, TRUTH_FILE)
-_CONSISTENT = 0.001
-"""Two-sided probability of chi-square beyond which errors contradict their covariances: one false alarm in 1,000."""
-_SMALL_PHASE_DEG = 90.0
-"""Phase angle, deg, up to which the goal of ``unresolved`` holds: beyond, less than half of the disk is illuminated."""
+_CONSISTENT = 0.001  # two-sided probability of chi-square that contradicts covariances: one false alarm in 1,000
+_SMALL_PHASE_DEG = 90.0  # up to which the goal of ``unresolved`` holds: half of the disk is illuminated
 _ATTITUDE_SHARE = 0.95  # share of the images that need an attitude: of 39, one may be lost
-_BODY_SHARE = 0.8
-"""Share of the bodies that an estimator is made for and has to find: a tool that suspects more of them is of no use."""
+_BODY_SHARE = 0.8  # of bodies that an estimator is made for and has to find: one that suspects more is of no use
 _MADE_FOR_PX = MappingProxyType(
     {
         "unresolved": (0.0, 8.0),

@@ -19,8 +19,7 @@ from giantlike.image import Image
 from giantlike.presets import camera_preset
 
 _TEMPLATE = Path(__file__).parent / "pages" / "campaign.toml.template"
-_LOOKED_AT = 20
-"""Images that are opened, evenly over the folder: enough to see two kinds of exposure and a mixture of sizes."""
+_LOOKED_AT = 20  # images opened, evenly over the folder: shows two kinds of exposure, a mixture of sizes
 _LONG_S = 1.0  # exposure, s, from which an image is proposed as one of stars, where a folder has shorter ones too
 
 

@@ -14,8 +14,7 @@ from giantlike.campaign.store.records import Problem
 from giantlike.campaign.store.run_folder import RunFolder
 from giantlike.core.outcomes import Outcome
 
-_LOG_TAIL_BYTES = 20_000
-"""End of the log that is read for the last event: some hundred lines, each of up to a few hundred bytes."""
+_LOG_TAIL_BYTES = 20_000  # end of the log that is read for the last event: some hundred lines
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

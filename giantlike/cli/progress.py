@@ -15,8 +15,7 @@ from giantlike.cli.outcome import say
 Item = TypeVar("Item")
 
 
-_MOST_LINES, _FEWEST_IMAGES = 20, 10
-"""Lines per step in a log file, and images per line: a short run needs none, a long one some that are easy to count."""
+_MOST_LINES, _FEWEST_IMAGES = 20, 10  # lines per step in a log file, and least images per line
 
 
 @contextlib.contextmanager

@@ -10,8 +10,7 @@ from giantlike._system.compiled import compiled
 from giantlike.core.arrays import Float
 
 RIDGE = 1e-12  # added to normal matrices of unit diagonal: beyond rounding, below all information
-_NOTHING = 1e-100
-"""Minimum diagonal of a normal matrix: unmeasured unknowns have none, and its square must not underflow."""
+_NOTHING = 1e-100  # least diagonal of a normal matrix: of unmeasured unknowns; its square must not underflow
 
 
 @compiled

@@ -12,9 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from giantlike.core.arrays import Float
 
-_ROOM_PX = 4
-"""Padding, px, in addition to the length of the motion blur, around an image that it is applied to, against
-wrap-around."""
+_ROOM_PX = 4  # padding around images, besides the length of the motion blur, against wrap-around
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,25 +16,21 @@ UNKNOWN_READ_NOISE_E = 5.0
 """Read noise, electrons, of a detector that declares none: the gain follows where an image does not show it."""
 
 _LEAST_VALUES = 16  # different values that a common step needs: fewer have one by chance, 16 once in 30,000 images
-_SAMPLE = 16_384
-"""Approximate number of pixels sampled for the step; enough to contain all steps between values of the sky."""
+_SAMPLE = 16_384  # approximate number of pixels for the step: enough to contain all steps of the sky
 _STEP_TOLERANCE = 0.05
 """Largest distance of a difference of two values from a multiple of the step, in steps.
 
 Numbers of 16 bits times a scale, in single precision, are rounded by 0.004 steps at most.
 """
 _STEP_PRECISION = 1e-5  # relative error of the step, by which it may miss differences of many steps
-_BLOCK_PX = 16
-"""Side, px, of the blocks that noise is measured in: small compared with gradients of the sky; one gives it to 4.5
-%."""
+_BLOCK_PX = 16  # side of blocks for noise: small beside gradients of the sky; one gives it to 4.5 %
 _BLOCKS = 4096  # maximum number of sampled blocks: all of an image of 1024 x 1024 pixels
 _DARKEST = 0.25
 """Fraction of the blocks, darkest first, treated as sky.
 
 A body may cover up to three quarters of the frame, and stars less than half of these blocks: their median counts.
 """
-_VARIED = 0.5
-"""Minimum fraction of the blocks of the sky whose pixels differ: with fewer, it was clipped or made without noise."""
+_VARIED = 0.5  # least fraction of blocks of the sky whose pixels differ: with fewer, it was clipped or rendered
 _SMOOTHEST = 0.1
 """Quantile of the variances of bright blocks that is treated as noise: structure of a body only adds to it. The same
 quantile of chi-squared is divided out, so that blocks with noise alone give its variance."""
@@ -42,10 +38,8 @@ _MIN_BRIGHT_BLOCKS = 16  # bright blocks from which on noise is measured: the qu
 _BRIGHT, _BRIGHT_SIGMAS = 0.25, 10.0
 """Minimum signal of a bright block, relative to the brightest ones (quantile 0.99) and to the noise of a pixel of the
 sky: beyond both, it shows a body, not a gradient of the sky."""
-_SILENT = 1e-3
-"""Noise of floating point numbers whose sky has none, relative to their range: as in a well exposed image."""
-_ROUNDING = 1e-12
-"""Variance over squared level of a block of equal numbers, by rounding in single precision (6e-8 squared) and more."""
+_SILENT = 1e-3  # noise of floating point numbers whose sky has none, over their range: as of a good exposure
+_ROUNDING = 1e-12  # variance over squared level of a block of equal numbers: single precision rounds by 6e-8
 
 
 def value_step(pixels: NDArray[Any], mask: Mask | None = None) -> float:

@@ -140,8 +140,7 @@ class Base:
 
 LARGEST_ROCK_PX = 130.0  # diameter of the largest rocks, px: their rays march, at 1 s for 150 px
 POINT_PX = (1.0, 3.0)  # diameters of bodies that are points of light, px
-_MARGIN, _LEAST_FRAME_PX, _STAR_FRAME_PX = 1.6, 256, 512
-"""Ratio of frame to diameter of the body; the smallest frame; the frame of the star camera, px."""
+_MARGIN, _LEAST_FRAME_PX, _STAR_FRAME_PX = 1.6, 256, 512  # frame over diameter; smallest; of the star camera
 
 
 def normal(rng: np.random.Generator, size: int) -> Float:

@@ -30,8 +30,7 @@ from giantlike.gauntlet.trial import NAMES, TrialRow, trial
 from giantlike.image import Image
 
 THUMBNAIL_PX = 96  # side of a thumbnail, px: a thousand of them fill 3 MB of a page
-_FAINT, _BRIGHT, _GAMMA = 1.0, 99.8, 0.5
-"""Percentiles of the values shown as black and white, and the power between: faint light is to be seen."""
+_FAINT, _BRIGHT, _GAMMA = 1.0, 99.8, 0.5  # percentiles shown black and white; the power shows faint light
 _QUALITY = 60  # quality of the JPEG of a thumbnail, percent
 
 

@@ -28,8 +28,7 @@ VAGUE_FACTOR = 3.0  # ratio of sigma to the nominal one above which an answer is
 NAMES = (*ESTIMATORS, STARS)  # names of all estimators of the gauntlet, the star chain last
 _STATED = (Cause.CAMERA, Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN, Cause.ORIENTATION, Cause.ABERRATION, Cause.EPOCH)
 """Parts of a covariance that are declared with the image, not measured in it."""
-_SURFACE_PX = 180.0
-"""Minimum diameter, px, of bodies on which surface_features is tried: landmarks need a few hundred facets each."""
+_SURFACE_PX = 180.0  # least diameter for surface_features: landmarks need a few hundred facets each
 _SMALL_PX = 12.0  # largest diameter, px, of bodies on which unresolved is tried
 Outcome: TypeAlias = AttitudeFix | CenterFix | Failure  # result of the star chain or an estimator
 _OK, _SUSPECT, _FAILED, _RAISED = "ok", "suspect", "failed", "raised"

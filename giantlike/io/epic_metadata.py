@@ -29,8 +29,7 @@ from giantlike.io.geometry_table import GeometryRow, GeometryTable
 if TYPE_CHECKING:
     from astropy.time import Time
 
-_SAME_POINT_DEG = 1.0
-"""Largest angle between the point below the camera as stated and by positions, epoch and rotation of the Earth."""
+_SAME_POINT_DEG = 1.0  # between the point below the camera as stated and by positions and rotation of the Earth
 
 
 @reads("EPIC metadata")

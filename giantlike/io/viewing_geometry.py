@@ -14,10 +14,8 @@ from giantlike.core.frames import rotate
 from giantlike.core.units import RAD_PER_DEG
 from giantlike.core.values import Value
 
-_PHASE_TOLERANCE_DEG = 1.0
-"""Largest difference of a stated phase angle from the angle between the stated points: both are often rounded."""
-_SUN_TOLERANCE_DEG = 5.0
-"""Largest angle between the Sun by an azimuth and by the sub-solar point: azimuths are read off pictures by eye."""
+_PHASE_TOLERANCE_DEG = 1.0  # of a stated phase angle from that of the stated points: both are rounded
+_SUN_TOLERANCE_DEG = 5.0  # between the Sun by azimuth, read off by eye, and by the sub-solar point
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -31,8 +31,7 @@ from giantlike.network.problem import (
 from giantlike.network.result import CovariancePart, FrameDirection, NetworkFix, PointStatus
 from giantlike.network.rotation import Rotating
 
-_POWER = 0.8416
-"""Quantile of the normal distribution of 80 %: the probability with which a smallest detectable error is rejected."""
+_POWER = 0.8416  # normal quantile of 80 %, the probability with which a smallest detectable error is rejected
 _WEAK = 7.0  # sigma of a combination by that of its parts alone: a correlation of 0.99
 _CAUSES = {"pole_east": Cause.POLE, "pole_north": Cause.POLE, "w": Cause.SPIN, "rate": Cause.SPIN,
            "size": Cause.SHAPE_SCALE}  # fmt: skip

@@ -31,8 +31,7 @@ from giantlike.shapes import Shape, TriangleMesh
 from giantlike.shapes.detail import LevelsOfDetail
 from giantlike.shapes.landmarks import LandmarkCatalog
 
-_NEAR_PX = 6
-"""Search around the common shift, px: errors of attitude and range on a body of some hundred pixels, and relief."""
+_NEAR_PX = 6  # search around the common shift: errors of attitude and range on bodies of some hundred px, relief
 _FIRST_SIGMA = 0.02  # of the mean radius: a priori sigma of points before their spread about the shape is known
 _FLOOR_PX = (0.3, 0.02)  # px: error of templates before it is estimated, and the least that it is taken for
 

@@ -28,8 +28,7 @@ from giantlike.io.spc_sumfile import Sumfile
 from giantlike.io.spice import load_kernels, spk_state
 from giantlike.shapes.landmarks import Landmark
 
-_PIXELS_PER_MM = 100.0
-"""Of the focal plane of a file: a camera here has no pitch in mm, and only focal length times pitch matters."""
+_PIXELS_PER_MM = 100.0  # of a file: cameras here have no pitch in mm, and only focal length times pitch matters
 _LONGEST_LINE = 200  # characters of a remark: with an epoch before it, it fits the 254 of a line of CCSDS messages
 _LARGEST_DN = 65535  # of a SUMFILE, for a detector without saturation: 16 bits
 

@@ -19,8 +19,7 @@ from giantlike.io.observables_file import ObservableRow
 
 _STEPS = 10
 _SETTLED_RAD = 1e-12  # of a step: below the rounding of unit vectors times a focal length in px
-_WORST_CONDITION = 1e12
-"""Condition number of the information about the three angles beyond which one of them is not determined."""
+_WORST_CONDITION = 1e12  # condition number of the information about three angles that fails to determine one
 _ONE_BY_ONE = (
     Cause.NOISE, Cause.BACKGROUND, Cause.PSF, Cause.EDGE, Cause.REFLECTANCE, Cause.ALBEDO, Cause.RELIEF, Cause.ALTITUDE,
     Cause.SUN, Cause.ORIENTATION,

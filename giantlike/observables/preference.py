@@ -10,8 +10,7 @@ import numpy as np
 from giantlike.core.outcomes import CenterFix
 from giantlike.relative.consensus import agreement_of
 
-_DISAGREE = 1e-3
-"""Probability below which two fixes contradict each other: one false alarm in 1,000, as ``auto`` has it."""
+_DISAGREE = 1e-3  # probability below which two fixes contradict each other: one false alarm in 1,000
 _CHECKED = "auto"
 
 

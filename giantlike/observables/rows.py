@@ -26,8 +26,7 @@ from giantlike.observables.apparent import apparent_by_position, removed
 from giantlike.relative.budget import attitude_parts_rad2, position_covariance
 from giantlike.scene import Circumstances, TargetUncertainty
 
-_ESTIMATED_LATER = (Cause.EPHEMERIS,)
-"""Causes that are not in the covariance of an observable: what a filter estimates from it."""
+_ESTIMATED_LATER = (Cause.EPHEMERIS,)  # causes not in the covariance of an observable: a filter estimates them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -13,8 +13,7 @@ from giantlike.core.arrays import Float
 from giantlike.core.values import Value
 from giantlike.io.observables_file import ObservableRow
 
-_MIN_EPOCHS = 4
-"""Epochs of an arc whose velocities follow from its positions: a cubic spline without a condition at its ends."""
+_MIN_EPOCHS = 4  # epochs of an arc whose velocities follow from positions: a cubic spline with free ends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -33,9 +33,7 @@ from giantlike.passes.terms import PassOptions, PassTerm
 
 WEAK = 30.0  # inflation from which a combination is reported: its parts then correlate by more than 0.999
 _JITTER_REACH = 1e3  # factor, down and up, within which the jitter is searched around the first guess
-_LARGEST_NOISE = 10.0
-"""Ratio of residuals to stated noise from which a pass is refused: noise is measured in each image, to better than a
-factor of ten."""
+_LARGEST_NOISE = 10.0  # residuals over stated noise from which a pass is refused: noise is measured in images
 _LOG_STEP = 0.05  # step in the logarithm of the jitter by which the curvature of its likelihood is taken
 
 

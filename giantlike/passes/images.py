@@ -24,8 +24,7 @@ ROTATION, DISPLACEMENT, ALTITUDE, OFFSET = slice(0, 3), slice(3, 6), 6, 7
 """Places of an error of one image among its effects: rad about camera axes, km in camera axes, km, px outward."""
 EFFECTS = 8  # number of these; errors that limbs share come after
 _ALTITUDE_STEP = 1e-4  # of the smallest radius
-_SMOOTH_WAVES = 12
-"""Waves around the limb that stand for a smooth error: 95 % of the power at a correlation length of half a radius."""
+_SMOOTH_WAVES = 12  # around the limb, for a smooth error: 95 % of the power at a length of half a radius
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -331,8 +330,7 @@ def shared_names(images: tuple[PassImage, ...]) -> tuple[tuple[str, int], ...]:
     return tuple(sizes.items())
 
 
-_GRID = 720
-"""Angles at which the correlation of a smooth error is sampled: half a degree, a tenth of the shortest wave kept."""
+_GRID = 720  # angles at which the correlation of a smooth error is sampled: a tenth of the shortest wave
 
 
 def limb_waves(angles_rad: ArrayLike, amplitudes: ArrayLike) -> Float:

@@ -30,8 +30,7 @@ from giantlike.shapes.generate import surface_waves
 from giantlike.simulation import Sources, simulate_image
 
 _MARGIN_PX = 60  # sky around the drawn body: the widest search of an estimator by default, 40 px, and background beyond
-_FACETS = (2_000, 80_000)
-"""Fewest and most facets of a drawn body that is an ellipsoid by declaration; between them two a square pixel."""
+_FACETS = (2_000, 80_000)  # of a drawn body that is an ellipsoid by declaration; else two a square pixel
 _RELIEF_WAVES = ((3.0, 1.0), (7.0, 0.5), (16.0, 0.25))
 """Wave numbers of relief, per radius, and their amplitudes: shorter waves are as steep as longer ones."""
 _WAVES = 24  # plane waves of a random field, of which half were too few for a normal distribution

@@ -39,8 +39,7 @@ from giantlike.stars.options import StarOptions
 
 _CELL_LOG_SIZE, _CELL_PHASE_RAD, _CELL_LOG_SNR, _CELL_SATURATED = math.log(1.4), math.radians(15.0), math.log(2.5), 0.05
 """Cells of the table of drawn images: ratios of sizes and of signal to noise ratios, phases, and saturated fraction."""
-_GLARE_RADII = 1.1
-"""Radius of the disk in which a body hides stars, over its own: the limb is drawn out by the point spread function."""
+_GLARE_RADII = 1.1  # radius of the disk in which a body hides stars, over its own: the PSF draws the limb out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,8 +19,7 @@ from giantlike.planning.drawn import FixForecast
 from giantlike.relative.place import place_jacobian
 from giantlike.scene import Circumstances
 
-_UNKNOWN_RANGE = 0.1
-"""Standard deviation of an orbit without a covariance, over the range of its first image, and over its time."""
+_UNKNOWN_RANGE = 0.1  # sigma of an orbit without covariance, over the range of its first image, and over its time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

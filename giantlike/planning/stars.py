@@ -29,14 +29,10 @@ from giantlike.stars.matching import predicted_in_frame
 from giantlike.stars.navigation import sky_of
 from giantlike.stars.options import StarOptions
 
-_BLEND_WIDTHS = 2.5
-"""Distance, in widths of a recorded star, within which the fainter of two is not detected: the peaks of two equal
-Gaussians merge at 2 widths."""
-_BACKGROUND_LOSS = 0.97
-"""Part of the signal to noise ratio that the filter keeps when it removes the background, see ``matched_filter``."""
+_BLEND_WIDTHS = 2.5  # distance, in widths of a star, within which the fainter is lost: equal peaks merge at 2
+_BACKGROUND_LOSS = 0.97  # part of the signal to noise ratio that ``matched_filter`` keeps without background
 _TWO_SIGMA = 2.0  # half width of the stated interval, standard deviations: 95 %
-_INFORMATION = 0.96
-"""Part of the information that the stars used have; a run measures the brightest alone, see ``StarOptions``."""
+_INFORMATION = 0.96  # part of the information in the stars used; a run measures the brightest (``StarOptions``)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -42,11 +42,9 @@ _LIMB_REJECTED = MARKS["limb points rejected"]
 PANEL_IN = 4.6  # width of a panel, inches: 506 px at the 110 dpi of the report, whose narrowest card is 480 px wide
 _MAX_ELONGATION = 2.0  # largest ratio of the sides of a panel; narrower images are stretched
 _MIN_ZOOM_PX, _ZOOM_MARGIN = 24.0, 1.25  # half width of a close-up at the least, px, and its margin around the body
-_ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)
-"""Angles, rad, of the points of an ellipse: 7.5 deg apart, where its corners cannot be seen."""
+_ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)  # of the points of an ellipse: no corners are seen
 _CUT = 10.0  # distance of neighbors on an outline, over the median one, beyond which the frame lies between them
-_SAMPLED_ROWS = 64
-"""Rows of a picture that its gray scale is taken from: 30,000 pixels tell a percentile well enough to look at."""
+_SAMPLED_ROWS = 64  # rows that a gray scale is taken from: 30,000 pixels tell a percentile to look at
 _SOFTENING = 8.0  # level, in units of the noise, up to which the gray scale is linear; above it is logarithmic
 
 

@@ -22,15 +22,12 @@ from giantlike.core.pixel_noise import sky_noise
 from giantlike.core.statistics import quartile_sigma
 from giantlike.core.values import Value
 
-_CLIP_SIGMA = 4.0
-"""Distance from the median, in noise of one exposure, beyond which a pixel of it is left out (a particle, a star)."""
-_HOT_SIGMA = 8.0
-"""Excess of a dark pixel over its neighbors, in noise of the frame, from which on it is bad: no white noise has it."""
+_CLIP_SIGMA = 4.0  # from the median, in noise of an exposure, beyond which a pixel is left out (particle, star)
+_HOT_SIGMA = 8.0  # excess of a dark pixel over its neighbors, in noise of the frame, that no white noise has
 _DEAD_RESPONSE = 0.5  # response relative to the neighbors below which a pixel is bad: dust dims by up to a third
 _SAME_EXPOSURE = 0.01  # relative difference of exposures up to which a dark frame needs no scaling
 _CALM = 0.999  # fraction of the pixels, lowest scatter first, whose scatter counts as noise: the others flicker
-_NO_SHOT_NOISE = 1e30
-"""Gain, electron/DN, that leaves the noise of the frames alone: the scatter of flats holds their shot noise already."""
+_NO_SHOT_NOISE = 1e30  # gain that leaves the noise of the frames alone: scatter of flats holds their shot noise
 _BLOCK_ROWS = 64  # rows of all exposures that are combined at a time, to bound the memory
 
 

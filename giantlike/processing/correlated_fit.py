@@ -15,8 +15,7 @@ _ITERATIONS = 20  # maximum iterations of robust weights; they end earlier when 
 _START_REST, _REST = 0.5, 0.01
 """Motion of the residuals, over a tenth of their median sigma, below which robust weights need no more iterations: on
 the way to a start, and from there."""
-_TUKEY_LIMIT = 1.5
-"""Residual at which a weight reaches zero, relative to the limit for outliers: kept points have positive weight."""
+_TUKEY_LIMIT = 1.5  # residual of weight zero, over the limit for outliers: kept points have positive weight
 _SINGULAR = 1e-12  # minimum pivot of a normal matrix of trace 1 that determines all parameters, far above rounding
 
 

@@ -22,17 +22,13 @@ _GAP = 3.0  # maximum distance between neighbors, in medians of all: longer gaps
 _RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 1e8, 25)])
 """Variance of relief / mean variance of the noise: up to 1e4 sigmas, as for limbs accurate to 0.003 px."""
 _LENGTH_STEP = 3.0  # ratio of neighboring lengths; averages over them need no finer grid
-_SMOOTH_DEGREES = (3.0, 6.0, 12.0)
-"""Degrees about which the power of smooth relief ends: bumps and old craters of 20, 10 and 5 deg (one sigma)."""
+_SMOOTH_DEGREES = (3.0, 6.0, 12.0)  # of the end of smooth relief: bumps, old craters of 20, 10, 5 deg (sigma)
 _SMOOTH = len(_SMOOTH_DEGREES)
 _ROUGH_SHARE = 0.02  # fraction of rough relief in the variance of smooth relief
 _LEAST_WAVES = 0.9  # minimum number of waves, of the degree about which smooth relief ends, in the visible outline
-_LEAST_LENGTH = 1.0 / 12.0
-"""Correlation length / radius below which a sphere is treated as flat: errors are due to pixels and albedo."""
-_MOST_DEGREE, _ANGLES = 400, 1501
-"""Highest degree of spectra, and angles at which their covariances are tabulated: both finer than 0.5 deg."""
-_LEAST_NOISE2 = 0.5
-"""Minimum ratio of the variance of the noise to the predicted one: neighbors with common pixels only increase it."""
+_LEAST_LENGTH = 1.0 / 12.0  # correlation length / radius of a flat sphere: errors of pixels and albedo
+_MOST_DEGREE, _ANGLES = 400, 1501  # of spectra; angles of tabulated covariances: both below 0.5 deg
+_LEAST_NOISE2 = 0.5  # least variance of the noise over the predicted: common pixels only increase it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

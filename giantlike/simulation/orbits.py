@@ -15,8 +15,7 @@ from giantlike.core.frames import direction_from_radec
 from giantlike.core.units import AU_KM
 from giantlike.ephemeris import BARYCENTER
 
-_SUN_GM_KM3_S2 = 1.32712440041e11
-"""km^3/s^2, gravitational parameter of the Sun, TDB-compatible: IAU 2009 system of astronomical constants."""
+_SUN_GM_KM3_S2 = 1.32712440041e11  # of the Sun, TDB-compatible: IAU 2009 system of astronomical constants
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

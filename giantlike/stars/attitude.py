@@ -27,8 +27,7 @@ _STEP_RAD = 1e-6
 """Last step: 0.2 arcsec. The next one is this times the residuals: below 1e-6 standard deviations of the attitude times
 the root of the number of stars."""
 _MAX_ROUNDS = 10  # of fit and rejection
-_MOST_WEIGHT = 0.5
-"""Maximum weight of a star relative to the sum of all others: residuals do not show the error of a dominant one."""
+_MOST_WEIGHT = 0.5  # of a star over the sum of others: residuals do not show the error of a dominant one
 _NOISE_EXPLAINS = 0.977
 """Chi-square probability up to which residuals are explained by the noise: the two-sigma quantile of a normal
 distribution, one-sided."""

@@ -40,12 +40,9 @@ from giantlike.stars.other_readings import find_reading, is_interlaced, text_of_
 from giantlike.stars.refine import RefinedAttitude, depth_for, refine_attitude
 
 _LOG = logging.getLogger("giantlike.stars")
-_IDENTIFIED_FIRST = 200
-"""Brightest detections that an a priori attitude is tried with before all are: twice those that vote for a shift."""
+_IDENTIFIED_FIRST = 200  # brightest detections tried with an a priori attitude: twice those that vote
 _DETECTIONS_PER_STAR, _SPARE_DETECTIONS = 4, 30  # detections used per catalog star expected: fainter ones are noise
-_INFORMATION = 0.95
-"""Fraction of the information of all stars that an attitude must hold: all of them would shrink its covariance by 5
-%."""
+_INFORMATION = 0.95  # of all stars, in an attitude: the rest would shrink its covariance by 5 %
 _MEASURED_FIRST = 0.96
 """Share measured first. Of 57 star images, 27 fell short of the share above when just as much was measured, because
 errors of catalog and neighbors count most for the brightest, and had to be measured once more; with this share 2."""

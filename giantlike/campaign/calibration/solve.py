@@ -45,8 +45,7 @@ _COLUMNS = (
     "used",
 )  # fmt: skip
 _ARRAYS = CalibrationRecord.points_of  # arrays of a star image that its record holds as lists, by the same names
-_FEWEST_FOR_DRIFT = 4
-"""Images from which a drift of the alignment is estimated: its 6 unknowns take two, twice as many leave a check."""
+_FEWEST_FOR_DRIFT = 4  # images for a drift of the alignment: its 6 unknowns take two, twice as many leave a check
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -17,15 +17,12 @@ from giantlike.core.causes import Cause, sum_parts
 from giantlike.core.frames import rotation_between
 from giantlike.core.units import ARCSEC_PER_RAD
 
-_ROUNDING = 1e-12
-"""Fraction of a variance that is due to rounding: Jacobians leave about 1e-16 in parts that should be zero."""
+_ROUNDING = 1e-12  # fraction of a variance by rounding: Jacobians leave about 1e-16 in parts that should be zero
 _SAME_FILES = "the same image files; in part, where options differ"
-_OF_PIXELS = (Cause.NOISE, Cause.BACKGROUND, Cause.ALBEDO)
-"""Causes that two fixes have in common because they come from the same pixels with the same estimator."""
+_OF_PIXELS = (Cause.NOISE, Cause.BACKGROUND, Cause.ALBEDO)  # in common: the same pixels and estimator
 _OF_BODY = (Cause.RELIEF, Cause.SHAPE_SCALE, Cause.POLE, Cause.SPIN, Cause.SUN)
 """Causes that they have in common because the shape is the same."""
-_OF_HEADER = (Cause.ABERRATION, Cause.EPOCH)
-"""Causes that two attitudes have in common because time and velocity of the spacecraft come from one source."""
+_OF_HEADER = (Cause.ABERRATION, Cause.EPOCH)  # in common: one source of time and velocity of the spacecraft
 
 
 def compare_runs(first: Path, second: Path) -> ResultComparison:

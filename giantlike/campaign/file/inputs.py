@@ -42,8 +42,7 @@ from giantlike.shapes.load import guessed_units
 CAMERA_CHANGES = frozenset({"binned", "psf", "detector", "photometry"})
 """Keys of ``[camera]`` that refine a camera from a file, a preset or a mission; other keys declare another camera."""
 
-_RATE_STEP_S = 0.5
-"""Half the time over which a rate is taken from a CK: attitudes have 1e-15 rad of rounding, and rates last seconds."""
+_RATE_STEP_S = 0.5  # half the time over which a rate is taken from a CK: 1e-15 rad of rounding, rates of seconds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

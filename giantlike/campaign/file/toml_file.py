@@ -176,9 +176,7 @@ def _full_name(name: str, counts: Mapping[str, int]) -> str:
     return full
 
 
-_LIKENESS = 0.7
-"""Share of letters in common from which a name is suggested: a slip in six letters; at the 0.6 of difflib, `stars` is
-suggested for `estimators`."""
+_LIKENESS = 0.7  # share of letters by which a name is suggested: a slip in six; at 0.6 `stars` is `estimators`
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

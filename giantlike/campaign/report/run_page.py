@@ -19,8 +19,7 @@ from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.version import VERSION
 
 _MAX_FAILURES = 300  # failures listed one by one; all are counted by reason, and the tables hold the rest
-_MAX_FIXES = 4000
-"""Maximum lines of the table of fixes, about 300 bytes each; beyond it, good fixes are only in the tables."""
+_MAX_FIXES = 4000  # most lines of the table of fixes, 300 bytes each; other good fixes are only in the tables
 _FOUND = "a fix in an image that images.expect says to be empty"
 _RANK = {"failed": 0, "suspect": 1, "accepted": 1, "ok": 2, "rejected": 3, "not_applicable": 3, "not_in_field": 3}
 

@@ -32,10 +32,8 @@ from giantlike.relative import Estimator, SurfaceFeatures
 from giantlike.relative.place import apparent_radius_px
 from giantlike.scene import Scene, TargetGeometry
 
-_OUTLINE_ANGLES = 120
-"""Points of a predicted outline in an overlay: one every 3 deg, drawn as a polygon; no result rests on it."""
-_OUTLINE_MIN_RADIUS_PX = 2.0
-"""Apparent radius, px, below which an overlay shows a cross alone: an outline would be hidden by it."""
+_OUTLINE_ANGLES = 120  # points of a predicted outline in an overlay, a polygon; no result rests on it
+_OUTLINE_MIN_RADIUS_PX = 2.0  # radius below which an overlay shows a cross alone, which would hide an outline
 
 _SEARCHES = 3.0  # multiple of ``search_px``: estimators of limbs widen their search to this where they find none
 _SURE = 3.0  # number of standard deviations of the prediction beyond which a body is not expected

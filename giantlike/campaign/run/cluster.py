@@ -24,14 +24,12 @@ if TYPE_CHECKING:
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 
-_QUEUED_PER_WORKER = 4
-"""Jobs handed out per worker: one at work and some on the way, over networks that are slower than pipes."""
+_QUEUED_PER_WORKER = 4  # jobs handed out per worker: one at work, some on the way over slow networks
 _CONNECT_S = 30.0  # longest wait for the scheduler to answer, and for its first worker
 
 _campaigns: dict[str, Campaign] = {}
 _benches: dict[str, Workbench] = {}
-_one_at_a_time = threading.Lock()
-"""CSPICE, and the caches of tracers, are for one thread: a worker with several takes its jobs in turn."""
+_one_at_a_time = threading.Lock()  # CSPICE and caches of tracers are for one thread: jobs take turns
 
 
 class DaskPool:

@@ -16,8 +16,7 @@ from giantlike.core.frames import rotate
 from giantlike.core.time import time_from_et
 
 _SIGNIFICANT = 5.0  # number of standard deviations from which an error is named
-_EXPLAINED = 0.25
-"""Residual rms with a time offset relative to the rms without one, below which the offset explains the residuals."""
+_EXPLAINED = 0.25  # residual rms with a time offset over that without, below which it explains the residuals
 _MIN_IMAGES = 3
 _LIGHT_FACTOR = 3.0  # largest error of a declared zero point with the colors of the stars, 1.2 mag: a prior
 _GPS_FROM_TAI_S = -19.0

@@ -22,8 +22,7 @@ from giantlike.relative.budget import position_covariance
 from giantlike.relative.landmarks.surface_features import LandmarkFix
 from giantlike.scene import Scene, TargetGeometry
 
-_MAP_CELLS = 32
-"""Cells along the longer side of a map of residuals: a picture in a report is about 200 px wide; 3 kB in the store."""
+_MAP_CELLS = 32  # along the longer side of a map of residuals: 200 px in a report, 3 kB in the store
 
 
 def status_of(flags: Quality) -> Status:

@@ -30,8 +30,7 @@ Job = TypeVar("Job")
 Job_co = TypeVar("Job_co", covariant=True)
 Answer = TypeVar("Answer")
 
-_QUEUED_PER_WORKER = 2
-"""Jobs handed out per worker: one at work and one waiting, so that few are lost when a process dies."""
+_QUEUED_PER_WORKER = 2  # jobs handed out per worker: one at work and one waiting, so that few are lost with it
 
 
 class Jobs(Protocol[Job_co]):

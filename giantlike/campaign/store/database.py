@@ -22,8 +22,7 @@ Unit: TypeAlias = tuple[str, str, str, str]
 Content = TypeVar("Content", str, bytes)
 
 _SCHEMA_VERSION = 1
-_WAIT_S = 60.0
-"""Longest wait for another process that writes: it holds the file for milliseconds, on a busy disk for seconds."""
+_WAIT_S = 60.0  # longest wait for another process that writes, for milliseconds, on a busy disk for seconds
 _SCHEMA = """
 CREATE TABLE images (file TEXT PRIMARY KEY, place INTEGER, path TEXT, stamp TEXT, sha256 TEXT);
 CREATE TABLE records (step TEXT, file TEXT, target TEXT, estimator TEXT, place INTEGER, key TEXT, light TEXT,

@@ -44,8 +44,7 @@ from giantlike.observables import (
 from giantlike.scene import Circumstances, TargetUncertainty
 
 OBSERVABLES_FILE = "observables.parquet"  # name of the observables file in the run folder
-_IMAGES_OF_A_GROUP = 256
-"""Maximum images of a group: about 40 MB with a few hundred landmarks each, which are not counted."""
+_IMAGES_OF_A_GROUP = 256  # most images of a group: about 40 MB with a few hundred landmarks each
 
 
 def write_run_observables(result: RunResult, path: Path | None = None, *, tables: Iterable[Any] | None = None) -> int:

@@ -8,8 +8,7 @@ import numpy as np
 
 from giantlike.core.units import SECONDS_PER_JULIAN_YEAR
 
-_LEAST_S = 5.0 * SECONDS_PER_JULIAN_YEAR
-"""Smallest distance from the median epoch that is odd, s: campaigns of one phase of a mission are shorter."""
+_LEAST_S = 5.0 * SECONDS_PER_JULIAN_YEAR  # odd distance from the median: longer than a phase of a mission
 _SPREADS = 20.0  # smallest distance in median absolute deviations: images of decades, evenly spread, reach 2
 _LEAST_IMAGES = 3  # of two images none is known to be the odd one
 

@@ -19,8 +19,7 @@ from giantlike.core.errors import DataError
 
 Record = TypeVar("Record", bound=ImageRecord)
 
-_FEWEST_NUMBERS = 16
-"""Numbers from which a list is kept as an array: below, the description of the array is longer than the digits."""
+_FEWEST_NUMBERS = 16  # numbers from which a list is kept as an array, whose description is longer than 15
 _KEY = "$array"
 _LEVEL = 1  # of zlib: higher levels gain 1 % on positions of stars and take four times as long
 _NESTED = (dict, list, PlainRecord)

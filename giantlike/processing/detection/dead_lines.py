@@ -7,13 +7,9 @@ import numpy as np
 from giantlike.core.arrays import Float, Mask
 from giantlike.processing.detection.frame_lines import FrameLines
 
-_DARK = 0.5
-"""Signal relative to the darker neighbor below which a pixel may be dead: a point spread function of 0.7 px fills even
-a black line of one pixel to this level."""
-_LEAST_SIGMAS = 16.0
-"""Minimum signal of neighbors, in standard deviations of the noise without light, for testing a pixel between them."""
-_LEAST_LENGTH, _LEAST_SHARE = 8, 0.9
-"""Minimum number of pixels of a dead line between bright neighbors, and the minimum fraction of them that are dark."""
+_DARK = 0.5  # over the darker neighbor, of a pixel that may be dead: a PSF of 0.7 px fills a black line to it
+_LEAST_SIGMAS = 16.0  # least signal of neighbors, in sigmas of the noise without light, of a tested pixel
+_LEAST_LENGTH, _LEAST_SHARE = 8, 0.9  # dark pixels of a line between bright ones; their least fraction
 
 
 def dead_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:

@@ -64,9 +64,7 @@ _PSF_MIN_SIGNIFICANCE = 12.0  # of these stars: their widths are then known to a
 _PSF_WIDTH_PRIOR = 1.0  # standard deviation of the prior on ln sigma: weak, the width is to be estimated
 _HOT_PIXEL_WIDTH_PX = 0.3  # single bright pixels are fitted narrower than this
 
-_LEAST_MEASURED = 100
-"""Minimum number of measured sources: attitudes from 100 and 2,000 bright stars agree to 0.0013 px
-(``max_sources``)."""
+_LEAST_MEASURED = 100  # fewest measured sources: attitudes from 100 and 2,000 stars agree to 0.0013 px
 _GROWTH = 1.1  # minimum growth of their number where their information is too low: bounds the number of rounds
 
 _SAME_PEAK_PX = 1.5  # from a peak, within which one found later is what the model of the star leaves

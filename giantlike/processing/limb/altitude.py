@@ -6,8 +6,7 @@ import numpy as np
 
 from giantlike.core.arrays import Float
 
-_FROM_SUN_TO_TERMINATOR = 2.0
-"""Change of the altitude between a limb below the Sun and one at the terminator, in sigmas of the altitude."""
+_FROM_SUN_TO_TERMINATOR = 2.0  # change of the altitude from a limb below the Sun to the terminator, in its sigmas
 
 
 def lift_points(lift_px: Float, sights: Float, position_camera_km: Float, sun_direction_camera: Float) -> Float:

@@ -15,11 +15,9 @@ from giantlike.core.values import Value
 from giantlike.processing.limb.measurement import SATURATED_SHARE
 from giantlike.processing.limb.view import LimbView, PredictedLimb
 
-_COARSE_BLUR_PX = 1.0
-"""Minimum blur of the searched image, px: half of the step, so that no limb falls between two steps."""
+_COARSE_BLUR_PX = 1.0  # least blur of the searched image, half of the step: no limb falls between steps
 _COARSE_STEP, _MAX_COARSE_STEP_PX = 0.05, 4.0  # first step / radius, and its maximum, px
-_FINE_STEP_PX, _LEAST_STEP_PX, _FINER = 2.0, 0.5, 4
-"""Minimum first step and last step, px; and the ratio of a step to the next."""
+_FINE_STEP_PX, _LEAST_STEP_PX, _FINER = 2.0, 0.5, 4  # least first step, last step; ratio to the next
 _SKY_BLOCK = 5  # pixels along a block whose mean the level of the sky is found from: its noise is a fifth of theirs
 _WHOLE = 1.0 - 1e-5  # fraction of good pixels from which all of a block are good, but for rounding
 _COARSE_OFFSET_PX = 1.5  # minimum distance of the compared pixels from the outline: beyond the blur of a sharp limb

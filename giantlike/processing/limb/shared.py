@@ -18,19 +18,15 @@ from giantlike.processing.limb.scan import ProfileMatch
 _LINES_TOGETHER = 10  # number of neighboring lines with correlated errors: 15 px of limb with the usual spacing
 
 
-_GAIN_STEPS = 4
-"""Iterations of shared parameters and gains: each removes most of the remaining error, even of gains in error by a
-factor of 2."""
+_GAIN_STEPS = 4  # iterations of shared parameters and gains: each removes most of the error, even for a factor of 2
 _SPREAD_STEPS = 3  # iterations of the estimate and of the scatter of lines about it
 _GAIN_LIMITS = (0.2, 5.0)  # minimum and maximum ratio of the gain to the previous one, as for good points of a limb
 
 
-_SMOOTHED_LINES = 15
-"""Neighboring lines over which shifts are averaged: leaves a quarter of their noise, follows the course of a limb."""
+_SMOOTHED_LINES = 15  # over which shifts are averaged: a quarter of their noise, along the course of a limb
 _OWN_SIGMAS, _OWN_PX = 3.0, 0.1  # maximum distance of a line from its neighbors: sigmas of its noise, plus px
 
-_CONTRADICTED = 3.0
-"""Distance from the prior, in standard deviations, beyond which the prior has less weight (Huber's limit)."""
+_CONTRADICTED = 3.0  # distance from the prior, sigmas, beyond which it has less weight (Huber's limit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
