@@ -48,8 +48,7 @@ def one_thread_each() -> Iterator[None]:
 def one_thread() -> Iterator[None]:
     """Context manager and decorator: linear algebra of the libraries that are loaded is done with one thread.
 
-    On busy cores several threads took up to eleven times the CPU of an estimate, and the last bits of sums would
-    differ.
+    On busy cores several threads took up to eleven times the CPU of an estimate, and the last bits of sums differed.
     """
     with _linear_algebra().limit(limits=1):
         yield

@@ -58,8 +58,7 @@ def expected_dn(
 def chandrasekhar_sphere(single_scattering_albedo: float, phase_rad: ArrayLike) -> Float:
     """Brightness (...) of a sphere that scatters isotropically, relative to a white Lambert disk facing the Sun.
 
-    After Chandrasekhar, ``w / 4 mu0 / (mu + mu0) H(mu) H(mu0)`` with Hapke's H, good to 4 %: his law without lobe and
-    surge.
+    After Chandrasekhar, ``w / 4 mu0 / (mu + mu0) H(mu) H(mu0)``, with Hapke's H, good to 4 %: no lobe and no surge.
     """
     w = single_scattering_albedo
     require(0.0 < w < 1.0, f"single_scattering_albedo must be in (0, 1), got {w}")

@@ -282,10 +282,7 @@ def _what_is_meant(check: _Check, campaign: Campaign, *, all_images: bool) -> No
 
 
 def check_run(bench: Workbench) -> list[str]:
-    """Warn of failures of a run, before its first image.
-
-    Images are opened until one has no error: errors and damage of others are theirs alone.
-    """
+    """Warn of failures of a run before its first image; images are opened until one has no error."""
     campaign, check = bench.campaign, _Check(bench.campaign.path)
     check.lines = lines_of_keys(campaign.path.read_text(encoding="utf-8")) if campaign.path.is_file() else {}
     _evaluate(check, campaign, bench.shapes, until_good=True)

@@ -224,8 +224,7 @@ def sky_index(
 ) -> StarIndex:
     """Index of the whole sky of a catalog, from memory, from the cache folder, or made now.
 
-    Making one takes well below a second for fields from 10 degrees up, and about 10 s at 1 degree. The names of cached
-    files contain a hash of the stars.
+    Making one takes well below a second for fields from 10 degrees up, and about 10 s at 1 degree.
     """
     key = (id(catalog), pattern, _step(radius_rad), max_magnitude)
     held = _memory.get(key)

@@ -162,10 +162,7 @@ class HeightMap(Value):
         return math.sqrt(variance * wider ** math.log2(growth))
 
     def heights_km(self, directions: ArrayLike) -> Float:
-        """Heights (...), km, above the reference ellipsoid in directions (..., 3) from the center, body axes.
-
-        They are interpolated linearly; NaN outside the map.
-        """
+        """Heights (...), km, linear, above the ellipsoid in directions (..., 3), body axes; NaN outside the map."""
         vectors = as_floats(directions, (3,), "directions")
         x, y, z = np.moveaxis(vectors, -1, 0)
         latitude, longitude = np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)

@@ -28,8 +28,7 @@ _OF_HEADER = (Cause.ABERRATION, Cause.EPOCH)  # in common: one source of time an
 def compare_runs(first: Path, second: Path) -> ResultComparison:
     """Compare fixes of two runs by image name, target and estimator.
 
-    The covariance of a difference is the sum of both, without causes in common by provenance (image, camera, shape,
-    law).
+    The covariance of a difference is the sum of both, without the causes that provenance shows to be common to both.
     """
     one, other = load_result(first), load_result(second)
     inputs = [RunFolder(path).provenance().get("inputs", {}) for path in (first, second)]

@@ -112,10 +112,7 @@ class RenderPlan(Value):
         return contextlib.nullcontext() if self.spice is None else load_kernels(self.spice.kernels, self.path.parent)
 
     def shots(self) -> list[tuple[Shot, Scene | None]]:
-        """Every exposure with its scene; call it inside ``with plan.kernels()``.
-
-        Returns None if an image has no target.
-        """
+        """Every exposure with its scene, None without a target; call it inside ``with plan.kernels()``."""
         try:
             shapes = {target.name: target.load_shape() for target in self.targets}
             shots = [(self._shot(exposure), self._scene(exposure, shapes)) for exposure in self.exposures]

@@ -64,10 +64,9 @@ def fit_stars(
     width_prior: float = 0.25,
     isolated: bool = False,
 ) -> StarFits:
-    r"""Fit a pixel-integrated Gaussian to each of n patches.
+    r"""Fit a round, pixel-integrated Gaussian to each of n patches.
 
-    Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, eq. 1, with round
-    ones.
+    Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, eq. 1.
     """
     psf = max(psf_sigma_px, MIN_PSF_SIGMA_PX)
     flux_dn, log_width = np.maximum(flux_dn, patches.noise_dn), np.full(len(flux_dn), math.log(psf))
@@ -103,8 +102,7 @@ def fit_stars(
 def windowed_shape(patches: Patches, points_px: Float, background_dn: Float, psf_sigma_px: float) -> Float:
     """Second moments (n, 2), longest and shortest axis, in a Gaussian window as wide as a star, in units of it.
 
-    Corrected by the moment of a star at the same sub-pixel position: 0.5 for stars, 1 along a line or an edge, 0 for
-    hot pixels.
+    Corrected by the moment of a star at the same sub-pixel position: 0.5 for stars, 1 along an edge, 0 for hot pixels.
     """
     return windowed_moments(
         patches.values_dn,
