@@ -89,11 +89,15 @@ class Stated:
     kind: ComparisonKind
     fails_with: str = ""
 
-    def agrees(self, holds: bool | None, reason: str) -> Comparison:
-        """Compare the two: they agree where the rule in ``reason`` is met; None does not compare them."""
+    def agrees(self, holds: bool | None, reason: str, *, enough: bool = True) -> Comparison:
+        """Compare the two: they agree where the rule in ``reason`` is met; None does not compare them.
+
+        ``enough``: False where so few were taken that they can refute the rule and not confirm it.
+        """
         paper, ours = (value if isinstance(value, str) else float(value) for value in (self.paper, self.ours))
         return Comparison(
-            what=self.what, paper=paper, ours=ours, kind=self.kind, agrees=None if holds is None else bool(holds),
+            what=self.what, paper=paper, ours=ours, kind=self.kind,
+            agrees=None if holds is None or (holds and not enough) else bool(holds),
             reason=reason, reference=self.reference, fails_with=self.fails_with,
         )  # fmt: skip
 
