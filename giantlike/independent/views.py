@@ -27,7 +27,8 @@ class PinholeView:
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
-    aspect: float = 1.0  # focal length along columns by that along rows
+    aspect: float = 1.0  # focal length along rows by that along columns
+    skew_px: float = 0.0  # shift along columns for each unit of ``Y / Z``
 
     def _distort(self, plane: Float) -> Float:
         x, y = plane[..., 0], plane[..., 1]
@@ -46,13 +47,15 @@ class PinholeView:
         vectors = np.asarray(vectors_camera, dtype=float)
         depth = np.where(vectors[..., 2] > 0.0, vectors[..., 2], np.nan)
         plane = self._distort(vectors[..., :2] / depth[..., None])
-        return np.asarray(self.focal_px * plane * (1.0, self.aspect) + self.center_px, dtype=float)
+        sheared = self.focal_px * plane * (1.0, self.aspect) + plane[..., 1:] * (self.skew_px, 0.0)
+        return np.asarray(sheared + self.center_px, dtype=float)
 
     def directions(self, pixels: ArrayLike) -> Float:
         """Return the vectors (..., 3) in camera axes, third component 1, that fall on pixels (..., 2)."""
         target = (np.asarray(pixels, dtype=float) - self.center_px) / (self.focal_px * np.array([1.0, self.aspect]))
+        target = target - target[..., 1:] * (self.skew_px / self.focal_px, 0.0)
         plane = target
-        if self.k1 or self.k2 or self.p1 or self.p2:
+        if self.k1 or self.k2 or self.k3 or self.p1 or self.p2:
             for _ in range(30):  # fixed point; contracts by the size of the distortion each time
                 error = target - self._distort(plane)
                 plane = plane + error

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 
+from giantlike.core.outcomes import Failure
+from giantlike.independent import ReliefBody, rough
 from giantlike.missions import Replay, ReplaySettings, run_replay, save_replay
+from giantlike.missions.artemis1.calibrations import ground_model, lens_of, run_sessions
 from giantlike.missions.artemis1.images import (
     detected_altitude_km,
     earth_shot,
@@ -17,7 +22,6 @@ from giantlike.missions.artemis1.images import (
 from giantlike.missions.artemis1.measure import iterative, non_iterative, residual_px
 from giantlike.missions.artemis1.passes import load, preflight_sigmas_px, sun_direction, times_of
 from giantlike.missions.artemis1.simulate import exposures_of
-from giantlike.missions.artemis1.terrain import made_up_moon, mapped_limb_km, seen_limb_km
 from giantlike.relative.horizon.geometry import Altitude, horizon_residuals
 from tests.tolerances import PLACE_PX
 
@@ -58,22 +62,6 @@ def test_the_limb_of_the_earth_and_the_bias_of_the_filter_come_out_as_flown(told
         assert altitude.ours + bias.ours == pytest.approx(35.0, abs=1.0)  # two ways to the same
 
 
-@pytest.mark.slow
-def test_a_height_map_predicts_the_bias_that_a_limb_makes(told: tuple[Replay, Path]) -> None:
-    replay, _ = told
-    (found,) = [each for each in replay.comparisons if "what a height map" in each.what]
-    assert found.agrees
-
-
-def test_the_limb_of_the_made_up_moon_is_what_its_map_predicts() -> None:
-    ground = made_up_moon(SETTING, 5)
-    for number in (6, 24):
-        seen, mapped = (limb(ground, SETTING.find_pass(number)) for limb in (seen_limb_km, mapped_limb_km))
-        assert seen.std() > 0.5
-        assert np.std(seen - mapped) < 0.2 * seen.std()
-        assert abs(float(np.mean(seen - mapped))) < 0.1  # km; what the map does not resolve is in it as expected
-
-
 def test_the_passes_are_those_of_table_1() -> None:
     assert [each.number for each in SETTING.passes] == [*range(1, 16), 18, 19, 20, 22, 23, 24, 25, 26]
     assert sum(each.target == "earth" for each in SETTING.passes) == 5
@@ -112,18 +100,45 @@ def test_limb_points_lie_on_the_horizon_of_the_ellipsoid() -> None:
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
 
 
-def test_both_algorithms_find_the_body_in_an_image() -> None:
-    rng = np.random.default_rng(3)
-    one = SETTING.find_pass(3)
-    sun, position = sun_direction(one.phase_deg), np.array([100.0, -60.0, one.range_km])
-    shot = moon_shot(SETTING, position, sun, np.zeros(720), rng)
-    first = non_iterative(SETTING, shot, sun, SETTING.figure("moon"))
-    assert isinstance(first, tuple)
-    second = iterative(SETTING, shot, sun, SETTING.figure("moon"), first[0])
-    assert isinstance(second, np.ndarray)
-    radius = SETTING.data["moon"]["radius_km"]
-    assert np.abs(residual_px(SETTING.model, radius, first[0], position, sun)).max() < 0.3  # bias of edges by moments
-    assert np.abs(residual_px(SETTING.model, radius, second, position, sun)).max() < 0.12  # knows law and blur
+def test_both_algorithms_find_the_body_in_an_image_through_the_true_lens_and_not_through_another() -> None:
+    one, lens, figure = SETTING.find_pass(3), lens_of(SETTING, 1, 2), SETTING.figure("moon")
+    sun, position = sun_direction(one.phase_deg), np.array([40_000.0, -25_000.0, one.range_km])
+    radius = float(figure.radii_km[0])
+    smooth = ReliefBody(figure.radii_km, rough(1, rms=1e-6))
+    errors = []
+    for camera in (lens, ground_model(SETTING)):
+        shot = moon_shot(SETTING, smooth, one, position, lens, camera, np.random.default_rng(3))
+        first = non_iterative(SETTING, shot, sun, figure)
+        assert isinstance(first, tuple)
+        second = iterative(SETTING, shot, sun, figure, first[0])
+        assert isinstance(second, np.ndarray)
+        errors.append([residual_px(camera, radius, each, position, sun) for each in (first[0], second)])
+    assert np.abs(errors[0][0]).max() < 0.3  # bias of edges by moments
+    assert np.abs(errors[0][1]).max() < 0.12  # knows law and blur
+    assert np.abs(errors[1][1]).max() > 0.2  # the lens shifted after launch
+
+
+def test_no_fix_comes_from_an_image_of_noise() -> None:
+    one, figure = SETTING.find_pass(3), SETTING.figure("moon")
+    sun, lens, rng = sun_direction(one.phase_deg), ground_model(SETTING), np.random.default_rng(5)
+    smooth = ReliefBody(figure.radii_km, rough(1, rms=1e-6))
+    shot = moon_shot(SETTING, smooth, one, np.array([0.0, 0.0, one.range_km]), lens, lens, rng)
+    noise = replace(shot, pixels_dn=rng.normal(0.0, 3.0, shot.pixels_dn.shape))
+    assert isinstance(non_iterative(SETTING, noise, sun, figure), Failure)
+
+
+@pytest.mark.slow
+def test_the_lens_is_found_from_star_images_and_a_radiation_strike_is_rejected_by_its_residual(
+    told: tuple[Replay, Path],
+) -> None:
+    found = {each.what: each for each in told[0].comparisons}
+    assert found["calibration with the strike, once outliers are rejected"].ours == "accepted"
+    settings = ReplaySettings(output=told[1], small=True)
+    (session,) = run_sessions(SETTING, settings, (2,))
+    true = lens_of(SETTING, settings.seed, 2)
+    result = session.fits[-1]
+    off = np.array([getattr(session.camera, name) - getattr(true, name) for name in result.estimated])
+    assert off @ np.linalg.solve(result.covariance, off) < stats.chi2.ppf(0.999, len(off))
 
 
 def test_the_limb_of_an_image_of_the_earth_stands_at_the_altitude_of_its_light() -> None:

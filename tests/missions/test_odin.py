@@ -23,6 +23,7 @@ def summary(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
     settings = ReplaySettings(output=folder, small=True)
     save_replay(run_replay("odin", settings), settings)
     assert (folder / "report.html").stat().st_size > 100_000
+    assert "Fig. 13: Stars identified" in (folder / "report.html").read_text(encoding="utf-8")
     read: dict[str, object] = json.loads((folder / "replay.json").read_text())
     return read
 
@@ -34,7 +35,10 @@ def test_every_figure_that_the_replay_names_is_compared(summary: dict[str, objec
     references = " ".join(each["reference"] for each in comparisons)
     assert all(name in references for name in NAMED)
     assert [each["what"] for each in comparisons if each["agrees"] is None] == [
+        "Earth: named rightly, wrongly, not named",
+        "Moon: named rightly, wrongly, not named",
         "images whose stars are identified with the camera's size alone",
+        "scatter of the angle in 2 pairs, arcsec",
         "pairs solved",
         "pairs processed",
     ]
@@ -55,9 +59,9 @@ def test_agreement_is_decided_by_the_numbers() -> None:
     rng = np.random.default_rng(1)
 
     def study(sigma_arcsec: float) -> InterlockStudy:
-        turns = [np.radians([0.0, value / 3600.0, 0.0]) for value in rng.normal(0.0, sigma_arcsec, 30)]
+        turns = [np.radians([0.0, value / 3600.0, 0.0]) for value in rng.normal(0.0, sigma_arcsec, 36)]
         rotation = type(true_interlock()).from_rotvec(turns) * true_interlock()
-        return InterlockStudy(seen=rotation, corrected=rotation, orientation=np.zeros(30), failed=0)
+        return InterlockStudy(seen=rotation, corrected=rotation, orientation=np.zeros(36), failed=0)
 
     for sigma, agrees in ((7.0, True), (0.5, False)):
         verdict = [each.agrees for each in of_interlock(study(sigma), np.full(10, 50.0)) if "taken out" in each.what]

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from scipy import stats
 
 from giantlike.core.arrays import Float
-from giantlike.core.outcomes import Failure
-from giantlike.missions.artemis1.images import moon_shot
-from giantlike.missions.artemis1.measure import iterative, non_iterative
-from giantlike.missions.artemis1.passes import Setting, sun_direction
+from giantlike.missions.artemis1.passes import Setting
 from giantlike.missions.artemis1.report import RED, Dots, panel_figure
-from giantlike.missions.artemis1.simulate import FlownPass, residuals_of
+from giantlike.missions.artemis1.simulate import MoonPass
 from giantlike.missions.replay import (
     DERIVED,
     INDEPENDENT,
     INPUT,
     Comparison,
     ReplayFigure,
-    ReplaySettings,
     Section,
     Stated,
 )
@@ -38,35 +33,9 @@ _RADIUS = (
 IMAGES = 102
 
 
-def both(setting: Setting, flown: FlownPass, settings: ReplaySettings) -> tuple[Float, Float, int]:
-    """Residuals (n, 3), px, of both algorithms on full images of a pass, and how many images failed."""
-    count = 16 if settings.small else IMAGES
-    rng = np.random.default_rng([settings.seed, 102])
-    one, track = flown.one, flown.track
-    if settings.change == "noisy_images":
-        setting = replace(
-            setting, detector=replace(setting.detector, read_noise_e=30.0 * setting.detector.read_noise_e)
-        )
-    sun, figure = sun_direction(one.phase_deg), setting.figure(one.target)
-    found: list[tuple[Float, Float, Float]] = []
-    failed = 0
-    for k in range(min(count, track.times_s.size)):
-        settings.progress("images of pass 3", k, count)
-        shot = moon_shot(setting, track.true_km[k], sun, track.heights_km, rng)
-        first = non_iterative(setting, shot, sun, figure)
-        second = first if isinstance(first, Failure) else iterative(setting, shot, sun, figure, first[0])
-        if isinstance(first, Failure) or isinstance(second, Failure):
-            failed += 1
-            continue
-        found.append((first[0], np.asarray(second), track.known_km[k]))
-    known = np.array([each[2] for each in found])
-    first_px = residuals_of(setting, one, np.array([each[0] for each in found]), known)
-    return first_px, residuals_of(setting, one, np.array([each[1] for each in found]), known), failed
-
-
-def algorithms_section(setting: Setting, flown: FlownPass, settings: ReplaySettings) -> Section:
+def algorithms_section(setting: Setting, flown: MoonPass) -> Section:
     """Table 2, and Figs. 13 to 15."""
-    first, second, failed = both(setting, flown, settings)
+    first, second = flown.residuals_px, flown.iterative_px
     index = np.arange(len(first), dtype=np.float64)
     figures = []
     for k, (reference, name) in enumerate(
@@ -81,7 +50,7 @@ def algorithms_section(setting: Setting, flown: FlownPass, settings: ReplaySetti
             ReplayFigure(
                 reference,
                 f"Moon {name} residuals of both algorithms, pass 3",
-                "Above against the trajectory, below one against the other, on full images.",
+                "Above against the trajectory, below one against the other, on the same images.",
                 panel_figure([(f"{name}, px", series, None), ("iterative less not, px", difference, None)], "image"),
             )
         )
@@ -89,7 +58,7 @@ def algorithms_section(setting: Setting, flown: FlownPass, settings: ReplaySetti
     comparisons = _papers_own() + _table(setting, first, second)
     return Section(
         title="Comparison of the algorithms (IV.B.3, Table 2)",
-        text=f"{len(first)} full images of pass 3, {failed} failed; both algorithms on the same pixels: the "
+        text=f"{len(first)} images of pass 3, {flown.failed} failed; both algorithms on the same pixels: the "
         "Christian-Robinson algorithm on edges by Zernike moments of 5 x 5 pixels, and the sigmoid fit that "
         "starts from it.",
         figures=tuple(figures),

@@ -1,26 +1,37 @@
-"""Images of the Moon with a rough limb and of the Earth in its atmosphere, and exposures that fill pixels.
-
-Light is a function of the position on the disk: of the distance from the limb, and of the incidence of the Sun below. A
-limb that is rough is a disk whose radius changes with the position angle; an atmosphere is light above the limb.
-"""
+"""Images of stars and Moon by the independent renderer, through the lens as it was, and of the Earth in its air."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
 
-from giantlike.camera_models import PinholeModel
-from giantlike.core.arrays import Float, Mask
-from giantlike.core.detector import Detector
+from giantlike.camera_models import BrownModel, PinholeModel
+from giantlike.core.arrays import Float
+from giantlike.core.frames import direction_from_radec
 from giantlike.core.values import Value
-from giantlike.missions.artemis1.passes import Setting
+from giantlike.independent import (
+    PinholeView,
+    Pose,
+    Psf,
+    Recorder,
+    ReliefBody,
+    StarField,
+    record,
+    render_body,
+    rough,
+    star_image,
+)
+from giantlike.missions.artemis1.passes import Pass, Setting, sun_direction
 from giantlike.relative.horizon.geometry import Figure
 
 _MARGIN_PX = 14
+_STRIKE_PX = np.array([1.5, 2.0])
+"""Place of the pixels filled by radiation beside a star: near enough to be detected as one source [assumed]."""
 _RAYS = ((100.0, 4), (250.0, 3), (math.inf, 2))
 """Largest radius, px, and rays along the side of a pixel: steps of the limb are averaged along it and blurred."""
 
@@ -30,7 +41,7 @@ class ImageWindow(Value):
     """One image: the window around the body, and its truth."""
 
     pixels_dn: Float  # (rows, columns)
-    model: PinholeModel  # of the window
+    model: PinholeModel | BrownModel  # of the window
     corner_px: Float  # first pixel of the window in the frame
     position_camera_km: Float  # True position of the body
     radius_px: float  # apparent radius
@@ -45,69 +56,115 @@ def detected_altitude_km(setting: Setting, exposure_us: float, wavelength_nm: fl
     return float(np.trapezoid(light, altitudes)) / min(float(level), 1.0)
 
 
-def moon_shot(
-    setting: Setting, position_km: Float, sun: Float, heights_km: Float, rng: np.random.Generator | None
-) -> ImageWindow:
-    """Take an image of the Moon whose limb stands at heights (n,) at evenly spaced position angles."""
-    figure, moon = setting.figure("moon"), setting.data["moon"]
-
-    def light(offset: Float, angle: Float) -> Float:
-        count = heights_km.size
-        around = 2.0 * math.pi * np.arange(count + 1) / count
-        height = np.interp(angle % (2.0 * math.pi), around, np.append(heights_km, heights_km[0]))
-        scaled: Float = offset * moon["radius_km"] / (moon["radius_km"] + height)
-        return scaled
-
-    return _shot(setting, figure, position_km, sun, light, (moon["peak_dn"], 0.0), rng)
-
-
 def earth_shot(
     setting: Setting, position_km: Float, sun: Float, exposure_us: float, rng: np.random.Generator | None
 ) -> ImageWindow:
     """Take an image of the Earth in its atmosphere: clouds below, molecules above the limb."""
     level_dn = setting.detector.saturation_dn * exposure_us / setting.data["earth"]["saturating_exposure_us"]
-    return _shot(setting, setting.figure("earth"), position_km, sun, None, (level_dn, 1.0), rng)
-
-
-def _shot(
-    setting: Setting,
-    figure: Figure,
-    position_km: Float,
-    sun: Float,
-    reshaped: Callable[[Float, Float], Float] | None,
-    level: tuple[float, float],
-    rng: np.random.Generator | None,
-) -> ImageWindow:
-    """Render, blur and record the window around a body."""
-    model, radius = setting.model, float(figure.radii_km.max())
-    distance = float(np.linalg.norm(position_km))
-    center = model.project(position_km)
-    reach = model.fx_px * radius / math.sqrt(distance**2 - radius**2) + _MARGIN_PX
-    low, high = np.floor(center - reach).astype(int), np.ceil(center + reach).astype(int)
-    size, rays = high - low + 1, next(count for largest, count in _RAYS if reach - _MARGIN_PX <= largest)
-    steps = (np.arange(size[0] * rays) + 0.5) / rays - 0.5 + low[0]
-    rows = (np.arange(size[1] * rays) + 0.5) / rays - 0.5 + low[1]
-    fine = _light(setting, figure, position_km, sun, reshaped, level, np.stack(np.meshgrid(steps, rows), axis=-1))
+    model, figure = setting.model, setting.figure("earth")
+    radius_px, low, size = _window(setting, model, figure, position_km)
+    rays = next(count for largest, count in _RAYS if radius_px <= largest)
+    steps, rows = ((np.arange(size[k] * rays) + 0.5) / rays - 0.5 + low[k] for k in range(2))
+    fine = _light(setting, figure, position_km, sun, level_dn, np.stack(np.meshgrid(steps, rows), axis=-1))
     blurred = gaussian_filter(fine, setting.psf.sigma_px * rays)
     pixels = blurred.reshape(size[1], rays, size[0], rays).mean(axis=(1, 3))
-    window = PinholeModel(
-        fx_px=model.fx_px, fy_px=model.fy_px, cx_px=model.cx_px - float(low[0]), cy_px=model.cy_px - float(low[1])
-    )
     return ImageWindow(
-        pixels_dn=pixels if rng is None else read_out(pixels, setting.detector, rng),
-        model=window,
-        corner_px=low.astype(np.float64),
+        pixels_dn=pixels if rng is None else _record(setting, pixels, rng),
+        model=replace(model, cx_px=model.cx_px - low[0], cy_px=model.cy_px - low[1]),
+        corner_px=low,
         position_camera_km=position_km,
-        radius_px=reach - _MARGIN_PX,
+        radius_px=radius_px,
     )
 
 
-def lunar_share(phase_deg: float) -> float:
-    """Fraction of the law of Lommel and Seeliger in the reflectance of the Moon; the rest is Lambert's.
+def made_up_moon(setting: Setting, seed: int) -> ReliefBody:
+    """Make a Moon with the relief that was expected before flight: hills down to 90 km half across."""
+    radii_km, relief_km = setting.figure("moon").radii_km, setting.data["moon"]["relief_km"]
+    ground = rough(seed, rms=relief_km / float(radii_km[0]), degrees=(2.5, 60.0), count=200, cells=128)
+    return ReliefBody(radii_km, ground)
 
-    Source: McEwen (1996), A precise lunar photometric function, Lunar and Planetary Science 27, 841: the cubic.
-    """
-    return max(1.0 - 0.019 * phase_deg + 2.42e-4 * phase_deg**2 - 1.46e-6 * phase_deg**3, 0.0)
+
+def _camera_from_moon(one: Pass) -> Rotation:
+    """Orientation of the Moon in a pass: another side of it in each (longitudes by the golden angle)."""
+    longitude = math.radians(137.5 * one.number)
+    latitude = math.radians(40.0) * math.sin(longitude * 1.7)
+    toward = direction_from_radec(math.degrees(longitude), math.degrees(latitude))
+    right = np.array([-math.sin(longitude), math.cos(longitude), 0.0])
+    return Rotation.from_matrix([right, np.cross(right, toward), -toward])
+
+
+def moon_shot(
+    setting: Setting,
+    body: ReliefBody,
+    one: Pass,
+    position_km: Float,
+    lens: BrownModel,
+    camera: BrownModel,
+    rng: np.random.Generator,
+) -> ImageWindow:
+    """Take an image of the Moon through a lens; the window is that of the camera as it was calibrated."""
+    radius_px, low, size = _window(setting, lens, setting.figure("moon"), position_km)
+    pose = Pose(position_km, _camera_from_moon(one), sun_direction(one.phase_deg))
+    view, psf = _view(lens, low, size), Psf(sigma_px=setting.psf.sigma_px)
+    light = render_body(body, view, pose, peak_dn=setting.data["moon"]["peak_dn"], psf=psf)
+    return ImageWindow(
+        pixels_dn=_record(setting, light, rng),
+        model=replace(camera, cx_px=camera.cx_px - low[0], cy_px=camera.cy_px - low[1]),
+        corner_px=low,
+        position_camera_km=position_km,
+        radius_px=radius_px,
+    )
+
+
+def star_shot(
+    setting: Setting,
+    field: StarField,
+    attitude: Rotation,
+    lens: BrownModel,
+    rng: np.random.Generator,
+    *,
+    struck: bool = False,
+) -> Float:
+    """Take an image of stars, (rows, columns), DN; ``struck``: radiation fills pixels beside a faint star."""
+    data, rules = setting.data["camera"], setting.data["calibration"]
+    view = _view(lens, np.zeros(2), np.array([data["columns"], data["rows"]]))
+    psf = Psf(sigma_px=setting.psf.sigma_px)
+    light, places = star_image(field, view, attitude, psf=psf, zero_point_dn=rules["zero_point_dn"])
+    if struck:
+        inner = np.flatnonzero((np.abs(places - view.center_px) < 0.3 * view.rows).all(axis=1))
+        near = inner[np.argmin(np.abs(field.magnitudes[inner] - rules["max_magnitude"] + 0.5))]
+        x, y = np.rint(places[near] + _STRIKE_PX).astype(int)
+        light[y - 1 : y + 2, x - 1 : x + 2] += 0.25 * setting.detector.saturation_dn
+    return _record(setting, light, rng)
+
+
+def _view(lens: BrownModel, low: Float, size: NDArray[np.intp]) -> PinholeView:
+    """A window of the camera for the independent renderer."""
+    return PinholeView(
+        focal_px=lens.fx_px,
+        aspect=lens.fy_px / lens.fx_px,
+        center_px=(lens.cx_px - low[0], lens.cy_px - low[1]),
+        columns=int(size[0]),
+        rows=int(size[1]),
+        **{name: getattr(lens, name) for name in ("skew_px", "k1", "k2", "k3", "p1", "p2")},
+    )
+
+
+def _window(
+    setting: Setting, model: BrownModel | PinholeModel, figure: Figure, position_km: Float
+) -> tuple[float, Float, NDArray[np.intp]]:
+    """Apparent radius of a body, px, first column and row of the window around it, and its columns and rows."""
+    radius, distance = float(figure.radii_km.max()), float(np.linalg.norm(position_km))
+    radius_px = setting.model.fx_px * radius / math.sqrt(distance**2 - radius**2)
+    center, reach = model.project(position_km), radius_px + _MARGIN_PX
+    low = np.floor(center - reach)
+    return radius_px, low, (np.ceil(center + reach) - low + 1.0).astype(np.intp)
+
+
+def _record(setting: Setting, signal_dn: Float, rng: np.random.Generator) -> Float:
+    own = setting.detector
+    recorder = Recorder(gain_e_per_dn=own.gain_e_per_dn, read_noise_e=own.read_noise_e, saturation_dn=own.saturation_dn)
+    return record(signal_dn, rng, recorder).pixels
 
 
 def limb_px(model: PinholeModel, figure: Figure, position_km: Float, around_rad: Float) -> tuple[Float, Float]:
@@ -124,15 +181,7 @@ def limb_px(model: PinholeModel, figure: Figure, position_km: Float, around_rad:
     return points, arms / np.linalg.norm(arms, axis=-1, keepdims=True)
 
 
-def _light(
-    setting: Setting,
-    figure: Figure,
-    position_km: Float,
-    sun: Float,
-    reshaped: Callable[[Float, Float], Float] | None,
-    level: tuple[float, float],
-    pixels: Float,
-) -> Float:
+def _light(setting: Setting, figure: Figure, position_km: Float, sun: Float, level_dn: float, pixels: Float) -> Float:
     """Signal (rows, columns), DN, at positions (rows, columns, 2) of the frame, without blur and noise."""
     to_sphere = figure.to_sphere
     rays = np.concatenate(
@@ -146,32 +195,11 @@ def _light(
     offset = np.sqrt(np.einsum("ijk,ijk->ij", closest, closest))
     limb = float(figure.radii_km.mean())
     altitude = (offset - 1.0) * limb
-    if reshaped is not None:
-        center = setting.model.project(position_km)
-        arm = pixels - center
-        offset = reshaped(offset, np.arctan2(arm[..., 1], arm[..., 0]))
-    on_disk = offset < 1.0
     scale = np.where(offset > 1e-9, np.minimum(offset, 1.0) / np.maximum(offset, 1e-9), 1.0)
     inward = np.sqrt(np.maximum(1.0 - np.minimum(offset, 1.0) ** 2, 0.0))
     normals = closest * scale[..., None] - inward[..., None] * ways
     outward = normals @ figure.camera_from_axes.as_matrix().T
     incidence = np.maximum(outward @ sun, 0.0)
-    if level[1] == 0.0:  # the Moon
-        share = lunar_share(math.degrees(math.acos(-float(position_km @ sun) / float(np.linalg.norm(position_km)))))
-        lunar = 2.0 * incidence / np.maximum(incidence + inward, 1e-9)
-        return level[0] * np.where(on_disk, share * lunar + (1.0 - share) * incidence, 0.0)
     lit = np.sqrt(incidence)  # clouds and air brighten the terminator less than Lambert's law
-    signal: Float = level[0] * lit * setting.air.brightness(altitude, limb)
+    signal: Float = level_dn * lit * setting.air.brightness(altitude, limb)
     return signal
-
-
-def read_out(signal_dn: Float, detector: Detector, rng: np.random.Generator) -> Float:
-    """Pixels with shot and read noise, clipped and rounded."""
-    electrons = rng.poisson(np.maximum(signal_dn, 0.0) * detector.gain_e_per_dn)
-    noisy = (electrons + rng.normal(0.0, detector.read_noise_e, signal_dn.shape)) / detector.gain_e_per_dn
-    return np.rint(np.clip(noisy, -64.0, detector.saturation_dn))
-
-
-def find_saturated(shot: ImageWindow, detector: Detector) -> Mask:
-    """Clipped pixels of an image."""
-    return shot.pixels_dn >= detector.saturation_dn

@@ -10,7 +10,7 @@ from giantlike.camera_models import CameraModel
 from giantlike.core.arrays import Float, Mask
 from giantlike.core.outcomes import Failure
 from giantlike.core.statistics import robust_sigma
-from giantlike.missions.artemis1.images import ImageWindow, find_saturated
+from giantlike.missions.artemis1.images import ImageWindow
 from giantlike.missions.artemis1.passes import Setting
 from giantlike.processing.limb.edges import EdgePoints, scan_edges
 from giantlike.processing.limb.view import LimbView
@@ -75,7 +75,7 @@ def non_iterative(setting: Setting, shot: ImageWindow, sun: Float, figure: Figur
 def iterative(setting: Setting, shot: ImageWindow, sun: Float, figure: Figure, start_km: Float) -> Float | Failure:
     """Fit of an ellipsoidal sigmoid to the light along the limb, from the solution of the other algorithm."""
     detector = setting.detector
-    clipped = find_saturated(shot, detector)
+    clipped = shot.pixels_dn >= detector.saturation_dn
     radius_px = apparent_radius_px(shot.model, float(figure.radii_km.mean()), start_km)
     view = LimbView(
         pixels_dn=shot.pixels_dn,

@@ -39,7 +39,7 @@ _PREFLIGHT = {
 _CHANGED = {
     "relief_tripled": ("moon", "relief_km", 3.0),
     "ultraviolet": ("earth", "wavelength_nm", 300.0 / 550.0),
-    "quiet_stars": ("calibration", "sigma_px", 0.1),
+    "quiet_stars": ("camera", "gain_e_per_dn", 100.0),
 }
 """Number that a change of the replay multiplies, and its factor."""
 

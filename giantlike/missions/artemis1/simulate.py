@@ -1,7 +1,7 @@
-"""Passes image by image: truth, the declared trajectory and attitude, and limb points with the errors of images.
+"""Passes image by image: truth, the declared trajectory and attitude, and what the images give.
 
-Most images are simulated as limb points. The errors of edges in images, a shift outward and to the Sun and a
-scatter, is measured on full images of the same pass, for every exposure.
+Images of the Moon are made and measured. Most of the Earth are simulated as limb points; the errors of edges, a shift
+outward and to the Sun and a scatter, are measured on full images of the same pass, for every exposure.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from giantlike.camera_models import BrownModel
 from giantlike.core.arrays import Float
 from giantlike.core.outcomes import Failure
 from giantlike.core.units import ARCSEC_PER_RAD
 from giantlike.core.values import Value
-from giantlike.missions.artemis1.images import earth_shot, limb_px, moon_shot
-from giantlike.missions.artemis1.measure import non_iterative, residual_px
+from giantlike.independent import ReliefBody
+from giantlike.missions.artemis1.images import ImageWindow, earth_shot, limb_px, moon_shot
+from giantlike.missions.artemis1.measure import iterative, non_iterative, residual_px
 from giantlike.missions.artemis1.passes import SUN_AZIMUTH_DEG, Pass, Setting, sun_direction, times_of
-from giantlike.missions.artemis1.terrain import ANGLES, Ground, seen_limb_km
 from giantlike.missions.replay import ReplaySettings
 from giantlike.relative.horizon.geometry import Altitude, CraMethod, christian_robinson, horizon_residuals
 
@@ -46,11 +47,10 @@ class Track(Value):
     known_km: Float  # (n, 3), camera axes; by trajectory and attitude at the tag
     rates_km_s: Float  # (n, 3), camera axes; of the known position
     exposures_us: Float  # (n,), microseconds
-    heights_km: Float  # (m,); of the limb at even position angles
 
 
-def track_of(setting: Setting, one: Pass, ground: Ground, rng: np.random.Generator) -> Track:
-    """Draw the track of a pass, its errors and its limb."""
+def track_of(setting: Setting, one: Pass, rng: np.random.Generator) -> Track:
+    """Draw the track of a pass and its errors."""
     attitude, times = setting.data["attitude"], times_of(setting, one)
     range_sigma_km, pointing_px = setting.knowledge(one.target)
     pointing = pointing_px / setting.model.fx_px
@@ -78,7 +78,6 @@ def track_of(setting: Setting, one: Pass, ground: Ground, rng: np.random.Generat
         known_km=known,
         rates_km_s=slope,
         exposures_us=exposures_of(setting, times.size) if one.target == "earth" else np.zeros(times.size),
-        heights_km=seen_limb_km(ground, one) if one.target == "moon" else np.zeros(ANGLES),
     )
 
 
@@ -107,17 +106,14 @@ def exposures_of(setting: Setting, count: int) -> Float:
 
 
 def edge_errors(setting: Setting, one: Pass, exposure_us: float, rng: np.random.Generator, count: int) -> EdgeErrors:
-    """Measure errors of edges, relative to the limb of an ellipsoid, on full images of a smooth body."""
+    """Measure errors of edges, relative to the limb of an ellipsoid, on full images of the Earth."""
     sun, figure = sun_direction(one.phase_deg), setting.figure(one.target)
     radius_km = float(figure.radii_km.mean())
     found, scatter = [], []
     for _ in range(count):
         aside = rng.uniform(-20.0, 20.0, 2) / setting.model.fx_px
         position = _positions(aside[None], np.array([one.range_km]))[0]
-        if one.target == "earth":
-            shot = earth_shot(setting, position, sun, exposure_us, rng)
-        else:
-            shot = moon_shot(setting, position, sun, np.zeros(ANGLES), rng)
+        shot = earth_shot(setting, position, sun, exposure_us, rng)
         fitted = non_iterative(setting, shot, sun, figure)
         if isinstance(fitted, Failure):
             continue
@@ -128,23 +124,15 @@ def edge_errors(setting: Setting, one: Pass, exposure_us: float, rng: np.random.
     return EdgeErrors(toward_sun_px=float(mean[0]), outward_px=float(mean[2]), scatter_px=float(np.mean(scatter)))
 
 
-def limb_points(
-    setting: Setting, one: Pass, track: Track, index: int, errors: EdgeErrors, rng: np.random.Generator
-) -> Float:
+def limb_points(setting: Setting, one: Pass, position: Float, errors: EdgeErrors, rng: np.random.Generator) -> Float:
     """Limb points (n, 2), px, of one image of a pass."""
     limb = setting.data["limb"]
     half = math.radians(limb["arc_deg"]) / 2.0
     angles = math.radians(SUN_AZIMUTH_DEG) + np.linspace(-half, half, limb["points"])
-    position = track.true_km[index]
     points, normals = limb_px(setting.model, setting.figure(one.target), position, angles)
-    around = 2.0 * np.pi * np.arange(ANGLES + 1) / ANGLES
-    heights = np.interp(angles % (2.0 * np.pi), around, np.append(track.heights_km, track.heights_km[0]))
     sun = sun_direction(one.phase_deg)[:2]
     toward = normals @ (sun / np.linalg.norm(sun))
-    outward = (
-        errors.outward_px + errors.toward_sun_px * toward + heights * setting.model.fx_px / track.true_km[index, 2]
-    )
-    shift: Float = outward + errors.scatter_px * rng.normal(size=angles.size)
+    shift: Float = errors.outward_px + errors.toward_sun_px * toward + errors.scatter_px * rng.normal(size=angles.size)
     return points + shift[:, None] * normals
 
 
@@ -158,16 +146,80 @@ def positions_of(setting: Setting, one: Pass, points: list[Float], limb_altitude
     return np.array(found)
 
 
-def residuals_of(setting: Setting, one: Pass, found_km: Float, known_km: Float) -> Float:
-    """Residuals (n, 3), px, of positions: along the Sun, across it, radius."""
+def residuals_of(
+    setting: Setting, one: Pass, found_km: Float, known_km: Float, model: BrownModel | None = None
+) -> Float:
+    """Residuals (n, 3), px, of positions: along the Sun, across it, radius; in a camera without distortion, or one."""
     sun, radius_km = sun_direction(one.phase_deg), float(setting.figure(one.target).radii_km.mean())
     pairs = zip(found_km, known_km, strict=True)
-    return np.array([residual_px(setting.model, radius_km, found, known, sun) for found, known in pairs])
+    return np.array([residual_px(model or setting.model, radius_km, *pair, sun) for pair in pairs]).reshape(-1, 3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MoonPass(Value):
+    """A pass of the Moon: n images through the lens as it was, measured with the camera calibrated before.
+
+    residuals_px, iterative_px, uncalibrated_px, truth_px: (n, 3); along the Sun, across, radius: of the algorithm that
+        does not iterate and of the other (pass 3 alone) against the trajectory, of the first with the first camera of
+        the flight, and against the truth.
+    """
+
+    one: Pass
+    track: Track  # of the images with a fix
+    residuals_px: Float
+    iterative_px: Float
+    uncalibrated_px: Float
+    truth_px: Float
+    first: tuple[ImageWindow, Float, Float]  # the first image, its position, km, and its limb points, px
+    failed: int  # images without a fix
+
+
+def fly_moon(
+    setting: Setting,
+    one: Pass,
+    body: ReliefBody,
+    cameras: tuple[BrownModel, BrownModel, BrownModel],
+    settings: ReplaySettings,
+) -> MoonPass:
+    """Take and measure the images of a pass; ``cameras``: the lens, its calibration, and the first of the flight."""
+    rng = np.random.default_rng([settings.seed, one.number])
+    if settings.change == "noisy_images" and one.number == 3:
+        noise_e = 30.0 * setting.detector.read_noise_e
+        setting = replace(setting, detector=replace(setting.detector, read_noise_e=noise_e))
+    images, track = setting.data["images"], track_of(setting, one, rng)
+    most = images["small" if settings.small else "full"].get(str(one.number), images["other"])
+    track = select_rows_of(track, np.unique(np.linspace(0, track.times_s.size - 1, most).astype(np.intp)))
+    lens, camera, early = cameras
+    figure, sun = setting.figure("moon"), sun_direction(one.phase_deg)
+    measured = []
+    for k, position in enumerate(track.true_km):
+        settings.progress(f"images of pass {one.number}", k, len(track.true_km))
+        shot = moon_shot(setting, body, one, position, lens, camera, rng)
+        first = non_iterative(setting, shot, sun, figure)
+        if isinstance(first, Failure):
+            continue
+        second = iterative(setting, shot, sun, figure, first[0]) if one.number == 3 else first[0]
+        third = christian_robinson(first[1], early, figure, method=CraMethod.TOTAL_LEAST_SQUARES)
+        if isinstance(second, Failure) or isinstance(third, Failure):
+            continue
+        measured.append((k, (shot, *first), first[0], second, third))
+    rows, firsts, found, iterated, again = zip(*measured, strict=True)
+    seen = select_rows_of(track, np.array(rows, dtype=np.intp))
+    return MoonPass(
+        one=one,
+        track=seen,
+        residuals_px=residuals_of(setting, one, np.array(found), seen.known_km, camera),
+        iterative_px=residuals_of(setting, one, np.array(iterated), seen.known_km, camera),
+        uncalibrated_px=residuals_of(setting, one, np.array(again), seen.known_km, early),
+        truth_px=residuals_of(setting, one, np.array(found), seen.true_km, camera),
+        first=firsts[0],
+        failed=len(track.times_s) - len(rows),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FlownPass(Value):
-    """A pass with its measurements.
+    """A pass of the Earth with its measurements.
 
     residuals_px: (n, 3); of the algorithm that does not iterate, with the altitude of the limb that flew: along the
         Sun, across, radius.
@@ -180,23 +232,22 @@ class FlownPass(Value):
     residuals_px: Float
 
 
-def fly(setting: Setting, one: Pass, ground: Ground, settings: ReplaySettings) -> FlownPass:
-    """Simulate a pass: every image as limb points, with errors of edges from full images."""
+def fly(setting: Setting, one: Pass, settings: ReplaySettings) -> FlownPass:
+    """Simulate a pass of the Earth: every image as limb points, with errors of edges from full images."""
     rng = np.random.default_rng([settings.seed, one.number])
-    track = track_of(setting, one, ground, rng)
+    track = track_of(setting, one, rng)
     if settings.small:
-        track = select_rows_of(track, np.arange(3 if one.target == "earth" else 0, track.times_s.size, 5))
-    usual = (0.0, *sorted(set(track.exposures_us.tolist()))[:2])  # longer exposures are of the first images only
-    levels = sorted(set(track.exposures_us.tolist()))
+        track = select_rows_of(track, np.arange(3, track.times_s.size, 5))
+    levels = sorted(set(track.exposures_us.tolist()))  # the first two are usual, the others of the first images only
     edges = {
-        level: edge_errors(setting, one, level, rng, 1 if settings.small or level not in usual else 2)
+        level: edge_errors(setting, one, level, rng, 1 if settings.small or level not in levels[:2] else 2)
         for level in levels
     }
     points = [
-        limb_points(setting, one, track, k, edges[level], rng) for k, level in enumerate(track.exposures_us.tolist())
+        limb_points(setting, one, position, edges[level], rng)
+        for position, level in zip(track.true_km, track.exposures_us.tolist(), strict=True)
     ]
-    assumed_km = setting.data["earth"]["assumed_limb_km"] if one.target == "earth" else 0.0
-    found = positions_of(setting, one, points, assumed_km)
+    found = positions_of(setting, one, points, setting.data["earth"]["assumed_limb_km"])
     return FlownPass(
         one=one,
         track=track,

