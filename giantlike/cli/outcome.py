@@ -31,7 +31,7 @@ class ExitCode(IntEnum):
     do not count where another estimator found the body; neither do results that you reject, estimators that do not suit
     a body, and targets that are not in the field."""
     GOALS_MISSED = 1
-    """The demonstration, the gauntlet or a replay ran, and missed a goal."""
+    """The demonstration or the gauntlet ran, and missed a goal. A replay that disagrees with its paper ends with 0."""
     BAD_INPUT = 2
     """An argument, a file or an option is wrong, in one line on stderr; `check` has a line on stdout for each error.
     Nothing was computed."""
