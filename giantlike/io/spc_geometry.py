@@ -1,6 +1,6 @@
 """SUMFILEs as a priori geometry of images: all in axes of the body, as :mod:`giantlike.io.spc_sumfile` has them.
 
-``SCOBJ`` is taken as seen, light time and aberration in it: the page of the format does not say which it is.
+``SCOBJ`` is taken as seen: the pixels of a SUMFILE's landmarks follow from it without light time or aberration.
 """
 
 from __future__ import annotations
