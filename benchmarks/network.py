@@ -2,7 +2,8 @@
 
 ``python benchmarks/network.py [--scenes N]`` prints one JSON object. Scenes are drawn here, with numpy alone.
 ``--images N`` instead finds landmarks in images of ``network_truth.py`` of N rocks, and writes a row for each to
-``results/network_images.csv`` (``--first``: number of the first one; rows are added).
+``results/network_images.csv`` (``--first``: number of the first one; rows are added). ``--lit N`` counts the visible
+landmarks of N rocks of 400 px that are found where each image shows the rock turned by 40 degrees more.
 """
 
 from __future__ import annotations
@@ -20,12 +21,26 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from benchmarks.network_truth import Told, sequence
+from benchmarks.network_truth import Sequence, Told, sequence
 from giantlike.calibration.options import Loss
 from giantlike.camera_models import PinholeModel
 from giantlike.core.arrays import Float
 from giantlike.core.frames import skew
-from giantlike.network import FoundTracks, NetworkFix, NetworkOptions, Photo, Tracks, adjust, find_tracks
+from giantlike.core.outcomes import Failure
+from giantlike.network import (
+    FoundTracks,
+    NetworkFix,
+    NetworkOptions,
+    Photo,
+    TrackOptions,
+    Tracks,
+    adjust,
+    find_tracks,
+)
+from giantlike.network.landmarks import catalog_of, measure_landmarks
+from giantlike.relative.inputs import EstimatorInputs, gather
+from giantlike.relative.landmarks.visibility import viewer_for
+from giantlike.shapes.landmarks import LandmarkCatalog
 
 CAMERA = PinholeModel(fx_px=4000.0, fy_px=4000.0, cx_px=511.5, cy_px=511.5)
 SIGMA_PX = 0.5
@@ -121,10 +136,40 @@ def timing(measures: int) -> dict[str, Any]:
     return {"measures": len(tracks.point), "cpu_s": round(seconds, 1), "steps": fix.steps, "peak_gb": round(memory, 2)}
 
 
-def image_scene(seed: int) -> dict[str, float]:
+TOLD = Told(relief=0.004, albedo=0.1, law="lommel_seeliger", timetag_s=0.1, focal=1e-4)
+
+
+def lit_landmarks(seed: int) -> dict[str, Any]:
+    """Visible landmarks of a rock of 400 px that are found within 1 px; it turns by 40 degrees between its images."""
+    rock = sequence(seed, told=TOLD, images=9, diameter_px=400.0)
+    catalog, options = catalog_of("ROCK", rock.scene.targets[0].shape), TrackOptions()
+    assert isinstance(catalog, LandmarkCatalog)
+    offered = within = 0
+    for k, image in enumerate(rock.images):
+        inputs = gather(image, rock.camera, rock.scene, None, estimator="network", options=options)
+        found = measure_landmarks(image, rock.camera, rock.scene)
+        assert isinstance(inputs, EstimatorInputs), inputs
+        seen = viewer_for(catalog, inputs.geometry.target.shape).find_visible(
+            inputs.geometry.seen_body(), inputs.focal_plane(),
+            sun_direction_camera=inputs.geometry.sun_direction_camera, options=options.visibility,
+        )  # fmt: skip
+        offered += len(seen.numbers)
+        if not isinstance(found, Failure):
+            truth = rock.true_point(np.array([catalog.landmarks[number].point_body_km for number in found.numbers]))
+            within += int((_off_px(rock, k, image.et or 0.0, truth, found.points_px) < 1.0).sum())
+    return image_scene(seed, rock) | {"lit_within_1_px": within / offered}
+
+
+def _off_px(rock: Sequence, k: int, et: float, truth: Float, points_px: Float) -> Float:
+    """Errors (n,) of measures in an image."""
+    look = rock.attitudes[k].apply(rock.rotation.inertial_from_body(et).apply(truth) - rock.positions_km[k])
+    return np.asarray(np.linalg.norm(points_px - rock.view.project(look), axis=1))
+
+
+def image_scene(seed: int, rock: Sequence | None = None) -> dict[str, float]:
     """Landmarks of a rock in 16 images over 0.6 revolutions, under a wrong law, with relief and albedo not told."""
-    told = Told(relief=0.004, albedo=0.1, law="lommel_seeliger", timetag_s=0.1, focal=1e-4)
-    rock = sequence(seed, told=told, images=16, diameter_px=150.0, revolutions=0.6)
+    if rock is None:
+        rock = sequence(seed, told=TOLD, images=16, diameter_px=150.0, revolutions=0.6)
     start = time.process_time()
     found = find_tracks(rock.images, rock.camera, rock.scene)
     assert isinstance(found, FoundTracks), found
@@ -137,9 +182,7 @@ def image_scene(seed: int) -> dict[str, float]:
     off, poses = np.empty(len(tracks.point)), []
     for number, (k, photo) in enumerate(zip(known, fix.photos, strict=True)):
         mine = tracks.photo == number
-        inertial = rock.rotation.inertial_from_body(photo.et).apply(truth[tracks.point[mine]])
-        look = rock.attitudes[k].apply(inertial - rock.positions_km[k])
-        off[mine] = np.linalg.norm(tracks.points_px[mine] - rock.view.project(look), axis=1)
+        off[mine] = _off_px(rock, k, photo.et, truth[tracks.point[mine]], tracks.points_px[mine])
         turn = (rock.attitudes[k] * photo.camera_from_inertial.inv()).as_rotvec()
         error = np.concatenate([turn, rock.positions_km[k] - photo.position_km])
         poses.append(float(error @ np.linalg.solve(fix.covariance_poses[number], error)) / 6.0)
@@ -191,11 +234,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=200)
     parser.add_argument("--images", type=int, default=0)
+    parser.add_argument("--lit", type=int, default=0)
     parser.add_argument("--first", type=int, default=0)
     options = parser.parse_args()
     scenes = options.scenes
     if options.images:
         image_scenes(options.first, options.images)
+        return
+    if options.lit:
+        print(json.dumps([lit_landmarks(seed) for seed in range(options.first, options.first + options.lit)], indent=1))
         return
     adjust(*scene(0, images=4, points=30, measures=100)[:2])  # loops are compiled
     print(json.dumps({"timing": [timing(count) for count in (10_000, 50_000)], "nees": consistency(scenes)}, indent=1))

@@ -143,15 +143,19 @@ def test_moved_measures_of_apollo_are_found_where_they_can_be(
     assert found >= 0.95 * offered
 
 
+def kept_points(tracks: Tracks, count: int) -> Tracks:
+    """The first points."""
+    few = np.flatnonzero(tracks.point < count)
+    return Tracks(
+        names=tracks.names[:count], point=tracks.point[few], photo=tracks.photo[few], points_px=tracks.points_px[few],
+        sigma_px=tracks.sigma_px[few], points_km=np.asarray(tracks.points_km)[:count],
+        covariance_points_km2=np.asarray(tracks.covariance_points_km2)[:count],
+    )  # fmt: skip
+
+
 def test_marginal_sigmas_of_apollo_are_those_of_the_whole_matrix(apollo_network: tuple[list[Photo], Tracks]) -> None:
     photos, tracks = apollo_network
-    few = np.flatnonzero(tracks.point < 60)
-    names = tracks.names[:60]
-    part = Tracks(
-        names=names, point=tracks.point[few], photo=tracks.photo[few], points_px=tracks.points_px[few],
-        sigma_px=tracks.sigma_px[few], points_km=np.asarray(tracks.points_km)[:60],
-        covariance_points_km2=np.asarray(tracks.covariance_points_km2)[:60],
-    )  # fmt: skip
+    part = kept_points(tracks, 60)
     fix = fixed(photos, part, replace(JIGSAW, scale_by_residuals=False))
     poses, points = dense_covariance(list(fix.photos), photos, part, fix.points_km)
     for mine, reference in ((fix.covariance_poses, poses), (fix.covariance_points_km2, points)):

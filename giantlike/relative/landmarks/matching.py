@@ -22,7 +22,10 @@ _LEAST_OVERLAP = 0.6  # of the ground of a landmark that must be usable: see ben
 _LEAST_PIXELS = 20  # usable: three times the parameters of the fit
 _CONDITION_LIMIT = 1e12  # of the scaled normal matrix: four digits of float64 are left
 _NEAR_SEARCH_PX = 8  # px: a wider search takes the ground around a landmark along, which makes it more distinct
-_MAX_SHIFT_PX = 1.5  # px from the correlation peak: beyond, that and the fit contradict each other
+_MAX_SHIFT_PX = 4.0
+"""Motion of the fit away from the correlation peak, px: slopes of the brightness that the template lacks, by another
+law or markings, move the peak of a wide patch by some pixels, and the fit has these slopes."""
+_MOVES, _SETTLED_PX = 5, 0.75  # fits at most, and motion of the last one: half a pixel and some for rounding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,14 +84,27 @@ def peak_near(surface: Float, shift_px: NDArray[np.int64], radius_px: float) -> 
 
 
 def fit_patch(pixels: BoxPixels, patch: Patch, shift_px: NDArray[np.int64], score: float) -> LandmarkMatch | None:
-    """Fit a patch to the image near a whole shift.
+    """Fit a patch to the image, from a whole shift on to the nearest one of the result.
 
-    Returns None where too few pixels are usable, or the fit moves away from the peak.
+    Returns None where too few pixels are usable, or the fit does not converge near the peak.
 
     The image is modeled as the light of the patch, moved by a fraction of a pixel, times a gain that may slope across
     the landmark, plus the light under another law times a second gain, plus a constant. Slopes are those of the whole
     model, so that three rounds converge.
     """
+    peak_px = shift_px
+    for _ in range(_MOVES):
+        match = _fit_near(pixels, patch, shift_px, score)
+        if match is None or float(np.abs(match.offset_px - peak_px).max()) > _MAX_SHIFT_PX:
+            return None
+        if float(np.abs(match.offset_px - shift_px).max()) <= _SETTLED_PX:
+            return match
+        shift_px = np.rint(match.offset_px).astype(np.int64)
+    return None
+
+
+def _fit_near(pixels: BoxPixels, patch: Patch, shift_px: NDArray[np.int64], score: float) -> LandmarkMatch | None:
+    """Fit a patch moved by a whole shift and a fraction of a pixel."""
     box = replace(patch.box, x=patch.box.x + int(shift_px[0]), y=patch.box.y + int(shift_px[1]))
     used = patch.mask & box.cut(pixels.usable)
     if used.sum() < max(_LEAST_OVERLAP * patch.mask.sum(), _LEAST_PIXELS):
@@ -108,6 +124,4 @@ def fit_patch(pixels: BoxPixels, patch: Patch, shift_px: NDArray[np.int64], scor
         solution, covariance = inverse @ right, inverse[:2, :2]
         offset, gains = solution[:2], solution[2:]
         noise = pixels.noise_variance_dn2(np.maximum(compute_light(seen, gains), 0.0))
-    if not float(np.abs(offset).max()) <= _MAX_SHIFT_PX:
-        return None
     return LandmarkMatch(number=patch.number, offset_px=offset + shift_px, covariance_px2=covariance, score=score)

@@ -26,6 +26,7 @@ from giantlike.relative.verification.cells import CELLS_PER_RADIUS, Cells, cells
 from giantlike.relative.verification.coarse_fit import CoarseFit, fit_cells, motion_log_evidence
 from giantlike.relative.verification.haze import in_haze, may_be_hazy, veils
 from giantlike.relative.verification.light_side import light_side
+from giantlike.relative.verification.lines import restore_lines
 from giantlike.relative.verification.proportion import in_proportion, looks_bent
 from giantlike.relative.verification.rival import find_other_size, rival_log_odds
 from giantlike.rings import Rings
@@ -184,8 +185,24 @@ def _odds(coarse: _Coarse, inputs: EstimatorInputs, search_px: float) -> tuple[d
     albedo = geometry.target.uncertainty.albedo
     if cells.has_face:
         alternatives[Alternative.OTHER_SIZE] = _other_size_log_odds(coarse, inputs, albedo)
+        for axis, lines in enumerate((Alternative.SHIFTED_ROWS, Alternative.SHIFTED_COLUMNS)):
+            far = _far_lines_log_odds(coarse, inputs, albedo, axis)
+            alternatives[lines] = float(np.logaddexp(alternatives.get(lines, -math.inf), far)) - math.log(2.0)
     rival = rival_log_odds(cells, own, inputs.predicted_px, search_px, albedo)
     return alternatives, max(rival, _NOTHING_THERE) if _fits_dark_body(coarse.fit) else rival
+
+
+def _far_lines_log_odds(coarse: _Coarse, inputs: EstimatorInputs, albedo: float, axis: int) -> float:
+    """Logarithm of the odds that rows or columns on one side of a line are far from their place.
+
+    The image with the best of these moved back is fitted as the image was; both count no better than without markings.
+    """
+    found = restore_lines(coarse.cells, coarse.own, albedo, axis)
+    if found is None or coarse.fit is None:
+        return -math.inf
+    log_odds, log_tries, cells = found
+    fit = fit_cells(cells, coarse.trace, coarse.own, albedo=albedo, turn_rad=inputs.turn_rad)
+    return -math.inf if fit is None else min(log_odds, fit.log_evidence - coarse.fit.log_evidence - log_tries)
 
 
 def _other_size_log_odds(coarse: _Coarse, inputs: EstimatorInputs, albedo: float) -> float:
