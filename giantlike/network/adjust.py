@@ -19,7 +19,7 @@ from giantlike.network.covariance import make_fix
 from giantlike.network.options import NetworkOptions
 from giantlike.network.outliers import exchange, find_agreeing, noise_of
 from giantlike.network.photos import Photo, Tracks, require_photos
-from giantlike.network.problem import Problem
+from giantlike.network.problem import Problem, State
 from giantlike.network.result import NetworkFix
 from giantlike.network.rotation import Rotating
 from giantlike.processing.levenberg_marquardt import ROUGHLY, minimize
@@ -132,6 +132,21 @@ def _keep_supported(problem: Problem, used: Mask) -> Mask:
     return np.asarray(used & enough[problem.tracks.point])
 
 
+def _keep_trusted(problem: Problem, state: State, used: Mask, offered: Mask) -> Mask:
+    """Measures (n,) in use without those of images most of whose measures are rejected and whose pose left its prior.
+
+    The few that are left were matched wrongly as well: alone they take the pose along.
+    """
+    from scipy.special import chdtri, ndtr
+
+    count, photo = len(problem.photos), problem.tracks.photo
+    known = problem.poses.known
+    left = np.sum(np.where(known, problem.prior_poses(state)[0], 0.0) ** 2, axis=1)
+    limit = chdtri(known.sum(axis=1), 2.0 * ndtr(-problem.options.outlier_sigmas))
+    few = 2 * np.bincount(photo, used, count) < np.bincount(photo, offered, count)
+    return np.asarray(used & ~(few & (left > limit))[photo])
+
+
 def _find_refusal(problem: Problem, used: Mask) -> Failure | None:
     """Failure where poses are not determined, or parts of the network share no point."""
     tracks, photos = problem.tracks, problem.photos
@@ -183,7 +198,7 @@ def _require_one_light_time(problem: Problem, body: Rotating | None) -> None:
 
 def _fit(problem: Problem, used: Mask, body: Rotating | None) -> NetworkFix | Failure:
     """Robust fit, rounds of rejection and least squares, and the covariance."""
-    options, state, steps, rounds = problem.options, problem.start, 0, 0
+    options, state, steps, rounds, offered = problem.options, problem.start, 0, 0, used
     tried: set[bytes] = set()
     rejects = math.isfinite(options.outlier_sigmas)
     for rounds in range(1, options.max_rounds + 1 if rejects else 1):
@@ -200,7 +215,8 @@ def _fit(problem: Problem, used: Mask, body: Rotating | None) -> NetworkFix | Fa
         if isinstance(found, Failure):
             return found
         before, state, steps = used, found.state, steps + found.steps
-        used = _keep_supported(problem, find_agreeing(problem, state, used))
+        agreeing = find_agreeing(problem, state, used)
+        used = _keep_supported(problem, _keep_trusted(problem, state, agreeing, offered))
         refused = _find_refusal(problem, used)
         if refused is not None:
             return refused

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from giantlike.camera import Camera
 from giantlike.core.arrays import Float, require, require_number
-from giantlike.core.frames import rotate
+from giantlike.core.frames import rotate, skew
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
 from giantlike.core.values import Value
@@ -32,6 +32,7 @@ from giantlike.shapes.detail import LevelsOfDetail
 from giantlike.shapes.landmarks import LandmarkCatalog
 
 _NEAR_PX = 6  # search around the common shift: errors of attitude and range on bodies of some hundred px, relief
+_REACH_SIGMAS, MAX_SEARCH_PX = 5.0, 1000  # largest error of a declared pose, and the widest search
 _FIRST_SIGMA = 0.02  # of the mean radius: a priori sigma of points before their spread about the shape is known
 _FLOOR_PX = (0.3, 0.02)  # px: error of templates before it is estimated, and the least that it is taken for
 
@@ -45,7 +46,7 @@ class TrackOptions:
 
     Parameters
     ----------
-    search_px : int, px; largest error of the predicted center, along each axis
+    search_px : int, px; largest error of the predicted center per axis, or 5 a priori sigmas where these are less
     min_score : float; minimum correlation of a landmark that counts as found
     min_landmarks : int; minimum number of landmarks of an image
     sigma_points_km : float, km, optional; of landmarks per axis, by the shape; by default as found
@@ -64,8 +65,8 @@ class TrackOptions:
     visibility: VisibilityOptions = field(default_factory=lambda: VisibilityOptions(max_landmarks=150))
 
     def __post_init__(self) -> None:
-        require(isinstance(self.search_px, int) and 1 <= self.search_px <= 1000,
-                f"search_px must be a whole number in [1, 1000], got {self.search_px}")  # fmt: skip
+        require(isinstance(self.search_px, int) and 1 <= self.search_px <= MAX_SEARCH_PX,
+                f"search_px must be a whole number in [1, {MAX_SEARCH_PX}], got {self.search_px}")  # fmt: skip
         require(0.0 < self.min_score < 1.0, f"min_score must be in (0, 1), got {self.min_score}")
         require_number(self.min_landmarks, "min_landmarks", least=4)
         if self.sigma_points_km is not None:
@@ -206,11 +207,14 @@ def measure_landmarks(
     seen = viewer.find_visible(body, plane, sun_direction_camera=sun, options=options.visibility)
     if pose is None and seen.numbers.size:
         rough, _ = renderer.roughly().patches(body, seen)
-        surfaces = [correlation_surface(inputs.pixels_dn, ~inputs.masked, one, options.search_px) for one in rough]
+        search_px = min(options.search_px, _find_reach_px(apriori))
+        surfaces = [correlation_surface(inputs.pixels_dn, ~inputs.masked, one, search_px) for one in rough]
         shift = common_shift(surfaces, np.full(len(surfaces), float(_NEAR_PX))) if surfaces else np.zeros(2, np.int64)
-        if int(np.abs(shift).max()) >= options.search_px:
-            detail = f"best match at the edge of the search region, {shift.tolist()} px off: increase search_px"
-            return inputs.fail(Reason.PEAK_AT_EDGE, detail)
+        if int(np.abs(shift).max()) >= search_px:
+            detail = (
+                f"best match at the edge of the search region, {shift.tolist()} px off: increase search_px, or the "
+            )
+            return inputs.fail(Reason.PEAK_AT_EDGE, detail + "declared errors of attitude and ephemeris")
         ahead = camera.model.unproject(camera.model.project(body.position_camera_km) + shift)
         body = replace(body, position_camera_km=inputs.geometry.range_km * ahead / np.linalg.norm(ahead))
         rendered = replace(rendered, position_km=-rotate(rendered.camera_from_inertial.inv(), body.position_camera_km))
@@ -236,6 +240,18 @@ def measure_landmarks(
         scores=np.array([match.score for match in matches]),
         rendered=rendered,
     )
+
+
+def _find_reach_px(photo: Photo) -> int:
+    """Largest error of the predicted center by the a priori covariance of a pose."""
+    covariance = np.asarray(photo.covariance_pose)
+    if not np.isfinite(covariance).all():
+        return MAX_SEARCH_PX
+    ahead = rotate(photo.camera_from_inertial, -photo.position_km)
+    turns = photo.camera_from_inertial.as_matrix()
+    moved = photo.model.project_jacobian(ahead) @ np.concatenate([-skew(ahead), -turns], axis=1)
+    largest = float(np.linalg.eigvalsh(moved @ covariance @ moved.T)[-1])
+    return _NEAR_PX + math.ceil(_REACH_SIGMAS * math.sqrt(max(largest, 0.0)))
 
 
 def _body(inputs: EstimatorInputs, photo: Photo) -> Body:

@@ -264,6 +264,19 @@ def test_rows_that_are_shifted_from_one_on_leave_the_place_of_the_others_within_
     assert Quality.WRONG_FIGURE in fix.flags or squared_error(fix) < 25.0
 
 
+@pytest.mark.parametrize(
+    ("phase_deg", "lines", "shift", "axis"),
+    [(60.0, slice(65), 16, 1), slow(60.0, slice(80), 16, 0), (20.0, slice(80, None), 25, 1)],
+)
+def test_a_smaller_part_of_the_rows_or_columns_far_from_its_place_is_found(
+    phase_deg: float, lines: slice, shift: int, axis: int
+) -> None:
+    moved = light(phase_deg).copy()
+    part = moved[lines] if axis == 1 else moved[:, lines]
+    part[:] = np.roll(part, shift, axis=axis)
+    assert Quality.WRONG_FIGURE in flags(inputs_of(moved, phase_deg))
+
+
 @pytest.mark.xfail(strict=True, reason="laws, blur and strain of the coarse fit take up what shifted rows leave")
 @pytest.mark.parametrize(("phase_deg", "shift"), [slow(60.0, 4), (20.0, 4)])
 def test_half_of_the_rows_shifted_by_an_eighth_of_the_radius_are_found(phase_deg: float, shift: int) -> None:
