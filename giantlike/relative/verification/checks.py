@@ -195,14 +195,17 @@ def _odds(coarse: _Coarse, inputs: EstimatorInputs, search_px: float) -> tuple[d
 def _far_lines_log_odds(coarse: _Coarse, inputs: EstimatorInputs, albedo: float, axis: int) -> float:
     """Logarithm of the odds that rows or columns on one side of a line are far from their place.
 
-    The image with the best of these moved back is fitted as the image was; both count no better than without markings.
+    The image with the best of these moved back is fitted as the image was, with markings and without; the odds are the least of these.
     """
     found = restore_lines(coarse.cells, coarse.own, albedo, axis)
     if found is None or coarse.fit is None:
         return -math.inf
     log_odds, log_tries, cells = found
     fit = fit_cells(cells, coarse.trace, coarse.own, albedo=albedo, turn_rad=inputs.turn_rad)
-    return -math.inf if fit is None else min(log_odds, fit.log_evidence - coarse.fit.log_evidence - log_tries)
+    if fit is None:
+        return -math.inf
+    plain, marked = fit.log_evidence - coarse.fit.log_evidence, fit.marked_log_evidence - coarse.fit.marked_log_evidence
+    return min(log_odds, plain - log_tries, marked - log_tries)
 
 
 def _other_size_log_odds(coarse: _Coarse, inputs: EstimatorInputs, albedo: float) -> float:

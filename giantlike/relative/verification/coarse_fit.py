@@ -108,7 +108,8 @@ class CoarseFit(Value):
     """
 
     gain_dn: float  # signal of a surface seen and lit along its normal
-    log_evidence: float  # logarithm of the tempered likelihood of the cells, up to a constant
+    log_evidence: float  # logarithm of the tempered likelihood of the cells without markings, up to a constant
+    marked_log_evidence: float  # the same with a field of markings
     alternatives: Mapping[Alternative, float]  # logarithms of the odds of other models of the cells
     place: Estimate  # motion: x and y in px, and of the logarithm of the range
     strain: Estimate
@@ -244,6 +245,7 @@ def fit_cells(
     return CoarseFit(
         gain_dn=fitted.gain,
         log_evidence=plain.scores.log_evidence,
+        marked_log_evidence=fitted.scores.log_evidence,
         alternatives=_alternatives(fitted),
         place=place,
         strain=strain,
@@ -481,6 +483,7 @@ def _nothing_alike() -> CoarseFit:
     return CoarseFit(
         gain_dn=0.0,
         log_evidence=-math.inf,
+        marked_log_evidence=-math.inf,
         alternatives={},
         place=nothing,
         strain=nothing,
