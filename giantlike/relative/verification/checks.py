@@ -195,7 +195,8 @@ def _odds(coarse: _Coarse, inputs: EstimatorInputs, search_px: float) -> tuple[d
 def _far_lines_log_odds(coarse: _Coarse, inputs: EstimatorInputs, albedo: float, axis: int) -> float:
     """Logarithm of the odds that rows or columns on one side of a line are far from their place.
 
-    The image with the best of these moved back is fitted as the image was, with markings and without; the odds are the least of these.
+    The image with the best of these moved back is fitted as the image was, with markings and without; the odds are the
+    least of these.
     """
     found = restore_lines(coarse.cells, coarse.own, albedo, axis)
     if found is None or coarse.fit is None:

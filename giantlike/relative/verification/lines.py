@@ -36,8 +36,8 @@ def restore_lines(cells: Cells, own: Template, albedo: float, axis: int) -> tupl
     sums, count = _line_sums(light, values, good), int(good.sum())
     here = sums[..., 0]
     before = np.cumsum(sums[..., steps] - here[..., None], axis=1)
-    shares = _explained(here.sum(axis=1)[:, None, None, None] + np.stack([before, before[:, -1:] - before], 1), count)
-    own_share, total = float(_explained(here.sum(axis=1), count)), float(np.sum(values**2))
+    shares = _fit_squares(here.sum(axis=1)[:, None, None, None] + np.stack([before, before[:, -1:] - before], 1), count)
+    own_share, total = float(_fit_squares(here.sum(axis=1), count)), float(np.sum(values**2))
     tries = 2 * int(np.count_nonzero(here[0] > _REACHED * float(here[0].max()))) * len(steps)
     if not tries:
         return None
@@ -60,7 +60,7 @@ def _line_sums(light: Float, values: Float, good: Mask) -> Float:
     return np.asarray(irfft(np.stack([seen * of_light, weighed * of_light, seen * of_squares]), length))
 
 
-def _explained(sums: Float, count: int) -> Float:
+def _fit_squares(sums: Float, count: int) -> Float:
     """Squares that light explains beside a level, where its gain is positive; values have a mean of zero."""
     total, score, squares = sums
     size = squares - total**2 / count
