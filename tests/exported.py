@@ -35,6 +35,7 @@ PACKAGES = (
     "giantlike.network",
     "giantlike.passes",
     "giantlike.photometry",
+    "giantlike.search",
     "giantlike.planning",
     "giantlike.cislunar",
     "giantlike.autonomy",

@@ -64,19 +64,7 @@ def find_few_pixels(
 ) -> FewPixels:
     """Compare a star and light in a few pixels as explanations of sources (n,)."""
     n, gain = len(points_px), patches.gain_e_per_dn
-    star, used, left = star_light(
-        patches.values_dn,
-        patches.valid,
-        patches.saturated,
-        patches.noise_dn**2,
-        patches.corner_px,
-        np.array(points_px),
-        np.array(widths_px),
-        np.array(background_dn),
-        _core_radius_px(psf_sigma_px),
-        gain,
-        MODEL_ERROR,
-    )
+    star, used, left = _star_light(patches, points_px, widths_px, background_dn, psf_sigma_px)
     freedom = np.maximum(np.count_nonzero(used, axis=(1, 2)) - _STAR_UNKNOWNS, 1)
     refused = np.flatnonzero(left > freedom + _REFUSED_SIGMAS * np.sqrt(2.0 * freedom))
     not_star, n_pixels = np.zeros(n, dtype=bool), np.zeros(n, dtype=np.int64)
@@ -93,6 +81,34 @@ def find_few_pixels(
     unlike, all_light = (np.where(used, part**2, 0.0).sum(axis=1) for part in (light - star, light))
     not_star[refused] = (unlike > np.where(thin, _LEAST_POWER, _UNLIKE_POWER) * all_light) & (few < left[refused])
     return FewPixels(not_star=not_star, n_pixels=n_pixels)
+
+
+def log_odds_of_optics(patches: Patches, points_px: Float, background_dn: Float, psf_sigma_px: float) -> Float:
+    """Log likelihood ratio (n,) of light through the optics to light in a few pixels, which cost as free ones."""
+    _, used, left = _star_light(patches, points_px, np.full(len(points_px), psf_sigma_px), background_dn, psf_sigma_px)
+    light = (patches.values_dn - background_dn[:, None, None]).reshape(len(left), -1)
+    used = used.reshape(light.shape)
+    few = _brightest_pixels(light, used, patches.noise_dn[:, None] ** 2, patches.gain_e_per_dn)[0]
+    return np.asarray(0.5 * (few - left))
+
+
+def _star_light(
+    patches: Patches, points_px: Float, widths_px: Float, background_dn: Float, psf_sigma_px: float
+) -> tuple[Float, Mask, Float]:
+    """Light (n, w, w) of the stars that fit best, pixels of their cores (n, w, w), and squares (n,) left."""
+    return star_light(
+        patches.values_dn,
+        patches.valid,
+        patches.saturated,
+        patches.noise_dn**2,
+        patches.corner_px,
+        np.array(points_px),
+        np.array(widths_px),
+        np.array(background_dn),
+        _core_radius_px(psf_sigma_px),
+        patches.gain_e_per_dn,
+        MODEL_ERROR,
+    )
 
 
 def _brightest_pixels(
