@@ -1,9 +1,11 @@
 """Sequences of classified sources with known tracks: clutter, hot pixels, stars that no catalog has, and particles.
 
-Particles fly by :mod:`giantlike.independent.flight`, tumble, and are missed; nothing of the linker is used.
+Particles fly by :mod:`giantlike.independent.flight`, tumble, and are missed.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,7 @@ from scipy.spatial.transform import Rotation
 import giantlike as gl
 from giantlike import search
 from giantlike.core.arrays import Float
+from giantlike.dynamics import PointMasses
 from giantlike.independent.flight import SmallBodyField
 
 SIZE = 1024
@@ -132,3 +135,56 @@ def event(
         sequence.append(one)
         owners.append(np.concatenate([seen, np.full(spurious, -1)]))
     return sequence, owners, field.gm / radius**2 / range_km / PIXEL_RAD
+
+
+def orbit_track(
+    seed: int, *, images: int = 16, step_s: float = 900.0, range_km: float = 20.0, noise_px: float = 0.1
+) -> tuple[search.Track | None, Float, float, PointMasses, float]:
+    """A track of one particle, its true state (6,) and time, and gravity as assumed, with its standard deviation.
+
+    The gravity (2 %), the place of the spacecraft (20 m, in common to all images) and the attitudes (0.2 px) are wrong
+    within what is declared.
+    """
+    rng, view = np.random.default_rng(seed), camera()
+    gm, gm_sigma, craft_km, turn = 4.89e-9, 1e-10, 0.02, 0.2 * PIXEL_RAD
+    field = SmallBodyField(
+        gm=gm, sun_gm=0.0, zonals={}, pole=np.array([0.0, 0.0, 1.0]),
+        sun_km=lambda _: np.array([1.6e8, 0.0, 0.0]), sunlight=0.0,
+    )  # fmt: skip
+    outward, sideward = rng.normal(size=(2, 3))
+    outward /= np.linalg.norm(outward)
+    sideward -= outward * (outward @ sideward)
+    sideward /= np.linalg.norm(sideward)
+    radius = rng.uniform(0.4, 0.8)
+    speed = np.sqrt(gm / radius) * rng.uniform(0.85, 1.3)
+    state = np.concatenate([radius * outward, speed * (sideward + rng.uniform(-0.3, 0.3) * outward)])[None]
+    error_km = rng.normal(0.0, craft_km, 3)
+    drift, sequence, states, time = rng.normal(0.0, 2e-4, 3), [], [], 0.0
+    for k in range(images):
+        state = field.coast(state, time, step_s * k)
+        time = step_s * k
+        states.append(state[0])
+        body = np.array([0.0, 0.0, range_km]) + drift * time
+        ray = body + state[0, :3]
+        toward = Rotation.from_rotvec([body[1] / range_km, -body[0] / range_km, 0.0])  # the camera follows the body
+        attitude = Rotation.from_rotvec(rng.normal(0.0, 30.0, 3) * PIXEL_RAD) * toward
+        point = np.asarray(view.model.project(attitude.apply(ray)))
+        if not ((point > 0.0) & (point < SIZE - 1.0)).all():
+            continue
+        light_s = float(np.linalg.norm(body)) / 299792.458
+        one = as_residuals(
+            view, time + light_s, attitude, point[None], np.array([20.0]), rng,
+            attitude_rad=turn, sigma_px=np.array([np.hypot(noise_px, 0.1)]),
+        )  # fmt: skip
+        spread = noise_px**2 * np.eye(2)[None]
+        sequence.append(replace(one, covariance_px2=spread, body_position_km=body + error_km, body_sigma_km=craft_km))
+    options = search.LinkOptions(max_rate_px_s=0.3, max_acceleration_px_s2=2e-5, max_missed=3)
+    assumed = PointMasses(gm + rng.normal(0.0, gm_sigma))
+    found = [one for one in search.link(sequence, options) if len(one) >= 5]
+    if not found:
+        return None, np.zeros(6), 0.0, assumed, gm_sigma
+    track = found[0]
+    middle = track.et - float(np.mean([np.linalg.norm(one.body_position_km) for one in track.residuals])) / 299792.458
+    before = max(k for k in range(images) if step_s * k <= middle)
+    truth = field.coast(states[before][None], step_s * before, middle)[0]
+    return track, truth, middle, assumed, gm_sigma

@@ -17,7 +17,15 @@ from giantlike.core.arrays import Float, as_floats, require
 from giantlike.core.units import AU_KM, J2000_JD, SECONDS_PER_DAY
 from giantlike.core.values import Value
 
-__all__ = ["Flight", "PointMasses", "ThirdBody", "cislunar", "fly", "moon_position_km", "sun_position_km"]
+__all__ = [
+    "Flight",
+    "PointMasses",
+    "ThirdBody",
+    "cislunar",
+    "fly",
+    "moon_position_km",
+    "sun_position_km",
+]
 
 GM_EARTH_KM3_S2 = 398_600.435507  # km^3/s^2, of the ephemeris DE440
 GM_MOON_KM3_S2 = 4_902.800118  # km^3/s^2, of the ephemeris DE440
@@ -168,6 +176,22 @@ def fly(
     InputError
         The flight meets a center of gravity, or the integration fails.
     """
+    flights = fly_through(
+        dynamics, et, state, [until], acceleration_km_s2=acceleration_km_s2, time_constant_s=time_constant_s
+    )
+    return Flight(flights.state[0], flights.by_state[0], flights.by_acceleration[0])
+
+
+def fly_through(
+    dynamics: PointMasses,
+    et: float,
+    state: ArrayLike,
+    times: ArrayLike,
+    *,
+    acceleration_km_s2: ArrayLike = (0.0, 0.0, 0.0),
+    time_constant_s: float = math.inf,
+) -> Flight:
+    """Integrate as :func:`fly`, to several times (t,) at once, before and after ``et``: their axis is the first."""
     from scipy.integrate import solve_ivp
 
     start = as_floats(state, (6,), "state")
@@ -189,12 +213,22 @@ def fly(
 
     scale = np.full(table.shape, ABSOLUTE_TOLERANCE)
     scale[..., 1:] = 1e-8  # of derivatives of order 1 and, by accelerations, of s and s^2
-    done = solve_ivp(
-        rate, (et, until), table.ravel(), method="DOP853", rtol=RELATIVE_TOLERANCE, atol=scale.ravel(), t_eval=[until]
-    )
-    require(done.success, f"the flight from {et} to {until} cannot be integrated: {done.message}")
-    end = done.y[:, -1].reshape(table.shape)
-    return Flight(end[..., 0], end[..., 1:7], end[..., 7:])
+    wanted = as_floats(times, (), "times")
+    ends = np.empty((len(wanted), *table.shape))
+    for side in (np.flatnonzero(wanted >= et), np.flatnonzero(wanted < et)):
+        if not side.size:
+            continue
+        order = side[np.argsort(np.abs(wanted[side] - et), kind="stable")]
+        stops, which = np.unique(wanted[order], return_inverse=True)
+        stops = stops if wanted[order[0]] >= et else stops[::-1]
+        until = float(stops[-1])
+        done = solve_ivp(
+            rate, (et, until), table.ravel(), method="DOP853", rtol=RELATIVE_TOLERANCE, atol=scale.ravel(), t_eval=stops
+        )
+        require(done.success, f"the flight from {et} to {until} cannot be integrated: {done.message}")
+        at = done.y.T.reshape(len(stops), *table.shape)
+        ends[order] = at[which if wanted[order[0]] >= et else len(stops) - 1 - which]
+    return Flight(ends[..., 0], ends[..., 1:7], ends[..., 7:])
 
 
 def _attraction(gm_km3_s2: float, from_body_km: Float) -> tuple[Float, Float]:

@@ -51,7 +51,7 @@ _STREAK_SIGMAS = 5.0  # of half a length that is one
 
 
 class SourceClass(StrEnum):
-    """What a source in an image is."""
+    """Class of a source in an image."""
 
     STAR = "star"
     CATALOG_STAR_UNMATCHED = "catalog_star_unmatched"
