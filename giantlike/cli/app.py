@@ -66,6 +66,7 @@ _COMMANDS = {
     "report": Entry("Write report.html of a finished run again.", "report_command", "report"),
     "export": Entry("Write the attitudes of a run for other programs.", "campaign_commands", "export"),
     "photometry": Entry("Measure stars of a run, and the zero point.", "photometry_command", "photometry"),
+    "search": Entry("Find what moves in the images of a run.", "search_command", "search"),
     "interlock": Entry("Estimate the rotation between two sensors.", "campaign_commands", "interlock"),
     "demo": Entry("Simulate an approach, run it, and compare with the truth.", "campaign_commands", "demo"),
     "gauntlet": Entry("Put off-nominal images with known truth to every estimator.", "gauntlet_command", "gauntlet"),

@@ -37,7 +37,7 @@ from scipy.special import gammaln, ndtr
 from giantlike.core.arrays import Float, require, require_number
 from giantlike.core.frames import rotate
 from giantlike.core.values import Estimate
-from giantlike.search.compare import FLOOR_PX, compare_residuals
+from giantlike.search.compare import FLOOR_PX, LEAST_COSINE, compare_residuals
 from giantlike.search.plane import TangentPlane
 from giantlike.search.residuals import GATE, Residuals
 
@@ -45,7 +45,6 @@ _MOST_HYPOTHESES = 100_000  # that grow at a time, the best: bounds the time in 
 _MOST_PAIRS = 100_000  # of sources within the largest rate: more are refused, they tell nothing
 _REGION_SHARE = 1.0 / 16.0  # of the frame around a place in which sources are counted
 _REJECTED = 1.0  # expected chance tracks beyond which one is not worth listing
-_LEAST_COSINE = 0.5  # of the angle from the middle of the plane: images of other skies do not link
 _DETECTED = 0.98  # most probable detection: a blend or a flaw of the detector hides some
 
 
@@ -152,7 +151,7 @@ def link(residuals: Sequence[Residuals], options: LinkOptions = LinkOptions()) -
     Parameters
     ----------
     residuals : sequence of Residuals
-        In order of time, of one camera. What stays on the sky or on the detector is told apart first
+        In order of time, of one camera. What stays on the sky or on the detector is left out first
         (:func:`compare_residuals`).
     options : LinkOptions
 
@@ -233,7 +232,7 @@ class _Search:
         plane = TangentPlane.from_residuals(residuals[len(residuals) // 2])
         numbers, places, covariances, densities = [], [], [], []
         for one in residuals:
-            which = np.flatnonzero(one.linkable & (one.directions_inertial @ plane.axes[2] > _LEAST_COSINE))
+            which = np.flatnonzero(one.linkable & (one.directions_inertial @ plane.axes[2] > LEAST_COSINE))
             spread, common = plane.covariances(one, FLOOR_PX)
             numbers.append(which)
             places.append(plane.project(one.directions_inertial)[which])

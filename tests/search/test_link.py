@@ -11,7 +11,7 @@ from scipy.stats import poisson
 
 from benchmarks.search_truth import PIXEL_RAD, as_residuals, camera, empty_sequence, event
 from giantlike.core.errors import InputError
-from giantlike.search import LinkOptions, Residuals, Track, link
+from giantlike.search import LinkOptions, Residuals, Track, compare_residuals, link
 
 OPTIONS = LinkOptions(max_rate_px_s=1.0)
 
@@ -130,3 +130,15 @@ def test_times_that_go_back_and_rates_that_link_all_are_refused() -> None:
     with pytest.raises(InputError, match="max_rate_px_s"):
         link(crowded, OPTIONS)
     assert link(sequence[:3], OPTIONS) == ()
+
+
+def test_an_image_of_another_sky_before_a_sequence_changes_nothing() -> None:
+    """Its plane would stretch the distances between stars, which then seemed to move."""
+    sequence = empty_sequence(1)
+    turn = Rotation.from_rotvec([0.0, 1.2, 0.0])
+    far = as_residuals(
+        sequence[0].camera, -10.0, turn, np.array([[100.0, 100.0]]), np.array([9.0]), np.random.default_rng(1)
+    )
+    with_it = compare_residuals([far, *sequence])[1:]
+    for one, other in zip(with_it, compare_residuals(sequence), strict=True):
+        assert one.kinds.tolist() == other.kinds.tolist()
