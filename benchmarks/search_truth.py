@@ -184,7 +184,8 @@ def orbit_track(
     if not found:
         return None, np.zeros(6), 0.0, assumed, gm_sigma
     track = found[0]
-    middle = track.et - float(np.mean([np.linalg.norm(one.body_position_km) for one in track.residuals])) / 299792.458
+    ranges = [np.linalg.norm(np.asarray(one.body_position_km)) for one in track.residuals]
+    middle = track.et - float(np.mean(ranges)) / 299792.458
     before = max(k for k in range(images) if step_s * k <= middle)
     truth = field.coast(states[before][None], step_s * before, middle)[0]
     return track, truth, middle, assumed, gm_sigma
