@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from giantlike.camera import Camera
-from giantlike.core.arrays import Float, require, require_number
+from giantlike.core.arrays import Float, require, require_number, unit
 from giantlike.core.frames import rotate, skew
 from giantlike.core.outcomes import Failure, Reason
 from giantlike.core.units import SPEED_OF_LIGHT_KM_S
@@ -263,9 +263,12 @@ def _body(inputs: EstimatorInputs, photo: Photo) -> Body:
 
 
 def tracks_of(
-    measures: Sequence[LandmarkMeasures], catalog: LandmarkCatalog, *, floor_px: float, sigma_points_km: float
+    measures: Sequence[LandmarkMeasures], catalog: LandmarkCatalog, *, floor_px: float, spread_km: tuple[float, float]
 ) -> Tracks:
-    """Join the measures of images to tracks; landmarks seen once are left out."""
+    """Join the measures of images to tracks; landmarks seen once are left out.
+
+    ``spread_km``: standard deviations of landmarks about the shape, along their radius and per axis across it.
+    """
     photo = np.repeat(np.arange(len(measures)), [len(one.numbers) for one in measures])
     numbers = np.concatenate([one.numbers for one in measures])
     kept = np.bincount(numbers)[numbers] >= 2
@@ -273,14 +276,17 @@ def tracks_of(
     chosen, point = np.unique(numbers[kept], return_inverse=True)
     variance = np.concatenate([np.trace(one.covariance_px2, axis1=1, axis2=2) for one in measures]) / 2.0
     landmarks = [catalog.landmarks[number] for number in chosen]
+    points_km = np.array([landmark.point_body_km for landmark in landmarks])
+    up = unit(points_km)
+    along, across = np.square(spread_km)
     return Tracks(
         names=tuple(landmark.name for landmark in landmarks),
         point=point,
         photo=photo[kept],
         points_px=np.concatenate([one.points_px for one in measures])[kept],
         sigma_px=np.sqrt(variance + floor_px**2)[kept],
-        points_km=np.array([landmark.point_body_km for landmark in landmarks]),
-        covariance_points_km2=np.tile(sigma_points_km**2 * np.eye(3), (len(landmarks), 1, 1)),
+        points_km=points_km,
+        covariance_points_km2=across * np.eye(3) + (along - across) * up[:, :, None] * up[:, None, :],
     )
 
 
@@ -290,30 +296,35 @@ def adjust_tracks(
     """Join measures to tracks, with the errors of templates and shape that their residuals show, and adjust them.
 
     The error of templates makes the noise of the adjustment one, that of the shape is the most likely spread of the
-    points about it (expectation and maximization). Ground that the shape lacks moves a template in all images alike:
-    the same spread is an error of each point that no residual shows.
+    points about it along their radius and across (expectation and maximization): a shape errs in its heights most.
+    Ground that the shape lacks moves a template along the surface in all images alike: the spread across the radius is
+    an error of each point that no residual shows.
     """
     radius_km = float(np.mean([np.linalg.norm(landmark.point_body_km) for landmark in catalog.landmarks]))
-    floor_px, sigma_km = _FLOOR_PX[0], options.sigma_points_km or _FIRST_SIGMA * radius_km
+    first_km = options.sigma_points_km or _FIRST_SIGMA * radius_km
+    floor_px, along_km, across_km = _FLOOR_PX[0], first_km, first_km
     for _ in range(_ROUNDS):
-        tracks = tracks_of(measures, catalog, floor_px=floor_px, sigma_points_km=sigma_km)
+        tracks = tracks_of(measures, catalog, floor_px=floor_px, spread_km=(along_km, across_km))
         fix = adjust(photos, tracks)
         if isinstance(fix, Failure):
             return fix
-        tracked = FoundTracks(photos=tuple(photos), tracks=tracks, failures={}, floor_px=floor_px,
-                              sigma_points_km=sigma_km)  # fmt: skip
-        adjusted = tracked, fix
+        sigma_km = math.sqrt((along_km**2 + 2.0 * across_km**2) / 3.0)
+        adjusted = FoundTracks(
+            photos=tuple(photos), tracks=replace(tracks, common_sigma_km=across_km), failures={}, floor_px=floor_px,
+            sigma_points_km=sigma_km,
+        ), fix  # fmt: skip
         noise = float(np.median(tracks.sigma_px**2)) - floor_px**2
         found = max(fix.noise**2, fix.chi2 / max(fix.freedom, 1)) * (noise + floor_px**2)
         floor_px = math.sqrt(max(found - noise, _FLOOR_PX[1] ** 2))
         good = fix.point_status == PointStatus.CHECKED
         if options.sigma_points_km is None and good.any():
-            squares = np.sum((fix.points_km - np.asarray(tracks.points_km)) ** 2, axis=1)[good]
-            squares += np.trace(fix.covariance_points_km2[good], axis1=1, axis2=2)
-            sigma_km = max(math.sqrt(float(np.mean(squares)) / 3.0), 1e-4 * radius_km)
-    found_tracks, fix = adjusted
-    tracks = replace(found_tracks.tracks, common_sigma_km=found_tracks.sigma_points_km)
-    return replace(found_tracks, tracks=tracks), fix
+            start_km = np.asarray(tracks.points_km)[good]
+            off, up = fix.points_km[good] - start_km, unit(start_km)
+            squares = off[:, :, None] * off[:, None, :] + fix.covariance_points_km2[good]
+            along = float(np.einsum("pi,pij,pj->p", up, squares, up).mean())
+            across = (float(np.trace(squares, axis1=1, axis2=2).mean()) - along) / 2.0
+            along_km, across_km = (max(math.sqrt(each), 1e-4 * radius_km) for each in (along, across))
+    return adjusted
 
 
 def has_moved(measures: LandmarkMeasures, pose: Photo, catalog: LandmarkCatalog) -> bool:
