@@ -8,11 +8,12 @@ import numpy as np
 
 from giantlike.core.arrays import Float, unit
 from giantlike.core.frames import rotate, skew
+from giantlike.core.values import Value
 from giantlike.search.residuals import Residuals
 
 
-@dataclass(frozen=True, slots=True)
-class TangentPlane:
+@dataclass(frozen=True, slots=True, eq=False)
+class TangentPlane(Value):
     """Gnomonic coordinates about a direction: ``axes`` (3, 3) are rows x, y and the direction, ICRF axes."""
 
     axes: Float
