@@ -52,14 +52,10 @@ class AutoOptions:
 
     Parameters
     ----------
-    unresolved_px : float, px
-        Largest diameter of a body that is treated as a point source by ``unresolved``.
-    limb_px : float, px
-        Minimum diameter of a body whose limb is used.
-    min_limb_px : float, px
-        Minimum length of lit limb within the frame that is used.
-    false_alarm : float
-        Rate of false alarms of each test of a fix.
+    unresolved_px : float, px; largest diameter of a body that is treated as a point source by ``unresolved``
+    limb_px : float, px; minimum diameter of a body whose limb is used
+    min_limb_px : float, px; minimum length of lit limb within the frame that is used
+    false_alarm : float; rate of false alarms of each test of a fix
     unresolved : UnresolvedOptions
     moment : MomentOptions
     cross_correlation : CrossCorrelationOptions

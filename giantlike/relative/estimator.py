@@ -81,10 +81,8 @@ class BodyEstimator(ABC, Generic[Options, Fix]):
 
     Parameters
     ----------
-    options : object, optional
-        The frozen options dataclass of the estimator; its defaults if left out.
-    false_alarm : float
-        Rate of false alarms of each test of a fix.
+    options : object, optional; the frozen options dataclass of the estimator; its defaults if left out
+    false_alarm : float; rate of false alarms of each test of a fix
     """
 
     name: ClassVar[str]

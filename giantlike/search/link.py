@@ -54,16 +54,11 @@ class LinkOptions:
 
     Parameters
     ----------
-    max_rate_px_s : float, px/s
-        Largest motion on the sky.
-    max_acceleration_px_s2 : float, px/s^2
-        Largest acceleration on the sky; 0 takes all paths as straight.
-    min_detections : int
-        Fewest sources of a track, 3 or more.
-    max_missed : int
-        Most images in a row in which an object in the frame may be missed.
-    max_expected_false : float
-        Tracks of which unrelated sources make more are listed apart.
+    max_rate_px_s : float, px/s; largest motion on the sky
+    max_acceleration_px_s2 : float, px/s^2; largest acceleration on the sky; 0 takes all paths as straight
+    min_detections : int; fewest sources of a track, 3 or more
+    max_missed : int; most images in a row in which an object in the frame may be missed
+    max_expected_false : float; tracks of which unrelated sources make more are listed apart
 
     Raises
     ------
@@ -91,28 +86,20 @@ class Track(Estimate):
 
     Parameters
     ----------
-    images, sources : (n,) int64
-        Indices of the images, in order of time, and of the source in each.
-    residuals : tuple of n Residuals
-        The images.
+    images, sources : (n,) int64; indices of the images, in order of time, and of the source in each
+    residuals : tuple of n Residuals; the images
     missed : tuple of str
         Names of the images between the first and the last that have the place of the object and no source there.
-    expected_false : float
-        Number of tracks as good as this one that unrelated sources make in the sequence.
-    accepted : bool
-        True where that is not more than the options allow.
-    chi2 : float
-        Weighted squares of the distances from the path.
+    expected_false : float; number of tracks as good as this one that unrelated sources make in the sequence
+    accepted : bool; True where that is not more than the options allow
+    chi2 : float; weighted squares of the distances from the path
     freedom : int
-    et : float, TDB seconds past J2000
-        Middle of the track, to which the path refers.
-    direction_inertial : (3,) float64, unitless, ICRF axes
-        There.
+    et : float, TDB seconds past J2000; middle of the track, to which the path refers
+    direction_inertial : (3,) float64, unitless, ICRF axes; there
     rate_px_s, acceleration_px_s2 : (2,) float64
         On the plane that touches the sky, along the columns and rows of the first image of the sequence.
     plane : TangentPlane
-    places_px : (n, 2) float64, px
-        On the plane.
+    places_px : (n, 2) float64, px; on the plane
     covariance_places_px2 : (n, 2, 2) float64, px^2
     """
 

@@ -37,12 +37,9 @@ class MotionOptions:
 
     Parameters
     ----------
-    models : tuple of {"sky_line", "orbit", "orbit_sunlight"}
-        Models to fit, the simplest first.
-    gravity : PointMasses, optional
-        Of the body, and others; orbits need it.
-    gm_sigma_km3_s2 : float, km^3/s^2
-        Standard deviation of that of the body.
+    models : tuple of {"sky_line", "orbit", "orbit_sunlight"}; models to fit, the simplest first
+    gravity : PointMasses, optional; of the body, and others; orbits need it
+    gm_sigma_km3_s2 : float, km^3/s^2; standard deviation of that of the body
 
     Raises
     ------
@@ -66,18 +63,12 @@ class Orbit(Estimate):
 
     Parameters
     ----------
-    et : float, TDB seconds past J2000
-        When the light left.
-    state : (6,) float64, km and km/s, ICRF axes
-        From the center of the body.
-    covariance : (6, 6) float64
-        Of the state.
-    parts : mapping of str to (6, 6) float64
-        Terms of it: ``noise``, ``attitude``, ``spacecraft``, ``gravity``.
-    sunlight_km_s2 : float, km/s^2
-        Acceleration away from the Sun; 0 where it was not fitted.
-    bound : float
-        Specific energy, km^2/s^2: negative for an orbit that stays.
+    et : float, TDB seconds past J2000; when the light left
+    state : (6,) float64, km and km/s, ICRF axes; from the center of the body
+    covariance : (6, 6) float64; of the state
+    parts : mapping of str to (6, 6) float64; terms of it: ``noise``, ``attitude``, ``spacecraft``, ``gravity``
+    sunlight_km_s2 : float, km/s^2; acceleration away from the Sun; 0 where it was not fitted
+    bound : float; specific energy, km^2/s^2: negative for an orbit that stays
     """
 
     et: float
@@ -94,18 +85,12 @@ class MotionFix(Estimate):
 
     Parameters
     ----------
-    model : str
-        The simplest that fits.
-    chi2, freedom : mapping of str to float, int
-        Of each model that was fitted.
-    et : float, TDB seconds past J2000
-        Epoch of the line.
-    direction_inertial : (3,) float64, unitless, ICRF axes
-        Apparent.
-    rate_px_s : (2,) float64
-        On the plane of the track.
-    covariance_line : (4, 4) float64, px^2, px^2/s, px^2/s^2
-        Of place and rate on the plane.
+    model : str; the simplest that fits
+    chi2, freedom : mapping of str to float, int; of each model that was fitted
+    et : float, TDB seconds past J2000; epoch of the line
+    direction_inertial : (3,) float64, unitless, ICRF axes; apparent
+    rate_px_s : (2,) float64; on the plane of the track
+    covariance_line : (4, 4) float64, px^2, px^2/s, px^2/s^2; of place and rate on the plane
     orbit : Orbit or Failure, optional
         None where no orbit was asked for, or gravity or the place of the body is unknown.
     """

@@ -72,18 +72,13 @@ class ResidualOptions:
 
     Parameters
     ----------
-    threshold_sigma : float
-        Detection limit, in units of the local noise.
-    star_limit : float, mag, optional
-        Faintest star of the catalog that explains a source; by default all.
+    threshold_sigma : float; detection limit, in units of the local noise
+    star_limit : float, mag, optional; faintest star of the catalog that explains a source; by default all
     floor_px : float, px
         Error of a predicted star per axis beyond the stated ones: distortion, and pixels that are not Gaussian.
-    body_margin_px : float, px
-        Around bodies, whose limb is no source.
-    max_sigma_px : float, px
-        Sources known worse than this, per axis, make no tracks: a failed fit would suit all.
-    max_sources : int
-        Most sources of an image; the faintest are left out beyond it.
+    body_margin_px : float, px; around bodies, whose limb is no source
+    max_sigma_px : float, px; sources known worse than this, per axis, make no tracks: a failed fit would suit all
+    max_sources : int; most sources of an image; the faintest are left out beyond it
 
     Raises
     ------
@@ -112,43 +107,28 @@ class Residuals(Estimate):
 
     Parameters
     ----------
-    name : str
-        Of the image.
-    et : float, TDB seconds past J2000
-        Mid-exposure.
-    exposure_s : float, s
-        0 where it is unknown.
+    name : str; of the image
+    et : float, TDB seconds past J2000; mid-exposure
+    exposure_s : float, s; 0 where it is unknown
     camera : Camera
     camera_from_inertial : Rotation
-    attitude_rad2 : (3, 3) float64, rad^2, camera axes
-        Covariance of the attitude, common to all sources.
+    attitude_rad2 : (3, 3) float64, rad^2, camera axes; covariance of the attitude, common to all sources
     points_px : (n, 2) float64, px
-    covariance_px2 : (n, 2, 2) float64, px^2
-        Of the centroids alone.
-    directions_inertial : (n, 3) float64, unitless, ICRF axes
-        Apparent directions, aberration included.
+    covariance_px2 : (n, 2, 2) float64, px^2; of the centroids alone
+    directions_inertial : (n, 3) float64, unitless, ICRF axes; apparent directions, aberration included
     flux_dn, snr, magnitude : (n,) float64
         Light, its ratio to the noise, and magnitude in the band of the zero point of the camera (NaN without one).
-    kinds : (n,) str
-        Values of :class:`SourceClass`.
-    optics : (n,) float64
-        Probability that the light came through the optics.
-    halves_px : (n, 2) float64, px
-        From the middle of a streak to one end; zeros where there is none.
+    kinds : (n,) str; values of :class:`SourceClass`
+    optics : (n,) float64; probability that the light came through the optics
+    halves_px : (n, 2) float64, px; from the middle of a streak to one end; zeros where there is none
     half_sigma_px : (n,) float64, px
-    linkable : (n,) bool
-        True where a track may go through the source: unknown, and known well enough.
-    covered : (rows, columns) bool
-        Pixels without sources of tracks: bad ones, bodies and the places of stars.
+    linkable : (n,) bool; True where a track may go through the source: unknown, and known well enough
+    covered : (rows, columns) bool; pixels without sources of tracks: bad ones, bodies and the places of stars
     threshold_sigma : float
-    reach_px : float, px
-        From a star, within which the fit of another source depends on it.
-    body_position_km : (3,) float64, km, ICRF axes, optional
-        Apparent position of the body from the camera.
-    body_sigma_km : float, km
-        Standard deviation of it, per axis, in common to all images.
-    sun_direction_inertial : (3,) float64, unitless, ICRF axes, optional
-        From the body to the Sun.
+    reach_px : float, px; from a star, within which the fit of another source depends on it
+    body_position_km : (3,) float64, km, ICRF axes, optional; apparent position of the body from the camera
+    body_sigma_km : float, km; standard deviation of it, per axis, in common to all images
+    sun_direction_inertial : (3,) float64, unitless, ICRF axes, optional; from the body to the Sun
     """
 
     name: str

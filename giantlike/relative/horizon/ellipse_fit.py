@@ -75,21 +75,16 @@ class EllipseFitOptions(LimbSearch):
 
     Parameters
     ----------
-    search_px : float, px
-        Largest error of the predicted center.
-    search_range : float
-        Largest relative error of the predicted range.
+    search_px : float, px; largest error of the predicted center
+    search_range : float; largest relative error of the predicted range
     max_relief : float
         Meshes that depart from their best-fit ellipsoid by more than this (root mean square over mean radius) are
         refused.
-    min_edges : int
-        Fewer edges than this are no limb.
+    min_edges : int; fewer edges than this are no limb
     max_edges : int
         On longer limbs every second, third ... edge is used.
-    outlier_mad : float
-        Edges beyond so many robust sigmas are left out.
-    large_rms_px : float, px
-        Kept for files of earlier versions: residuals raise no flag.
+    outlier_mad : float; edges beyond so many robust sigmas are left out
+    large_rms_px : float, px; kept for files of earlier versions: residuals raise no flag
     """
 
     search_range: float = 0.05

@@ -39,32 +39,23 @@ class EllipsoidCRAOptions(HorizonSearch):
     Parameters
     ----------
     method : CraMethod
-    search_px : float, px
-        Largest error of the predicted center, in both coordinates.
-    search_range : float
-        Largest relative error of the predicted range.
+    search_px : float, px; largest error of the predicted center, in both coordinates
+    search_range : float; largest relative error of the predicted range
     max_relief : float
         Meshes that depart from their best-fit ellipsoid by more than this (root mean square over mean radius) are
         refused.
-    max_iterations : int
-        Times that the template is rendered and the limb measured.
-    tolerance_px : float, px
-        The limb is measured well enough when it would move less than this in another iteration.
-    outlier_mad : float
-        Limb points beyond so many robust sigmas are left out.
-    max_rms_px : float, px
-        Larger residuals, beyond what relief explains, are a failure.
-    large_rms_px : float, px
-        Kept for files of earlier versions: residuals raise no flag.
+    max_iterations : int; maximum number of renders of the template
+    tolerance_px : float, px; the limb is measured well enough when it would move less than this in another iteration
+    outlier_mad : float; limb points beyond so many robust sigmas are left out
+    max_rms_px : float, px; larger residuals, beyond what relief explains, are a failure
+    large_rms_px : float, px; kept for files of earlier versions: residuals raise no flag
     limb_altitude_km : float, km
         Altitude of the apparent limb above the shape, by haze or an atmosphere. Where this and its sigma are 0, the
         altitude of the target's atmosphere is used.
     altitude_sigma_km : float, km
         Standard deviation of the altitude; where it is not zero the altitude is estimated with the position.
-    horizon : HorizonScan
-        Options for the horizon of an ellipsoid.
-    scan : LimbScanOptions
-        Options for the limb of a mesh.
+    horizon : HorizonScan; options for the horizon of an ellipsoid
+    scan : LimbScanOptions; options for the limb of a mesh
     """
 
     method: CraMethod = CraMethod.MAXIMUM_LIKELIHOOD

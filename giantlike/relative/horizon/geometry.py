@@ -50,12 +50,9 @@ class Figure(Value):
 
     Parameters
     ----------
-    radii_km : (3,) float64, km
-        Semi-axes.
-    camera_from_axes : Rotation
-        Takes vectors along the principal axes to camera axes.
-    air : Air, optional
-        Over the ellipsoid.
+    radii_km : (3,) float64, km; semi-axes
+    camera_from_axes : Rotation; takes vectors along the principal axes to camera axes
+    air : Air, optional; over the ellipsoid
 
     Raises
     ------

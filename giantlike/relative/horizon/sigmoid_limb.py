@@ -23,20 +23,13 @@ class SigmoidLimbOptions(HorizonSearch):
 
     Parameters
     ----------
-    search_px : float, px
-        Largest error of the predicted center, in both coordinates.
-    search_range : float
-        Largest relative error of the predicted range.
-    max_iterations : int
-        Times that the horizon is laid anew and fitted.
-    tolerance_px : float, px
-        The fit has converged when the horizon would move less than this in another iteration.
-    outlier_mad : float
-        Cells beyond so many robust sigmas are left out.
-    max_rms_px : float, px
-        Larger residuals are a failure.
-    large_rms_px : float, px
-        Kept for files of earlier versions: residuals raise no flag.
+    search_px : float, px; largest error of the predicted center, in both coordinates
+    search_range : float; largest relative error of the predicted range
+    max_iterations : int; maximum number of fits of the horizon
+    tolerance_px : float, px; the fit has converged when the horizon would move less than this in another iteration
+    outlier_mad : float; cells beyond so many robust sigmas are left out
+    max_rms_px : float, px; larger residuals are a failure
+    large_rms_px : float, px; kept for files of earlier versions: residuals raise no flag
     limb_altitude_km : float, km
         Altitude of the apparent limb above the shape, by haze or an atmosphere. Where this and its sigma are 0, the
         altitude of the target's atmosphere is used.

@@ -52,23 +52,16 @@ class SurfaceFeaturesOptions:
     landmarks : Path, optional
         Landmarks: a catalog (.npz), a maplet (.MAP), or a folder of maplets. Without one they are chosen on
         the shape of the target, if it is a mesh.
-    search_px : int, px
-        Largest error of the predicted center, along each axis.
-    search_range : float
-        Largest relative error of the predicted range.
+    search_px : int, px; largest error of the predicted center, along each axis
+    search_range : float; largest relative error of the predicted range
     attitude_sigma_deg : float, deg
         Standard deviation of the predicted attitude of the body in the camera, about each axis: 0 holds it, infinity
         leaves it free. Unless it is 0 the fix has its own attitude.
-    min_landmarks : int
-        Minimum number of landmarks that are found and agree.
-    min_score : float
-        Minimum correlation of a landmark that counts as found.
-    inlier_px : float, px
-        Largest distance of a found landmark from its projection by the pose.
-    free_reflectance : bool
-        Mix another reflectance law into the law of the target.
-    max_iterations : int
-        Renders at most.
+    min_landmarks : int; minimum number of landmarks that are found and agree
+    min_score : float; minimum correlation of a landmark that counts as found
+    inlier_px : float, px; largest distance of a found landmark from its projection by the pose
+    free_reflectance : bool; mix another reflectance law into the law of the target
+    max_iterations : int; maximum number of renders
     tolerance_px : float, px
         The pose has converged when no landmark moves by more. With 0.1 px most fixes take one iteration fewer, and
         errors of one scene of 20 landmarks grew from 0.0044 to 0.0070 px.
@@ -117,26 +110,20 @@ class LandmarkFix(PositionFix):
 
     Parameters
     ----------
-    camera_from_body : Rotation
-        Estimated attitude; the predicted one where that is held.
+    camera_from_body : Rotation; estimated attitude; the predicted one where that is held
     pose_covariance : (6, 6) float64, km and rad
         Of the position and of the small rotation ``e`` about the camera axes with
         ``camera_from_body_true = Rotation.from_rotvec(e) * camera_from_body``; zero where it is held.
     attitude_change_rad : (3,) float64, rad
         Rotation from the predicted to the estimated attitude, as a rotation vector about the camera axes.
-    landmark_names : tuple of str
-        Of the landmarks used.
-    landmark_px, landmark_predicted_px : (n, 2) float64, px
-        Measured, and projected by the pose.
+    landmark_names : tuple of str; of the landmarks used
+    landmark_px, landmark_predicted_px : (n, 2) float64, px; measured, and projected by the pose
     covariance_landmarks_px2 : (n, 2, 2) float64, px^2
         Of each measured landmark alone: the noise, and the excess of the residuals over it.
     landmark_body_km : (n, 3) float64, km, body-fixed axes
-    rejected_names : tuple of str
-        Of the landmarks that were searched and not used.
-    rejected_predicted_px : (k, 2) float64, px
-        Projected by the pose.
-    rejected_because : tuple of str
-        Reason for each: not found, or its distance from the pose.
+    rejected_names : tuple of str; of the landmarks that were searched and not used
+    rejected_predicted_px : (k, 2) float64, px; projected by the pose
+    rejected_because : tuple of str; reason for each: not found, or its distance from the pose
     """
 
     camera_from_body: Rotation

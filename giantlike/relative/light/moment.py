@@ -66,12 +66,9 @@ class MomentOptions:
 
     Parameters
     ----------
-    search_px : float, px
-        Largest distance of the light from its predicted place.
-    correction : {'rendered', 'kaasalainen_tanga', 'ellipsoid', 'none'}
-        As for ``unresolved``.
-    range_sigma : float
-        A priori standard deviation of the range as a fraction of it; it scales the correction.
+    search_px : float, px; largest distance of the light from its predicted place
+    correction : {'rendered', 'kaasalainen_tanga', 'ellipsoid', 'none'}; as for ``unresolved``
+    range_sigma : float; a priori standard deviation of the range as a fraction of it; it scales the correction
 
     Raises
     ------

@@ -52,13 +52,10 @@ class UnresolvedOptions:
     ----------
     max_diameter_px : float, px
         Larger bodies (diameter of the sphere around them) are refused: other estimators see their shape.
-    search_px : float, px
-        Largest distance of the light from the predicted photocenter.
-    min_snr : float
-        Minimum signal to noise of a detection.
+    search_px : float, px; largest distance of the light from the predicted photocenter
+    min_snr : float; minimum signal to noise of a detection
     correction : {'rendered', 'kaasalainen_tanga', 'ellipsoid', 'none'}
-    range_sigma : float
-        A priori standard deviation of the range as a fraction of it; it scales the correction.
+    range_sigma : float; a priori standard deviation of the range as a fraction of it; it scales the correction
 
     Raises
     ------

@@ -72,14 +72,10 @@ class LimbSearch:
 
     Parameters
     ----------
-    search_px : float, px
-        Largest error of the predicted center, in both coordinates.
-    search_range : float
-        Largest relative error of the predicted range.
-    outlier_mad : float
-        Limb points beyond so many robust sigmas are left out.
-    large_rms_px : float, px
-        Kept for files of earlier versions: residuals raise no flag.
+    search_px : float, px; largest error of the predicted center, in both coordinates
+    search_range : float; largest relative error of the predicted range
+    outlier_mad : float; limb points beyond so many robust sigmas are left out
+    large_rms_px : float, px; kept for files of earlier versions: residuals raise no flag
     """
 
     search_px: float = 40.0
@@ -100,12 +96,9 @@ class IteratedSearch(LimbSearch):
 
     Parameters
     ----------
-    max_iterations : int
-        Largest number of measurements.
-    tolerance_px : float, px
-        The fit has converged when the limb would move less than this in another iteration.
-    max_rms_px : float, px
-        Larger residuals, beyond what relief explains, are a failure.
+    max_iterations : int; maximum number of measurements
+    tolerance_px : float, px; the fit has converged when the limb would move less than this in another iteration
+    max_rms_px : float, px; larger residuals, beyond what relief explains, are a failure
     """
 
     max_iterations: int = 8

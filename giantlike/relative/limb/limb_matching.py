@@ -37,20 +37,13 @@ class LimbMatchingOptions(IteratedSearch):
 
     Parameters
     ----------
-    search_px : float, px
-        Largest error of the predicted center, in both coordinates.
-    search_range : float
-        Largest relative error of the predicted range.
-    max_iterations : int
-        Largest number of renders and measurements.
-    tolerance_px : float, px
-        The fit has converged when the limb would move less than this in another iteration.
-    outlier_mad : float
-        Limb points beyond so many robust sigmas are left out.
-    max_rms_px : float, px
-        Larger residuals are a failure.
-    large_rms_px : float, px
-        Kept for files of earlier versions: residuals raise no flag.
+    search_px : float, px; largest error of the predicted center, in both coordinates
+    search_range : float; largest relative error of the predicted range
+    max_iterations : int; maximum number of renders and measurements
+    tolerance_px : float, px; the fit has converged when the limb would move less than this in another iteration
+    outlier_mad : float; limb points beyond so many robust sigmas are left out
+    max_rms_px : float, px; larger residuals are a failure
+    large_rms_px : float, px; kept for files of earlier versions: residuals raise no flag
     min_diameter_px : float, px
         Smaller bodies (by the predicted size of the sphere of the same volume) are a failure: ``cross_correlation`` and
         ``unresolved``, which use all of the light, are more accurate. Lower it to measure such limbs nevertheless.

@@ -79,32 +79,26 @@ class CrossCorrelationOptions:
 
     Parameters
     ----------
-    search_px : int, px
-        Largest error of the predicted center, along each axis.
+    search_px : int, px; largest error of the predicted center, along each axis
     search_range : float
         Largest relative error of the predicted range. As wide as for ``ellipse_fit``: the estimated range of a small
         body is uncertain by some percent. Where the body is not found within both, a wider region is searched; a fix
         there is ``FAR_FROM_PREDICTION``, and so suspect.
-    min_score : float
-        Minimum correlation of a body that counts as found.
+    min_score : float; minimum correlation of a body that counts as found
     estimate_scale : bool, optional
         True estimates the range too. By default where the body is at least ``min_scale_diameter_px`` wide.
-    min_scale_diameter_px : float, px
-        Smaller bodies hardly constrain their range.
+    min_scale_diameter_px : float, px; smaller bodies hardly constrain their range
     range_sigma : float
         Where the range is not estimated: its a priori standard deviation as a fraction of it, which enters the
         covariance of the center.
     free_reflectance : bool
         Mix another reflectance law into the law of the target, so that a wrong law does not bias the center.
-    clip_sigma : float
-        Pixels with larger residuals, in standard deviations, are rejected.
-    max_iterations : int
-        Renders at most.
+    clip_sigma : float; pixels with larger residuals, in standard deviations, are rejected
+    max_iterations : int; maximum number of renders
     relief_sigma : float
         Standard deviation of the errors of the shape along its radii, as a fraction of the radius. Needed for errors
         correlated over a good part of the limb, which residuals do not show.
-    relief_length_rad : float, rad
-        Correlation length of these errors on the body: an angle, seen from its center.
+    relief_length_rad : float, rad; correlation length of these errors on the body: an angle, seen from its center
 
     Raises
     ------
