@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.special import expit
 from scipy.stats import chi2
 
 from giantlike.core.arrays import Float, require, require_number, unit
@@ -321,6 +322,11 @@ def _fit_orbit(track: Track, line: _Line, options: MotionOptions, *, sunlight: b
         near, far = sorted(float(np.linalg.norm(one[:3] + bodies.mean(axis=0))) for one in (values, second))
         detail = f"two orbits fit, mirror images across the sky: at ranges of {near:.6g} and {far:.6g} km"
         return Failure(Reason.DEGENERATE_GEOMETRY, detail), float(squares)
+    # nearer ones are two ends of one valley: the variance of their mixture about the better one
+    away = second[:6] - values[:6]
+    valley = expit(0.5 * float(squares - other_squares)) * np.outer(away, away)
+    causes["noise"], covariance = causes["noise"] + valley, covariance + valley
+    sigma_km = math.sqrt(float(ray @ covariance[:3, :3] @ ray))
     if not sigma_km < _KNOWN_RANGE * distance:
         return Failure(Reason.DEGENERATE_GEOMETRY, _tell_ranges(problem, line, offset, sigma_km)), float(squares)
     return Orbit(

@@ -53,6 +53,17 @@ def test_mirror_images_across_the_sky_are_told(fits: list[tuple[MotionFix | Fail
         assert "km" in fit.detail
 
 
+def test_two_orbits_that_are_ends_of_one_valley_are_both_within_the_errors() -> None:
+    """Near the plane of the sky through the body, images show only the square of the distance behind it."""
+    track, truth, _, gravity, sigma = orbit_track(49)
+    assert isinstance(track, Track)
+    fit = fit_motion(track, MotionOptions(models=("orbit",), gravity=gravity, gm_sigma_km3_s2=sigma))
+    assert isinstance(fit, MotionFix)
+    assert isinstance(fit.orbit, Orbit)
+    errors = (fit.orbit.state - truth) / np.sqrt(np.diag(fit.orbit.covariance))
+    assert float(np.abs(errors).max()) < 3.0
+
+
 def test_short_arcs_have_a_line_and_the_ranges_of_bound_orbits() -> None:
     track, _, _, gravity, sigma = orbit_track(1, images=6, step_s=20.0)
     assert isinstance(track, Track)
