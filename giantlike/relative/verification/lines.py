@@ -15,6 +15,7 @@ from giantlike.relative.verification.light_side import independent_parts
 
 _NEAREST, _FARTHEST = 0.1, 2.0
 """Range of the shift, radii: nearer ones are linear, and farther ones are at another place altogether."""
+_INSIDE = 0.9  # of the squares of the light that stay in the region: what leaves it explains dark rows, as in a gap
 _REACHED = 0.05  # light of a row relative to the brightest, below which a line there divides nothing
 
 
@@ -34,10 +35,12 @@ def restore_lines(cells: Cells, own: Template, albedo: float, axis: int) -> tupl
     nearest, farthest = max(math.ceil(_NEAREST * cells.radius), 1), int(_FARTHEST * cells.radius)
     steps = np.concatenate([np.arange(-farthest, 1 - nearest), np.arange(nearest, farthest + 1)])
     sums, count = _line_sums(light, values, good), int(good.sum())
-    here = sums[..., 0]
+    here, squares = sums[..., 0], float(sums[2, :, 0].sum())
     before = np.cumsum(sums[..., steps] - here[..., None], axis=1)
-    shares = _fit_squares(here.sum(axis=1)[:, None, None, None] + np.stack([before, before[:, -1:] - before], 1), count)
-    own_share, total = float(_fit_squares(here.sum(axis=1), count)), float(np.sum(values**2))
+    shares = _fit_squares(
+        here.sum(axis=1)[:, None, None, None] + np.stack([before, before[:, -1:] - before], 1), count, squares
+    )
+    own_share, total = float(_fit_squares(here.sum(axis=1), count, squares)), float(np.sum(values**2))
     tries = 2 * int(np.count_nonzero(here[0] > _REACHED * float(here[0].max()))) * len(steps)
     if not tries:
         return None
@@ -60,11 +63,14 @@ def _line_sums(light: Float, values: Float, good: Mask) -> Float:
     return np.asarray(irfft(np.stack([seen * of_light, weighed * of_light, seen * of_squares]), length))
 
 
-def _fit_squares(sums: Float, count: int) -> Float:
-    """Squares that light explains beside a level, where its gain is positive; values have a mean of zero."""
+def _fit_squares(sums: Float, count: int, light: float) -> Float:
+    """Squares that light explains beside a level, where its gain is positive and it stays in the region.
+
+    Values have a mean of zero; ``light``: squares of the light where it is.
+    """
     total, score, squares = sums
     size = squares - total**2 / count
-    found = np.where((score > 0.0) & (size > 0.1 * size.max()), score**2 / np.maximum(size, 1e-300), 0.0)
+    found = np.where((score > 0.0) & (squares >= _INSIDE * light), score**2 / np.maximum(size, 1e-300), 0.0)
     return np.asarray(found)
 
 
