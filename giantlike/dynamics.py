@@ -122,7 +122,7 @@ def cislunar(first: float | None = None, last: float | None = None) -> PointMass
 
     Parameters
     ----------
-    first, last : float, TDB seconds past J2000, optional; times of the flight: places are then splined, which is faster
+    first, last : float, TDB seconds past J2000, optional; times of the flight: positions are splined, which is faster
 
     Returns
     -------

@@ -170,7 +170,7 @@ class ApparentGeometry(Value):
     ----------
     position_inertial_km : (3,), km, ICRF; position of the body center from the camera
     inertial_from_body : Rotation; orientation at the time the light left the body
-    sun_direction_inertial : (3,), unitless, ICRF, optional; from body to Sun; default: the light of the scene
+    sun_direction_inertial : (3,), unitless, ICRF, optional; normalized, from body to Sun; default: by the scene
     velocity_inertial_km_s : (3,), km/s, ICRF, optional
         Velocity of the body with respect to the solar system barycenter when the light left it. Images do not depend
         on it; the geometric position at the time of the image does.

@@ -58,7 +58,7 @@ class Rings:
     ) -> Mask:
         """Find the points (n, 3) of a body, km, camera axes, that lie behind the rings or in their shadow.
 
-        ``center_km`` (3,) of the body; ``camera_from_axes`` rotates from its principal axes.
+        ``center_km`` (3,) of the body; ``camera_from_axes`` rotates from its principal axes; the Sun is in camera axes.
         """
         to_axes = camera_from_axes.inv()
         points = rotate(to_axes, points_km - center_km)
@@ -69,7 +69,7 @@ class Rings:
         )
 
     def cover(self, plane: FocalPlane, center_km: Float, camera_from_axes: Rotation, *, widened_px: float) -> Mask:
-        """Find the pixels (rows, columns) on which the rings, ``widened_px``, lie, before or behind the body.
+        """Find the pixels (rows, columns) of the rings, widened by ``widened_px``, before or behind the body.
 
         ``center_km`` (3,) of the body, camera axes; ``camera_from_axes`` rotates from its principal axes.
         """

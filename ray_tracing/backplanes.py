@@ -34,7 +34,7 @@ class Backplanes(Value):
     range_km : (rows, columns) float64, km; from the camera, along the line of sight
     depth_km : (rows, columns) float64, km; the part of it along the boresight: camera z
     incidence_rad, emission_rad, phase_rad : (rows, columns) float64, rad; from the normal to Sun and camera
-    longitude_rad, latitude_rad : (rows, columns) float64, rad; planetocentric, east in [0, 2 pi)
+    longitude_rad, latitude_rad : (rows, columns) float64, rad; planetocentric, body axes, east in [0, 2 pi)
     point_body_km : (rows, columns, 3) float64, km, body axes; the point of the surface
     shadowed : (rows, columns) bool; no direct light of the center of the Sun
     normal_body : (rows, columns, 3) float64, body axes; outward unit normal of the facet or ellipsoid

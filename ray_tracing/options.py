@@ -18,7 +18,7 @@ class RenderOptions:
     min_rays_across : int; least number across the narrow side of the outline: small bodies need more
     shadows : bool; True if bodies cast shadows, on themselves and on each other
     margin_px : int, px; margin around the detector that is rendered too: the search range of a correlation
-    jitter_seed : int, optional; of random positions of rays in cells: truth and template differ in sampling
+    jitter_seed : int, optional; of random positions of rays in cells, so that truth and template differ; else centers
     sun_radius_rad : float, rad
         Angular radius of the Sun at the body; 0 is a point. An extended Sun gives penumbrae and a soft terminator. Its
         disk is evenly bright: solar limb darkening is left out.

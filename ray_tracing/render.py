@@ -37,7 +37,7 @@ class Template(Value):
     coverage : (h, w) float64; fraction of each pixel that the body covers, lit or not, before the PSF
     corner_px : (2,) int64, px; image pixel (x, y) of element [0, 0]; negative when the template reaches over the frame
     center_px : (2,) float64, px; projection of the origin of the shape, in the distorted image
-    photocenter_px : (2,) float64, px; before PSF and pixels: holds for a body inside one pixel too
+    photocenter_px : (2,) float64, px; centroid of the light before PSF and pixels, also inside one pixel
     lit_fraction : float; part of the rays on the body that end on lit surface
     rendered_from_camera : Rotation; from camera axes to the rendered ones; identity, unless recentered
     """
@@ -69,7 +69,7 @@ class SceneRender(Value):
 
     @property
     def brightness(self) -> Float:
-        """Sum of all bodies in the whole frame (rows, columns), computed at each access; 1 is seen and lit upright."""
+        """Sum of all bodies in the whole frame (rows, columns), computed at each access, relative as in a template."""
         return self.weighted(np.ones(len(self.templates)))
 
     def weighted(self, weights: ArrayLike) -> Float:
@@ -158,9 +158,10 @@ def render_scene(
     rows: int,
     options: RenderOptions = DEFAULT_OPTIONS,
 ) -> SceneRender:
-    """Render bodies that hide and shade each other, each with its Sun, as :func:`~giantlike.ray_tracing.render`.
+    """Render bodies that hide and shade each other, as :func:`~giantlike.ray_tracing.render`.
 
-    Light that one body casts on another is left out.
+    ``sun_direction_camera`` (3,) or (n, 3), unit vector to the Sun, for all bodies or for each. Light that one body
+    casts on another is left out.
     """
     plane = FocalPlane(model=model, columns=columns, rows=rows, psf=psf)
     bodies = [body.seen_by(model) for body in bodies]

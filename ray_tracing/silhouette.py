@@ -40,7 +40,7 @@ class Silhouette(Value):
     ----------
     angles_rad : (k,) float64, rad; directions, from +x (columns) towards +y (rows)
     center_px : (2,) float64, px; start of the directions
-    valid : (k,) bool; False where no edge is met that the camera can image; other arrays are NaN there
+    valid : (k,) bool; False where no edge is met that the camera can image; other arrays are NaN or False there
     points_px : (k, 2) float64, px; limb points in the distorted image
     points_camera_km : (k, 3) float64, km, camera axes; the same points on the surface, from the camera
     normals_px : (k, 2) float64, unitless; outward unit normals of the outline in the image, taken over one pixel of it

@@ -181,7 +181,7 @@ def surface_albedo(shape: Shape, points_km: Float, facets: NDArray[np.int64]) ->
 
 
 def disk_directions(sun: Float, radius_rad: float, samples: int, first: Float, turn: Float) -> list[Float]:
-    """Directions to points of an evenly bright disk, for each of n rays, averaged over ``first`` and ``turn`` the disk.
+    """Directions to points of an evenly bright disk, for each of n rays, uniform if ``first`` and ``turn`` are.
 
     ``sun`` (4,): to the center, and a zero; ``first``, ``turn`` (n,) in [0, 1); returns an (n, 4) for each ring.
     """

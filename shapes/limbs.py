@@ -51,7 +51,7 @@ def limb(shape: Shape, camera_body_km: ArrayLike, directions_body: ArrayLike) ->
     ----------
     shape : Shape; an ``Ellipsoid`` or a ``TriangleMesh``
     camera_body_km : (3,), km, body; position of the camera, outside the shape
-    directions_body : (k, 3), any length, body; each picks a half-plane from the line to the origin
+    directions_body : (k, 3), any length, body; each selects the half-plane with it from the line camera to origin
 
     Returns
     -------

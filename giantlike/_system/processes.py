@@ -14,8 +14,8 @@ from multiprocessing.context import BaseContext
 from threadpoolctl import ThreadpoolController
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_OWN_PAGES_BYTES = 32 * 2**20  # size of arrays with pages of their own, the largest that glibc allows
-_KEPT_BYTES = 64 * 2**20  # freed memory, bytes, that a process keeps; 256 MB are no faster
+_OWN_PAGES_BYTES = 32 * 2**20  # arrays from this size get separate pages, freed at once; the largest limit of glibc
+_KEPT_BYTES = 64 * 2**20  # free memory, bytes, above which a process returns it to the system; 256 MB are no faster
 _COLLECTED_AFTER = 10_000
 """Threshold of the garbage collector, in objects allocated and not freed: 80 collections in a campaign of 255 images.
 Python's default of 700 gives 2,000, which take 1 to 2 % of the CPU. Images leave few objects in cycles."""
@@ -80,7 +80,7 @@ def worker_context(*modules: str) -> BaseContext:
 
 @contextlib.contextmanager
 def importing() -> Iterator[None]:
-    """Context manager for the imports of our own processes: without garbage collection, which is rarer afterwards."""
+    """Context manager for imports without garbage collection, which is rarer afterwards and skips imported objects."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -93,7 +93,7 @@ def importing() -> Iterator[None]:
 
 
 def keep_memory() -> None:
-    """Let a process of our own keep the memory of freed arrays for the next image (no effect but with glibc)."""
+    """Keep the memory of freed arrays in this process for the next image; only glibc can do that."""
     if sys.platform == "linux":
         import ctypes  # not needed by other commands
 

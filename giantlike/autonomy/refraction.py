@@ -44,7 +44,7 @@ class SiteAtmosphere:
 
 
 def apply_refraction(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
-    """Raise directions (..., 3) toward the zenith (3,) as the atmosphere does.
+    """Raise directions (..., 3) toward the zenith (3,), in the same axes, as the atmosphere does.
 
     Source: ERFA (liberfa) refco.c: constants of the refraction, and their limits.
     """
@@ -58,7 +58,7 @@ def apply_refraction(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteA
 
 
 def remove_refraction(directions: ArrayLike, zenith: ArrayLike, atmosphere: SiteAtmosphere) -> Float:
-    """Take refraction out of directions (..., 3) measured on the ground, under a zenith (3,)."""
+    """Take refraction out of directions (..., 3) measured on the ground; zenith (3,) in the same axes."""
     vectors, up, length, seen = _zenith_distances(directions, zenith)
     a, b = atmosphere.constants_rad()
     tangent = np.tan(seen)

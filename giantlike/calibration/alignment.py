@@ -55,7 +55,10 @@ def align(
     temperatures_c: ArrayLike | None = None,
     outlier_sigma: float = 5.0,
 ) -> AlignmentResult | Failure:
-    """Weighted mean of n measured alignments, with a drift linear in temperature where temperatures are given."""
+    """Weighted mean of n measured alignments, with a drift linear in temperature where temperatures are given.
+
+    ``covariances_rad2`` (n, 3, 3), of small rotations about the axes of the second sensor; ``temperatures_c`` (n,).
+    """
     count = len(rotations)
     covariances = as_finite(covariances_rad2, (count, 3, 3), "covariances_rad2")
     temperatures = np.zeros(count) if temperatures_c is None else as_finite(temperatures_c, (count,), "temperatures_c")

@@ -68,7 +68,8 @@ def support_of(
 ) -> tuple[ParameterSupport, ...]:
     """Judge the first k of n parameters, which may be entangled with the others.
 
-    ``reach`` (k,): largest derivative of a pixel; ``scales``: names for which zero is no meaningful value.
+    ``values``, ``start``, ``prior_sigma``, ``reach`` (k,): the last is the largest derivative of a measurement by each
+    parameter; ``covariance`` (n, n); ``scales``: names for which zero is no meaningful value.
     """
     sigma = np.sqrt(np.diag(covariance))
     units = np.where(sigma > 0.0, sigma, 1.0)

@@ -24,9 +24,10 @@ class ImageObservations(Value):
         board's own axes where ``finite``, in any unit of length.
     points_px : (n, 2) float64, px; measured pixels of the targets
     sigma_px : (n,) float64, px; standard deviation per axis; a scalar applies to all
-    camera_from_reference : Rotation, optional; a priori; else from targets (directions) and starting model
+    camera_from_reference : Rotation, optional; a priori; default for directions: estimated with the starting model
     attitude_sigma_rad : float, rad, optional; a priori, per axis; by default the orientation is only a start
-    position_reference : (3,) float64, optional; start, camera to origin of the board, for ``finite`` targets
+    position_reference : (3,) float64, optional; of ``finite`` targets: start, from camera to origin of the board,
+        camera axes, in the unit of the targets
     finite : bool; True if the targets are points at a finite distance, False if they are directions
     temperature_c : float, Celsius; of the camera
     labels : (n,) int64; catalog identifiers or numbers of corners of the targets, by default numbers from 0
@@ -87,7 +88,7 @@ class ImageObservations(Value):
 
 
 def collimator_directions(azimuth_rad: ArrayLike, elevation_rad: ArrayLike) -> Float:
-    """Directions (n, 3) of a fixed collimator in the axes of the gimbal stage that carries the camera.
+    """Directions (n, 3), unit vectors, of a fixed collimator in the axes of the gimbal stage that carries the camera.
 
     The stage rotates about its vertical axis (azimuth, toward +x) and then about its horizontal axis (elevation, toward
     -y, up in an image); at zero the collimator is on its +z axis. Seen from the stage it moves the other way. All

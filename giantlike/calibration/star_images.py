@@ -42,7 +42,7 @@ class StarImage(Estimate):
 
     name: str
     sky: Sky
-    points_px: Float  # points_px, covariance_px2, snr: of m sources without flags of ``NOT_A_STAR``, brightest first
+    points_px: Float  # (m, 2), with covariance_px2, snr: sources without flags of ``NOT_A_STAR``, brightest first
     covariance_px2: Float
     snr: Float
     camera_from_inertial: Rotation  # first solution
@@ -178,7 +178,7 @@ def calibrate_stars(
     camera : Camera; a rough camera
     estimate : sequence of str; parameters to estimate, as in :func:`~giantlike.calibration.calibrate`
     model_type : str, optional; type of the model to estimate, see :func:`start_model`
-    min_snr : float; of the stars used, but for the 20 brightest of each image; by default none is left out
+    min_snr : float; lowest ratio of stars used; by default all; the 20 brightest of each image always are
     stars : StarOptions, optional
     options : CalibrationOptions, optional
     criteria : CalibrationCriteria, optional

@@ -55,7 +55,7 @@ class FisheyeModel(AxialModel):
         return ideal * (1.0 + e2 * (self.k1 + e2 * (self.k2 + e2 * (self.k3 + e2 * self.k4))))
 
     def _growth(self, ideal: Float) -> Float:
-        """Derivative of :meth:`_corrected`."""
+        """Derivative of :meth:`_correct`."""
         e2 = ideal * ideal
         return 1.0 + e2 * (3 * self.k1 + e2 * (5 * self.k2 + e2 * (7 * self.k3 + e2 * 9 * self.k4)))
 

@@ -122,7 +122,7 @@ class OpenCVModel(RationalModel):
     Parameters
     ----------
     fx_px, fy_px, cx_px, cy_px, skew_px, a1_per_c, a2_per_c2, a3_per_c3 : float; see ``AffineModel``
-    k1, k2, k3, k4, k5, k6 : float; of r^2, r^4, r^6 in the numerator, then in the denominator
+    k1, k2, k3, k4, k5, k6 : float; of r^2, r^4, r^6 in the numerator of the radial factor, then its denominator
     p1, p2 : float; decentering coefficients
     s1, s2, s3, s4 : float; thin prism: x moves by ``s1 r^2 + s2 r^4``, y by ``s3 r^2 + s4 r^4``
 

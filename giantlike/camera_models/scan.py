@@ -56,7 +56,8 @@ class SweepXModel(AffineModel):
 class SweepYModel(SweepXModel):
     """Scan angles of a gimbal that sweeps about the axis of rows: ``tan u = X / Z`` and ``sin v = Y / |r|``.
 
-    The normalized geostationary projection, PROJ's ``+sweep=y``: Himawari AHI, MTSAT, Meteosat.
+    The normalized geostationary projection, PROJ's ``+sweep=y``: Himawari AHI, MTSAT, Meteosat. Parameters are those of
+    :class:`SweepXModel`.
 
     References
     ----------

@@ -35,7 +35,7 @@ class BatchSolution(Value):
     covariance_first: Float  # covariance_first, covariance_last: (21, 21); of their errors
     covariance_last: Float
     residuals: Float  # (m, 3); measured minus predicted
-    squared_residual: float  # by the covariance of all data and of the a priori state: on average their number
+    squared_residual: float  # normalized by the covariance of data and a priori state; expected: number of measurements
     iterations: int
 
 
@@ -52,7 +52,7 @@ def estimate_batch(
 
     Parameters
     ----------
-    start : FilterState; of one spacecraft, not later than the first image, all of whose states are estimated
+    start : FilterState; a priori, of one spacecraft, not later than the first image; all states are estimated
     observations : sequence of BodyObservation; in order of time, at least one
     model : FilterModel
     most_iterations : int

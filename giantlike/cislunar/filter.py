@@ -229,7 +229,7 @@ class BodyObservation(Value):
     measured : (..., 3) float64; tangents of the two angles, and the range in km
     variances : (..., 3) float64; of independent noise
     camera_from_inertial : (..., 3, 3) float64; as declared; the true one is the rotation by the attitude error after it
-    body_position_km : (3,) float64, km; apparent place of the body relative to the central body of the flight
+    body_position_km : (3,) float64, km; apparent position of the body relative to the central body of the flight
     radius_km : float, km
     """
 

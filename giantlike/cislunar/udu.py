@@ -92,7 +92,7 @@ def plus_dyad(factors: UduFactors, weight: ArrayLike, vector: ArrayLike) -> UduF
 
 
 def gauss_markov_step(factors: UduFactors, index: int, decay: ArrayLike, variance: ArrayLike) -> UduFactors:
-    """Factors after one state was multiplied by a decay and got independent noise of a variance.
+    """Factors after one state was multiplied by a decay (...) and got independent noise of a variance (...).
 
     Source: I.B, for parameters: the state's column loses a dyad of the states before it.
     """

@@ -36,7 +36,7 @@ class GaussianPsf:
 
     Parameters
     ----------
-    sigma_px : float, px; in [0, 20]; 0 means no blur; the default, 0.8, is that of the demonstration's camera
+    sigma_px : float, px; standard deviation, in [0, 20]; 0: no blur beyond the pixel; default 0.8, as in the demo
     """
 
     sigma_px: float = 0.8

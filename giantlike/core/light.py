@@ -39,7 +39,7 @@ def boosted(positions_km: ArrayLike, velocity_km_s: ArrayLike) -> Float:
     unit direction. The Lorentz boost to the observer gives a vector of the length ``r g (1 + n.b)``, with ``b = v / c``
     and ``g = 1 / sqrt(1 - b^2)``. That is the distance in the frame of the observer, which determines the apparent
     size: a body that moves along with the observer appears as far as it is. SPICE's ``LT+S`` keeps the length, which is
-    1e-4 of the range off at the speed of the Earth.
+    in error by 1e-4 of the range at the speed of the Earth.
 
     >>> round(float(np.linalg.norm(boosted([384400.0, 0.0, 0.0], [29.79, 0.0, 0.0])) - 384400.0), 1)
     38.2

@@ -48,11 +48,11 @@ class Failure:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AttitudeErrors(Value):
-    """Error budget of an attitude, and the errors that it has in common with the measurement.
+    """Error budget of an attitude (a small rotation ``e``), and the errors that it has in common with the measurement.
 
     Parameters
     ----------
-    parts : mapping of Cause to (3, 3) float64, rad^2; covariance of ``e`` by cause; empty when all is noise
+    parts : mapping of Cause to (3, 3) float64, rad^2; of ``e``, about the camera axes; empty when all is noise
     by_camera : (3, m) float64, rad per unit of each parameter, optional
         Derivative of ``e`` by the parameters of the camera model, in the order of their names: an attitude from stars
         depends on errors of the camera. None where it does not, or where this is unknown.
@@ -272,7 +272,7 @@ class BodyTurn(Value):
     covariance : (3, 3) float64
         Of x and y in px and of the rotation in rad, by noise and the errors of the shape. The a priori orientation does
         not enter; the errors of the camera model are in the variance of the rotation alone.
-    by_rotation : (3, 3) float64, px/rad and rad/rad; derivative by a small rotation about the camera axes
+    by_rotation : (3, 3) float64, px/rad and rad/rad; of x, y, rotation by a small rotation about the camera axes
     """
 
     turn_rad: float
@@ -294,8 +294,8 @@ class PositionFix(CenterFix):
     covariance_camera_km2 : (3, 3) float64, km^2, camera axes
         Covariance of the position in camera axes: the causes of ``covariance_px2``, and the camera model alone, which
         converts pixels to directions. The attitude and the ephemeris of the target are not in it.
-    limb_px : (n, 2) float64, px; for overlays: limb points, landmarks used, or the outline of a template
-    limb_rejected_px : (k, 2) float64, px; of the lit limb, not used; as measured or else predicted
+    limb_px : (n, 2) float64, px; for overlays: limb points or landmarks used, or the outline of a template
+    limb_rejected_px : (k, 2) float64, px; points of the illuminated limb not used, as measured or else predicted
     turn : BodyTurn or None; rotation of the body about the line of sight, of estimators that measure it
     """
 

@@ -19,7 +19,7 @@ from giantlike.shapes import Ellipsoid, Shape, TriangleMesh
 
 ROCKS = 4  # rocks to choose from: each costs a process 0.5 s, once
 _TABLE_CELLS = 256  # cells of the tables of relief, 0.6 degrees each: a tenth of the smallest crater
-_MESH_CELLS = 96  # of the meshes along 90 degrees: facets are 7e-5 of the radius off, 0.005 px at 150 px
+_MESH_CELLS = 96  # of the meshes along 90 degrees: facets deviate by 7e-5 of the radius, 0.005 px at 150 px
 
 TOLD_LAWS: Mapping[str, Reflectance] = MappingProxyType(
     {

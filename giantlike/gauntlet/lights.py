@@ -96,7 +96,7 @@ def coverage(world: World, body: Body, position_camera_km: Float) -> Float:
 
 
 def rings(*, inner: float, outer: float, brightness: float, opacity: float) -> Light:
-    """Rings in the plane of the equator: radii in those of the body, brightness in that of its brightest pixel."""
+    """Rings in the plane of the equator: radii over that of the body, brightness over its brightest pixel."""
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
         assert world.body is not None
@@ -121,7 +121,10 @@ def rings(*, inner: float, outer: float, brightness: float, opacity: float) -> L
 
 
 def coma(*, brightness: float, core_px: float, fan: float) -> Light:
-    """Dust around a nucleus, brighter towards the Sun: ``brightness`` of the nucleus at ``core_px``, then as 1/r."""
+    """Dust around a nucleus, brighter towards the Sun, as 1/r beyond ``core_px``.
+
+    ``brightness``: up to there, relative to the brightest pixel of the nucleus.
+    """
 
     def add(signal: Float, world: World, rng: np.random.Generator) -> Float:
         rows, columns = signal.shape

@@ -14,7 +14,7 @@ from giantlike.gauntlet.plan import PSF_PX, Plan, log_uniform, star_plan
 from giantlike.independent import EllipsoidBody, StarField
 from giantlike.shapes import Ellipsoid
 
-_STATED_SHARE = 0.5  # of the errors of size, focal length, attitude, within their declared uncertainty
+_STATED_SHARE = 0.5  # fraction of errors of size, focal length, attitude that are within the declared sigma
 _SEARCH_PX = 30.0  # error of a prediction, px, that every search covers
 
 

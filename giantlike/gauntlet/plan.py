@@ -45,7 +45,7 @@ Readout = Callable[[Float, np.random.Generator], Float]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class World(Value):
-    """An image as it comes about."""
+    """Truth of an image: camera, target, illumination, detector."""
 
     view: PinholeView  # the camera
     attitude: Rotation  # ``camera_from_inertial``
@@ -73,7 +73,7 @@ class World(Value):
 
     @property
     def center_px(self) -> Float:
-        """Place of the target, (2,), px."""
+        """Center of the target, (2,), px."""
         return self.view.project(self.position_camera_km)
 
     @property
@@ -95,7 +95,7 @@ class Told(Value):
     sun: Float = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))  # in true camera axes
     ephemeris_sigma_km: float = 0.0  # 0 where it is not declared
     scale_sigma: float = 0.0  # relative
-    # ``told camera_from_inertial = attitude_error * true camera_from_inertial``
+    # assumed ``camera_from_inertial``, as a rotation from the true one: ``assumed = attitude_error * true``
     attitude_error: Rotation = field(default_factory=Rotation.identity)
     attitude_sigma_deg: float = ATTITUDE_SIGMA_DEG  # declared
     focal_factor: float = 1.0  # ratio of the assumed to the true focal length
@@ -103,7 +103,7 @@ class Told(Value):
     focal_sigma: float = FOCAL_SIGMA  # declared, relative
     saturation_dn: float = FULL_DN  # declared
     dn_scale: float = 1.0  # DN of the image for each DN of the detector: below 1 after requantization
-    mask: Callable[[Float], Any] | None = None  # pixels as read (rows, columns) to declared bad ones
+    mask: Callable[[Float], Any] | None = None  # from pixels as read (rows, columns) to the mask of declared bad ones
     observer_known: bool = True  # False where the velocity of the observer is not declared
     observer_factor: float = 1.0  # ratio of the assumed to the true velocity
     catalog: StarField | None = None  # assumed stars
@@ -140,7 +140,7 @@ class Base:
 
 LARGEST_ROCK_PX = 130.0  # diameter of the largest rocks, px: their rays march, at 1 s for 150 px
 POINT_PX = (1.0, 3.0)  # diameters of bodies that are points of light, px
-_MARGIN, _LEAST_FRAME_PX, _STAR_FRAME_PX = 1.6, 256, 512  # frame over diameter; smallest; of the star camera
+_MARGIN, _LEAST_FRAME_PX, _STAR_FRAME_PX = 1.6, 256, 512  # ratio to the body; smallest; of the star camera, px
 
 
 def normal(rng: np.random.Generator, size: int) -> Float:

@@ -51,7 +51,10 @@ class TdmSegment:
 
 
 def write_tdm(path: str | Path, segments: Sequence[TdmSegment], *, originator: str = "UNKNOWN") -> None:
-    """Write a TDM: right ascension and declination in ICRF at the time of reception in UTC, and the range in km."""
+    """Write a TDM: right ascension and declination in ICRF at the time of reception in UTC, and the range in km.
+
+    The light goes from participant 2, the target, to participant 1. Errors are comments at the start of the data.
+    """
     require(len(segments) > 0, "a TDM needs a segment")
     lines = [
         "CCSDS_TDM_VERS = 2.0",

@@ -43,7 +43,7 @@ class OrbitCovariance(Value):
         return float(np.sqrt(np.linalg.eigvalsh(self.covariances[:, :3, :3]).max()))
 
     def at(self, et: float) -> Float:
-        """Covariance (3, 3), km^2, of the position at a time, linear between two epochs carried along lines."""
+        """Covariance (3, 3), km^2, of the position, linear in time; states are carried along straight lines first."""
         if not self.et[0] <= et <= self.et[-1]:
             first, last, epoch = (utc_text(time_from_et(each), 0) for each in (*self.et[[0, -1]].tolist(), et))
             raise DataError(self.path, f"covers {first} to {last} UTC, and {epoch} is needed")

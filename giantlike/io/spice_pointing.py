@@ -72,7 +72,7 @@ class LabelClock:
 
 
 def nearest_attitude(frame: str, et: float, tolerance_s: float) -> Rotation:
-    """Attitude of an instrument frame, also where a C-kernel holds single ones; fixed frames are followed to it."""
+    """Attitude ``camera_from_inertial`` of a frame at ``et``, else the nearest in the C-kernel that it is fixed to."""
     import spiceypy
     from spiceypy.utils.exceptions import SpiceyError
 

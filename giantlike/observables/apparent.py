@@ -40,11 +40,11 @@ def removed(apparent_km: Float, circumstances: Circumstances) -> Removed:
 
 
 def apparent_by_position(astrometric_km: Float, circumstances: Circumstances) -> Float:
-    r"""Derivative (3, 3) of the apparent vector by the position of the target, ICRF; by the spacecraft's its negative.
+    r"""Derivative (3, 3) of the apparent vector by the position of the target, ICRF; the negative by the spacecraft's.
 
-    The vector ``v = t(et - |v|/c) - s`` from the spacecraft ``s`` to the target ``t`` changes by ``(I + w n^T / c)^-1
-    (dt - ds)`` with the velocity ``w`` of the target (if unknown, of the spacecraft: 1e-4 off) and the unit direction
-    ``n``, and the boost by its own derivative.
+    The vector ``v = t(et - |v|/c) - s`` from the spacecraft ``s`` to the target ``t`` changes by
+    ``(I + w n^T / c)^-1 (dt - ds)`` with the velocity ``w`` of the target (if unknown, of the spacecraft: in error by
+    1e-4) and the unit direction ``n``, and the boost by its own derivative.
     """
     velocity = circumstances.target_velocity_km_s
     if velocity is None:

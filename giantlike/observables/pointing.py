@@ -31,7 +31,7 @@ _BODY_AXES = {"partial_pole": slice(0, 2), "partial_spin": slice(2, 3)}
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pointing(Value):
-    """Attitude of a camera from bodies, and from what was known of it before."""
+    """Attitude of a camera from bodies and the a priori attitude."""
 
     camera_from_inertial: Rotation
     # in camera axes; of the small rotation about the camera axes; the errors of ephemeris, size, pole and camera are in

@@ -25,8 +25,9 @@ class Preference:
 def preferred(fixes: Sequence[CenterFix], *, accepted: Collection[int] = ()) -> Preference:
     """Choose the fix that a filter should take.
 
-    Suspect fixes are chosen only where a user accepted them. ``auto`` is taken where it was run. Else, of the fixes
-    that agree with the most others by what they do not share, the one with the smallest error ellipse in the image.
+    Suspect fixes are chosen only where a user accepted them. ``auto`` is taken where it was run. Else fixes
+    are compared by the errors that they do not share; of those that agree with the most others, the one with the
+    smallest error ellipse in the image is chosen.
 
     >>> preferred([])
     Preference(index=None, reason='no fix')

@@ -60,7 +60,7 @@ class PassFix(Value):
     tests : tuple of TermTest
     weak : tuple of WeakCombination
     jitter : TimetagJitter or None
-    positions_camera_km : (n, 3) float64, km, camera axes; in each image, but for altitude and offsets of limbs
+    positions_camera_km : (n, 3) float64, km, camera axes; of the body, without altitude and offsets of limbs
     residuals : tuple of (m,) float64, sigmas; measured minus predicted, jitter left in; NaN where excluded
     chi2 : float; squared residuals in units of their covariance
     freedom : int

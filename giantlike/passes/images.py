@@ -222,7 +222,7 @@ class PassImage(Value):
     observed : LimbPoints or MeasuredPosition
     exposure_s : float, s; needed by the terms of the exposure alone
     sensor : str; sensor that the attitude comes from
-    by_trajectory : (3, m) float64, km per unit of each, camera axes; by parameters of the trajectory
+    by_trajectory : (3, m) float64, km per unit of each, camera axes; position by parameters of the trajectory
     """
 
     name: str

@@ -43,8 +43,8 @@ class PassOptions:
 
     Parameters
     ----------
-    estimate : mapping of PassTerm to float; terms and a priori sigmas of their parameters, maybe infinite
-    consider : mapping of PassTerm to float; terms kept, whose sigmas enter the covariance
+    estimate : mapping of PassTerm to float; terms, a priori sigma of their parameters; infinite where unknown
+    consider : mapping of PassTerm to float; terms not estimated, whose sigmas enter the covariance
     trajectory : Treatment; of the trajectory, where the pass has its covariance
     limb_errors : Treatment
         Of the errors that limbs share (blur, law, relief): estimated with their a priori covariance, which weights

@@ -63,12 +63,12 @@ class FluxOptions:
 
     Parameters
     ----------
-    aperture_px : float, px; radius of the circle, which also tells saturated, masked, cut, blended sources
+    aperture_px : float, px; radius of the circle, whose pixels also decide the flags of the source
     annulus_px : (float, float), px; radii of the ring; fluxes refer to all light within the inner one
     method : {"psf", "aperture"}
         Least squares with the point spread function, or the sum of the circle. Where pixels are large (a sigma below
         0.5 px) or the point spread function varies over the field, the circle is the safer one.
-    growth : bool; multiply by what the growth curve of the bright sources has beyond circle or function
+    growth : bool; correct for light beyond circle or function by the growth curve of the bright sources
     max_stars : int; most stars that :func:`measure_stars` measures, the brightest of the catalog: bounds the time
 
     Raises
@@ -158,7 +158,7 @@ def measure_fluxes(
     ----------
     image : Image; with its exposure time
     camera : Camera; its ``psf`` is the first guess of the width, 1 px without one
-    points_px : (n, 2) array_like, px; in the frame; neighbors are told apart only where both are given
+    points_px : (n, 2) array_like, px; in the frame; neighbors are separated only where both are given
     options : FluxOptions
 
     Returns

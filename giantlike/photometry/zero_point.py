@@ -71,13 +71,13 @@ class ZeroPoint(Estimate):
     Parameters
     ----------
     photometry : Photometry; for camera files; of several images the mean, their scatter in its covariance
-    supported : mapping of str to ParameterVerdict; what the stars say of each term of :data:`TERMS`
+    supported : mapping of str to ParameterVerdict; of each term of :data:`TERMS`, by the stars
     images_mag : (k,) float64, mag; zero point of each image, with the color and field term of all
     covariance_images_mag2 : (k + 2, k + 2) float64, mag^2; of ``images_mag``, color term and field term
-    residuals : tuple of k (n,) float64; flux minus expected over both sigmas and scatter; NaN if not used
+    residuals : tuple of k (n,) float64; flux minus expected, over the sigma of both with scatter; NaN if not used
     used : tuple of k (n,) bool; stars used
     n_used, n_rejected : int; stars used, and those left out as outliers
-    notes : tuple of str; what is missing from the fit, and why
+    notes : tuple of str; terms and stars missing from the fit, and why
     """
 
     photometry: Photometry

@@ -30,7 +30,7 @@ from giantlike.shapes.generate import surface_waves
 from giantlike.simulation import Sources, simulate_image
 
 _MARGIN_PX = 60  # sky around the drawn body: the widest search of an estimator by default, 40 px, and background beyond
-_FACETS = (2_000, 80_000)  # of a drawn body that is an ellipsoid by declaration; else two a square pixel
+_FACETS = (2_000, 80_000)  # fewest and most of a drawn body declared an ellipsoid; between, two a square pixel
 _RELIEF_WAVES = ((3.0, 1.0), (7.0, 0.5), (16.0, 0.25))
 """Wave numbers of relief, per radius, and their amplitudes: shorter waves are as steep as longer ones."""
 _WAVES = 24  # plane waves of a random field, of which half were too few for a normal distribution
@@ -52,12 +52,12 @@ _OF_MODEL = frozenset(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TruthOptions:
-    """Standard deviations of what images are drawn from, beside the uncertainties of the target.
+    """Standard deviations from which bodies and optics are drawn, in addition to the uncertainties of the target.
 
     Parameters
     ----------
     relief : float; of the surface about the declared shape, over its radius
-    albedo : float, optional; relative albedo variations; by default from :mod:`giantlike.image_model.field`
+    albedo : float, optional; of albedo, relative; default: drawn from the prior of :mod:`giantlike.image_model.field`
     brightness : float; relative, of the normal albedo
     law : float; of the share of Lambert's law less that of Lommel and Seeliger's, and of the phase slope, 1/rad
     psf : float; relative, of the width of the point spread function
@@ -95,7 +95,7 @@ class FixForecast(Value):
         Expected covariance of x and y, px, and, where the fix has a range (k = 3), of its natural logarithm. None where
         no draw gave a fix.
     parts : mapping of Cause to (k, k) float64; that covariance by cause
-    nees : float; mean squared error by own covariance and dimension: 1 is right; NaN without fixes
+    nees : float; mean normalized squared error over dimension, near 1 if covariances hold; NaN without fixes
     """
 
     estimator: str

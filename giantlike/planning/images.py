@@ -48,7 +48,7 @@ class PlanOptions:
 
     Parameters
     ----------
-    target : str, optional; body that is navigated by; may be left out when there is only one
+    target : str, optional; body to navigate by; may be left out when there is only one
     seed : int; of everything random
     exposures_s : tuple of float, s; exposure times to choose from, for candidates that have none
     keep_out_deg : float, deg; smallest angle of the boresight from the Sun
@@ -57,11 +57,11 @@ class PlanOptions:
         the second, and it is no longer than the first needs.
     min_snr : float; smallest signal to noise ratio of the whole signal of the body
     max_blur_px : float, px; largest motion of the body during an exposure that is chosen
-    estimators : tuple of str; for drawn images, the one to choose images by first; none: nothing is drawn
+    estimators : tuple of str; their fixes are predicted by drawn images; the first decides; none: no images are drawn
     draws : int; drawn images of each size, phase and brightness; the candidates of one share them
-    truth : TruthOptions; what they are drawn from, beside the uncertainties of the target
+    truth : TruthOptions; errors of the drawn images, in addition to the uncertainties of the target
     albedo : float; normal albedo of a target without one
-    sun_distance_au : float, au; distance of the Sun where no ephemeris tells
+    sun_distance_au : float, au; distance of the Sun where no ephemeris gives it
     stars : StarOptions; options of the run that is planned
     detection : DetectionOptions; options of the run that is planned
 

@@ -128,7 +128,7 @@ def choose_exposure(
 ) -> int:
     """Index of the shortest exposure that fills the well to its lower limit with the signal to noise ratio needed.
 
-    Else of the longest whose 95 % quantile is within the upper limit and which motion allows; else of the shortest.
+    Where none does, of the longest whose 95 % quantile is below the upper limit and that motion allows, or the first.
     """
     good = [
         number

@@ -59,7 +59,7 @@ class SelectOptions:
     Parameters
     ----------
     min_gap_s : float, s; smallest time between two images
-    orbit : OrbitPrior, optional; by default as in the first image, +- a tenth of the range, and straight
+    orbit : OrbitPrior, optional; default: state of the first image, sigma a tenth of its range, straight line
     estimator : str, optional; whose fixes count; by default the first of the plan
 
     Raises

@@ -30,7 +30,7 @@ from giantlike.stars.navigation import sky_of
 from giantlike.stars.options import StarOptions
 
 _BLEND_WIDTHS = 2.5  # distance, in widths of a star, within which the fainter is lost: equal peaks merge at 2
-_BACKGROUND_LOSS = 0.97  # part of the signal to noise ratio that ``matched_filter`` keeps without background
+_BACKGROUND_LOSS = 0.97  # of the signal to noise ratio, kept by ``matched_filter``, which removes background
 _TWO_SIGMA = 2.0  # half width of the stated interval, standard deviations: 95 %
 _INFORMATION = 0.96  # part of the information in the stars used; a run measures the brightest (``StarOptions``)
 
@@ -44,7 +44,7 @@ class StarForecast(Value):
     in_field : int; stars of the catalog in the field of view, down to its limit
     expected : float; expected number of detections; equal to ``in_field`` where no zero point is known
     low, high : float; interval of 95 % of that number: chance, and the error of the zero point
-    covariance_rad2 : (3, 3) float64, rad^2, camera axes, optional; of the attitude, as ``AttitudeFix``
+    covariance_rad2 : (3, 3) float64, rad^2, camera axes, optional; of the attitude, as in ``AttitudeFix``
     parts : mapping of Cause to (3, 3) float64, rad^2; that covariance by cause
     failure : Failure, optional; reason for which there is no attitude
     """

@@ -44,7 +44,7 @@ _MAX_ELONGATION = 2.0  # largest ratio of the sides of a panel; narrower images 
 _MIN_ZOOM_PX, _ZOOM_MARGIN = 24.0, 1.25  # half width of a close-up at the least, px, and its margin around the body
 _ELLIPSE_RAD = np.linspace(0.0, 2.0 * np.pi, 49)  # of the points of an ellipse: no corners are seen
 _CUT = 10.0  # distance of neighbors on an outline, over the median one, beyond which the frame lies between them
-_SAMPLED_ROWS = 64  # rows that a gray scale is taken from: 30,000 pixels tell a percentile to look at
+_SAMPLED_ROWS = 64  # rows that a gray scale is taken from: 30,000 pixels give percentiles well enough
 _SOFTENING = 8.0  # level, in units of the noise, up to which the gray scale is linear; above it is logarithmic
 
 
@@ -132,7 +132,7 @@ def overlay_panels(
 
 
 def overlay_figure(panels: Sequence[OverlayPanel]) -> Figure:
-    """Draw panels side by side with matplotlib; :func:`giantlike.plotting.svg_overlay` is faster, for pages."""
+    """Draw panels side by side with matplotlib; :mod:`giantlike.plotting.svg_overlay` is faster, for pages."""
     height_in = PANEL_IN * shown_aspect(panels[0])
     with drawing():
         figure, axes = _axes(len(panels), PANEL_IN, height_in)

@@ -76,9 +76,12 @@ def _layers_of(part: Series, quantity: int, color: str, marker: MarkShape, *, la
 def star_residual_charts(
     points_px: Float, residuals_px: Float, magnitudes: Float, sigma_px: Float, columns: int, rows: int
 ) -> ChartSheet:
-    """Residuals (n, 2) of matched stars: arrows over the field, histogram per axis, size against magnitude.
+    """Residuals of matched stars: arrows over the field, histogram per axis, size against magnitude.
 
     Observations without magnitudes, such as corners of a board, are shown against the distance from the image center.
+
+    ``residuals_px`` (n, 2), observed minus predicted, at ``points_px`` (n, 2); ``magnitudes`` (n,), NaN where there are
+    none; ``sigma_px`` (n,), standard deviation per axis that weighted each star.
     """
     known, label, title = np.isfinite(magnitudes), "magnitude", "Against magnitude"
     if not known.any():

@@ -124,7 +124,7 @@ class CalibrationFrames(Value):
     bias: CombinedFrame | None = None  # exposures of zero length
     dark: CombinedFrame | None = None  # exposures without light
     dark_exposure_s: float | None = None  # exposure of the dark; needed with a dark
-    dark_has_bias: bool = True  # as of raw exposures: without a bias frame, for images of one exposure
+    dark_has_bias: bool = True  # as raw exposures have; without a bias frame, only for images of this exposure
     flat: CombinedFrame | None = None  # response to uniform light, without bias and dark, median 1
     bad: Mask = field(default_factory=lambda: np.zeros((0, 0), dtype=bool))  # True if bad, hot in dark, dead in flat
 

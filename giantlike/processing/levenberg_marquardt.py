@@ -58,7 +58,7 @@ def minimize(
     increases the cost. (The paper's update lacks the weight on its right-hand side.)
 
     Source: Liounis et al., Independent Optical Navigation Processing for the OSIRIS-REx Mission, Camera Calibration,
-    1-5.
+    steps 1-5.
     """
     normal = linearize(state)
     if normal is None:

@@ -26,7 +26,7 @@ _SMOOTH_DEGREES = (3.0, 6.0, 12.0)  # of the end of smooth relief: bumps, old cr
 _SMOOTH = len(_SMOOTH_DEGREES)
 _ROUGH_SHARE = 0.02  # fraction of rough relief in the variance of smooth relief
 _LEAST_WAVES = 0.9  # minimum number of waves, of the degree about which smooth relief ends, in the visible outline
-_LEAST_LENGTH = 1.0 / 12.0  # correlation length / radius of a flat sphere: errors of pixels and albedo
+_LEAST_LENGTH = 1.0 / 12.0  # correlation length / radius below which the body is flat: errors of pixels and albedo
 _MOST_DEGREE, _ANGLES = 400, 1501  # of spectra; angles of tabulated covariances: both below 0.5 deg
 _LEAST_NOISE2 = 0.5  # least variance of the noise over the predicted: common pixels only increase it
 

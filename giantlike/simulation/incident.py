@@ -34,7 +34,7 @@ class Sources:
 
     Parameters
     ----------
-    scene : Scene, optional; true geometry, with light time and aberration as it says; None: no bodies
+    scene : Scene, optional; true geometry; it sets light time and aberration; None: no bodies
     catalog : StarCatalog, optional; None: no stars
     photometry : Photometry; zero point of the camera
     albedo : float; radiance factor along the normal of targets without one; as dark as Bennu by default

@@ -34,8 +34,8 @@ class Shot(Value):
     name : str; name of the image
     epoch : astropy Time; mid-exposure
     exposure_s : float, s; exposure time
-    camera_from_inertial : Rotation; True attitude at mid-exposure
-    observer : ObserverState, optional; True state; without it stars have no parallax or aberration
+    camera_from_inertial : Rotation; true attitude at mid-exposure
+    observer : ObserverState, optional; true state; without it stars have no parallax or aberration
     angular_rate_camera_rad_s : (3,) float64, rad/s, camera axes; constant; stars move the other way
 
     Raises

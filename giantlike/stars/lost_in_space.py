@@ -43,7 +43,7 @@ from giantlike.stars.star_index import Pattern, StarIndex, build_index, caps, de
 from giantlike.stars.tetra import tetra_hypotheses
 
 _OTHER_SCALE = 0.2  # error of the focal length up to which a failure names the right one, as ``scale_error``
-_SCALES = (0.5, 0.7, 1.4, 2.0)  # focal lengths, over the stated one, with others as far off around each
+_SCALES = (0.5, 0.7, 1.4, 2.0)  # focal lengths, over the stated one, around each of which others are tried
 _SCALE_STEP = 0.015  # relative spacing of the focal lengths tried; only distortion and wide fields depend on it
 _TRIAD_PX, _QUAD = 2.0, 0.006  # tolerance of the distance of two stars: px, and fraction of the image width
 _TRIED, _TRIED_IN_ALL = 6, 30  # hypotheses verified, of each search and of an image: bounds the time of failures

@@ -18,7 +18,7 @@ class StarOptions:
 
     Parameters
     ----------
-    max_magnitude : float, optional; in the band of the catalog; default: by the number of detections
+    max_magnitude : float, optional; faintest star, in the band of the catalog; default: by number of detections
     lost_in_space : bool; search the whole sky if there is no a priori attitude or no stars are found with it
     estimate_scale : bool
         Estimate focal length and radial distortion k1 together with the attitude, for cameras of which only
@@ -44,8 +44,8 @@ class StarOptions:
     min_snr : float
         Detections of a lower signal to noise ratio are left out, but never the brightest 20. Default 0 uses all: each
         is weighted with its covariance.
-    all_stars : bool; measure all; default False: until the rest would shrink the covariance by under 5 %
-    min_matches : int; fewest stars of a solution, 3 or more; default 4: one more than unambiguous
+    all_stars : bool; measure all, not only until the rest would shrink the covariance by less than 5 %
+    min_matches : int; fewest stars of a solution, 3 or more; default 4: one more than an attitude needs
     outlier_sigma : float
         A star further from its position than this many standard deviations is rejected. Default 4: of 100 good stars, a
         two-dimensional normal error exceeds it once in 30 images.

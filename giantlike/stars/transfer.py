@@ -43,7 +43,7 @@ class TransferOptions:
     Parameters
     ----------
     method : TransferMethod; default ``interpolate``: it needs neither rates nor a priori attitudes
-    max_gap_s : float, s; largest distance in time of star images used; default: none, as drift grows
+    max_gap_s : float, s; largest distance in time of star images used; default: no limit, as the drift grows
     drift_arcsec_per_sqrt_s : float, arcsec/s^0.5
         Random walk per axis of the rotation that the method does not model. It is zero at every star solution used,
         so between two of them it grows and shrinks again. Default 0.1: a quiet platform, 1 arcsec in 100 s; set it to

@@ -68,8 +68,8 @@ class HeightMap(Value):
         ----------
         path : path-like or sequence of path-like; files of one map are joined; of overlaps the later counts
         sigma_km : float, km, optional; standard deviation of the heights; that of the file, else 0
-        reference_radii_km : (3,), km, optional; semi-axes of the reference ellipsoid, where the file does not tell them
-        unit_km : float, km, optional; length of a stored unit, where the file does not tell it
+        reference_radii_km : (3,), km, optional; semi-axes of the reference ellipsoid, where the file lacks them
+        unit_km : float, km, optional; length of a stored unit, where the file lacks it
 
         Raises
         ------

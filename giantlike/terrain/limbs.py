@@ -47,7 +47,7 @@ class LimbProfile(Value):
     angles_rad : (k,) float64, rad
         In even steps from 0, about the direction from the camera to the center of the body: from ``first_body``
         towards ``second_body``.
-    altitude_km : (k,) float64, km; across the outline; what the map does not resolve is in it as expected
+    altitude_km : (k,) float64, km; across the outline, the mean of relief that the map does not resolve included
     unresolved_km : (k,) float64, km; the part for relief that the map does not resolve; never negative
     known : (k,) bool; where the map holds the ground of the limb; elsewhere the altitude is a mean
     points_body_km, normals_body : (k, 3) float64, km and unitless, body axes; of the smooth body's limb

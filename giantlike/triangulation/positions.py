@@ -68,7 +68,7 @@ class TriangulatedPosition(Value):
     ----------
     position_km : (3,) float64, km, ICRF axes; of the spacecraft, from the origin of the targets
     covariance_km2 : (3, 3) float64, km^2
-    parts : mapping of Cause to (3, 3) float64, km^2; noise of the lines, attitude, ephemeris; sum to it
+    parts : mapping of Cause to (3, 3) float64, km^2; noise of the lines, attitude, ephemeris; terms of it
     residuals_rad : (n, 2) float64, rad; observed minus computed across each line, along two perpendicular axes
     chi_square : float; of the residuals by their full covariance
     degrees_of_freedom : int; 2 n - 3

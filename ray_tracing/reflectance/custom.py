@@ -77,7 +77,7 @@ class TabulatedReflectance(SurfaceLaw):
 
     Parameters
     ----------
-    incidence_deg, emission_deg, phase_deg : tuple of float, deg; increasing from 0; the last hold beyond
+    incidence_deg, emission_deg, phase_deg : tuple of float, deg; nodes, increasing from 0; the last holds beyond
     values : tuple of tuple of tuple of float
         ``values[i][j][k]`` at incidence i, emission j and phase k, >= 0; any unit, since the law is scaled by
         ``values[0][0][0]``. Entries that no geometry has (phase over the sum or under the difference of the other two)

@@ -155,7 +155,7 @@ class Campaign:
         return replace(self, network=NetworkSetup(target=target, section=section))
 
     def apriori_covariance_rad2(self, key: str) -> Float | None:
-        """Covariance (3, 3), rad^2, camera axes, of the a priori attitude, as declared or in its SUMFILE."""
+        """Covariance (3, 3), rad^2, camera axes, of an a priori attitude, as declared or in its SUMFILE; else None."""
         known = self.geometry.get(key)
         if self.apriori_sigma_rad is not None:
             return self.apriori_sigma_rad**2 * np.eye(3)

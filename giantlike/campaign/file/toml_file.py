@@ -176,7 +176,7 @@ def _full_name(name: str, counts: Mapping[str, int]) -> str:
     return full
 
 
-_LIKENESS = 0.7  # share of letters by which a name is suggested: a slip in six; at 0.6 `stars` is `estimators`
+_LIKENESS = 0.7  # share of letters by which a name is suggested: a slip in six; 0.6 suggests `stars` for `estimators`
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

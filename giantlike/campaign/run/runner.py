@@ -68,7 +68,7 @@ def run_campaign(
     progress : callable, optional; called with the name of the step, the number of images done, and their total
     announce : callable, optional; called with lines on changes and pending work before the work starts
     pool : callable, optional; makes the executor from workbench and number of images; default: processes
-    check : callable, optional; called with the workbench before the first image; warns or raises
+    check : callable, optional; called with the workbench first; returns warnings for the report, or raises
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 ``edits.jsonl`` in the run folder has a line per edit and only grows; the last edit of an item counts. Rejected images
 and fixes keep their results in the store, and have none wherever a run is read. An image with a rejected star is solved
-again. The acceptance of a suspect result stands beside it, and lapses when the result moves or another check objects.
+again. The acceptance of a suspect result is kept with it, and lapses when the result moves or another check objects.
 Numbers of stars are strings in the file, since they exceed what JSON readers with double precision keep.
 """
 

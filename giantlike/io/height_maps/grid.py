@@ -29,7 +29,7 @@ _MOST_SAMPLES = 1 << 36  # samples of a map at most; the finest global one, of t
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeightGrid(Value):
-    """An equirectangular grid of heights, in a file or in memory."""
+    """An equirectangular grid of heights, planetocentric, longitudes to the east, in a file or in memory."""
 
     rows: int
     columns: int

@@ -9,7 +9,7 @@ from giantlike.processing.detection.frame_lines import FrameLines
 
 _DARK = 0.5  # over the darker neighbor, of a pixel that may be dead: a PSF of 0.7 px fills a black line to it
 _LEAST_SIGMAS = 16.0  # least signal of neighbors, in sigmas of the noise without light, of a tested pixel
-_LEAST_LENGTH, _LEAST_SHARE = 8, 0.9  # dark pixels of a line between bright ones; their least fraction
+_LEAST_LENGTH, _LEAST_SHARE = 8, 0.9  # fewest pixels between bright ones; least fraction of dark ones
 
 
 def dead_lines(frame: FrameLines, *, noise_dn: float) -> Mask | None:

@@ -67,7 +67,7 @@ _HOT_PIXEL_WIDTH_PX = 0.3  # single bright pixels are fitted narrower than this
 _LEAST_MEASURED = 100  # fewest measured sources: attitudes from 100 and 2,000 stars agree to 0.0013 px
 _GROWTH = 1.1  # minimum growth of their number where their information is too low: bounds the number of rounds
 
-_SAME_PEAK_PX = 1.5  # from a peak, within which one found later is what the model of the star leaves
+_SAME_PEAK_PX = 1.5  # from a peak, within which one found later is a residual of the star
 
 _STREAK_MIN_SIGNIFICANCE = 8.0  # of sources that show a common streak: three sigma above the detection limit
 _STREAK_LENGTH_SIGMAS, _STREAK_LENGTH_RELATIVE = 5.0, 0.25  # largest difference from the length of the common streak
@@ -221,7 +221,7 @@ def _search_with(
 def _search_again(
     frame: Frame, found: Candidates, psf_sigma_px: float, noise_dn: float, options: DetectionOptions
 ) -> tuple[Candidates, float]:
-    """Candidates with those in what they leave of the image as stars; of all the noise there, and its median, DN.
+    """Candidates, and those in the image without them (as stars), with the noise of that image, and its median, DN.
 
     Where stars were, their light counts as noise by the error of its model: their wings are no sources.
     """

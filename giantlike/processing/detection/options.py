@@ -24,7 +24,7 @@ class DetectionOptions:
         Fraction of the information on position (the sum of 1 / sigma^2 per axis) that the measured sources must have,
         in (0, 1]: the most significant are measured until the rest, as predicted from noise before a fit, has no more
         than the remainder. Sources flagged as not stars do not count. Default 1 measures all.
-    min_area_px : int, px; of a source above the limit; default 1: undersampled stars have one pixel
+    min_area_px : int, px; fewest connected pixels above the limit; default 1, as of undersampled stars
     max_saturated_fraction : float
         An image with a larger fraction of saturated pixels is refused. Default one half: the median of such an image is
         not the background.

@@ -26,7 +26,7 @@ class WindowedCentroid(Value):
 def windowed_centroid(
     values: Float, variance: Float, usable: Mask, start_px: ArrayLike, *, window_sigma_px: float
 ) -> WindowedCentroid | None:
-    """Centroid under a Gaussian window that follows the source; None where that leaves the array or does not converge.
+    """Centroid under a Gaussian window on the source; None if that leaves the array, has no flux or does not converge.
 
     The fixed point of ``x += 2 sum(w I (u - x)) / sum(w I)``, where ``w`` is the Gaussian centered at ``x`` and ``u``
     the pixel: the windowed position of E. Bertin's SExtractor. Its covariance follows from the implicit function

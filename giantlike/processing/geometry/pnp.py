@@ -31,7 +31,7 @@ _OUTLIER_SIGMAS = 5.0  # of the scatter of the other points; a good point exceed
 class PnpOptions:
     """Options of the pose estimation."""
 
-    inlier_px: float = 2.0  # largest residual that agrees; at least five sigmas of the others. Default 2
+    inlier_px: float = 2.0  # largest residual that agrees; in the end also within five sigmas of the others
     attitude_sigma_rad: float = math.inf  # per axis, a priori: 0 fixes the attitude, infinity frees it
     max_samples: int = 200  # of random samples. Default 200: with half outliers, all fail in 3e-12 of cases
     min_inliers: int = 5  # fewest points that must agree. Default 5: two more than fix a pose.

@@ -17,7 +17,7 @@ Pixels = NDArray[np.int64]
 
 _MIN_RUN = 3  # lit samples in a row that make light: a hot pixel, and its neighbors behind interpolation, are fewer
 _STEEPEST_WITHIN_PX = 3.0  # distance from the first light within which the steepest rise counts, px, besides the blur
-_SETTLED_PX, _FAR_PX = 0.65, 1.1  # of an edge from the middle: not moved below, left out above
+_SETTLED_PX, _FAR_PX = 0.65, 1.1  # of an edge from the middle: below, the window stays; above, it is left out
 _MOVES = 3  # maximum moves of a window: seeds lie within two pixels of their edge
 _MOST_ROWS = 1 << 31  # of an image: column and row of a pixel are one number of 64 bits
 

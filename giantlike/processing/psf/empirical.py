@@ -27,7 +27,7 @@ _PRIOR_SAMPLES = 0.5  # samples of the analytic shape added to each node: decide
 class EmpiricalPsf(Value):
     """Pixel-integrated point spread function on a grid."""
 
-    shares: Float  # (m, m); fraction of the flux in a pixel that is off by the node, rows along y
+    shares: Float  # (m, m); fraction of the flux in a pixel at the offset of the node from the star, rows along y
     sigma: Float  # (m, m); standard error of each; very large without samples
     step_px: float  # spacing of the nodes; the middle node is at the star
     n_used: int  # number of stars
